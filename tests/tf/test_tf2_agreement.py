@@ -191,10 +191,23 @@ def a_real_recording(name: str) -> Case:
 
 
 def loops() -> Case:
-    """Where neither frame is above the other, tf2 refuses them, too."""
-    edges = [("a", "b", 0), ("b", "c", 0), ("c", "a", 0), ("b", "left", 0), ("c", "right", 0)]
-    questions = [("left", "right", EPOCH), ("right", "left", EPOCH), ("left", "right", 0)]
-    return Case(poses(18, edges, True), questions, {"LookupException": 3})
+    """From the source up, they are met before the target, or not."""
+    edges = [("a", "b", 0), ("b", "c", 0), ("c", "a", 0), ("b", "left", 0), ("c", "right", 0), ("left", "shelf", 0)]
+    frames = ("a", "b", "c", "left", "right", "shelf")
+    questions = [(one, other, stamp_ns) for one, other in itertools.permutations(frames, 2) for stamp_ns in (EPOCH, 0)]
+    return Case(poses(18, edges, True), questions, {"LookupException": 20, "found": 20})
+
+
+def loops_for_a_while() -> Case:
+    """Odometry in both directions, at stamps of their own, above two lidars."""
+    rows = [
+        *poses(19, [("odom", "body", number * SECOND) for number in range(5)], False),
+        *poses(20, [("body", "odom", number * SECOND) for number in range(3, 9)], False),
+        *poses(21, [("body", "front", 0), ("body", "rear", 0)], True),
+    ]
+    frames, stamps = ("odom", "body", "front", "rear"), [0, *(EPOCH + number * SECOND // 2 for number in range(-1, 18))]
+    questions = [(one, other, stamp_ns) for one, other in itertools.permutations(frames, 2) for stamp_ns in stamps]
+    return Case(rows, questions, {"LookupException": 10, "found": 80, "ExtrapolationException": 10})
 
 
 #: In the quick run all of them are one question to tf2.
@@ -208,7 +221,7 @@ QUICK: dict[str, Callable[[], Case]] = {
         for case in (
             two_trees_that_exchange_a_child, a_root_that_changes_sides, equal_stamps_and_what_they_leave_behind,
             transforms_that_are_ignored, a_stamp_of_zero_is_the_latest_common_time, rotations_of_any_length,
-            zeros_keep_their_signs, nearly_equal_rotations, loops,
+            zeros_keep_their_signs, nearly_equal_rotations, loops, loops_for_a_while,
         )
     },
 }  # fmt: skip

@@ -13,16 +13,16 @@ The rules are those of tf2 0.7.6 (``BufferCore``, ``TimeCache``, ``StaticCache``
   child stays dynamic; a transform that arrives for it as static is a sample like the others.
 - Samples may arrive in any order. Of several with one stamp the first to arrive is kept.
 - Transforms are needed only up to the common ancestor. Nothing is extrapolated.
-- Both frames are walked up to the root, or to the first frame whose parent is not known at the time, unless one is the
-  other's ancestor: the transforms above the common ancestor are in both walks and cancel out but for rounding.
+- The source is walked up first, to the target, the root, or the first frame whose parent is not known at the time, and
+  then the target, if it was not met. The transforms above a common ancestor are in both walks and cancel out but for
+  rounding.
+- A walk that runs into a loop is an error. A loop above the target has no effect.
 - A stamp of 0 asks for the latest time that every frame of the chain has.
 
 Intended differences from tf2:
 
 - Nothing expires (tf2 keeps 10 s), and chains may be longer than tf2's 1000 frames.
 - Infinite components are refused like NaN.
-- A walk towards the root that runs into a loop is an error. tf2 returns a transform if it meets the other frame before
-  it detects the loop, and the transform depends on the direction of the lookup.
 - Lookups strip the leading slash too, and take a tolerance.
 
 Operations are in tf2's order (see `pc2scan.core.rigid`), so that lookups are bit-exact. ROS 2's tf2 computes the ratio
@@ -41,7 +41,7 @@ import numpy as np
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import TransformError, UnconnectedError
 
-from .chain import Query, join_walks, walk_up
+from .chain import Query, join_walks, walk_both, walk_up
 from .lookup_errors import (
     empty_name_error,
     extrapolation_error,
@@ -287,10 +287,16 @@ class TransformBuffer:
 
     def _timeless_chain(self, target: int, source: int) -> Chain | None:
         """Return the chain that is valid at all times; None if frames change parents, loop or are not connected."""
-        walks = [walk_up(frame, self._histories, attrgetter("sole_parent")) for frame in (target, source)]
+        parent_of = attrgetter("sole_parent")
+        walks = walk_both(target, source, self._histories, parent_of)
         if any(walk.blocked is not None or walk.loop is not None for walk in walks):
             return None
-        return join_walks(*walks)
+        chain = join_walks(*walks)
+        if chain is None or all(link.static for link in chain.links):
+            return chain
+        # While one of its frames has no transform, a loop above it may be another way.
+        above = walk_up(source, self._histories, parent_of)
+        return None if above.blocked is not None or above.loop is not None else chain
 
     def _timed_chain(self, query: Query, time_ns: int | None) -> Chain:
         """Return the chain at a time; raise if there is none."""
@@ -300,8 +306,7 @@ class TransformBuffer:
             def parent_of(link: FrameHistory, tolerance_ns: int = tolerance_ns) -> int:
                 return link.parent_at(time_ns) if abs(link.gap_ns(time_ns)) <= tolerance_ns else -1
 
-            source_walk = walk_up(query.source_number, self._histories, parent_of)
-            target_walk = walk_up(query.target_number, self._histories, parent_of)
+            target_walk, source_walk = walk_both(query.target_number, query.source_number, self._histories, parent_of)
             for walk in (source_walk, target_walk):
                 if walk.loop is not None:
                     raise loop_error(query, walk, walk.loop, self.frames)

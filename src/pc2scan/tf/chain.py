@@ -1,4 +1,4 @@
-"""The chain of transforms between two frames: found by walks from both up to their roots, and multiplied."""
+"""The chain of transforms between two frames: found by walks up from both, and multiplied."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from pc2scan.core.rigid import IDENTITY_POSE, Rigid, compose_poses, inverse_pose
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Collection, Iterable, Sequence
 
     from pc2scan.core.rigid import Pose
 
@@ -125,7 +125,7 @@ def _multiply_links(pose: Pose, links: Iterable[FrameHistory], time_ns: int | No
 
 @dataclass(frozen=True, slots=True)
 class Walk:
-    """A walk from a frame up to the root.
+    """A walk up from a frame.
 
     Attributes
     ----------
@@ -142,13 +142,18 @@ class Walk:
     loop: int | None = None
 
 
-def walk_up(start: int, histories: Sequence[FrameHistory | None], parent_of: Callable[[FrameHistory], int]) -> Walk:
-    """Walk up from a frame; ``parent_of`` returns -1 for an unknown parent."""
+def walk_up(
+    start: int,
+    histories: Sequence[FrameHistory | None],
+    parent_of: Callable[[FrameHistory], int],
+    stops: Collection[int] = (),
+) -> Walk:
+    """Walk up from a frame, to the first of ``stops`` at most; ``parent_of`` returns -1 for an unknown parent."""
     met: dict[int, FrameHistory | None] = {}
     frame = start
     while frame not in met:
         link = met[frame] = histories[frame]
-        if link is None:
+        if link is None or frame in stops:
             return Walk(met)
         frame = parent_of(link)
         if frame < 0:
@@ -156,10 +161,18 @@ def walk_up(start: int, histories: Sequence[FrameHistory | None], parent_of: Cal
     return Walk(met, loop=frame)
 
 
+def walk_both(
+    target: int, source: int, histories: Sequence[FrameHistory | None], parent_of: Callable[[FrameHistory], int]
+) -> tuple[Walk, Walk]:
+    """Walk like tf2: from the source up to the target or the root, then from the target until the walks meet."""
+    source_walk = walk_up(source, histories, parent_of, (target,))
+    return walk_up(target, histories, parent_of, source_walk.links), source_walk
+
+
 def join_walks(target_walk: Walk, source_walk: Walk) -> Chain | None:
     """Return the chain between the starts of two walks; None if they do not meet."""
-    common = next((frame for frame in target_walk.links if frame in source_walk.links), None)
-    if common is None:
+    common = next(reversed(target_walk.links))
+    if common not in source_walk.links:
         return None
     target_side, _ = _split(target_walk, common)
     source_side, above = _split(source_walk, common)
