@@ -200,7 +200,8 @@ def info(sources: Sequence[Path], options: Options) -> Info:
         described=options.topics,
         target_frame=options.target_frame,
         frames=frames_of(options),
-        given={name: options.given[name] for name in options.given if name in OF_FRAMES},
+        cloud_scale=options.cloud_scale,
+        given={name: options.given[name] for name in options.given if name in {*OF_FRAMES, "cloud_scale"}},
     )
 
 

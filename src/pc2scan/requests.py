@@ -373,4 +373,5 @@ def selection_of(sources: PathText | Iterable[PathText], topics: tuple[str, ...]
         verify=options.verify,
         strict=options.strict,
         clock=clock_of(options),
+        cloud_scale=options.cloud_scale,
     )

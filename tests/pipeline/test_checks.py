@@ -41,7 +41,7 @@ ELSEWHERE = {
         "target_that_moves",
         "clouds_in_fixed_frame",
         "returns_at_sensor",
-        "clouds_in_millimetres",
+        "clouds_in_another_unit",
         "fixed_frame_of_rebinned",
         "rebinned_beams",
     ),

@@ -277,9 +277,12 @@ SITUATIONS = (
     Situation(
         "clouds in millimetres",
         hall(scale=1000),
-        ((_HALL, "probably in millimetres"), ("info {src}", "probably in millimetres")),
-        (f"{_HALL} {_HEIGHTS}",),
-        hall(),
+        (
+            (_HALL, "in millimetres that is 4.05 m (--cloud-scale 0.001 corrects it), in centimetres 40.5 m"),
+            ("info {src}", "--cloud-scale 0.001"),
+            ("info {src} --cloud-scale 0.001", "--cloud-scale 0.001 --min-height -0.5 --max-height 0.9"),
+        ),
+        (f"{_HALL} {_HEIGHTS} --cloud-scale 0.001", f"view {{src}} -o p.html {_HEIGHTS} --cloud-scale 0.001"),
     ),
     Situation(
         "a range in millimetres",

@@ -36,7 +36,7 @@ LEVEL = math.radians(5.0)
 _LEAST_TILT = math.radians(0.9)
 _LEVEL_BESIDE = 0.3
 
-#: Points with a larger median distance, metres, are probably in millimetres: lidars do not see as far.
+#: Points with a larger median distance, metres, are in another unit: lidars do not see as far.
 FARTHEST_MEDIAN = 400.0
 
 #: The golden ratio's inverse.
@@ -154,6 +154,11 @@ class CloudSample:
     def floor(self) -> Floor | None:
         """The level floor; None if there is none, or if the cloud is too small."""
         return level_floor(cells_of(self.points)) if len(self.points) >= FEWEST_POINTS else None
+
+
+def are_far(points: _Points) -> bool:
+    """Return whether points are so far away that they are in another unit than metres."""
+    return len(points) >= FEWEST_POINTS and _median_distance(points) > FARTHEST_MEDIAN
 
 
 def _angle(cosine: float) -> float:

@@ -279,6 +279,7 @@ def _stream(
         verify=options.verify,
         strict=options.strict,
         clock=options.clock,
+        cloud_scale=options.cloud_scale,
     )
     if file_format.clouds:
         return Clouds(selection, meter)

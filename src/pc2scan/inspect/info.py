@@ -20,6 +20,7 @@ from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.imu import IMU
 from pc2scan.model import copied_message
 from pc2scan.pipeline.clocks import Clocks
+from pc2scan.pipeline.cloud_scale import scaled
 from pc2scan.pipeline.items import Span
 from pc2scan.pipeline.point_times import duration_warning
 from pc2scan.pipeline.stages.point_time import PointTime
@@ -216,7 +217,7 @@ class Info(Result):
             yield from each.body()
         if self.proposals:
             yield ""
-            mountings = ((cloud.topic, cloud.mounting) for cloud in self.clouds if cloud.mounting is not None)
+            mountings = ((each.topic, each.mounting) for each in self.clouds if each.mounting and each.mounting.heights)
             yield from (f"{leading(topic)}: {_ground_text(mounting)}" for topic, mounting in mountings)
             for call in self.proposals:
                 yield ""
@@ -260,6 +261,7 @@ def info(
     described: Sequence[str] = (),
     target_frame: str = "",
     frames: FrameOptions | None = None,
+    cloud_scale: float = 1.0,
     given: Mapping[str, Any] | None = None,
 ) -> Info:
     """Inspect a recording.
@@ -276,8 +278,10 @@ def info(
         Frame that the clouds are transformed into first, as in a conversion; empty for their own.
     frames
         The source of transforms; None: the recording's ``/tf`` and ``/tf_static``.
+    cloud_scale
+        What the coordinates of clouds are multiplied by.
     given
-        The options that gave ``frames``: the proposals have them, too.
+        The options that gave ``frames`` and ``cloud_scale``: the proposals have them, too.
 
     Raises
     ------
@@ -291,7 +295,13 @@ def info(
     with ExitStack() as stack:
         readers = open_recordings(sources, stack)
         return info_of(
-            readers, samples=samples, described=described, target_frame=target_frame, frames=frames, given=given
+            readers,
+            samples=samples,
+            described=described,
+            target_frame=target_frame,
+            frames=frames,
+            cloud_scale=cloud_scale,
+            given=given,
         )
 
 
@@ -302,12 +312,13 @@ def info_of(
     described: Sequence[str] = (),
     target_frame: str = "",
     frames: FrameOptions | None = None,
+    cloud_scale: float = 1.0,
     given: Mapping[str, Any] | None = None,
 ) -> Info:
     """Inspect recordings that are open; see `info`."""
     asked = frames or FrameOptions()
     with ExitStack() as stack:
-        reader = as_one(readers)
+        reader = scaled(as_one(readers), cloud_scale)
         counts, start_ns, end_ns = _message_counts(reader)
         topics = _topic_infos(reader.connections, counts, start_ns, end_ns)
         others = open_recordings(asked.tf_from, stack)

@@ -311,7 +311,8 @@ class ScanTopic:
         low, middle, high = self._spread
         if middle >= _MILLIMETRES:
             text = f"ranges of the first scan are {low:,.0f} to {high:,.0f} m (median {middle:,.0f} m)"
-            found.append(Finding("units", "notice", text, "ranges, range_min and range_max are metres: millimetres?"))
+            hint = "ranges are metres; if the clouds are in millimetres: pc2scan convert `cloud_scale=0.001`"
+            found.append(Finding("units", "notice", text, hint))
         total = self._ranges["beams"]
         zero, short = self._ranges["zero"], self._ranges["short"]
         if short:

@@ -173,6 +173,7 @@ def _conversion(sources: Sequence[Path], options: ConvertOptions) -> Call:
             f"{each.parent} {each.child} {' '.join(map(repr, each.parent_from_child.pose))}" for each in frames.static
         ),
         "source_frame": frames.source_frame,
+        "cloud_scale": options.cloud_scale if options.cloud_scale != 1 else None,
         "remove": tuple(map(_beam_filter_text, scan.remove)),
     }
     for name, option in output_options().items():

@@ -204,6 +204,7 @@ def _stream(
         verify=options.verify,
         strict=options.strict,
         clock=options.clock,
+        cloud_scale=options.cloud_scale,
     )
     if not converted:
         return Scans(selection, meter=meter)

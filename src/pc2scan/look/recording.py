@@ -11,6 +11,7 @@ from pc2scan.bags.damage import mention
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.errors import TopicError, UsageError, stamp_text
 from pc2scan.inspect.sampling import sampled
+from pc2scan.pipeline.cloud_scale import scaled
 from pc2scan.pipeline.preparation import prepare, span_of
 from pc2scan.pipeline.refusals import refuse_outside
 from pc2scan.tf.reading import read_transforms
@@ -140,7 +141,7 @@ def open_recording(
     """
     with ExitStack() as stack:
         readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
-        reader = as_one(readers)
+        reader = scaled(as_one(readers), options.cloud_scale)
         try:
             yield ShownRecording(reader, options, stack, warn)
         except TopicError as err:

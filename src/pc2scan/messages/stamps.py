@@ -132,6 +132,11 @@ def _move(data: bytearray, values: NDArray[Any], stamp_ns: int, shift_ns: int) -
     if absolute is None:
         return
     _, unit = absolute
-    begin = values.__array_interface__["data"][0] - np.frombuffer(data, np.uint8).__array_interface__["data"][0]
-    own = np.ndarray(values.shape, values.dtype, data, begin, values.strides)
+    own = writable(data, values)
     own[own != 0] += shift_ns / round(1e9 * unit)
+
+
+def writable(data: bytearray, values: NDArray[Any]) -> NDArray[Any]:
+    """Return the values of a field, a view of a message, as a view that changes the message."""
+    begin = values.__array_interface__["data"][0] - np.frombuffer(data, np.uint8).__array_interface__["data"][0]
+    return np.ndarray(values.shape, values.dtype, data, begin if values.size else 0, values.strides)

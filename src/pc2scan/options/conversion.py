@@ -117,6 +117,21 @@ class StampCorrection(TypedDict, total=False):
     ]
 
 
+class CloudUnit(TypedDict, total=False):
+    """Clouds in another unit than metres."""
+
+    cloud_scale: Annotated[
+        float,
+        Option(
+            Number(metavar="X"),
+            "Multiply x, y and z of clouds by this, before everything else: 0.001 for clouds in millimetres, 0.01 for "
+            "centimetres. Kept clouds are multiplied, too.",
+            default=1.0,
+            default_text="1, which is metres",
+        ),
+    ]
+
+
 class BadMessages(TypedDict, total=False):
     """What is done with messages that cannot be used."""
 

@@ -37,6 +37,7 @@ from .conversion import (
     BadMessages,
     CloudCombination,
     CloudContent,
+    CloudUnit,
     ConversionFrames,
     EchoChoice,
     FailureConditions,
@@ -96,6 +97,7 @@ class _Clouds(
     Projection,
     TimeRange,
     StampCorrection,
+    CloudUnit,
     PointSelection,
     ConversionFrames,
     RobotMotion,
@@ -153,7 +155,7 @@ class Check(CheckRules, EchoChoice, TransformSources, total=False):
     """``check``."""
 
 
-class Info(InfoSamples, StaticTransforms, TransformSources, SourceFrame, total=False):
+class Info(InfoSamples, CloudUnit, StaticTransforms, TransformSources, SourceFrame, total=False):
     """``info``."""
 
 
@@ -177,7 +179,7 @@ class Scans(_Scans, BadMessages, ThreadCount, total=False):
     """``pc2scan.scans``."""
 
 
-class Clouds(TimeRange, BadMessages, total=False):
+class Clouds(TimeRange, CloudUnit, BadMessages, total=False):
     """``pc2scan.clouds``."""
 
 
@@ -209,6 +211,7 @@ _SECTIONS: Mapping[Any, tuple[str, str]] = {
     SourceTopics: (TOPICS, SINGLE),
     TimeRange: (TOPICS, CONVERSION),
     StampCorrection: (TOPICS, CONVERSION),
+    CloudUnit: (TOPICS, CONVERSION),
     BadMessages: (RUN, CONVERSION),
     PointSelection: (POINTS, ONE_OUTPUT),
     ConversionFrames: (FRAMES, CONVERSION),

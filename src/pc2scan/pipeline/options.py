@@ -517,6 +517,8 @@ class ConvertOptions:
         The source of transforms.
     clock
         How the stamps of converted messages are corrected.
+    cloud_scale
+        What the coordinates of clouds are multiplied by, so that they are metres.
     keep_clouds
         Whether the converted messages are written, too.
     clouds_as
@@ -553,6 +555,7 @@ class ConvertOptions:
     scans: tuple[ScanSpec, ...] = (ScanSpec(),)
     frames: FrameOptions = FrameOptions()
     clock: StampOptions | None = None
+    cloud_scale: float = 1.0
     keep_clouds: bool = False
     clouds_as: str = "recorded"
     only_scans: bool = False

@@ -164,6 +164,10 @@ def _open(
     refuse_unusable(options)
     readers = open_recordings(files.sources, stack, verify=options.verify, strict=options.strict)
     reader = as_one(readers)
+    if options.cloud_scale != 1:
+        from .cloud_scale import scaled  # noqa: PLC0415  # most clouds are in metres
+
+        reader = scaled(reader, options.cloud_scale)
     damage = reader.damage
     if options.repair and damage and not reader.connections:
         raise DamageError(f"nothing of it can be recovered: {damage[0].what}", path=damage[0].path)

@@ -218,7 +218,7 @@ class TopicFacts:
         return mounting(self.topic, placer.source_frame or clouds[0].frame_id, clouds, buffer)
 
     def unit_warning(self, *, moved: bool) -> str:
-        """Return the warning that the clouds are probably in millimetres; empty if they are not."""
+        """Return the warning that the clouds are in another unit than metres; empty if they are not."""
         first = next(iter(self.found(_samples(moved=moved))), None)
         if first is None:
             return ""

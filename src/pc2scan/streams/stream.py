@@ -157,6 +157,8 @@ class Selection:
         As for `pc2scan.bags.opening.open_recordings`.
     clock
         How stamps are corrected; None: they are not.
+    cloud_scale
+        What the coordinates of clouds are multiplied by.
     """
 
     paths: tuple[Path, ...]
@@ -167,6 +169,7 @@ class Selection:
     verify: bool = True
     strict: bool = False
     clock: StampOptions | None = None
+    cloud_scale: float = 1.0
 
     def __post_init__(self) -> None:
         if self.on_error not in ("skip", "fail"):
@@ -365,6 +368,10 @@ class Stream(ABC, Generic[Item]):
         with ExitStack() as stack:
             readers = open_recordings(selection.paths, stack, verify=selection.verify, strict=selection.strict)
             reader = as_one(readers)
+            if selection.cloud_scale != 1:
+                from pc2scan.pipeline.cloud_scale import scaled  # noqa: PLC0415  # most clouds are in metres
+
+                reader = scaled(reader, selection.cloud_scale)
             try:
                 source = self._source(stack, reader)
             except TopicError as err:

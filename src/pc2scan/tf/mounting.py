@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pc2scan.core.floor import FARTHEST_MEDIAN, JUDGED_CLOUDS, LEVEL, are_enough
+from pc2scan.core.floor import FARTHEST_MEDIAN, JUDGED_CLOUDS, LEVEL, are_enough, are_far
 from pc2scan.core.ground import Ground, common_ground, find_ground
 from pc2scan.core.percentiles import percentiles
 from pc2scan.core.rigid import Rigid
@@ -105,12 +105,13 @@ class Mounting(NamedTuple):
 
 
 def unit_warning(topic: str, sample: CloudSample) -> str:
-    """Return the warning that a cloud is probably in millimetres; empty if it is not."""
+    """Return the warning that a cloud is in another unit than metres; empty if it is not."""
     if sample.distance <= FARTHEST_MEDIAN:
         return ""
     return (
-        f"{topic}: the points are {sample.distance:,.0f} m away (median), so they are probably in millimetres: clouds "
-        "have metres, and every consumer takes them for metres; correct the unit where they are made"
+        f"{topic}: the points are {sample.distance:,.0f} m away (median), so they are in another unit: in millimetres "
+        f"that is {sample.distance / 1000:.3g} m (`cloud_scale=0.001` corrects it), in centimetres "
+        f"{sample.distance / 100:.3g} m (`cloud_scale=0.01`)"
     )
 
 
@@ -359,7 +360,7 @@ def suitable_heights(
     the 95th percentile.
     """
     points = [points for points in samples if len(points)]
-    if not points:
+    if not points or are_far(points[0]):
         return None
     moved = target_from_frame or Rigid.from_pose((0.0, 0.0, origin_z, 0.0, 0.0, 0.0, 1.0))
     z = np.concatenate([moved.apply(each)[:, 2] for each in points])

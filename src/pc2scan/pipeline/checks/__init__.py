@@ -57,7 +57,7 @@ FRAME: Checks[CloudFacts] = (clouds.frame_not_level,)
 FIRST_CLOUDS: Checks[CloudFacts] = (
     clouds.lossy_clouds,
     clouds.swapped_transform,
-    clouds.clouds_in_millimetres,
+    clouds.clouds_in_another_unit,
     clouds.heights_in_millimetres,
     clouds.nearly_empty_scans,
     clouds.floor_within_heights,

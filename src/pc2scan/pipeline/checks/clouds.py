@@ -359,8 +359,8 @@ def lossy_clouds(clouds: CloudFacts) -> Iterator[str]:
         yield f"{clouds.topic}: {text}"
 
 
-def clouds_in_millimetres(clouds: CloudFacts) -> Iterator[str]:
-    """Yield a warning if the points are so far away that they are probably in millimetres."""
+def clouds_in_another_unit(clouds: CloudFacts) -> Iterator[str]:
+    """Yield a warning if the points are so far away that they are in another unit."""
     from pc2scan.tf.mounting import unit_warning  # noqa: PLC0415  # only where there may be a warning
 
     if text := unit_warning(clouds.topic, clouds.samples[0]):
