@@ -32,27 +32,25 @@ def test_latches(qos: str, *, expected: bool) -> None:
 
 
 def test_respelling_profiles() -> None:
-    assert respell_qos(QOS_NUMBERS, by_name=True) == QOS_NAMES
-    assert respell_qos(QOS_NAMES, by_name=False) == QOS_NUMBERS
+    assert respell_qos(QOS_NAMES) == QOS_NUMBERS
     verbatim = f"# as it was\n{QOS_NUMBERS}"
-    assert respell_qos(verbatim, by_name=False) == verbatim
-    assert respell_qos("", by_name=True) == ""
+    assert respell_qos(verbatim) == verbatim
+    assert respell_qos("") == ""
     odd = "- history: 99\n  reliability: sometimes\n  durability: true\n  liveliness: null\n  speed: 3"
-    for by_name in (True, False):
-        assert respell_qos(odd, by_name=by_name).startswith(odd)
-    assert respell_qos("- reliability: Best_Effort", by_name=False).startswith("- reliability: 2\n")
+    assert respell_qos(odd).startswith(odd)
+    assert respell_qos("- reliability: Best_Effort").startswith("- reliability: 2\n")
 
 
 def test_missing_keys_get_the_defaults_of_rmw() -> None:
-    (profile,) = parse_qos(respell_qos("- durability: 1", by_name=True)) or []
+    (profile,) = parse_qos(respell_qos("- durability: 1")) or []
     assert profile == {
-        "durability": "transient_local",
-        "history": "keep_last",
+        "durability": 1,
+        "history": 1,
         "depth": 10,
-        "reliability": "reliable",
+        "reliability": 1,
         "deadline": {"sec": 9223372036, "nsec": 854775807},
         "lifespan": {"sec": 9223372036, "nsec": 854775807},
-        "liveliness": "automatic",
+        "liveliness": 1,
         "liveliness_lease_duration": {"sec": 9223372036, "nsec": 854775807},
         "avoid_ros_namespace_conventions": False,
     }

@@ -258,7 +258,7 @@ def _qos(data: bytes) -> None:
 
     text = data.decode("utf-8", "replace")
     latches(text)
-    respell_qos(text, by_name=True)
+    respell_qos(text)
 
 
 def _parameters(data: bytes) -> None:

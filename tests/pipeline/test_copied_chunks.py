@@ -349,21 +349,21 @@ def consistent(path: Path) -> bool:
     return all(len(records) == 1 for records in declared.values())
 
 
-#: Whether the chunks declare the clouds first, the version of the destination's metadata, which spells QoS profiles in
-#: its own way, and which chunks are copied. The second one declares nothing, but that cannot be known without looking.
-DECLARED = [(False, 0, slice(0, 2)), (True, 0, slice(1, 2)), (False, 9, slice(1, 2))]
+#: Whether the chunks declare the clouds first, whether the destination is a directory, which completes QoS profiles,
+#: and which chunks are copied. The second one declares nothing, but that cannot be known without looking.
+DECLARED = [(False, False, slice(0, 2)), (True, False, slice(1, 2)), (False, True, slice(1, 2))]
 
 
 @pytest.mark.parametrize("verify", [True, False])
-@pytest.mark.parametrize(("clouds_first", "version", "copied"), DECLARED)
+@pytest.mark.parametrize(("clouds_first", "directory", "copied"), DECLARED)
 def test_chunks_that_declare_what_is_written_are_copied(
-    clouds_first: bool, version: int, copied: slice, verify: bool, tmp_path: Path
+    clouds_first: bool, directory: bool, copied: slice, verify: bool, tmp_path: Path
 ) -> None:
     there = declaring_chunks(tmp_path / "drive.mcap", clouds_first=clouds_first)
     assert len(there) == 3
-    options = {"suffix": "", "metadata_version": version} if version else {}
+    options = {"suffix": ""} if directory else {}
     destination = convert(tmp_path / "drive.mcap", verify=verify, **options)
-    storage = destination / "scans_0.mcap" if version else destination
+    storage = destination / "scans_0.mcap" if directory else destination
     assert [stored for _, _, stored in stored_chunks(storage) if stored in there] == there[copied]
     assert consistent(storage)
     assert {channel.topic for channel in streamed(storage) if isinstance(channel, Channel)} == {"/left", "/scan"}

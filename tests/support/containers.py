@@ -59,10 +59,8 @@ KINDS = {
         for profile in ("ros1", "ros2")
         for c in ("none", "lz4", "zstd")
     },
-    **{f"rosbag2-mcap-v{v}": Kind("out", 2, {"metadata_version": v}) for v in (8, 9)},
-    **{f"rosbag2-mcap-{c}": Kind("out", 2, {"storage": "mcap", "compression": c}) for c in ("none", "lz4")},
+    **{f"rosbag2-mcap-{c}": Kind("out", 2, {"storage": "mcap", "compression": c}) for c in ("none", "lz4", "zstd")},
     **{f"rosbag2-sqlite3-{c}": Kind("out", 2, {"storage": "sqlite3", "compression": c}) for c in ("none", "zstd")},
-    "rosbag2-sqlite3-v9": Kind("out", 2, {"storage": "sqlite3", "metadata_version": 9}),
 }
 
 #: One of each container and storage.

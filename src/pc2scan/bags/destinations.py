@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
     from .splitting import Cut, RecordingPart
 
-_METADATA_VERSIONS = (8, 9)
-
 _NOT_WRITTEN = "this format is not written"
 
 #: Suffixes of formats that are not written; a directory of such a name would be confusing.
@@ -58,8 +56,6 @@ class Destination(NamedTuple):
         ``none``, ``bz2``, ``lz4`` or ``zstd``.
     profile
         Of an MCAP file: ``ros1`` or ``ros2``; else empty.
-    metadata_version
-        Of a rosbag2 directory: 8 or 9.
     chunk_compressions
         Compressions that chunks copied from the source may have: the given one, else all of the container.
     ros_version
@@ -71,7 +67,6 @@ class Destination(NamedTuple):
     file_format: Format
     compression: str
     profile: str
-    metadata_version: int
     chunk_compressions: frozenset[str]
     ros_version: int
 
@@ -103,7 +98,6 @@ def plan_destination(
     storage: str | None = None,
     compression: str | None = None,
     profile: str | None = None,
-    metadata_version: int = 8,
     source_ros_version: int | None,
     is_directory: bool = False,
 ) -> Destination:
@@ -123,8 +117,6 @@ def plan_destination(
         this one only if it is given.
     profile
         For an MCAP file: ``ros1`` or ``ros2``; default: the source's.
-    metadata_version
-        For a rosbag2 directory: 8 or 9.
     source_ros_version
         1, 2, or None if the source has no ROS messages.
     is_directory
@@ -163,10 +155,6 @@ def plan_destination(
     if entry.profiles:
         default = entry.profiles[0 if source_ros_version == 1 else 1]
         profile = _one_of("profile", profile or default, entry.profiles, path)
-    if metadata_version not in _METADATA_VERSIONS:
-        raise DestinationError(f"metadata version {metadata_version} cannot be written, only 8 and 9", path=path)
-    if metadata_version != _METADATA_VERSIONS[0] and not entry.storages:
-        raise DestinationError("`metadata_version` is for rosbag2 directories", path=path, hint="leave it out")
     files = FORMATS[storage] if storage else entry
     return Destination(
         path=path,
@@ -174,7 +162,6 @@ def plan_destination(
         file_format=files,
         compression=_one_of("compression", compression or files.default_compression, files.compressions, path),
         profile=profile or "",
-        metadata_version=metadata_version,
         chunk_compressions=frozenset((compression,) if compression else files.compressions),
         ros_version=1 if entry.profiles and profile == entry.profiles[0] else entry.ros_version,
     )
@@ -330,7 +317,6 @@ def open_writer(destination: Destination, staged_path: Path, name: str, cut: Cut
         compression=destination.compression,
         storage=destination.file_format.name if destination.format.storages else "",
         profile=destination.profile,
-        metadata_version=destination.metadata_version,
         cut=cut,
     )
     writer = destination.format.open_writer

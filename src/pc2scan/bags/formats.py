@@ -48,7 +48,6 @@ class WriteOptions(NamedTuple):
     compression: str = "none"
     storage: str = ""
     profile: str = ""
-    metadata_version: int = 8
     cut: Cut | None = None
 
 

@@ -86,22 +86,22 @@ def merge_qos(texts: Sequence[str]) -> str:
 
 # Most topics of a recording have the same profile.
 @lru_cache(maxsize=32)
-def respell_qos(text: str, *, by_name: bool) -> str:
-    r"""Complete QoS profiles, and spell them as a rosbag2 directory's metadata version requires.
+def respell_qos(text: str) -> str:
+    r"""Complete QoS profiles, and spell them as version 8 of a rosbag2 directory's metadata requires.
 
     rosbag2 and rosbags refuse a directory whose profiles lack a key; missing keys get rmw's defaults and infinite
-    durations. Enumerations are spelled as names (metadata version 9) or as numbers (before). Complete text in this
-    spelling, and text that is not a list of profiles, is returned verbatim; so are unknown keys and values.
+    durations. Enumerations become numbers, as before version 9. Complete text in this spelling, and text that is not a
+    list of profiles, is returned verbatim; so are unknown keys and values.
 
-    >>> respell_qos("- depth: 10\n  durability: 1", by_name=True).splitlines()[:3]
-    ['- depth: 10', '  durability: transient_local', '  history: keep_last']
+    >>> respell_qos("- depth: 10\n  durability: transient_local").splitlines()[:3]
+    ['- depth: 10', '  durability: 1', '  history: 1']
     """
     profiles = parse_qos(text) if text else None
     if profiles is None:
         return text
     changed = [
         {
-            key: _respell(key, value, by_name=by_name) if key in _NAMES else value
+            key: _number(key, value) if key in _NAMES else value
             for key, value in (profile | {key: _DEFAULTS[key] for key in _DEFAULTS if key not in profile}).items()
         }
         for profile in profiles
@@ -109,10 +109,6 @@ def respell_qos(text: str, *, by_name: bool) -> str:
     return text if changed == profiles else dump_yaml(changed).rstrip("\n")
 
 
-def _respell(key: str, value: Any, *, by_name: bool) -> Any:
+def _number(key: str, value: Any) -> Any:
     names = _NAMES[key]
-    if by_name and isinstance(value, int) and not isinstance(value, bool):
-        return names[value] if 0 <= value < len(names) else value
-    if not by_name and isinstance(value, str) and value.lower() in names:
-        return names.index(value.lower())
-    return value
+    return names.index(value.lower()) if isinstance(value, str) and value.lower() in names else value

@@ -112,7 +112,7 @@ def digest_of(request: Request) -> str:
     import hashlib  # noqa: PLC0415  # only batches need it
     import json  # noqa: PLC0415
 
-    names = ("storage", "compression", "profile", "metadata_version")
+    names = ("storage", "compression", "profile")
     output = {name: getattr(request.output, name) for name in names}
     if request.output.cut is not None:
         output["cut"] = asdict(request.output.cut)

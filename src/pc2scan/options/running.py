@@ -37,14 +37,6 @@ class Container(TypedDict, total=False):
     profile: Annotated[
         str | None, Option(Text(words=("ros1", "ros2")), "ROS version of an .mcap file.", default_text="the source's")
     ]
-    metadata_version: Annotated[
-        int,
-        Option(
-            Count(8, 9, metavar="8|9"),
-            "Version of a rosbag2 directory's metadata.yaml; older readers do not accept 9.",
-            default=8,
-        ),
-    ]
     ros_distro: Annotated[
         str,
         Option(

@@ -343,7 +343,6 @@ def _target(
         storage=output.storage or storage,
         compression=output.compression or (compression if output.storage in (None, storage) else None),
         profile=output.profile,
-        metadata_version=output.metadata_version,
         source_ros_version=ros_version,
         is_directory=not is_named or output.storage is not None or names_directory,
     )

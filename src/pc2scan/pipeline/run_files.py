@@ -34,8 +34,6 @@ class OutputOptions(NamedTuple):
         whole keep their compression.
     profile
         The profile of an ``.mcap`` file: ``ros1`` or ``ros2``.
-    metadata_version
-        The metadata version of a rosbag2 directory.
     overwrite
         Whether an existing destination, and an existing file at the report's path, are replaced.
     owned
@@ -61,7 +59,6 @@ class OutputOptions(NamedTuple):
     storage: str | None = None
     compression: str | None = None
     profile: str | None = None
-    metadata_version: int = 8
     overwrite: bool = False
     owned: Record | None = None
     report: Path | None = None

@@ -18,8 +18,7 @@ from pc2scan.bags.qos import parse_qos, respell_qos
 from pc2scan.bags.rosbag2.read import Rosbag2Reader
 from pc2scan.bags.rosbag2.write import Rosbag2Writer
 from pc2scan.errors import OutputError
-from support import sampled
-from support.rosbag2_files import QOS_NAMES, QOS_NUMBERS, STORE, STRING, names, read, text, topic
+from support.rosbag2_files import QOS_NUMBERS, STORE, STRING, names, read, text, topic
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -33,36 +32,27 @@ def info_of(folder: Path) -> dict[str, Any]:
     return dict(document["rosbag2_bagfile_information"])
 
 
-def stored_info(path: Path, version: int) -> dict[str, Any]:
+def stored_info(path: Path) -> dict[str, Any]:
     """metadata.yaml's content, which the storage repeats."""
     if path.suffix == ".mcap":
         with closing(McapReader(path)) as reader:
             (record,) = reader.metadata()
             assert record.name == "rosbag2"
-            assert reader.connections[0].qos == (QOS_NUMBERS if version == 8 else QOS_NAMES)
+            assert reader.connections[0].qos == QOS_NUMBERS
             return dict(YAML(typ="safe").load(record.entries["serialized_metadata"]))
     with closing(sqlite3.connect(path)) as database:
         stored_version, stored = database.execute("SELECT metadata_version, metadata FROM metadata").fetchone()
-        assert stored_version == version
+        assert stored_version == 8
         return dict(YAML(typ="safe").load(stored))
 
 
 @pytest.mark.parametrize(
-    ("storage", "compression", "version"),
-    [
-        ("mcap", "none", 8),
-        ("mcap", "lz4", 9),
-        ("mcap", "zstd", 8),
-        ("sqlite3", "none", 8),
-        ("sqlite3", "zstd", 9),
-        ("sqlite3", "none", 9),
-    ],
+    ("storage", "compression"),
+    [("mcap", "none"), ("mcap", "lz4"), ("mcap", "zstd"), ("sqlite3", "none"), ("sqlite3", "zstd")],
 )
-def test_rosbags_reads_what_is_written(storage: str, compression: str, version: int, tmp_path: Path) -> None:
+def test_rosbags_reads_what_is_written(storage: str, compression: str, tmp_path: Path) -> None:
     path, custom = tmp_path / "bag", {"robot": "yes: 1\n"}
-    writer = Rosbag2Writer(
-        path, "drive", storage=storage, compression=compression, metadata_version=version, custom_data=custom
-    )
+    writer = Rosbag2Writer(path, "drive", storage=storage, compression=compression, custom_data=custom)
     handles = [writer.add_connection(topic("/a")), writer.add_connection(topic("/b", qos="", latching=False))]
     for number in range(6):
         writer.write(handles[number % 2], 100 + number, text(f"message {number}"), 100 + number)
@@ -85,7 +75,7 @@ def test_rosbags_reads_what_is_written(storage: str, compression: str, version: 
     assert read(path) == expected
     with closing(Rosbag2Reader(path)) as reader:
         assert reader.connections[0].latching
-        assert reader.connections[0].qos == (QOS_NAMES if version == 9 else QOS_NUMBERS)
+        assert reader.connections[0].qos == QOS_NUMBERS
     # metadata.yaml, to the key.
     assert "&id" not in (path / "metadata.yaml").read_text()
     info = info_of(path)
@@ -99,9 +89,8 @@ def test_rosbags_reads_what_is_written(storage: str, compression: str, version: 
     assert (info["compression_format"], info["compression_mode"]) == (("zstd", "MESSAGE") if by_message else ("", ""))
     first, second = info["topics_with_message_count"]
     assert (first["message_count"], second["message_count"]) == (3, 3)
-    expected_qos = (QOS_NUMBERS, "") if version == 8 else (YAML(typ="safe").load(QOS_NAMES), [])
-    assert tuple(each["topic_metadata"]["offered_qos_profiles"] for each in (first, second)) == expected_qos
-    assert stored_info(path / file, version) == info
+    assert [each["topic_metadata"]["offered_qos_profiles"] for each in (first, second)] == [QOS_NUMBERS, ""]
+    assert stored_info(path / file) == info
 
 
 @pytest.mark.parametrize("storage", SUFFIXES)
@@ -126,16 +115,16 @@ PROFILES = ["- durability: 1", "- {}", "not: a list", "[unbalanced", "- durabili
             "- history: !!x"]  # fmt: skip
 
 
-@pytest.mark.parametrize(("storage", "version"), sampled([(s, v) for s in SUFFIXES for v in (8, 9)], 2))
-def test_mutilated_profiles_are_completed_if_they_can_be(storage: str, version: int, tmp_path: Path) -> None:
-    writer = Rosbag2Writer(tmp_path / "bag", "bag", storage=storage, metadata_version=version)
+@pytest.mark.parametrize("storage", SUFFIXES)
+def test_mutilated_profiles_are_completed_if_they_can_be(storage: str, tmp_path: Path) -> None:
+    writer = Rosbag2Writer(tmp_path / "bag", "bag", storage=storage)
     for number, qos in enumerate(PROFILES):
         metadata = {"offered_qos_profiles": qos, "other": "kept"}
         writer.write(writer.add_connection(topic(f"/{number}", qos=qos, metadata=metadata)), 1, text("x"), 1)
     writer.finish()
     with closing(Rosbag2Reader(tmp_path / "bag")) as reader:
         for qos, found in zip(PROFILES, reader.connections, strict=True):
-            assert found.qos == respell_qos(qos, by_name=version == 9)
+            assert found.qos == respell_qos(qos)
             assert (found.qos == qos) == (parse_qos(qos) is None)
         assert len(list(reader.messages())) == len(PROFILES)
     # metadata.yaml is well-formed whatever the profiles are.

@@ -47,7 +47,8 @@ METADATA_NAME = "metadata.yaml"
 RECORD_NAME = "rosbag2"
 
 ROOT = "rosbag2_bagfile_information"
-NEWEST_VERSION = 9
+#: The newest version that is read; and the one that is written, which all of ROS 2 since Iron reads.
+NEWEST_VERSION, WRITTEN_VERSION = 9, 8
 #: Endings of SQLite's files beside a database.
 _LOGS = ("-wal", "-shm", "-journal")
 

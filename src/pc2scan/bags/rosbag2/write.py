@@ -7,12 +7,12 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.bags.formats import WriteOptions, storages
-from pc2scan.bags.qos import MAX_CHARACTERS, parse_qos, respell_qos
+from pc2scan.bags.qos import MAX_CHARACTERS, respell_qos
 from pc2scan.errors import OutputError, UnwritableError
 from pc2scan.files.yaml import dump_yaml
 from pc2scan.model import MAX_ROSBAG2_NS, Connection, Metadata
 
-from .metadata import METADATA_NAME, NEWEST_VERSION, RECORD_NAME, ROOT
+from .metadata import METADATA_NAME, RECORD_NAME, ROOT, WRITTEN_VERSION
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
@@ -39,7 +39,6 @@ def open_writer(path: Path, options: WriteOptions) -> Rosbag2Writer:
         options.name,
         storage=options.storage,
         compression=options.compression,
-        metadata_version=options.metadata_version,
         cut=options.cut,
     )
 
@@ -68,9 +67,6 @@ class Rosbag2Writer:
     compression
         With ``mcap``: ``none``, ``lz4`` or ``zstd``, inside the file. With ``sqlite3``: ``none``, or
         ``zstd``, message by message.
-    metadata_version
-        8 (to ROS 2 Iron) or 9 (from Jazzy on). QoS profiles are spelled accordingly: enumerations as numbers
-        or by name. Profiles that cannot be understood, and unknown or missing keys, stay as they are.
     custom_data
         For metadata.yaml.
     cut
@@ -94,13 +90,11 @@ class Rosbag2Writer:
         *,
         storage: str = "mcap",
         compression: str = "none",
-        metadata_version: int = 8,
         custom_data: Mapping[str, str] | None = None,
         cut: Cut | None = None,
     ) -> None:
         self._path = path
         self._storage_name = storage
-        self._version = metadata_version
         self._custom_data = dict(custom_data or {})
         entry = storages()[storage]
         self._message_compression = compression if entry.packs_messages else "none"
@@ -111,7 +105,7 @@ class Rosbag2Writer:
             path.mkdir()
         except OSError as err:
             raise self._write_error(err) from err
-        options = WriteOptions(name=name, compression=compression, metadata_version=metadata_version)
+        options = WriteOptions(name=name, compression=compression)
         assert entry.open_storage is not None
         open_storage = entry.open_storage
 
@@ -140,7 +134,7 @@ class Rosbag2Writer:
     def add_connection(self, connection: Connection) -> int:
         """Declare a topic, with type and QoS profiles in rosbag2's spelling."""
         connection = connection.in_utf8
-        qos = respell_qos(connection.qos, by_name=self._version >= NEWEST_VERSION)
+        qos = respell_qos(connection.qos)
         # The MCAP writer prefers the text in the channel's metadata.
         metadata = {key: qos if key == "offered_qos_profiles" else value for key, value in connection.metadata.items()}
         msgtype = connection.ros_type if connection.serialization == "cdr" else connection.msgtype
@@ -209,7 +203,7 @@ class Rosbag2Writer:
     def _info(self, parts: Sequence[RecordingPart | _File]) -> dict[str, Any]:
         packed = self._message_compression != "none"
         return {
-            "version": self._version,
+            "version": WRITTEN_VERSION,
             "storage_identifier": self._storage_name,
             **_extent(parts),
             "topics_with_message_count": [
@@ -229,10 +223,7 @@ class Rosbag2Writer:
 
     def _topic(self, connection: Connection) -> dict[str, Any]:
         # A text that is too long for a list of profiles is only in the storage: writing it as YAML would take seconds.
-        qos: Any = connection.qos if len(connection.qos) <= MAX_CHARACTERS else ""
-        if self._version >= NEWEST_VERSION:
-            profiles = parse_qos(qos) if qos else []
-            qos = qos if profiles is None else profiles
+        qos = connection.qos if len(connection.qos) <= MAX_CHARACTERS else ""
         return {
             "name": connection.topic,
             "type": connection.msgtype,

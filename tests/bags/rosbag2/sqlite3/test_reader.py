@@ -209,7 +209,7 @@ def test_a_database_is_what_rosbag2_writes(compression: str, tmp_path: Path) -> 
     handles = [writer.add_connection(CLOUD) for _ in range(2)]
     writer.write(handles[0], 20, memoryview(b"\0\1\0\0late"), 19)
     writer.write(handles[1], 10, b"\0\1\0\0early" * 50, 9, sequence=4)
-    writer.add_bag_metadata(8, "version: 8")
+    writer.add_bag_metadata("version: 8")
     writer.finish()
     assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
     with closing(sqlite3.connect(path)) as database:

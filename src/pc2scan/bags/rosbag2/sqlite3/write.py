@@ -13,6 +13,7 @@ from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from pc2scan.bags.rosbag2.metadata import WRITTEN_VERSION
 from pc2scan.errors import OutputError, UnwritableError
 from pc2scan.files.compression import compress
 from pc2scan.files.new_file import WriteAhead
@@ -54,7 +55,7 @@ _ZSTD_LEVEL = 1
 def open_storage(path: Path, options: WriteOptions) -> tuple[Sqlite3Writer, Callable[[str], None]]:
     """Start the file of a directory; see `pc2scan.bags.formats.Format`."""
     writer = Sqlite3Writer(path, compression=options.compression)
-    return writer, partial(writer.add_bag_metadata, options.metadata_version)
+    return writer, writer.add_bag_metadata
 
 
 class Sqlite3Writer:
@@ -181,10 +182,10 @@ class Sqlite3Writer:
     def add_metadata(self, metadata: Metadata) -> None:
         """Do nothing: the storage has no metadata records."""
 
-    def add_bag_metadata(self, version: int, text: str) -> None:
+    def add_bag_metadata(self, text: str) -> None:
         """Write rosbag2's metadata.yaml (its ``rosbag2_bagfile_information``) to the file, as rosbag2 does."""
         self._ahead.finish()
-        self._insert("INSERT INTO metadata(metadata_version, metadata) VALUES (?, ?)", (version, text))
+        self._insert("INSERT INTO metadata(metadata_version, metadata) VALUES (?, ?)", (WRITTEN_VERSION, text))
 
     def finish(self) -> None:
         """Commit, close, and put the file on the disk."""
