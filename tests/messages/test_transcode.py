@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from messages.twins import CODES, SEPARATOR, Twin, check_both_ways, of_kind, parsed, ros1, ros2
-from pc2scan.errors import DecodeError, UsageError
+from pc2scan.errors import DecodeError
 from pc2scan.messages import definitions, schema
-from pc2scan.messages.transcode import DISTROS, transcoder, with_definition
+from pc2scan.messages.transcode import transcoder, with_definition
 from pc2scan.model import LATCHED_QOS, Connection, Definition, ros1_type
 from support import RECORDINGS, needs_shared, sampled
 from support.tables import rows
@@ -219,9 +219,7 @@ def test_nested_type_with_another_layout_is_noted_too() -> None:
 
 def test_without_definition_the_message_set_is_used_and_noted() -> None:
     imu = Connection(1, "/t", "sensor_msgs/msg/Imu", "cdr")
-    foxy, noetic = (transcoder(imu, 1, distro=distro) for distro in ("foxy", "noetic"))
-    for plan, assumed in ((transcoder(imu, 1), "jazzy"), (foxy, "foxy"), (noetic, "jazzy")):
-        assert plan.notes == (f"no definition in the recording: ROS 2 {assumed}'s sensor_msgs/msg/Imu is assumed",)
+    assert transcoder(imu, 1).notes == ("no definition in the recording: ROS 2 jazzy's sensor_msgs/msg/Imu is assumed",)
     # What a definition lacks is filled in.
     filled = transcoder(ros2("geometry_msgs/Point[] points\n"), 1).connection
     assert "MSG: geometry_msgs/Point\nfloat64 x\n" in filled.definition.text
@@ -241,31 +239,8 @@ def test_a_connection_without_definition_gets_the_distributions(msgtype: str) ->
     assert with_definition(replace(plain, digest="RIHS01_0")).digest == "RIHS01_0"
     unknown = Connection(1, "/t", "pkg/msg/Unknown", "cdr")
     assert with_definition(unknown) is unknown
-    ros1_scan = with_definition(Connection(1, "/t", ros1_type(msgtype), "ros1"), "noetic")
+    ros1_scan = with_definition(Connection(1, "/t", ros1_type(msgtype), "ros1"))
     assert ros1_scan.digest == get_typestore(Stores.ROS1_NOETIC).generate_msgdef(msgtype, ros_version=1)[1]
-
-
-def test_distribution_tells_the_layout() -> None:
-    """Range got a ``variance`` after humble."""
-    messages = {
-        distro: Twin(schema.known_types(f"ros2_{distro}"), "sensor_msgs/msg/Range", 1).cdr
-        for distro in ("humble", "jazzy")
-    }
-    assert len(messages["humble"]) < len(messages["jazzy"])
-    connection = Connection(1, "/t", "sensor_msgs/msg/Range", "cdr")
-    for distro, message in messages.items():
-        transcoder(connection, 1, distro=distro).encode(message)
-    with pytest.raises(DecodeError, match="cannot be re-encoded"):
-        transcoder(connection, 1, distro="humble").encode(messages["jazzy"])
-
-
-def test_distributions_are_those_of_rosbags() -> None:
-    from rosbags.typesys import Stores
-
-    names = {"ros1_noetic" if distro == "noetic" else f"ros2_{distro}" for distro in DISTROS}
-    assert names == {store.value for store in Stores if store.value.startswith("ros")}
-    with pytest.raises(UsageError, match="'melodic' is unknown, expected one of dashing"):
-        transcoder(ros1("uint8 a\n"), 2, distro="melodic")
 
 
 # --- what is declared ---

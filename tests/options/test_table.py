@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 #: The node's parameters and others that few people use; only ``--help-all`` has them.
 RARE = (
     *("use_inf", "inf_epsilon", "queue_size", "kth", "surface_depth", "surface_slope"),
-    *("ros_distro", "angle_rounding"),
+    "angle_rounding",
 )
 
 

@@ -18,7 +18,7 @@ from threading import Lock
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.errors import DecodeError, UsageError
+from pc2scan.errors import DecodeError
 from pc2scan.model import LATCHED_QOS, Definition, ros1_type
 
 from . import definitions as own_definitions
@@ -31,21 +31,9 @@ if TYPE_CHECKING:
 
     from .schema import Schema, Struct
 
-#: ROS 2's distributions whose message sets rosbags has, and ROS 1's last distribution.
-DISTROS = (
-    "dashing",
-    "eloquent",
-    "foxy",
-    "galactic",
-    "humble",
-    "iron",
-    "jazzy",
-    "kilted",
-    "lyrical",
-    "noetic",
-)
-#: A long-term release; few message types have changed since foxy.
-DEFAULT_DISTRO = "jazzy"
+#: rosbags' message sets by ROS version: of ROS 1's last distribution, and of a long-term release of ROS 2; few message
+#: types have changed since foxy.
+_STORES = {1: "ros1_noetic", 2: "ros2_jazzy"}
 
 #: Channel metadata and connection header fields that only one ROS version uses.
 _METADATA_OF = {
@@ -80,8 +68,6 @@ class Transcoding:
 def transcoder(
     connection: Connection,
     ros_version: int,
-    *,
-    distro: str = DEFAULT_DISTRO,
 ) -> Transcoding:
     """Plan how a connection's messages are re-encoded for the other ROS version.
 
@@ -95,9 +81,6 @@ def transcoder(
         A connection of the other ROS version; ``serialization`` is ``ros1`` or ``cdr``.
     ros_version
         The destination's ROS version: 1 or 2.
-    distro
-        One of `DISTROS`: its message set has the types that the recording does not define, and those that the
-        destination's nodes expect. For the other ROS version these are noetic's and jazzy's.
 
     Returns
     -------
@@ -109,8 +92,6 @@ def transcoder(
     DecodeError
         If the type is unknown, its definition is unusable, or the other ROS version cannot carry it. The
         error is about the whole topic.
-    UsageError
-        If ``distro`` is none of `DISTROS`.
     ValueError
         If the connection already is of that ROS version.
 
@@ -119,7 +100,6 @@ def transcoder(
     ROS 2's Header has no sequence number: it is dropped, and 0 on the way back. ROS 1's unsigned seconds
     and ROS 2's signed ones have the same bytes until 2038.
     """
-    _check_distro(distro)
     source = connection.ros_version
     if source == ros_version:
         raise ValueError(f"{connection.topic} already is of ROS version {ros_version}")
@@ -128,39 +108,31 @@ def transcoder(
             f"{connection.msgtype} is serialised as {connection.serialization!r}, expected 'ros1' or 'cdr'",
             topic=connection.topic,
         )
-    plan = _type_plan(connection.msgtype, connection.definition, source, distro)
+    plan = _type_plan(connection.msgtype, connection.definition, source)
     if isinstance(plan, DecodeError):
         raise DecodeError(plan.message, topic=connection.topic, hint=plan.hint)
     encoder = _Encoder(plan, source, connection.topic)
     return Transcoding(_transcoded_connection(connection, plan), encoder, plan.notes, plan.fields)
 
 
-def with_definition(connection: Connection, distro: str = DEFAULT_DISTRO) -> Connection:
+def with_definition(connection: Connection) -> Connection:
     """Add the definition to a connection without one; older rosbag2 recordings have none.
 
     Parameters
     ----------
     connection
         A connection of either ROS version.
-    distro
-        One of `DISTROS`: its message set has the type.
 
     Returns
     -------
     Connection
         The same connection if it has a definition, or if the message set does not have its type.
-
-    Raises
-    ------
-    UsageError
-        If ``distro`` is none of `DISTROS`.
     """
     ros_version = connection.ros_version
     if connection.definition.encoding or connection.definition.data or ros_version is None:
         return connection
-    _check_distro(distro)
     root = schemas.canonical_type(connection.msgtype)
-    known = schemas.known_types(_store(ros_version, distro))
+    known = schemas.known_types(_STORES[ros_version])
     if root not in known:
         return connection
     schema = schemas.closure(root, known.get)
@@ -173,11 +145,6 @@ def with_definition(connection: Connection, distro: str = DEFAULT_DISTRO) -> Con
         )
     )
     return replace(connection, definition=text, digest=connection.digest or digest)
-
-
-def _check_distro(distro: str) -> None:
-    if distro not in DISTROS:
-        raise UsageError(f"ROS distribution {distro!r} is unknown, expected one of {', '.join(DISTROS)}")
 
 
 # --- planning ---
@@ -199,19 +166,19 @@ class _TypePlan:
 
 
 @lru_cache(maxsize=256)
-def _type_plan(msgtype: str, definition: Definition, source: int, distro: str) -> _TypePlan | DecodeError:
+def _type_plan(msgtype: str, definition: Definition, source: int) -> _TypePlan | DecodeError:
     """Return the plan for all connections of a type, or the error; both are cached."""
     try:
-        return _new_type_plan(msgtype, definition, source, distro)
+        return _new_type_plan(msgtype, definition, source)
     except DecodeError as err:
         return err.with_traceback(None)
 
 
-def _new_type_plan(msgtype: str, definition: Definition, source: int, distro: str) -> _TypePlan:
+def _new_type_plan(msgtype: str, definition: Definition, source: int) -> _TypePlan:
     """Choose the destination's type and compile the conversion."""
     target = 3 - source
     root = schemas.canonical_type(msgtype)
-    here, there = _store(source, distro), _store(target, distro)
+    here, there = _STORES[source], _STORES[target]
     recorded, notes = _recorded_types(msgtype, definition, here)
     ours = schemas.closure(root, lambda name: recorded.get(name) or schemas.known_types(here).get(name))
     theirs = schemas.known_types(there)
@@ -241,13 +208,6 @@ def _new_type_plan(msgtype: str, definition: Definition, source: int, distro: st
         notes,
         fields,
     )
-
-
-def _store(ros_version: int, distro: str) -> str:
-    """Return the name of rosbags' message set for a ROS version."""
-    if ros_version == 1:
-        return "ros1_noetic"
-    return f"ros2_{DEFAULT_DISTRO if distro == 'noetic' else distro}"
 
 
 def _distro_name(store: str) -> str:

@@ -37,15 +37,6 @@ class Container(TypedDict, total=False):
     profile: Annotated[
         str | None, Option(Text(words=("ros1", "ros2")), "ROS version of an .mcap file.", default_text="the source's")
     ]
-    ros_distro: Annotated[
-        str,
-        Option(
-            Text("NAME"),
-            "ROS distribution whose message definitions are written if the recording has none.",
-            default="",
-            default_text="noetic, jazzy",
-        ),
-    ]
     split: Annotated[
         str | None,
         Option(

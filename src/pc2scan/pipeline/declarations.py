@@ -191,18 +191,17 @@ class RecordingTopics:
         if as_it_is or (connection.ros_version == target.ros_version and defined_already):
             return self.add(connection), None
         # Imported only for recordings without definitions, or for another ROS version.
-        from pc2scan.messages.transcode import DEFAULT_DISTRO, transcoder, with_definition  # noqa: PLC0415
+        from pc2scan.messages.transcode import transcoder, with_definition  # noqa: PLC0415
 
-        distro = options.ros_distro or DEFAULT_DISTRO
         if connection.ros_version == target.ros_version:
-            return self.add(with_definition(connection, distro)), None
+            return self.add(with_definition(connection)), None
         if foreign:
             error: MessageError = MessageError(
                 f"{connection.serialization or 'unspecified'} messages can only be stored in an {_holding_any()} file"
             )
         else:
             try:
-                transcoding = transcoder(connection, target.ros_version, distro=distro)
+                transcoding = transcoder(connection, target.ros_version)
             except MessageError as err:
                 error = err
             else:

@@ -534,8 +534,6 @@ class ConvertOptions:
         The cut, by log time: from ``start`` on, before ``end``.
     on_error
         What to do if a message cannot be converted: ``skip`` or ``fail``.
-    ros_distro
-        The ROS distribution whose message definitions are used if the recording has none; empty: a default.
     jobs
         Number of threads; 0: one for each processor core.
     verify
@@ -565,7 +563,6 @@ class ConvertOptions:
     start: TimeBound | None = None
     end: TimeBound | None = None
     on_error: str = "skip"
-    ros_distro: str = ""
     jobs: int = 0
     verify: bool = True
     strict: bool = False

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from pc2scan.bags.damage import RECOVER, Damage, count_details
 from pc2scan.errors import DamageError, MissingError, ResultError, TopicError, UsageError, name_list
 from pc2scan.files.urls import exists
-from pc2scan.text import agreeing, counted, did_you_mean, stamp
+from pc2scan.text import agreeing, counted, stamp
 
 from .checks.request import in_another_unit
 
@@ -34,23 +34,12 @@ def refuse_unusable(options: ConvertOptions) -> None:
     ------
     MissingError
         If a recording of ``tf_from`` does not exist.
-    UsageError
-        If ``ros_distro`` is not a known distribution.
     """
     for path in options.frames.tf_from:
         if not exists(path):
             from pc2scan.files.places import missing_hint  # noqa: PLC0415  # only for errors
 
             raise MissingError("does not exist (from `tf_from`)", path=path, hint=missing_hint(path))
-    if options.ros_distro:
-        from pc2scan.messages.transcode import DISTROS  # noqa: PLC0415  # few conversions name one
-
-        if options.ros_distro not in DISTROS:
-            near = did_you_mean(options.ros_distro, DISTROS)
-            raise UsageError(
-                f"`ros_distro` is {options.ros_distro!r}, which is not known",
-                hint=f"{near} the distributions are {', '.join(DISTROS)}".strip(),
-            )
 
 
 def refuse_no_messages(

@@ -128,7 +128,7 @@ def closure(root: str, lookup: Callable[[str], Struct | None]) -> Schema:
             within = f" (needed by {path[-1]})" if path else ""
             raise DecodeError(
                 f"type {name}{within} is defined neither in the recording nor in ROS's message sets",
-                hint="record with definitions (MCAP does), or choose another message set with `ros_distro`",
+                hint="record with definitions (MCAP does)",
             )
         schema[name] = struct
         declared += sum(_width(field) for field in struct.fields) + len(struct.constants)
