@@ -134,7 +134,7 @@ def _reading(
             return length / len(returns), value / len(returns)
         case "surface":
             closest = ordered[0][0]
-            depth = params.surface_depth + params.surface_slope * params.layout.angle_increment * closest
+            depth = 0.05 + 3.0 * params.layout.angle_increment * closest
             near = [entry for entry in ordered if entry[0] <= closest + depth]
             chosen = near[(len(near) - 1) // 2]
         case "max":

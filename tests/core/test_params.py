@@ -63,8 +63,6 @@ def test_defaults_are_upstreams() -> None:
         "no_return": "",
         "reduce": "min",
         "kth": 0,
-        "surface_depth": 0.05,
-        "surface_slope": 3.0,
         "min_points": 1,
         "intensity_field": "",
         "time_increment": 0.0,

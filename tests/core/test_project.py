@@ -134,8 +134,6 @@ def parameters(draw: st.DrawFn, reductions: tuple[str, ...]) -> ProjectionParams
         ),
         reduce=reduce,
         kth=draw(st.integers(1, 3)) if reduce == "kth" else 0,
-        surface_depth=draw(st.sampled_from([0.0, 0.05, 5.0])) if reduce == "surface" else 0.05,
-        surface_slope=draw(st.sampled_from([0.0, 3.0])) if reduce == "surface" else 3.0,
         min_points=draw(st.sampled_from([1, 1, 2, 3])),
     )
 

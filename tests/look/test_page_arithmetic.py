@@ -84,8 +84,6 @@ def _random_params(rng: np.random.Generator) -> ProjectionParams:
             values["angle_increment"] = one_of(
                 math.pi / 180, math.pi / 360, 0.0087, 0.005, float(rng.uniform(0.001, 0.3))
             )
-        if values["reduce"] == "surface":
-            values |= {"surface_depth": float(rng.uniform(0, 1)), "surface_slope": float(rng.uniform(0, 9))}
         if values["reduce"] == "kth":
             values["kth"] = int(rng.integers(1, 4))
         try:

@@ -50,10 +50,6 @@ CHOICES: dict[str, tuple[str, ...]] = {
 #: Parameters that may be ``auto``: they are then measured in the recording.
 MEASURED = ("scan_time", "time_increment", "beams")
 
-#: Defaults of ``surface_depth``, metres, and ``surface_slope``, beam widths.
-_SURFACE_DEPTH = 0.05
-_SURFACE_SLOPE = 3.0
-
 #: The names of the types in error messages.
 _EXPECTED = {float: "a number", bool: "true or false", int: "a whole number", str: "text"}
 #: Python's types, and NumPy's by their names in versions 1 and 2, so that NumPy need not be imported.
@@ -126,10 +122,6 @@ class ProjectionParams:
         two in the middle), ``kth`` or ``surface``: the median of the returns on the closest surface.
     kth
         With ``reduce`` kth: 1 is the closest return, 2 the next; a beam with fewer has no return.
-    surface_depth, surface_slope
-        With ``reduce`` surface: the closest surface are the returns within ``surface_depth`` (metres) +
-        ``surface_slope``
-        * range * ``angle_increment`` behind the closest return.
     min_points
         A beam with fewer returns has none.
     intensity_field
@@ -167,8 +159,6 @@ class ProjectionParams:
     no_return: str = ""
     reduce: str = "min"
     kth: int = 0
-    surface_depth: float = _SURFACE_DEPTH
-    surface_slope: float = _SURFACE_SLOPE
     min_points: int = 1
     intensity_field: str = ""
     time_increment: float | Literal["auto"] = 0.0
@@ -240,15 +230,7 @@ class ProjectionParams:
             object.__setattr__(self, field.name, value)
             if isinstance(value, float) and math.isnan(value):
                 raise ParameterError(f"{field.name} is NaN", name=field.name)
-        for name in (
-            "transform_tolerance",
-            "scan_time",
-            "queue_size",
-            "beams",
-            "kth",
-            "surface_depth",
-            "surface_slope",
-        ):
+        for name in ("transform_tolerance", "scan_time", "queue_size", "beams", "kth"):
             value = getattr(self, name)
             if value != "auto" and value < 0:
                 raise ParameterError(f"{name} is {value}, it must not be negative", name=name)
@@ -322,16 +304,6 @@ class ProjectionParams:
             raise ParameterError("reduce is kth, which needs kth: it must be 1 or more", name="kth")
         if self.kth and self.reduce != "kth":
             raise ParameterError(f"kth is {self.kth}, which needs reduce kth, not {self.reduce}", name="kth")
-        for name, default in (("surface_depth", _SURFACE_DEPTH), ("surface_slope", _SURFACE_SLOPE)):
-            value = getattr(self, name)
-            if math.isinf(value):
-                raise ParameterError(f"{name} is {value}, it must be finite", name=name)
-            if value != default and self.reduce != "surface":
-                raise ParameterError(
-                    f"{name} is {value}, which needs reduce surface, not {self.reduce}",
-                    name=name,
-                    hint="`reduce=surface`",
-                )
         if self.min_points < 1:
             raise ParameterError(f"min_points is {self.min_points}, it must be 1 or more", name="min_points")
         for name in ("kth", "min_points"):

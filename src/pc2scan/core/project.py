@@ -320,8 +320,7 @@ class Projector:
         elif values is None and params.reduce in {"min", "max"}:
             found[seen] = extremes(bins, returns, counts.size, largest=params.reduce == "max")[seen]
         elif params.reduce == "surface":
-            slope = params.surface_slope * params.layout.angle_increment
-            winner = surfaces(bins, returns, counts.size, params.surface_depth, slope)[seen]
+            winner = surfaces(bins, returns, counts.size, params.layout.angle_increment)[seen]
             found[seen] = returns[winner]
             if values is not None:
                 lit[seen] = values[winner]

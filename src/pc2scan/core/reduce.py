@@ -15,6 +15,10 @@ if TYPE_CHECKING:
 
     from .params import ProjectionParams
 
+#: How far a surface extends behind its closest return: metres, and beam widths.
+_SURFACE_DEPTH = 0.05
+_SURFACE_SLOPE = 3.0
+
 
 def extremes(
     beams: NDArray[Any], ranges: NDArray[np.float32], count: int, *, largest: bool = False
@@ -72,9 +76,7 @@ def winners(
     return found
 
 
-def surfaces(
-    beams: NDArray[Any], ranges: NDArray[np.float32], count: int, depth: float, slope: float
-) -> NDArray[np.intp]:
+def surfaces(beams: NDArray[Any], ranges: NDArray[np.float32], count: int, increment: float) -> NDArray[np.intp]:
     """Return which return each beam reads for ``reduce`` ``surface``: the median of those on the closest surface.
 
     Parameters
@@ -83,24 +85,23 @@ def surfaces(
         (M,), as for `extremes`.
     count
         N, the beams of the scan.
-    depth
-        How far behind the closest return, of range r, its surface extends, metres ...
-    slope
-        ... and how much more for each metre of r, metres.
+    increment
+        The width of a beam, radians. A surface extends behind its closest return, of range r, by `_SURFACE_DEPTH` +
+        `_SURFACE_SLOPE` * r * increment.
 
     Returns
     -------
-    (N,) intp, 0 to M - 1; -1 for a beam without returns. Of an even number of returns up to ``r + (depth + slope * r)``
-    the lower one of the two in the middle.
+    (N,) intp, 0 to M - 1; -1 for a beam without returns. Of an even number of returns, the lower one of the two in the
+    middle.
 
     Notes
     -----
-    A beam is as wide as its increment, so on a slanted wall its returns differ by about ``r * increment / tan(angle)``:
-    ``slope`` is some increments. The closest return is at the near edge of the beam, or has the largest error of the
+    A beam is as wide as its increment, so on a slanted wall its returns differ by about ``r * increment / tan(angle)``.
+    The closest return is at the near edge of the beam, or has the largest error of the
     sensor; the median is in the middle. Returns behind the surface are ignored, so that no range lies between a near
     object and a far one.
     """
-    limits = _surface_limits(beams, ranges, count, depth, slope)
+    limits = _surface_limits(beams, ranges, count, increment)
     near = np.flatnonzero(ranges <= limits[beams])
     own = beams[near]
     order = near[np.lexsort((ranges[near], own))]
@@ -112,12 +113,12 @@ def surfaces(
 
 
 def _surface_limits(
-    beams: NDArray[Any], ranges: NDArray[np.float32], count: int, depth: float, slope: float
+    beams: NDArray[Any], ranges: NDArray[np.float32], count: int, increment: float
 ) -> NDArray[np.float64]:
     """Return how far the closest surface of each beam extends, metres; inf for a beam without returns."""
     limits = extremes(beams, ranges, count).astype(np.float64)
     seen = limits < np.inf
-    limits[seen] += depth + slope * limits[seen]
+    limits[seen] += _SURFACE_DEPTH + _SURFACE_SLOPE * increment * limits[seen]
     return limits
 
 
@@ -155,8 +156,6 @@ def read(beams: NDArray[Any], ranges: NDArray[np.float32], count: int, params: P
         places = np.arange(beams.size) - begins[beams[order]]
         return np.sort(order[(places < params.kth) & seen[beams[order]]])
     if how == "surface":
-        limits = _surface_limits(
-            beams, ranges, count, params.surface_depth, params.surface_slope * params.layout.angle_increment
-        )
+        limits = _surface_limits(beams, ranges, count, params.layout.angle_increment)
         return np.flatnonzero(ranges <= limits[beams])
     return np.sort(winners(beams, ranges, counts, how)[seen])

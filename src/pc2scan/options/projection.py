@@ -131,22 +131,6 @@ class Projection(TypedDict, total=False):
             panel=SLAM,
         ),
     ]
-    surface_depth: Annotated[
-        Quantity,
-        Parameter(
-            Number("m"),
-            "For `reduce=surface`: returns at most this far behind the closest one are on the same surface.",
-            panel=SLAM,
-        ),
-    ]
-    surface_slope: Annotated[
-        float,
-        Parameter(
-            Number(metavar=""),
-            "Added to `surface_depth`, as a multiple of the beam's width at the closest return.",
-            panel=SLAM,
-        ),
-    ]
     min_points: Annotated[
         int, Parameter(Count(), "Beams with fewer returns than this count as beams without a return.", panel=SLAM)
     ]

@@ -45,7 +45,6 @@ function counting(params) {
   return Object.entries(params).filter(([name, value]) => {
     if (name === "angle_increment") return !params.beams;
     if (name === "kth") return params.reduce === "kth";
-    if (name.startsWith("surface_")) return params.reduce === "surface";
     if (name === "use_inf") return !params.no_return;
     return value !== "" && !(name === "beams" && !value);
   });

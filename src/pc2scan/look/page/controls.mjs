@@ -81,8 +81,6 @@ const GROUPS = [
     rows: [
       "reduce",
       { name: "kth", label: "kth", unit: "", min: 1, max: 20, step: 1 },
-      { name: "surface_depth", label: "surface_depth", unit: "m", min: 0, max: 1, step: 0.01 },
-      { name: "surface_slope", label: "surface_slope", unit: "", min: 0, max: 10, step: 0.1 },
       { name: "min_points", label: "min_points", unit: "", min: 1, max: 20, step: 1 },
       "no_return",
       "angle_rounding",

@@ -20,8 +20,6 @@ import { layoutOf } from "./rule.mjs";
  * @property {string} no_return
  * @property {string} reduce
  * @property {number} kth
- * @property {number} surface_depth metres
- * @property {number} surface_slope
  * @property {number} min_points
  * @property {string} intensity_field
  * @property {string} angle_rounding
@@ -63,9 +61,6 @@ export function problemOf(params) {
       };
     if (!layout.fullCircle && Math.abs(angle_min + angle_max) > layout.increment / 2)
       return { name: "angle_min", message: "and angle_max must be symmetric around 0, or a full circle" };
-  }
-  for (const name of /** @type {const} */ (["surface_depth", "surface_slope"])) {
-    if (!(params[name] >= 0 && params[name] < Infinity)) return { name, message: "must be finite, and not negative" };
   }
   if (params.reduce === "kth" && params.kth < 1) return { name: "kth", message: "must be 1 or more" };
   if (params.min_points < 1) return { name: "min_points", message: "must be 1 or more" };

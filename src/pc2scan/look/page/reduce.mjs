@@ -2,6 +2,9 @@
 
 /** @typedef {import("./params.mjs").Params} Params */
 
+const SURFACE_DEPTH = 0.05;
+const SURFACE_SLOPE = 3;
+
 /**
  * The point that gives each beam its range; of points with the same range, the first in the cloud.
  * @param {Int32Array} readers -1 on entry; the winners on return
@@ -46,7 +49,7 @@ export function winners(readers, params, outcomes, bins, squares, increment) {
  */
 function onSurface(order, ranges, params, increment) {
   const nearest = ranges[order[0]];
-  const limit = nearest + (params.surface_depth + params.surface_slope * increment * nearest);
+  const limit = nearest + (SURFACE_DEPTH + SURFACE_SLOPE * increment * nearest);
   let count = 0;
   while (count < order.length && ranges[order[count]] <= limit) count += 1;
   return count;
