@@ -141,7 +141,7 @@ def _reading(
             chosen = max(returns, key=lambda entry: (entry[0], -entry[1]))
         case "median":
             chosen = ordered[(len(ordered) - 1) // 2]
-        case "kth":
+        case "kth=1" | "kth=2" | "kth=3":
             chosen = ordered[params.kth - 1]
         case _:
             chosen = ordered[0]

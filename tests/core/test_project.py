@@ -133,7 +133,6 @@ def parameters(draw: st.DrawFn, reductions: tuple[str, ...]) -> ProjectionParams
             st.sampled_from(["", "inf", "nan", "zero", *(["range-max-plus", "range-max-minus"] if far < 1e30 else [])])
         ),
         reduce=reduce,
-        kth=draw(st.integers(1, 3)) if reduce == "kth" else 0,
         min_points=draw(st.sampled_from([1, 1, 2, 3])),
     )
 
@@ -175,7 +174,9 @@ def parts_of(
     return parts, np.concatenate(placed), [float(value) for value in values]
 
 
-@pytest.mark.parametrize("reductions", [("min", "max", "kth"), ("mean", "median", "surface")], ids="/".join)
+@pytest.mark.parametrize(
+    "reductions", [("min", "max", "kth=1", "kth=2", "kth=3"), ("mean", "median", "surface")], ids="/".join
+)
 @given(
     st.data(),
     st.integers(0, 60),
@@ -208,7 +209,7 @@ def test_any_cloud_is_projected_as_by_the_reference(
             scans = [together, project(x, y, z, None, intensities), project(x, y, z)]
             scans.append(project.together([part._replace(intensities=None) for part in parts]))
             if params.reduce == "min":
-                scans.append(Projector(replace(params, reduce="kth", kth=1))(x, y, z, None, intensities))
+                scans.append(Projector(replace(params, reduce="kth=1"))(x, y, z, None, intensities))
             for scan in scans:
                 assert_same(scan, expected)
                 assert scan.removed == removed

@@ -213,7 +213,7 @@ def test_kept_points_of_joined_clouds_give_the_same_scans(options: dict[str, Any
     common: dict[str, Any] = {"min_height": 0.1, "beams": 720}
     kept, again, one = (tmp_path / f"{name}.mcap" for name in ("kept", "again", "one"))
     keeping = pc2scan.convert(world, kept, keep_used="/used", **common, **options)
-    projection = {name: options[name] for name in ("reduce", "kth", "remove") if name in options}
+    projection = {name: options[name] for name in ("reduce", "remove") if name in options}
     pc2scan.convert(kept, again, topics="/used:=/scan2", **common, **projection)
     scans, points = messages(kept, "/scan"), messages(kept, "/used")
     assert len(scans) >= 3

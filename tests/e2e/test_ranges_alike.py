@@ -35,7 +35,7 @@ def ranges_of(folder: Path, *options: str, source: Path = HALL) -> NDArray[np.fl
     "options",
     [
         ("--intensity-field", "intensity"),
-        ("-p", "reduce:=kth", "-p", "kth:=1"),
+        ("-p", "reduce:=kth=1"),
         ("--accumulate", "1clouds"),
         ("--keep-used", "/used"),
     ],

@@ -49,15 +49,14 @@ _GRIDS: tuple[dict[str, Any], ...] = (
     {"angle_min": 0.1, "angle_max": 0.1001, "angle_increment": 1.0},
     {"angle_min": 3.0, "angle_max": 3.3, "angle_increment": 0.001, "range_min": 1.0, "range_max": 2.0},
 )
-_REDUCTIONS = ("min", "max", "mean", "median", "kth")
+_REDUCTIONS = ("min", "max", "mean", "median", "kth=2")
 _TRANSFORM = np.array([[0.0, -0.8, 0.6], [1.0, 0.0, 0.0], [0.0, 0.6, 0.8], [0.1, -3e38, 2.0]], np.float32)
 
 
 @cache
 def _projector(asked: int, reduction: int, few: int) -> Projector:
     reduce = _REDUCTIONS[reduction % len(_REDUCTIONS)]
-    kth = {"kth": 1 + few % 3} if reduce == "kth" else {}
-    changes: dict[str, Any] = {"min_height": -9.0, "min_points": 1 + few % 3, "reduce": reduce, **kth}
+    changes: dict[str, Any] = {"min_height": -9.0, "min_points": 1 + few % 3, "reduce": reduce}
     asked %= len(_GRIDS) + len(PRESETS)
     if asked < len(_GRIDS):
         return Projector(ProjectionParams(**{**_GRIDS[asked], **changes}))

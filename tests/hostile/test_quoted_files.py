@@ -194,4 +194,4 @@ def test_included_files_and_commands_are_not_read(tmp_path: Path) -> None:
     launch = tmp_path / "me.launch"
     for inner in (f'<include file="{other}"/>', f'<param name="min_height" command="cat {other}"/>'):
         launch.write_text(f"<launch>{inner}{NODE.format(name='a', inner=inner)[8:]}")
-        assert_not_quoted(refused(tmp_path, "--params-file", launch, "-p", "kth:=x"))
+        assert_not_quoted(refused(tmp_path, "--params-file", launch, "-p", "min_points:=x"))

@@ -67,7 +67,7 @@ def _random_params(rng: np.random.Generator) -> ProjectionParams:
             "min_height": one_of(-1.0, 2.2250738585072014e-308, -0.3, -1e300),
             "max_height": one_of(1.0, 1.7976931348623157e308, 0.5),
             "geometry": one_of("upstream", "centered", "half-open", "symmetric"),
-            "reduce": one_of("min", "min", "max", "mean", "median", "kth", "surface"),
+            "reduce": one_of("min", "min", "max", "mean", "median", "kth=1", "kth=2", "kth=3", "surface"),
             "min_points": one_of(1, 1, 2, 3),
             "no_return": one_of("", "inf", "range-max-plus", "range-max-minus", "nan", "zero"),
             "use_inf": one_of(True, False),
@@ -84,8 +84,6 @@ def _random_params(rng: np.random.Generator) -> ProjectionParams:
             values["angle_increment"] = one_of(
                 math.pi / 180, math.pi / 360, 0.0087, 0.005, float(rng.uniform(0.001, 0.3))
             )
-        if values["reduce"] == "kth":
-            values["kth"] = int(rng.integers(1, 4))
         try:
             return ProjectionParams(**values)
         except ParameterError:

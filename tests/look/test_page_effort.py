@@ -23,7 +23,7 @@ const axis = (scale, of) => Float32Array.from({ length: POINTS }, (_, n) => scal
 const cloud = { x: axis(9, Math.cos), y: axis(6, Math.sin), z: axis(1.5, (n) => Math.sin(3 * n)) };
 const params = { min_height: -1, max_height: 1, range_min: 0, range_max: 30, angle_min: -3.14, angle_max: 3.14,
   angle_increment: 0.0175, use_inf: true, inf_epsilon: 1, geometry: "upstream", beams: 0, no_return: "", reduce: "min",
-  kth: 0, min_points: 1, intensity_field: "", angle_rounding: "correct" };
+  min_points: 1, intensity_field: "", angle_rounding: "correct" };
 const effort = { angles: 0, bytes: 0, located: 0 };
 const { atan2 } = Math;
 Math.atan2 = (y, x) => { effort.angles += 1; return atan2(y, x); };

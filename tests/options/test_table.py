@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 #: The node's parameters and others that few people use; only ``--help-all`` has them.
 RARE = (
-    *("use_inf", "inf_epsilon", "queue_size", "kth"),
+    *("use_inf", "inf_epsilon", "queue_size"),
     "angle_rounding",
 )
 

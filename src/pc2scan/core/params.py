@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import numbers
+import re
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -33,8 +34,11 @@ if TYPE_CHECKING:
 #: The most beams. More mean a mistyped increment: a ten-thousandth of a degree over a full circle makes 3.6 million.
 MAX_BEAMS = 4_000_000
 
-#: The largest number of returns of a beam that `kth` and `min_points` may name.
+#: The largest number of returns of a beam that `min_points` may name.
 _MOST_RETURNS = 2**31 - 1
+
+#: A ``reduce`` that takes the Nth closest return of a beam.
+_KTH = re.compile(r"kth=([1-9][0-9]{0,8})")
 
 #: Nanoseconds between any two stamps are fewer, because their seconds are uint32; added to a stamp, it is an int64.
 _FOREVER_NS = 2**62
@@ -43,7 +47,7 @@ _FOREVER_NS = 2**62
 CHOICES: dict[str, tuple[str, ...]] = {
     "geometry": ("upstream", "centered", "half-open", "symmetric"),
     "no_return": ("inf", "range-max-plus", "range-max-minus", "nan", "zero"),
-    "reduce": ("min", "max", "mean", "median", "kth", "surface"),
+    "reduce": ("min", "max", "mean", "median", "kth=N", "surface"),
     "angle_rounding": ("correct", "glibc-2.40"),
 }
 
@@ -119,9 +123,8 @@ class ProjectionParams:
         ``range-max-minus`` (0.1 mm below ``range_max``), ``nan`` or ``zero``; empty: as ``use_inf`` says.
     reduce
         The return that a beam reads: ``min``, ``max``, ``mean``, ``median`` (of an even number the lower one of the
-        two in the middle), ``kth`` or ``surface``: the median of the returns on the closest surface.
-    kth
-        With ``reduce`` kth: 1 is the closest return, 2 the next; a beam with fewer has no return.
+        two in the middle), ``surface``: the median of the returns on the closest surface, or ``kth=3``: the third
+        closest; a beam with fewer has no return.
     min_points
         A beam with fewer returns has none.
     intensity_field
@@ -158,7 +161,6 @@ class ProjectionParams:
     beams: int | Literal["auto"] = 0
     no_return: str = ""
     reduce: str = "min"
-    kth: int = 0
     min_points: int = 1
     intensity_field: str = ""
     time_increment: float | Literal["auto"] = 0.0
@@ -230,7 +232,7 @@ class ProjectionParams:
             object.__setattr__(self, field.name, value)
             if isinstance(value, float) and math.isnan(value):
                 raise ParameterError(f"{field.name} is NaN", name=field.name)
-        for name in ("transform_tolerance", "scan_time", "queue_size", "beams", "kth"):
+        for name in ("transform_tolerance", "scan_time", "queue_size", "beams"):
             value = getattr(self, name)
             if value != "auto" and value < 0:
                 raise ParameterError(f"{name} is {value}, it must not be negative", name=name)
@@ -300,16 +302,11 @@ class ProjectionParams:
                 )
 
     def _check_returns(self) -> None:
-        if self.reduce == "kth" and not self.kth:
-            raise ParameterError("reduce is kth, which needs kth: it must be 1 or more", name="kth")
-        if self.kth and self.reduce != "kth":
-            raise ParameterError(f"kth is {self.kth}, which needs reduce kth, not {self.reduce}", name="kth")
         if self.min_points < 1:
             raise ParameterError(f"min_points is {self.min_points}, it must be 1 or more", name="min_points")
-        for name in ("kth", "min_points"):
-            if getattr(self, name) > _MOST_RETURNS:
-                message = f"{name} is {getattr(self, name):,}, it must be at most {_MOST_RETURNS:,}"
-                raise ParameterError(message, name=name)
+        if self.min_points > _MOST_RETURNS:
+            message = f"min_points is {self.min_points:,}, it must be at most {_MOST_RETURNS:,}"
+            raise ParameterError(message, name="min_points")
         if self.no_return.startswith("range-max") and math.isinf(float32(self.range_max)):
             raise ParameterError(
                 f"no_return is {self.no_return}, which needs a finite range_max",
@@ -349,6 +346,11 @@ class ProjectionParams:
         return self.layout.count
 
     @property
+    def kth(self) -> int:
+        """Which return a beam reads with ``reduce`` ``kth=N``, from 1 on; 0 with any other."""
+        return kth_of(self.reduce)
+
+    @property
     def empty_range(self) -> float:
         """The range of a beam without a return: a float32 value in metres.
 
@@ -368,6 +370,16 @@ class ProjectionParams:
         return math.inf
 
 
+def kth_of(reduction: str) -> int:
+    """Return N of ``kth=N``, 0 of other texts.
+
+    >>> kth_of("kth=3"), kth_of("kth=0"), kth_of("median")
+    (3, 0, 0)
+    """
+    found = _KTH.fullmatch(reduction)
+    return int(found[1]) if found else 0
+
+
 def _typed_value(name: str, kind: type, value: Any) -> float | bool | str:
     """Return a value as the Python type that its parameter has.
 
@@ -376,7 +388,9 @@ def _typed_value(name: str, kind: type, value: Any) -> float | bool | str:
     """
     words = ("auto",) if name in MEASURED else CHOICES.get(name, ())
     if isinstance(value, str):
-        if value in words or (kind is str and not words) or (name == "no_return" and not value):
+        if name == "reduce" and kth_of(value):
+            return str(value)
+        if (value in words and "=" not in value) or (kind is str and not words) or (name == "no_return" and not value):
             return str(value)
     elif type(value).__name__ in _TRUTHS:
         if kind is bool:

@@ -53,7 +53,7 @@ def winners(
     counts
         (N,) returns of each beam.
     how
-        ``min``, ``max``, ``median`` (of an even number the lower one of the two in the middle) or ``kth``.
+        ``min``, ``max``, ``median`` (of an even number the lower one of the two in the middle) or ``kth=N``.
     kth
         1 is the closest return, 2 the next.
 
@@ -70,7 +70,7 @@ def winners(
         return found
     order = np.lexsort((ranges, beams))
     begins = np.cumsum(counts) - counts
-    places = begins + (kth - 1 if how == "kth" else (counts - 1) // 2)
+    places = begins + (kth - 1 if kth else (counts - 1) // 2)
     there = counts >= max(1, kth)
     found[there] = order[places[there]]
     return found
@@ -141,7 +141,7 @@ def read(beams: NDArray[Any], ranges: NDArray[np.float32], count: int, params: P
     Returns
     -------
     (K,) intp, increasing
-        The return itself with ``reduce`` ``min`` and ``max``; the closest ones up to it with ``kth``; those of the
+        The return itself with ``reduce`` ``min`` and ``max``; the closest ones up to it with ``kth=N``; those of the
         surface with ``surface``; all returns of the beam with ``mean`` and ``median``, and with ``min_points``, which
         counts them. No return of a beam without a range.
     """
@@ -150,7 +150,7 @@ def read(beams: NDArray[Any], ranges: NDArray[np.float32], count: int, params: P
     seen = counts >= max(params.min_points, params.kth, 1)
     if params.min_points > max(params.kth, 1) or how in {"mean", "median"}:
         return np.flatnonzero(seen[beams])
-    if how == "kth":
+    if params.kth:
         order = np.lexsort((ranges, beams))
         begins = np.cumsum(counts) - counts
         places = np.arange(beams.size) - begins[beams[order]]

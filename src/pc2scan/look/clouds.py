@@ -142,7 +142,7 @@ def clouds_page(
         "presets": {name: {k: v for k, v in values.items() if k in _SHOWN} for name, values in PRESETS.items()},
         "preset": preset,
         "parameters": {
-            name: {"help": PARAMETERS[name].help.replace("`", ""), "choices": PARAMETERS[name].value.words}
+            name: {"help": PARAMETERS[name].help.replace("`", ""), "choices": _choices(PARAMETERS[name].value.words)}
             for name in _SHOWN
         },
         "command": call_words(_conversion(sources, options)),
@@ -153,6 +153,11 @@ def clouds_page(
         ],
     }
     return description, packed.blobs
+
+
+def _choices(words: Sequence[str]) -> list[str]:
+    """Return the words that a parameter may be, with some of ``kth=N``."""
+    return [word.replace("N", number) for word in words for number in ("23" if word == "kth=N" else "N")]
 
 
 def _conversion(sources: Sequence[Path], options: ConvertOptions) -> Call:

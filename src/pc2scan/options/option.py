@@ -163,7 +163,7 @@ class Parameter(Option):
         known = {-math.pi: "-pi", math.pi: "pi", math.pi / 180: "pi/180", 1 / 30: "1/30"}
         text = known.get(self.default) if isinstance(self.default, float) else None
         text = text or in_words(self.default)
-        # 0 beams and return 0: another parameter is used.
-        if not text or text == "no limit" or self.name in {"beams", "kth"}:
-            return "" if self.name in {"beams", "kth"} else text
+        # 0 beams: another parameter is used.
+        if not text or text == "no limit" or self.name == "beams":
+            return "" if self.name == "beams" else text
         return f"{text} {self.value.unit}".rstrip() + (", 1 degree" if self.name == "angle_increment" else "")

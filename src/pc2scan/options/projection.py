@@ -21,7 +21,7 @@ from .option import (
     Path,
     Quantity,
 )
-from .values import Count, Flag, Instance, Number, Outputs, PathName, Text, Texts
+from .values import Count, Flag, Instance, Number, Outputs, PathName, Reduction, Text, Texts
 
 
 class Projection(TypedDict, total=False):
@@ -115,20 +115,11 @@ class Projection(TypedDict, total=False):
     reduce: Annotated[
         str,
         Parameter(
-            Text(words=CHOICES["reduce"]),
-            "What a beam's range is made of: its closest or farthest return, their mean or median, the kth closest, or "
-            "the closest surface.",
+            Reduction(words=CHOICES["reduce"]),
+            "What a beam's range is made of: its closest or farthest return, their mean or median, the closest "
+            "surface, or with kth=2 the second closest; beams with fewer returns count as beams without a return.",
             panel=SLAM,
             common=True,
-        ),
-    ]
-    kth: Annotated[
-        int,
-        Parameter(
-            Count(),
-            "Which return `reduce=kth` takes; 1 is the closest. Beams with fewer returns count as beams without a "
-            "return.",
-            panel=SLAM,
         ),
     ]
     min_points: Annotated[

@@ -12,6 +12,7 @@ from os import PathLike
 from typing import TYPE_CHECKING
 
 from pc2scan.arguments import names_in, value_and_type
+from pc2scan.core.params import kth_of
 from pc2scan.errors import UsageError
 from pc2scan.files.urls import path_of, paths_in
 from pc2scan.text import did_you_mean
@@ -135,6 +136,18 @@ class Text(Value):
         """Return the text if it is allowed; YAML reads the words inf and nan as numbers."""
         text = str(value) if isinstance(value, float) and self.words else value
         return text if isinstance(text, str) and (text in self.words or not self.words) else None
+
+
+class Reduction(Text):
+    """How the returns of a beam become its range: a word, or ``kth=3``."""
+
+    def accept(self, value: object) -> str | None:
+        """Return the text if it is allowed."""
+        return value if isinstance(value, str) and kth_of(value) else super().accept(value)
+
+    def admits(self, value: object) -> bool:
+        """Return whether it is allowed."""
+        return self.accept(value) is not None
 
 
 class OpenText(Text):

@@ -45,7 +45,7 @@ class ConvertedMessage:
     makes the ``sample`` of the cloud, if it is among the first by the message's log time. ``level`` is the transform of
     its frame, if that is made level. ``rebinned`` counts how beams of scans became other beams. ``used`` are the points
     that beams read, if they are written. ``removed`` is how many beams had ``returns``, how many of these were too
-    ``sparse`` for ``min_points`` or ``kth``, and how many each beam filter removed; None without any of them.
+    ``sparse`` for ``min_points`` or ``reduce``, and how many each beam filter removed; None without any of them.
     """
 
     message: Any

@@ -61,8 +61,8 @@ class TopicReport:
     joined
         Counts of a topic whose messages become scans together with others; None for all other topics.
     removed_beams
-        How many beams had ``returns``, and how many of these are removed: too ``sparse`` for ``min_points`` or ``kth``,
-        and by each filter of beams. Empty without any of them.
+        How many beams had ``returns``, and how many of these are removed: too ``sparse`` for ``min_points`` or
+        ``reduce``, and by each filter of beams. Empty without any of them.
     rebinned
         Counts of beams, for scans that are made of scans; None for all others.
     clouds_kept

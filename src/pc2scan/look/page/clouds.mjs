@@ -338,7 +338,6 @@ export function showClouds(recording) {
     const changes = { [name]: value };
     // The number of beams sets the increment, and the increment the number of beams, so only one of them is kept.
     if (name === "angle_increment") changes.beams = 0;
-    if (name === "reduce") changes.kth = value === "kth" ? Math.max(1, params.kth) : 0;
     params = { ...params, ...changes };
     if (name === "beams" && value && !problemOf(params)) params.angle_increment = layoutOf(params).increment;
     update();

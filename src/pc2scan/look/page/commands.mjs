@@ -44,7 +44,6 @@ export function quoted(text) {
 function counting(params) {
   return Object.entries(params).filter(([name, value]) => {
     if (name === "angle_increment") return !params.beams;
-    if (name === "kth") return params.reduce === "kth";
     if (name === "use_inf") return !params.no_return;
     return value !== "" && !(name === "beams" && !value);
   });
@@ -85,7 +84,7 @@ export function commandWords(choice) {
   for (const [name, value] of changed(choice)) {
     const option = `--${name.replaceAll("_", "-")}`;
     if (typeof value === "boolean") words.push(value ? option : `--no-${option.slice(2)}`);
-    else if (name === "beams" || name === "kth" || name === "min_points") words.push(`${option}=${value}`);
+    else if (name === "beams" || name === "min_points") words.push(`${option}=${value}`);
     else words.push(`${option}=${written(value)}`);
   }
   return words.map(quoted);
@@ -101,7 +100,7 @@ export function parameterFile(choice, ros) {
   /** @type {[string, string][]} */
   const rows = targetFrame ? [["target_frame", JSON.stringify(targetFrame)]] : [];
   for (const [name, value] of counting(params)) {
-    const whole = name === "beams" || name === "kth" || name === "min_points";
+    const whole = name === "beams" || name === "min_points";
     rows.push([name, typeof value === "string" ? JSON.stringify(value) : whole ? String(value) : written(value)]);
   }
   const indent = ros === 2 ? "    " : "";

@@ -80,7 +80,6 @@ const GROUPS = [
     title: "Range of a beam",
     rows: [
       "reduce",
-      { name: "kth", label: "kth", unit: "", min: 1, max: 20, step: 1 },
       { name: "min_points", label: "min_points", unit: "", min: 1, max: 20, step: 1 },
       "no_return",
       "angle_rounding",
@@ -163,6 +162,7 @@ class ChoiceRow {
 
   /** @param {string} value */
   show(value) {
+    if (![...this.select.options].some((option) => option.value === value)) this.select.add(new Option(value, value));
     this.select.value = value;
   }
 

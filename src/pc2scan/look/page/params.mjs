@@ -19,7 +19,6 @@ import { layoutOf } from "./rule.mjs";
  * @property {number} beams
  * @property {string} no_return
  * @property {string} reduce
- * @property {number} kth
  * @property {number} min_points
  * @property {string} intensity_field
  * @property {string} angle_rounding
@@ -62,7 +61,6 @@ export function problemOf(params) {
     if (!layout.fullCircle && Math.abs(angle_min + angle_max) > layout.increment / 2)
       return { name: "angle_min", message: "and angle_max must be symmetric around 0, or a full circle" };
   }
-  if (params.reduce === "kth" && params.kth < 1) return { name: "kth", message: "must be 1 or more" };
   if (params.min_points < 1) return { name: "min_points", message: "must be 1 or more" };
   if (params.no_return.startsWith("range-max") && fround(params.range_max) === Infinity)
     return { name: "no_return", message: "needs a finite range_max" };

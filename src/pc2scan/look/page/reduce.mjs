@@ -22,7 +22,8 @@ export function winners(readers, params, outcomes, bins, squares, increment) {
   const { starts, members } = grouped(readers.length, outcomes, bins);
   const ranges = new Float32Array(squares.length);
   for (const point of members) ranges[point] = Math.sqrt(squares[point]);
-  const least = Math.max(params.min_points, params.kth);
+  const kth = params.reduce.startsWith("kth=") ? Number(params.reduce.slice(4)) : 0;
+  const least = Math.max(params.min_points, kth);
   for (let bin = 0; bin < readers.length; bin++) {
     const size = starts[bin + 1] - starts[bin];
     if (size < least || size === 0) continue;
@@ -30,7 +31,7 @@ export function winners(readers, params, outcomes, bins, squares, increment) {
     const order = members.slice(starts[bin], starts[bin + 1]).sort((a, b) => ranges[a] - ranges[b] || a - b);
     const surface = params.reduce === "surface" ? onSurface(order, ranges, params, increment) : size;
     let place = 0;
-    if (params.reduce === "kth") place = params.kth - 1;
+    if (kth) place = kth - 1;
     else if (params.reduce === "median" || params.reduce === "surface") place = (surface - 1) >> 1;
     else if (params.reduce === "max") {
       place = size - 1;

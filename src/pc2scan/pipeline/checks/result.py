@@ -36,8 +36,10 @@ _NOTABLE_REST = 0.05
 #: If a filter that should remove faults alone removes more than this share, a warning names it.
 _MOST_REMOVED = 0.1
 
-#: What to type if `min_points` or `kth` removes too many beams.
-_OF_SPARSE = "they have fewer returns than `min_points` or `kth`: lower these, or use more heights or wider beams"
+#: What to type if `min_points` or `reduce=kth=N` removes too many beams.
+_OF_SPARSE = (
+    "they have fewer returns than `min_points` or `reduce=kth=N`: lower these, or use more heights or wider beams"
+)
 
 #: If the seconds between two transforms exceed this, deskewing warns: odometry has ten transforms a second and more.
 _NOTABLE_GAP = 0.25
