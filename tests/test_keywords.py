@@ -78,7 +78,7 @@ NOT_FOR_SCANS = {
     "a recording is written": {
         *("destination", "keep", "drop", "keep_clouds", "clouds_as", "only_scans", "no_scans", "keep_used"),
         *("write_static_tf", "storage"),
-        *("compression", "profile", "to", "split", "repeat_latched", "overwrite"),
+        *("compression", "profile", "to", "overwrite"),
         *("report", "dry_run", "scratch"),
     },
     "a loop can check its scans itself": {"fail_on", "min_used"},

@@ -233,9 +233,6 @@ class ChunkRule(NamedTuple):
         Schema and Channel records of the destination, byte for byte. A chunk may repeat these, but have no others.
     last_ns
         The latest log time that the destination can store; None if it can store all of the source's.
-    grid
-        A beginning and a duration, nanoseconds. They divide time into intervals; a chunk must lie within one of them,
-        or before the end of the first one. None: no such condition.
     """
 
     container: str
@@ -243,14 +240,6 @@ class ChunkRule(NamedTuple):
     connection_ids: frozenset[int]
     declarations: frozenset[bytes] = frozenset()
     last_ns: int | None = None
-    grid: tuple[int, int] | None = None
-
-    def is_cut(self, first_ns: int, last_ns: int) -> bool:
-        """Return whether a boundary of the grid lies between the log times of a chunk's first and last message."""
-        if self.grid is None:
-            return False
-        begin_ns, duration_ns = self.grid
-        return max((first_ns - begin_ns) // duration_ns, 0) != max((last_ns - begin_ns) // duration_ns, 0)
 
 
 class Attachment(NamedTuple):

@@ -327,12 +327,7 @@ def output_of(options: Options, *, folder: Path | None = None, like_source: bool
     """Return the options of the destination."""
     from .pipeline.run_files import OutputOptions  # noqa: PLC0415  # with the rest of the pipeline, which is slow to load
 
-    cut = None
-    if options.split is not None or options.repeat_latched:
-        from .pipeline.split import cut_of  # noqa: PLC0415  # most recordings are one file
-
-        cut = cut_of(options.split, repeat_latched=options.repeat_latched)
-    return OutputOptions(cut=cut, folder=folder, like_source=like_source, **options.among(OutputOptions._fields))
+    return OutputOptions(folder=folder, like_source=like_source, **options.among(OutputOptions._fields))
 
 
 def destination_of(destination: PathText | None) -> tuple[Path | None, Path | None]:

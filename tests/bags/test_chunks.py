@@ -157,7 +157,6 @@ def whole_one_by_one(
             and (start_ns is None or start_ns <= each.start_ns)
             and (stop_ns is None or each.end_ns < stop_ns)
             and (rule.last_ns is None or each.end_ns <= rule.last_ns)
-            and not rule.is_cut(each.start_ns, max(each.end_ns, due_ns))
         ):
             found[place] = due_ns
         else:
@@ -168,7 +167,6 @@ def whole_one_by_one(
 RULES = st.builds(
     RULE._replace,
     last_ns=st.none() | NUMBERS,
-    grid=st.none() | st.tuples(st.integers(0, 9), st.integers(1, 9)),
 )
 
 

@@ -40,8 +40,6 @@ OPTIONS: tuple[dict[str, Any], ...] = (
     {},
     {"beams": 90},
     {"to": "mcap"},
-    {"split": "100ms", "to": "bag"},
-    {"split": "50ms"},
 )
 
 #: Name and size and time of each file, as `os.stat` has them.
@@ -142,7 +140,7 @@ class World:
             case "older" if self.lines:
                 self.rewrite({"pc2scan": "0.0.1"}, is_older=True)
             case "died" if self.lines:
-                # As if the process had died that converted it, after its files had their names.
+                # As if the process had died that converted it, after its file had its name.
                 output = self.lines[-1][1].output or "none"
                 died = {"outcome": "died", "output": {"path": output, "files": []}, "error": None, "report": None}
                 self.rewrite(died, outcome="died", error="", left=(), output=output)
@@ -171,7 +169,7 @@ class World:
         output = name_of(key, options)
         before = dict(self.lines).get(key)
         written = {line.output: line.left for _, line in self.lines if line.left}
-        there = self.files_of(output, written.get(output))
+        there = files_in(self.out / output)
         why = "forced" if force else self.why(before, options, path, output, there, checksum=checksum)
         if why and there and not overwrite:
             # A result belongs to the last line that names it, unless nothing was written; or it is as an earlier
@@ -209,21 +207,10 @@ class World:
             return f"its output was changed: it has {total(there)}, it was written with {total(line.left)}"
         return ""
 
-    def files_of(self, output: str, left: Files | None) -> Files:
-        path = self.out / output
-        if not output.endswith(("_scan_0.bag", "_scan_0.mcap")):
-            return files_in(path)
-        names = path.parent.glob(path.name.replace("_0.", "_[0-9]*."))
-        return tuple(
-            each
-            for file in ([path.with_name(name) for name, *_ in left] if left is not None else sorted(names))
-            for each in files_in(file)
-        )
-
     def run(self) -> list[tuple[str, Line]]:
         """Run a batch; return the lines of the results that are there now."""
         chance = self.random.random
-        options = self.random.choice((0, 0, 0, 0, 1, 2, 3, 4))
+        options = self.random.choice((0, 0, 0, 0, 1, 2))
         how = {"force": chance() < 0.1, "overwrite": chance() < 0.3, "checksum": chance() < 0.4}
         dry_run = chance() < 0.2
         expected = {key: self.expected(key, options, **how) for key in self.keys()}
@@ -260,7 +247,7 @@ class World:
         line = Line(options, files_in(path), bytes_of(path), done.action == "convert" and checksum, outcome, error)
         if done.action == "convert":
             line.output = output
-            found = self.files_of(output, None) if outcome == "converted" else ()
+            found = files_in(self.out / output) if outcome == "converted" else ()
             line.left = tuple(each for each in found if each not in before)
         else:
             line.output = last.output if last is not None else ""
@@ -284,7 +271,7 @@ def digest_of(options: int) -> dict[str, Any]:
 def name_of(key: str, options: int) -> str:
     stem, _, suffix = key.partition(".")
     to = OPTIONS[options].get("to", suffix)
-    return f"{stem}_scan{'_0' if 'split' in OPTIONS[options] and to else ''}{'.' if to else ''}{to}"
+    return f"{stem}_scan{'.' if to else ''}{to}"
 
 
 def files_in(path: Path) -> Files:
@@ -302,7 +289,7 @@ def bytes_of(path: Path) -> bytes:
 
 
 def results_in(output: Path, files: Files) -> list[bytes]:
-    """The content of a result: of one file, of the files of a folder, or of numbered files."""
+    """The content of a result: of one file, or of the files of a folder."""
     folder = output if output.is_dir() else output.parent
     return [(folder / name).read_bytes() for name, *_ in files]
 

@@ -224,19 +224,6 @@ def test_objects_of_others_stay(store: Store, drives: Path) -> None:
     assert "exists already" in batch(source, out).outcomes[0].error
     assert store.contents("out") == {"a_scan.bag": b"mine"}
     assert batch(source, out, overwrite=True).exit_status == 0
-    # Numbered files that no run wrote; those of the run that are too many are removed.
-    report = batch(source, out, split="20ms")
-    assert report.outcomes[0].output == "a_scan_0.bag"
-    count = len(store.contents("out")) - 1
-    assert count > 2
-    assert batch(source, out, split="20ms").unchanged == 1
-    store.remove("out/a_scan_1.bag")
-    assert batch(source, out, split="20ms").unchanged == 0
-    store.put(f"out/a_scan_{count}.bag", b"mine")
-    assert batch(source, out, split="1h").exit_status == 0
-    assert store.contents("out").keys() == {"a_scan.bag", "a_scan_0.bag", f"a_scan_{count}.bag"}
-    warnings = store.line("a.bag")["report"]["warnings"]
-    assert any("named like a part of a_scan.bag" in text for text in warnings)
 
 
 def test_exported_folders_are_replaced_if_all_is_known(store: Store, drives: Path, tmp_path: Path) -> None:

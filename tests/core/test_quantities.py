@@ -1,4 +1,4 @@
-"""Times and sizes with units."""
+"""Times with units."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pc2scan.core.quantities import byte_size, duration_ns
+from pc2scan.core.quantities import duration_ns
 from support.tables import rows
 
 TABLES = Path(__file__).with_name("quantities.txt")
@@ -15,8 +15,3 @@ TABLES = Path(__file__).with_name("quantities.txt")
 @pytest.mark.parametrize(("text", "expected"), rows(TABLES, "durations"))
 def test_durations_are_exact(text: str, expected: int | None) -> None:
     assert duration_ns(text) == expected
-
-
-@pytest.mark.parametrize(("text", "expected"), rows(TABLES, "sizes"))
-def test_sizes_are_exact(text: str, expected: int | None) -> None:
-    assert byte_size(text) == expected

@@ -78,13 +78,9 @@ class Run:
 RUNS = (
     Run("convert", "drive.bag", {"only_scans": True}),
     Run("convert", "drive.bag", {"only_scans": True, "beams": 90}),
-    *(Run("convert", "drive.bag", {"only_scans": True, "split": split}) for split in ("100ms", "200ms")),
-    *(Run("convert", "folder", {"only_scans": True, **more}, folder="folder") for more in ({}, {"split": "100ms"})),
+    Run("convert", "folder", {"only_scans": True}, folder="folder"),
     *(Run("export", "logs/", {"format": form}, recorded=True, folder="logs") for form in ("npz", "csv")),
-    *(
-        Run("batch", "", {"only_scans": True, **more}, recorded=True)
-        for more in ({}, {"beams": 90}, {"split": "100ms"}, {"split": "200ms"}, {"to": "rosbag2"})
-    ),
+    *(Run("batch", "", {"only_scans": True, **more}, recorded=True) for more in ({}, {"beams": 90}, {"to": "rosbag2"})),
     *(Run("batch", "", {"export": form}, recorded=True) for form in ("npz", "csv")),
 )
 

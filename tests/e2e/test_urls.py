@@ -87,7 +87,7 @@ EVERYWHERE = [
     "export SRC -o OUTscans.csv --min-height 0.1",
     "export SRC -o OUTclouds --format pcd",
     "repair SRC -o OUTrepaired.bag",
-    "convert SRC -o OUTparts.bag --split 0.2s --report OUTreport.json",
+    "convert SRC -o OUTagain.bag --report OUTreport.json",
     "convert SRC -o OUTx.bag --report OUTscans.csv",
     "convert SRC -o OUTy.bag --dry-run",
     "convert SRC -o OUTcut.bag --start 0.1s --end 0.3s",
@@ -168,16 +168,15 @@ def places(name: str) -> tuple[str, Path]:
 def test_results_go_next_to_the_source_or_into_a_folder(bucket: Any) -> None:
     assert pc2scan.convert(HALL, **HEIGHTS).destination == "memory://bucket/hall_scan.bag"
     assert bucket.exists("/bucket/hall_scan.bag")
-    pc2scan.convert(HALL, "memory://out/", split="0.2s", **HEIGHTS)
-    assert bucket.find("/out") == [f"/out/hall_scan_{number}.bag" for number in range(3)]
+    pc2scan.convert(HALL, "memory://out/", **HEIGHTS)
+    assert bucket.find("/out") == ["/out/hall_scan.bag"]
 
 
 @pytest.mark.parametrize(("words", "why"), rows(Path(__file__).with_name("urls.txt"), "refused"))
 def test_what_is_refused_changes_nothing(words: str, why: str, bucket: Any) -> None:
     hall = bucket.cat_file("/bucket/hall.bag")
-    for name, data in {"x.bag": hall, "x_scan.bag": b"", "mine/thesis.tex": b"", "drive_1.bag": b"old"}.items():
+    for name, data in {"x.bag": hall, "x_scan.bag": b"", "mine/thesis.tex": b""}.items():
         bucket.pipe_file(f"/out/{name}", data)
-    bucket.pipe_file("/out/drive_7.bag", hall)
     before = contents(bucket)
     typed = words.replace("HALL", HALL).replace("FIXTURES", str(FIXTURES))
     done = run("convert", *typed.split(), "--min-height", "0.1")
@@ -189,12 +188,7 @@ def test_overwriting_replaces_what_it_writes(bucket: Any) -> None:
     bucket.pipe_file("/out/x.bag", b"mine")
     pc2scan.convert(HALL, "memory://out/x.bag", overwrite=True, **HEIGHTS)
     assert bucket.cat_file("/out/x.bag").startswith(b"#ROSBAG")
-    for number in (1, 7):
-        bucket.pipe_file(f"/out/drive_{number}.bag", b"mine")
-    report = pc2scan.convert(HALL, "memory://out/drive.bag", split="0.2s", overwrite=True, **HEIGHTS)
-    assert bucket.cat_file("/out/drive_7.bag") == b"mine"
-    assert any("drive_7.bag" in text and "it stays" in text for text in report.warnings)
-    assert bucket.find("/out") == [*(f"/out/drive_{number}.bag" for number in (0, 1, 2, 7)), "/out/x.bag"]
+    assert bucket.find("/out") == ["/out/x.bag"]
 
 
 def test_what_is_missing_is_named() -> None:

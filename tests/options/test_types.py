@@ -20,7 +20,7 @@ CALLS = {
     'pc2scan.convert("a", "b.mcap", target_frame="base_link", angle_min="-90deg", scan_time="auto")': "",
     'pc2scan.convert(["a", Path("b")], topics=["/points:=/scan"], keep="/tf*", start=datetime.now(timezone.utc))': "",
     'pc2scan.convert("a", where=["ring < 8"], static_tf=pc2scan.StaticTransform.parse("a b 0 0 0 0 0 0"))': "",
-    'pc2scan.convert("a", window=timedelta(seconds=1), scans={"/scan": {"min_height": 0.1}}, split=None)': "",
+    'pc2scan.convert("a", window=timedelta(seconds=1), scans={"/scan": {"min_height": 0.1}}, storage=None)': "",
     'pc2scan.convert("a", range_max=np.float32(30), params=pc2scan.ProjectionParams(), overwrite=True)': "",
     'pc2scan.scans("a", topics="/points", preset="nav2", deskew=True, fixed_frame="odom")': "",
     'pc2scan.scans("a", "/points", remove="shadows")': "",

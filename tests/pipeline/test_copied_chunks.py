@@ -5,7 +5,6 @@ from __future__ import annotations
 import struct
 from contextlib import closing
 from itertools import product
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -37,6 +36,7 @@ from support.rosbag1_files import ROS1, ROSBAG, ros1, ros1_missing, ros1_read
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
 T0 = 1_600_000_000_000_000_000
 STEP = 1_000_000
@@ -432,38 +432,3 @@ def test_rosbag2_directories(tmp_path: Path) -> None:
         for jobs in (1, 2, 5)
     ]
     assert packed[0] == packed[1] == packed[2]
-
-
-@pytest.mark.parametrize(("suffix", "compression"), sampled(FORMS, 1))
-@pytest.mark.parametrize("split", ["7ms", "90kB"])
-def test_chunks_are_copied_whole_into_parts_of_a_recording(
-    suffix: str, compression: str, split: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    source = write(tmp_path / f"drive{suffix}", compression)
-    copied: list[tuple[int, int]] = []
-    for kind in (Rosbag1Writer, McapWriter):
-        real = kind.write_chunk
-
-        def counting(self: Any, chunk: Any, real: Any = real) -> None:
-            copied.append(chunk.span_ns())
-            real(self, chunk)
-
-        monkeypatch.setattr(kind, "write_chunk", counting)
-    pc2scan.convert(source, tmp_path / f"whole{suffix}", params=PARAMS)
-    in_one = copied[:]
-    copied.clear()
-    report = pc2scan.convert(source, tmp_path / f"part{suffix}", params=PARAMS, split=split)
-    assert in_one
-    assert copied
-    if split == "7ms":
-        # Those in which a part ends are not copied.
-        assert {(first - T0) // 7_000_000 for first, _ in copied} == {(last - T0) // 7_000_000 for _, last in copied}
-        assert len(copied) < len(in_one)
-    else:
-        assert copied == in_one
-    parts = [opened(Path(file)).messages for file in report.files]
-    assert len(parts) > 2
-    assert [each for part in parts for each in part] == opened(tmp_path / f"whole{suffix}").messages
-    # Without the index too: a reader that goes through the file finds every channel before its messages.
-    if suffix == ".mcap":
-        assert all(streamed(Path(file)) for file in report.files)

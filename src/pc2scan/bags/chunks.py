@@ -218,9 +218,9 @@ def whole_chunks(
     np.maximum(due[1:], np.maximum.accumulate(ends)[:-1], out=due[1:])
     # The first message behind it that is read by itself.
     following = _LATEST_NS
-    backwards = (column[::-1].data for column in (starts, ends, due, whole))
-    for place, (begin_ns, end_ns, due_ns, is_allowed) in enumerate(zip(*backwards, strict=True), 1):
-        if not is_allowed or due_ns > following or rule.is_cut(begin_ns, max(end_ns, due_ns)):
+    backwards = (column[::-1].data for column in (starts, due, whole))
+    for place, (begin_ns, due_ns, is_allowed) in enumerate(zip(*backwards, strict=True), 1):
+        if not is_allowed or due_ns > following:
             whole[-place] = False
             following = min(following, begin_ns)
     return whole, np.where(whole, due, starts)

@@ -13,12 +13,11 @@ from . import zstd
 from .formats import FORMATS, Format, WriteOptions, destinations
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from pc2scan.files.records import Record
     from pc2scan.model import Summary, Writer
 
-    from .splitting import Cut, RecordingPart
 
 _NOT_WRITTEN = "this format is not written"
 
@@ -292,7 +291,7 @@ def recorded_in(folder: Path) -> Record | str:
     return metadata.recorded_in(folder)
 
 
-def open_writer(destination: Destination, staged_path: Path, name: str, cut: Cut | None = None) -> Writer:
+def open_writer(destination: Destination, staged_path: Path, name: str) -> Writer:
     """Start writing.
 
     Parameters
@@ -300,12 +299,9 @@ def open_writer(destination: Destination, staged_path: Path, name: str, cut: Cut
     destination
         From `plan_destination`.
     staged_path
-        The path to write to; see `pc2scan.files.staging.staged_output`. For several files that are no directory: the
-        directory that they are written in; see `pc2scan.files.parts.staged_parts`.
+        The path to write to; see `pc2scan.files.staging.staged_output`.
     name
-        The final name; a rosbag2 directory's files, and several files, are named after it.
-    cut
-        Where a new file begins; None for one file.
+        The final name; a rosbag2 directory's file is named after it.
 
     Raises
     ------
@@ -317,17 +313,7 @@ def open_writer(destination: Destination, staged_path: Path, name: str, cut: Cut
         compression=destination.compression,
         storage=destination.file_format.name if destination.format.storages else "",
         profile=destination.profile,
-        cut=cut,
     )
     writer = destination.format.open_writer
     assert writer is not None  # a destination without one is never planned
-    if cut is None or destination.format.storages:
-        return writer(staged_path, options)
-    from pc2scan.files.places import part_name  # noqa: PLC0415  # most recordings are one file
-
-    from .splitting import SplitWriter  # noqa: PLC0415
-
-    def open_part(path: Path) -> tuple[Writer, Callable[[RecordingPart], None]]:
-        return writer(path, options), lambda _: None
-
-    return SplitWriter(lambda number: staged_path / part_name(name, number), open_part, cut)
+    return writer(staged_path, options)

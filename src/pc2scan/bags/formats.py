@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from pc2scan.model import Writer
 
     from .reader import Reader
-    from .splitting import Cut
 
 
 class ReadOptions(NamedTuple):
@@ -41,14 +40,13 @@ class ReadOptions(NamedTuple):
 class WriteOptions(NamedTuple):
     """How a recording is written; see `pc2scan.bags.destinations.Destination`.
 
-    ``name`` is the final name of the recording; ``cut`` is None for a recording in one file.
+    ``name`` is the final name of the recording.
     """
 
     name: str
     compression: str = "none"
     storage: str = ""
     profile: str = ""
-    cut: Cut | None = None
 
 
 class Format(NamedTuple):
@@ -77,8 +75,6 @@ class Format(NamedTuple):
         The name of the format in the option `to`; empty if it cannot be a destination by itself.
     play
         The command that plays a recording of the format's ``ros_version``, with ``{}`` for its path; empty for none.
-    plays_several
-        Whether that command takes several files.
     holds_recording
         For a directory: whether a directory holds one or several such recordings.
     is_recording
@@ -122,7 +118,6 @@ class Format(NamedTuple):
     suffix: str = ""
     to: str = ""
     play: str = ""
-    plays_several: bool = False
     holds_recording: Callable[[Path], bool] | None = None
     is_recording: Callable[[Path], bool] | None = None
     open_storage: Callable[[Path, WriteOptions], tuple[Writer, Callable[[str], None]]] | None = None
@@ -166,7 +161,6 @@ _ENTRIES = (
         suffix=".bag",
         to="bag",
         play="rosbag play --clock {}",
-        plays_several=True,
         compressions=("none", "bz2", "lz4"),
         default_compression="lz4",
         has_chunks=True,
@@ -229,11 +223,6 @@ def destinations() -> dict[str, Format]:
     """Return the formats of destinations by their names in the option `to`, in the order of these."""
     named = {entry.to: entry for entry in FORMATS.values() if entry.to}
     return {name: named[name] for name in sorted(named)}
-
-
-def file_suffixes() -> tuple[str, ...]:
-    """Return the suffixes of destinations that are files."""
-    return tuple(entry.suffix for entry in FORMATS.values() if entry.suffix and entry.open_writer is not None)
 
 
 def storages() -> dict[str, Format]:

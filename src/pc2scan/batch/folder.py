@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import DestinationError, MissingError, OutputError
 from pc2scan.files.ownership import first_link
-from pc2scan.files.places import check_new_folder, output_folder, parts_beside
+from pc2scan.files.places import check_new_folder, output_folder
 from pc2scan.files.staging import only_run
 from pc2scan.files.system import sync_directory
 from pc2scan.files.text_output import text_output
@@ -28,10 +28,8 @@ from .manifest import (
     Identity,
     identity_among,
     identity_of,
-    is_numbered,
     records_in,
     refuse_outside,
-    unnumbered_name,
 )
 
 if TYPE_CHECKING:
@@ -150,21 +148,11 @@ class BatchFolder:
 
     # --- Outputs ---
 
-    def files_of(self, output: str) -> list[Path]:
-        """Return the paths of an output's files: of numbered ones those that are recorded, or else all that exist."""
-        path = self.path / output
-        if not is_numbered(output):
-            return [path]
-        left = self.history.left.get(output)
-        if left is None:
-            return parts_beside(self.path / unnumbered_name(output))
-        return [path.with_name(name) for name, _, _ in left.files]
-
     def present(self, output: str) -> Identity:
         """Return the identity that an output has, in a store when the run began; without files if it does not exist."""
         if self._stored is not None:
-            return identity_among(self._stored, output, self.history.left.get(output))
-        return identity_of(self.files_of(output))
+            return identity_among(self._stored, output)
+        return identity_of([self.path / output])
 
     def _existing(self, outputs: Iterable[str]) -> frozenset[str]:
         """Return those outputs that exist now."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import MISSING, Field, asdict, dataclass, field, fields, is_dataclass, replace
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
 from datetime import datetime, timezone
 from enum import Enum
 from pathlib import Path, PurePosixPath
@@ -114,8 +114,6 @@ def digest_of(request: Request) -> str:
 
     names = ("storage", "compression", "profile")
     output = {name: getattr(request.output, name) for name in names}
-    if request.output.cut is not None:
-        output["cut"] = asdict(request.output.cut)
     if request.export is not None:
         output["export"] = _canonical(replace(request.export, overwrite=False))
     options = replace(request.options, jobs=0)
@@ -325,7 +323,7 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
         record = job.record(
             outcome=_OUTCOMES.get(status, "failed"),
             exit_status=status,
-            output_identity=Identity() if job.dry_run else _output_identity(destination, report),
+            output_identity=Identity() if job.dry_run else identity_of([destination]),
             report=report,
             text=str(done) if job.shown else "",
             **known,
@@ -389,12 +387,6 @@ def _damage_of(job: Job, sources: list[Path]) -> tuple[Damage, ...]:
     with ExitStack() as stack:
         readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
         return tuple(place for reader in readers for place in reader.damage)
-
-
-def _output_identity(destination: Path, report: Mapping[str, Any] | None) -> Identity:
-    """Return the identity of the output: a file, a directory, or numbered files."""
-    files = (report or {}).get("files") or ()
-    return identity_of(map(path_or_url, files) if files and not destination.is_dir() else [destination])
 
 
 def _checksum_of_sources(sources: list[Path]) -> str:

@@ -2,25 +2,19 @@
 
 A line is synced to the disk before its recording counts as done. If a recording has several lines, the last one counts.
 A last line without a line end was written by a run that was killed at that moment; it is ignored.
-
-A result of several files has the name of its first file: ``drive_scan_0.bag`` stands for all parts of
-``drive_scan.bag``. A result that is one file is named ``drive_scan.bag``, so that the two kinds cannot be confused.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import re
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.bags.formats import file_suffixes
 from pc2scan.errors import DestinationError, UsageError
-from pc2scan.files.places import part_name, parts_among
 from pc2scan.files.records import RECORD, FileState, Record
 from pc2scan.files.source import file_beside, open_bytes
 from pc2scan.files.urls import UrlPath
@@ -104,17 +98,8 @@ def _stored_files(path: UrlPath) -> list[tuple[str, int, int | str]]:
     return _summed_up(sorted((below.relative_to(path).as_posix(), *below.known()[:2]) for below in path.below()))
 
 
-def identity_among(stored: Mapping[str, UrlPath], output: str, left: Identity | None = None) -> Identity:
-    """Return the identity of an output (a file, a folder, or numbered files) from a listing of the folder in a store.
-
-    ``left`` says which files a numbered output has; without it, all with such names are listed.
-    """
-    if is_numbered(output):
-        folder, slash, name = unnumbered_name(output).rpartition("/")
-        below = folder + slash
-        here = [key[len(below) :] for key in stored if key.startswith(below) and "/" not in key[len(below) :]]
-        names = parts_among(here, name) if left is None else [file for file, _, _ in left.files if file in here]
-        return identity_of(stored[below + name] for name in names)
+def identity_among(stored: Mapping[str, UrlPath], output: str) -> Identity:
+    """Return the identity of an output (a file or a folder) from a listing of the folder in a store."""
     if output in stored:
         return identity_of([stored[output]])
     below = f"{output}/"
@@ -173,40 +158,6 @@ def checksum_of(paths: Iterable[Path]) -> str:
                 while piece := opened.read(_PIECE_BYTES):
                     digest.update(piece)
     return digest.hexdigest()
-
-
-# --- Names of results ---
-
-
-def first_part(output: str) -> str:
-    """Return the name of the first part of a result.
-
-    >>> first_part("robot1/drive_scan.bag")
-    'robot1/drive_scan_0.bag'
-    """
-    folder, slash, name = output.rpartition("/")
-    return f"{folder}{slash}{part_name(name, 0)}"
-
-
-def is_numbered(output: str) -> bool:
-    """Return whether this is the first file of a result with numbered files."""
-    return _numbered(output) is not None
-
-
-def _numbered(output: str) -> re.Match[str] | None:
-    """Return the name without the number, and the suffix, of the first file of a result with numbered files."""
-    suffixes = "|".join(map(re.escape, file_suffixes()))
-    return re.fullmatch(rf"(.*_scan)_0({suffixes})", output, re.DOTALL)
-
-
-def unnumbered_name(output: str) -> str:
-    """Return the name of a result without the number; a name without a number is returned as it is.
-
-    >>> unnumbered_name("drive_scan_0.bag"), unnumbered_name("drive_scan.bag")
-    ('drive_scan.bag', 'drive_scan.bag')
-    """
-    found = _numbered(output)
-    return output if found is None else f"{found[1]}{found[2]}"
 
 
 # --- Lines ---
@@ -439,6 +390,5 @@ class History:
         name = PurePosixPath(output).name
         files: dict[str, FileState | None] = {name: None}
         for entry in self.left.get(output, Identity()).files:
-            is_beside = entry[0] == name or is_numbered(output)
-            files[entry[0] if is_beside else f"{name}/{entry[0]}"] = FileState(*entry[1:])
+            files[name if entry[0] == name else f"{name}/{entry[0]}"] = FileState(*entry[1:])
         return Record(files, MANIFEST)

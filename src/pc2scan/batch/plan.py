@@ -10,14 +10,11 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.destinations import name_after
-from pc2scan.bags.formats import file_suffixes
 from pc2scan.errors import DestinationError
 from pc2scan.files.ownership import name_key
 from pc2scan.files.places import working_names
 from pc2scan.text import size
 from pc2scan.version import __version__
-
-from .manifest import first_part, is_numbered, unnumbered_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -100,7 +97,7 @@ def _clashes(outputs: Mapping[str, str]) -> dict[str, list[str]]:
     # File systems may ignore case, or the form of Unicode.
     owners: dict[str, list[str]] = {}
     for key, output in outputs.items():
-        for name in (Path(output), *working_names(Path(unnumbered_name(output)))):
+        for name in (Path(output), *working_names(Path(output))):
             owners.setdefault(name_key(name.as_posix()), []).append(key)
     return {
         key: others
@@ -120,9 +117,7 @@ def _result_name(found: Recording, request: Request, *, distinct: bool = False) 
     source = Path(found.key)
     suffix = f"_{source.suffix[1:] or 'folder'}" if distinct else ""
     mark, to = ("", "rosbag2") if request.export is not None else ("_scan", request.output.to)
-    name = name_after(source, found.container, f"{suffix}{mark}", folder=source.parent, to=to)
-    in_parts = request.output.cut is not None and request.export is None and name.suffix in file_suffixes()
-    return first_part(name.as_posix()) if in_parts else name.as_posix()
+    return name_after(source, found.container, f"{suffix}{mark}", folder=source.parent, to=to).as_posix()
 
 
 def make_plan(
@@ -205,10 +200,9 @@ def _ownership_error(step: Step, request: Request, out: Path, there: Identity) -
     """Return the error of an output that exists and that no record names; None if it may be replaced."""
     if not there.files or step.owned is not None or request.output.overwrite:
         return None
-    path = out / step.output
     return DestinationError(
         "exists already, and was not written by this batch",
-        path=path.with_name(there.files[0][0]) if is_numbered(step.output) else path,
+        path=out / step.output,
         hint="`overwrite=True` replaces it",
     )
 

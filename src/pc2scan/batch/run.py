@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pc2scan.errors import DestinationError, DiskFullError, OutputError, UsageError
 from pc2scan.files.ownership import InputPath, Inputs, OutputPath, first_link, inputs_of
 from pc2scan.files.records import Record
-from pc2scan.files.recovery import completed_parts
 from pc2scan.files.staging import clean_up, note_written
 from pc2scan.files.system import is_full
 from pc2scan.files.text_output import check_text_output, text_output
@@ -27,7 +26,7 @@ from .dataset_file import Choices, DatasetFile, load_dataset_file
 from .find import find
 from .folder import open_folder
 from .jobs import Job, convert_one
-from .manifest import MANIFEST, checksum_of, is_numbered, unnumbered_name
+from .manifest import MANIFEST, checksum_of
 from .plan import have_same_outcome, make_plan
 from .processes import available_bytes, run_jobs, workers_for
 from .summary import BEGINNINGS, BatchReport, Outcome, report_text
@@ -250,7 +249,7 @@ def _open_report(options: BatchOptions, folder: BatchFolder, stack: ExitStack) -
 def _plan(sources: Sequence[str], folder: BatchFolder, choices: Choices, options: BatchOptions) -> BatchPlan:
     """Find the recordings, and decide what is done with each."""
     history = folder.history
-    outputs = [path for output in {*history.owned, *history.left} for path in folder.files_of(output)]
+    outputs = [folder.path / output for output in {*history.owned, *history.left}]
     found = find(sources, folder.path, known=history.container_of, outputs=outputs)
     if not found:
         raise UsageError(f"no recording found in {', '.join(sources)}")
@@ -282,9 +281,9 @@ def _plan(sources: Sequence[str], folder: BatchFolder, choices: Choices, options
 
 def _forbidden(out: Path, read: Callable[[], Inputs], output: str) -> DestinationError | None:
     """Return why an output may not be written into a folder, whatever is there; None if it may."""
-    path = out / unnumbered_name(output)
+    path = out / output
     try:
-        read().refuse(OutputPath(path, numbered=is_numbered(output)))
+        read().refuse(OutputPath(path))
     except DestinationError as err:
         return err
     link = first_link(out, output)
@@ -501,9 +500,7 @@ class _Batch:
         planned = [step.output for action in ("convert", "keep") for step in self._plan.of(action)]
         for output in {*history.owned, *planned}:
             if first_link(out, output) is None:
-                path = out / unnumbered_name(output)
-                done, noted = completed_parts(path), history.record(output)
-                clean_up(path, recorded=done is None or (noted is not None and noted.files == done.files))
+                clean_up(out / output)
 
     def _refusals(self) -> list[ManifestRecord]:
         """Return the lines of the recordings that are refused."""
@@ -517,7 +514,7 @@ class _Batch:
 
     def _job(self, step: Step) -> Job:
         assert step.request is not None
-        destination = self._folder.path / unnumbered_name(step.output)
+        destination = self._folder.path / step.output
         at_url = any(isinstance(path, UrlPath) for path in (*step.found.paths, destination))
         scratch = self._options.scratch if at_url else None
         return Job(
@@ -581,14 +578,11 @@ class _Batch:
     def _end(self, record: ManifestRecord) -> None:
         """Record and show the result of a recording."""
         path = self._folder.path / record.output
-        is_local = not self._options.dry_run and not isinstance(path, UrlPath)
-        if is_local and record.is_written:
+        if record.is_written and not self._options.dry_run and not isinstance(path, UrlPath):
             note_written(path)
         if not self._options.dry_run:
             self._folder.append(record)
         self._show(record)
-        if is_local and is_numbered(record.output):
-            clean_up(path.with_name(unnumbered_name(path.name)), recorded=True)
         if record.text and self.watch.shown is not None:
             self.watch.shown(record.text)
 

@@ -17,11 +17,7 @@ from .render import LiveWarnings, progress_bar, say, show
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from pc2scan.bags.formats import Format
     from pc2scan.pipeline.report import Report
-
-#: More files than these are written as a pattern.
-_NAMED = 3
 
 
 def convert(
@@ -77,7 +73,7 @@ def next_command(report: Report) -> str:
     from pc2scan.pipeline.parameters import preset_of
 
     entry = FORMATS[report.container]
-    destination = _destination(report, entry)
+    destination = _quoted(report.destination)
     if report.all_empty:
         return f"pc2scan info {_quoted(report.sources[0])}"
     consumer = next(filter(None, map(preset_of, report.origins.values())), "")
@@ -86,22 +82,11 @@ def next_command(report: Report) -> str:
     converted = [topic.spec for topic in report.converted]
     if any(spec is not None and not spec.reverse for spec in converted):
         return f"pc2scan check {destination}"
-    is_one = entry.is_directory or len(report.files) < 2
-    is_playable = entry.ros_version == report.ros_version and (is_one or entry.plays_several)
+    is_playable = entry.ros_version == report.ros_version
     if converted and entry.play and is_playable and not is_url(report.destination):
         return entry.play.format(destination)
-    # For the rest there is no player: none reads URLs, none of ROS 1 reads MCAP, and that of ROS 2 reads only one file.
+    # For the rest there is no player: none reads URLs, and none of ROS 1 reads MCAP.
     return f"pc2scan info {destination}"
-
-
-def _destination(report: Report, entry: Format) -> str:
-    """Return the destination quoted for the shell: the recording, or a pattern for all its files."""
-    if not report.files or entry.is_directory:
-        return _quoted(report.destination)
-    if len(report.files) <= _NAMED:
-        return " ".join(map(_quoted, report.files))
-    stem, _, rest = report.files[0].rpartition("_0")
-    return f"{_quoted(stem)}_*{shlex.quote(rest)}"
 
 
 def _quoted(path: str) -> str:

@@ -24,8 +24,8 @@ from .render import say
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-#: Options of ``convert`` that decide where the output is written: a case has none of them.
-_PLACE = {"to", "split", "repeat_latched"}
+#: The option of ``convert`` that decides where the output is written: a case does not have it.
+_PLACE = {"to"}
 
 
 def run_command(arguments: Sequence[str], chosen: Sequence[str] = ()) -> CommandResult:

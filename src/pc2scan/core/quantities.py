@@ -30,16 +30,11 @@ _NUMBER_AND_UNIT = re.compile(r"([0-9]{1,18}(?:\.[0-9]{0,18})?|\.[0-9]{1,18}) ?(
 #: Units of times, as parts of a second.
 PARTS_OF_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 
-#: Units in lower case, as nanoseconds and as bytes.
+#: Units in lower case, as nanoseconds.
 _DURATIONS = {
     **{unit: 10**9 // parts for unit, parts in PARTS_OF_SECOND.items()},
     "min": 60 * 10**9,
     "h": 3600 * 10**9,
-}
-_SIZES = {
-    "b": 1,
-    **{f"{prefix}b": 1000**power for power, prefix in enumerate("kmgt", 1)},
-    **{f"{prefix}ib": 1024**power for power, prefix in enumerate("kmgt", 1)},
 }
 
 #: The longest arithmetic expression, characters.
@@ -124,22 +119,8 @@ def duration_ns(text: str) -> int | None:
     >>> duration_ns("60s"), duration_ns("1.5 min"), duration_ns("0.1s"), duration_ns("60")
     (60000000000, 90000000000, 100000000, None)
     """
-    return _whole(text, _DURATIONS)
-
-
-def byte_size(text: str) -> int | None:
-    """Read a size of ``500MB``, ``1.5GB`` or ``1GiB`` as bytes; None if it is something else.
-
-    >>> byte_size("500MB"), byte_size("1.5 kB"), byte_size("1GiB"), byte_size("500")
-    (500000000, 1500, 1073741824, None)
-    """
-    return _whole(text, _SIZES)
-
-
-def _whole(text: str, units: Mapping[str, int]) -> int | None:
-    """Read a decimal number with a unit, exactly, and truncate it to a whole number."""
     written = _NUMBER_AND_UNIT.fullmatch(text.strip())
-    scale = None if written is None else units.get(written[2].lower())
+    scale = None if written is None else _DURATIONS.get(written[2].lower())
     if written is None or scale is None:
         return None
     from decimal import Decimal  # noqa: PLC0415  # few runs need it

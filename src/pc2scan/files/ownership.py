@@ -17,10 +17,6 @@ These are records:
   would differ between two exports of the same messages, and are lost by copying. CRC-32 recognises an edited file and,
   unlike SHA-256, takes no time beside writing it. It would not stop a forger; but whoever can write the record can
   remove the files, too.
-- The journal of a run that renames numbered files (`pc2scan.files.recovery`).
-
-Numbered files of a single conversion have no record: one beside them would be one more file for each recording. Those
-with numbers above the last one that a run writes stay, and a warning names them.
 """
 
 from __future__ import annotations
@@ -286,13 +282,10 @@ class OutputPath(NamedTuple):
         The path.
     option
         The option that names it; empty for the recording itself.
-    numbered
-        Whether the recording becomes numbered files, which are named after ``path``.
     """
 
     path: Path
     option: str = ""
-    numbered: bool = False
 
 
 def inputs_of(
@@ -370,16 +363,11 @@ class Inputs:
         DestinationError
             If it does; the message says how the two are related.
         """
-        written = [output.path]
-        if output.numbered:
-            from .places import parts_beside  # noqa: PLC0415  # most recordings are one file
-
-            written += parts_beside(output.path)
-        for path in (*written, *working_names(output.path)):
+        for path in (output.path, *working_names(output.path)):
             if (related := self._relation(path)) is None:
                 continue
             relation, found = related
-            if path not in written:
+            if path != output.path:
                 raise _leftover_error(output, path, found)
             what = _with_article(found.role) if relation == "is" else f"the {found.role} {found.path}"
             raise DestinationError(
@@ -427,19 +415,8 @@ def _refuse_output(output: OutputPath, earlier: OutputPath) -> None:
         relation = "is inside"
     elif own & _folder_keys(earlier.path):
         relation = "contains"
-    elif _is_part(output, earlier) or _is_part(earlier, output):
-        relation = "has the name of a file of"
     if relation:
         raise DestinationError(f"{_subject(output)}{relation} {other}", path=output.path, hint="choose another name")
-
-
-def _is_part(path: OutputPath, recording: OutputPath) -> bool:
-    """Whether a path has a name that one of the numbered files of a recording may have."""
-    if not recording.numbered or path_key(path.path.parent) != path_key(recording.path.parent):
-        return False
-    from .places import parts_among  # noqa: PLC0415
-
-    return bool(parts_among([name_key(path.path.name)], name_key(recording.path.name)))
 
 
 def _subject(output: OutputPath) -> str:

@@ -1,18 +1,16 @@
 """Where a destination and temporary copies can be written, the names of the files beside it, and similar names.
 
-A run has temporary files while it writes. A recording in several parts has numbered files: ``drive.bag``
-becomes ``drive_0.bag``, ``drive_1.bag`` and so on.
+A run has temporary files while it writes.
 """
 
 from __future__ import annotations
 
 import os
-import re
 from contextlib import contextmanager, suppress
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import DestinationError, MissingError, OutputError, RecordingError
+from pc2scan.errors import DestinationError, OutputError, RecordingError
 from pc2scan.text import nearest
 
 from . import system
@@ -26,9 +24,6 @@ if TYPE_CHECKING:
 PARTIAL = ".pc2scan-partial"
 OLD = ".pc2scan-old"
 LOCK = f"{PARTIAL}.lock"
-
-#: The name of the journal in the temporary directory of numbered files; see `pc2scan.files.recovery`.
-JOURNAL = "files.json"
 
 #: Endings of the files that a killed run leaves beside its destination.
 LEFTOVERS = (PARTIAL, OLD)
@@ -130,41 +125,6 @@ def check_new_folder(folder: Path) -> None:
     if os.path.lexists(folder):
         raise DestinationError("is not a folder", path=folder, hint="choose another name")
     check_place(folder)
-
-
-def part_name(name: str, number: int) -> str:
-    """Return the name of a part of a recording: ``drive.bag`` becomes ``drive_0.bag``."""
-    stem, dot, suffix = name.rpartition(".")
-    return f"{stem}_{number}.{suffix}" if dot else f"{name}_{number}"
-
-
-def part_number(name: str) -> int:
-    """Return the number of a part.
-
-    >>> part_number("drive_1_20.bag")
-    20
-    """
-    return int(re.findall(r"_(\d+)", name)[-1])
-
-
-def parts_among(names: Iterable[str], name: str) -> list[str]:
-    """Return those names that are names of parts of a recording, by their numbers.
-
-    >>> parts_among(["drive_10.bag", "drive_2.bag", "drive_02.bag", "drive_x.bag", "drive.bag"], "drive.bag")
-    ['drive_2.bag', 'drive_10.bag']
-    """
-    stem, dot, suffix = name.rpartition(".")
-    stem, suffix = (stem, f".{suffix}") if dot else (name, "")
-    pattern = rf"{re.escape(stem)}_(?:0|[1-9]\d*){re.escape(suffix)}"
-    return sorted(filter(re.compile(pattern).fullmatch, names), key=part_number)
-
-
-def parts_beside(dst: Path) -> list[Path]:
-    """Return what exists beside a destination with the name of a part of it: ``drive_0.bag`` of ``drive.bag``."""
-    try:
-        return [dst.with_name(name) for name in parts_among((entry.name for entry in dst.parent.iterdir()), dst.name)]
-    except (OSError, MissingError):
-        return []
 
 
 # --- Temporary copies ---

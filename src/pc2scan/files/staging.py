@@ -149,7 +149,7 @@ def temporary_path(dst: Path) -> Iterator[Path]:
     partial = dst.with_name(dst.name + PARTIAL)
     with only_run(dst):
         # A partial file that exists now was left by a run that died, because a running one would hold the lock.
-        recover_output(dst)
+        _recover(dst)
         try:
             yield partial
         except OutputError as err:
@@ -162,13 +162,12 @@ def temporary_path(dst: Path) -> Iterator[Path]:
                 remove(partial)
 
 
-def clean_up(dst: Path, *, recorded: bool = False) -> bool:
+def clean_up(dst: Path) -> bool:
     """Remove the files that a killed run left beside a destination, and restore those that it had set aside.
 
     Returns whether nothing of any run is left there.
 
-    Nothing is done for a destination that another run is writing. The journal of numbered files that are all in place
-    stays until they are ``recorded`` elsewhere.
+    Nothing is done for a destination that another run is writing.
 
     Raises
     ------
@@ -178,17 +177,28 @@ def clean_up(dst: Path, *, recorded: bool = False) -> bool:
     if isinstance(dst, UrlPath) or not any(map(os.path.lexists, working_names(dst))):
         return True
     with suppress(DestinationError), only_run(dst):
-        recover_output(dst, keep_journal=not recorded)
+        _recover(dst)
     return not any(map(os.path.lexists, working_names(dst)))
 
 
-def recover_output(dst: Path, *, keep_journal: bool = False) -> Record | None:
-    """Undo or complete what a killed run left, if one did; see `pc2scan.files.recovery.recover`."""
-    if not any(os.path.lexists(dst.with_name(dst.name + ending)) for ending in LEFTOVERS):
-        return None
-    from .recovery import recover  # noqa: PLC0415  # few runs are killed
+def _recover(dst: Path) -> None:
+    """Undo or complete what a killed run left; the caller holds the destination's lock.
 
-    return recover(dst, keep_journal=keep_journal)
+    Raises
+    ------
+    OutputError
+        If something cannot be removed or renamed.
+    """
+    partial, aside = (dst.with_name(dst.name + ending) for ending in LEFTOVERS)
+    try:
+        remove(partial)
+        if os.path.lexists(dst):
+            # The new output is in place; only the old one was still to be removed.
+            remove(aside)
+        elif os.path.lexists(aside):
+            aside.rename(dst)
+    except OSError as err:
+        raise OutputError(f"the files of an interrupted run cannot be removed: {err.strerror}", path=dst) from err
 
 
 def commit(partial: Path, dst: Path, check_again: Callable[[Path], None] | None = None, *, overwrite: bool) -> None:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import DestinationError, MissingError, Pc2ScanError, name_list
 
 from .ownership import existing_error, ruling, stored_folder_error
-from .places import parts_among, private_folder
+from .places import private_folder
 from .records import FileState, Record, files_below
 from .system import scratch
 
@@ -84,9 +84,7 @@ def _fetch_parts(parts: SimpleQueue[tuple[RangeFile, int]], stopped: Event) -> N
 
 
 @contextmanager
-def upload(
-    dst: UrlPath, *, overwrite: bool, owned: Record | None = None, is_numbered: bool = False
-) -> Iterator[tuple[Path, Callable[[], list[str]]]]:
+def upload(dst: UrlPath, *, overwrite: bool, owned: Record | None = None) -> Iterator[tuple[Path, Callable[[], None]]]:
     """Yield a local path to write to, and a function that uploads what is there.
 
     Parameters
@@ -95,13 +93,11 @@ def upload(
         The file or folder to write.
     overwrite, owned
         As for `pc2scan.files.staging.staged_output`.
-    is_numbered
-        Whether the path is a folder of numbered files, which are named after ``dst``.
 
     Yields
     ------
     path, function
-        The function returns the names of other files that look like numbered ones.
+        What to write, and how to upload it.
 
     Raises
     ------
@@ -112,30 +108,24 @@ def upload(
     """
     with private_folder(dst) as folder:
         partial = Path(folder, dst.name)
-        yield partial, lambda: _commit(partial, dst, owned, overwrite=overwrite, is_numbered=is_numbered)
+        yield partial, lambda: _commit(partial, dst, owned, overwrite=overwrite)
 
 
-def _commit(partial: Path, dst: UrlPath, owned: Record | None, *, overwrite: bool, is_numbered: bool) -> list[str]:
-    """Remove what the output replaces, and upload it; return what stays of numbered files."""
+def _commit(partial: Path, dst: UrlPath, owned: Record | None, *, overwrite: bool) -> None:
+    """Remove what the output replaces, and upload it."""
     new: dict[str, Path] = {dst.name: partial}
     if partial.is_dir():
-        below = "" if is_numbered else f"{dst.name}/"
-        new = {f"{below}{name}": partial / name for name in files_below(partial)}
-    present = _present(dst, is_numbered=is_numbered)
-    found = _ruling(dst, present, new, owned, overwrite=overwrite, is_numbered=is_numbered)
-    # A recording is complete when its metadata.yaml, or its first numbered file, is there. So this is removed first,
-    # and uploaded last. Files are replaced in one step.
-    gone = found.removed if is_numbered else [name for name in (*found.removed, *found.replaced) if "/" in name]
+        new = {f"{dst.name}/{name}": partial / name for name in files_below(partial)}
+    present = _present(dst)
+    found = _ruling(dst, present, new, owned, overwrite=overwrite)
+    # A recording is complete when its metadata.yaml is there. So this is removed first, and uploaded last. Files are
+    # replaced in one step.
+    gone = [name for name in (*found.removed, *found.replaced) if "/" in name]
     for name in sorted(gone, key=lambda name: (not name.endswith("/metadata.yaml"), name)):
         (dst.parent / name).remote.delete()
-    order = (
-        parts_among(new, dst.name)[::-1]
-        if is_numbered
-        else sorted(new, key=lambda name: name.endswith("metadata.yaml"))
-    )
     done: list[UrlPath] = []
     try:
-        for name in order:
+        for name in sorted(new, key=lambda name: name.endswith("metadata.yaml")):
             place = dst.parent / name
             if len(new) > 1:
                 done.append(place)
@@ -145,15 +135,11 @@ def _commit(partial: Path, dst: UrlPath, owned: Record | None, *, overwrite: boo
             with suppress(Exception):
                 place.remote.delete()
         raise
-    return found.kept
 
 
-def _present(dst: UrlPath, *, is_numbered: bool) -> dict[str, StoredObject]:
+def _present(dst: UrlPath) -> dict[str, StoredObject]:
     """Return the files at a destination, by their paths relative to its folder."""
     try:
-        if is_numbered:
-            beside = {path.name: path.known() for path in dst.parent.iterdir()}
-            return {name: beside[name] for name in parts_among(beside, dst.name)}
         if dst.is_dir():
             return {f"{dst.name}/{path.relative_to(dst).as_posix()}": path.known() for path in dst.below()}
         return {dst.name: dst.known()}
@@ -168,13 +154,11 @@ def _ruling(
     owned: Record | None,
     *,
     overwrite: bool,
-    is_numbered: bool,
 ) -> Ruling:
     """Return what happens to the files that are there; raise if that is not permitted."""
     record = owned or Record({})
     # Of an upload that was killed, only the name is known.
-    first = parts_among(new, dst.name)[0] if is_numbered else dst.name
-    overwrite = overwrite or record.files.get(first, _UNKNOWN) is None
+    overwrite = overwrite or record.files.get(dst.name, _UNKNOWN) is None
     found = ruling(
         present,
         new,
@@ -186,7 +170,7 @@ def _ruling(
         raise stored_folder_error(dst)
     if found.refused or (found.kept and not overwrite and not record.files):
         raise existing_error(dst.parent / (found.refused or found.kept)[0])
-    if found.kept and not is_numbered:
+    if found.kept:
         raise DestinationError(
             "has something that this batch did not write, or that was changed since, and is not replaced: "
             + name_list(found.kept, 3),

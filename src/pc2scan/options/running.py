@@ -37,19 +37,6 @@ class Container(TypedDict, total=False):
     profile: Annotated[
         str | None, Option(Text(words=("ros1", "ros2")), "ROS version of an .mcap file.", default_text="the source's")
     ]
-    split: Annotated[
-        str | None,
-        Option(
-            Text("TIME|SIZE"),
-            "Write several files, DST_0, DST_1 and so on. Each covers this much log time (60s, 10min, 1h) or has this "
-            "many bytes of messages before compression (500MB, 1GiB).",
-            common=True,
-        ),
-    ]
-    repeat_latched: Annotated[
-        bool,
-        Option(Flag(), "With `split`: repeat latched messages and static transforms at the beginning of each file."),
-    ]
 
 
 class Replacement(TypedDict, total=False):

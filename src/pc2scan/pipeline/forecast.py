@@ -55,11 +55,10 @@ def forecast(
     options: ConvertOptions,
     prepared: Preparation,
     report: Report,
-) -> float:
+) -> None:
     """Fill in a report like a conversion, estimated from the indexes and the first messages.
 
-    Its points and skipped messages are those of the first messages. Returns an estimate of the written messages' bytes
-    before compression.
+    Its points and skipped messages are those of the first messages.
 
     Raises
     ------
@@ -86,7 +85,6 @@ def forecast(
     for each in recording.trajectories:
         each.report.messages_out = each.count
     report.bytes_written = _written_size(reader, target, routes, counts, sizes)
-    return sum((counts.get(key) or 0) * (size.passed + size.made + _INDEXED) for key, size in sizes.items())
 
 
 def _converted_sizes(

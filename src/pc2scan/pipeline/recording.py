@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.destinations import Destination
     from pc2scan.bags.reader import Reader
-    from pc2scan.bags.splitting import Cut
     from pc2scan.model import Buffer, Writer
     from pc2scan.tf.static import StaticTransform
 
@@ -77,15 +76,12 @@ def open_output(
     prepared: Preparation,
     target: Destination,
     options: ConvertOptions,
-    cut: Cut | None,
     writer: Writer | None,
 ) -> OpenRecording:
     """Declare the topics of a recording, and write what comes before all messages.
 
     Parameters
     ----------
-    cut
-        Where the recording is split; None: it is one file.
     writer
         Its writer; None in a dry run.
     """
@@ -122,10 +118,6 @@ def open_output(
         static = frames.static if prepared.found is None else prepared.found.static
         entries.append(_write_static(static, begin_ns, handles[added], target, writer))
     rule = _chunk_rule(routes, target, writer) if copying else None
-    if rule is not None and cut is not None:
-        from pc2scan.bags.splitting import narrow_rule  # noqa: PLC0415  # most recordings are one file
-
-        rule = narrow_rule(rule, cut, reader.connections)
     return OpenRecording(routes, opened.combiners, entries, levels, trajectories, rule, warnings)
 
 

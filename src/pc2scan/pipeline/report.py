@@ -198,7 +198,7 @@ class Report(Result):
 
     kind: ClassVar[str] = "report"
     json_names: ClassVar[tuple[str, ...]] = (
-        *("sources", "destination", "files", "dry_run", "container", "ros_version", "scans", "topics", "skipped"),
+        *("sources", "destination", "dry_run", "container", "ros_version", "scans", "topics", "skipped"),
         *("skipped_count", "messages_read", "messages_declared", "bytes_read", "bytes_written", "seconds"),
     )
 
@@ -218,7 +218,6 @@ class Report(Result):
     dry_run: bool = False
     container: str = ""
     ros_version: int = 0
-    files: list[str] = field(default_factory=list)
     bytes_read: int = 0
     bytes_written: int = 0
     seconds: float = 0.0
@@ -318,10 +317,7 @@ class Report(Result):
             yield self._points(converted)
         yield ""
         written, read = size(self.bytes_written), size(self.bytes_read)
-        is_file = len(self.files) == 1 and not FORMATS[self.container].is_directory
-        place = leading(self.files[0] if is_file else self.destination)
-        if len(self.files) > 1:
-            place += f": {len(self.files)} files, {self.files[0]} to {self.files[-1]}"
+        place = leading(self.destination)
         if self.dry_run:
             frames = [repr(spec.params.target_frame) if spec.params.target_frame else _OWN for spec in self.scans]
             named = ", ".join(dict.fromkeys(frames))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -30,7 +29,6 @@ from pc2scan.errors import (
 from pc2scan.files.places import output_folder
 from pc2scan.files.staging import check_destination, staged_output
 from pc2scan.files.urls import UrlPath, exists
-from pc2scan.model import MAX_ROSBAG2_NS
 from pc2scan.result import tell_early
 from pc2scan.tf.placing import FrameOptions
 from pc2scan.threads import Threads, cores
@@ -51,7 +49,6 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.destinations import Destination
     from pc2scan.bags.reader import Reader
-    from pc2scan.bags.splitting import Cut
     from pc2scan.model import Writer
     from pc2scan.progress import Price, Progress
     from pc2scan.result import Failure
@@ -95,7 +92,7 @@ def run(
         if output.dry_run:
             _estimate(files, reader, plan, target, options, output, stack, report, tell)
             return report
-        with _staging(files, target, output, stack, report) as unfinished:
+        with _staging(files, target, output, stack) as unfinished:
             span = _span_with_messages(reader, plan, options)
             jobs = options.jobs or cores()
             meter = None
@@ -105,10 +102,9 @@ def run(
                 meter = Meter(progress, _price_of(plan, target, jobs))
             prepared = prepare(reader, plan, options, span, stack, tell, meter=meter)
             report.add((), prepared.notes)
-            cut = None if output.cut is None else replace(output.cut, begin_ns=span.first_ns)
-            with _writing(target, unfinished, cut) as writer:
+            with _writing(target, unfinished) as writer:
                 threads = stack.enter_context(Threads(jobs)) if jobs > 1 else None
-                recording = open_output(reader, plan, prepared, target, options, cut, writer)
+                recording = open_output(reader, plan, prepared, target, options, writer)
                 report.topics = recording.entries
                 tell(*recording.warnings)
                 if threads is not None:
@@ -131,10 +127,6 @@ def run(
                 files.refuse_changed()
                 _judge(reader, plan, prepared, recording, target, options, report)
             report.bytes_written = _size_on_disk(unfinished)
-            if cut is not None:
-                from .split import files_in  # noqa: PLC0415  # most recordings are one file
-
-                report.files = files_in(unfinished, target.path)
     return report
 
 
@@ -224,9 +216,9 @@ def report_failure(
 
 
 @contextmanager
-def _writing(target: Destination, unfinished: Path, cut: Cut | None) -> Generator[Writer]:
+def _writing(target: Destination, unfinished: Path) -> Generator[Writer]:
     """Open the destination's writer, and finish the recording, or abort it after an error."""
-    writer = open_writer(target, unfinished, target.path.name, cut)
+    writer = open_writer(target, unfinished, target.path.name)
     try:
         yield writer
         writer.finish()
@@ -236,17 +228,13 @@ def _writing(target: Destination, unfinished: Path, cut: Cut | None) -> Generato
 
 
 def _staging(
-    files: RunFiles, target: Destination, output: OutputOptions, stack: ExitStack, report: Report
+    files: RunFiles, target: Destination, output: OutputOptions, stack: ExitStack
 ) -> AbstractContextManager[Path]:
     """Check the destination and the report's file, and return the context that writes beside the destination first."""
     if output.folder is not None:
         stack.enter_context(output_folder(output.folder))
     files.open_report(stack)
-    if not files.numbered:
-        return staged_output(target.path, overwrite=output.overwrite, owned=output.owned, record_in=recorded_in)
-    from pc2scan.files.parts import staged_parts  # noqa: PLC0415  # most are one file
-
-    return staged_parts(target.path, overwrite=output.overwrite, owned=output.owned, warn=report.warnings.append)
+    return staged_output(target.path, overwrite=output.overwrite, owned=output.owned, record_in=recorded_in)
 
 
 def _estimate(
@@ -264,29 +252,13 @@ def _estimate(
     from .forecast import forecast  # noqa: PLC0415  # dry runs only
 
     files.open_report(stack)
-    if files.numbered and (output.folder is None or output.folder.is_dir()):
-        from pc2scan.files.parts import check_parts  # noqa: PLC0415  # most are one file
-
-        check_parts(target.path, overwrite=output.overwrite)
-    else:
-        check_destination(target.path, overwrite=output.overwrite, record_in=recorded_in, folder=output.folder)
+    check_destination(target.path, overwrite=output.overwrite, record_in=recorded_in, folder=output.folder)
     span = _span_with_messages(reader, plan, options)
     prepared = prepare(reader, plan, options, span, stack, tell)
     report.add((), prepared.notes)
-    recording = open_output(reader, plan, prepared, target, options, None, None)
+    recording = open_output(reader, plan, prepared, target, options, None)
     report.topics = recording.entries
-    size = forecast(reader, target, recording, options, prepared, report)
-    if output.cut is not None:
-        from .split import expected_files  # noqa: PLC0415  # most recordings are one file
-
-        last_ns = min(span.stop_ns or MAX_ROSBAG2_NS, reader.summary.end_ns or span.first_ns)
-        report.files = expected_files(replace(output.cut, begin_ns=span.first_ns), target, last_ns, size)
-        if files.numbered:
-            from pc2scan.files.parts import unrecorded_warning  # noqa: PLC0415
-            from pc2scan.files.places import parts_beside  # noqa: PLC0415
-
-            there = [part.name for part in parts_beside(target.path) if str(part) not in report.files]
-            report.warnings += unrecorded_warning(target.path.name, there)
+    forecast(reader, target, recording, options, prepared, report)
 
 
 def _price_of(plan: Plan, target: Destination, threads: int) -> Price:
@@ -346,7 +318,6 @@ def _target(
         source_ros_version=ros_version,
         is_directory=not is_named or output.storage is not None or names_directory,
     )
-    files.numbered = output.cut is not None and not target.format.storages
     # A recording without ROS messages has no ROS profile.
     if options.repair and ros_version is None and target.format.profiles and output.profile is None:
         return target._replace(profile=summaries[0].profile)

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Mapping, Sequence
     from pathlib import Path
 
-    from pc2scan.bags.splitting import Cut
     from pc2scan.files.records import Record
     from pc2scan.tf.placing import FrameOptions
 
@@ -50,8 +49,6 @@ class OutputOptions(NamedTuple):
         Whether nothing is written, not even the report: the result is only estimated.
     like_source
         Whether a named destination has the storage of the source, like a destination that is named after the source.
-    cut
-        When a new file begins; None for a recording in one file.
     scratch
         Folder of the local copies of what is at URLs; None: the system's folder for temporary files.
     """
@@ -66,7 +63,6 @@ class OutputOptions(NamedTuple):
     to: str | None = None
     dry_run: bool = False
     like_source: bool = False
-    cut: Cut | None = None
     scratch: Path | None = None
 
 
@@ -93,8 +89,6 @@ class RunFiles:
         self._inputs = inputs_of(sources, frames.tf_from, also_read)
         self._states = [state_of(path) for path in self.read]
         self._output = output
-        #: Whether the destination becomes numbered files.
-        self.numbered = False
         self._write_report: Callable[[str], None] | None = None
 
     def open_report(self, stack: ExitStack) -> None:
@@ -104,7 +98,7 @@ class RunFiles:
         """
         output, path = self._output, self._output.report
         report = [] if path is None else [OutputPath(path, "`report`")]
-        destination = [] if self.destination is None else [OutputPath(self.destination, numbered=self.numbered)]
+        destination = [] if self.destination is None else [OutputPath(self.destination)]
         refuse_overlap(self._inputs, [*destination, *report])
         if path is None:
             return

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.formats import WriteOptions, storages
 from pc2scan.bags.qos import MAX_CHARACTERS, respell_qos
@@ -15,21 +15,12 @@ from pc2scan.model import MAX_ROSBAG2_NS, Connection, Metadata
 from .metadata import METADATA_NAME, RECORD_NAME, ROOT, WRITTEN_VERSION
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping, Sequence
+    from collections.abc import Callable, Collection, Mapping
     from pathlib import Path
 
     from pc2scan.bags.mcap.write import McapWriter
-    from pc2scan.bags.splitting import Cut, RecordingPart, SplitWriter
-    from pc2scan.model import Attachment, Buffer, StoredChunk, Writer
+    from pc2scan.model import Attachment, Buffer, StoredChunk
     from pc2scan.threads import Threads
-
-
-class _File(NamedTuple):
-    """A storage file, its messages by handle, and its first and last log time."""
-
-    path: Path
-    counts: Mapping[int, int]
-    span_ns: tuple[int, int] | None
 
 
 def open_writer(path: Path, options: WriteOptions) -> Rosbag2Writer:
@@ -39,7 +30,6 @@ def open_writer(path: Path, options: WriteOptions) -> Rosbag2Writer:
         options.name,
         storage=options.storage,
         compression=options.compression,
-        cut=options.cut,
     )
 
 
@@ -52,7 +42,7 @@ def open_mcap_storage(path: Path, options: WriteOptions) -> tuple[McapWriter, Ca
 
 
 class Rosbag2Writer:
-    """Writes a rosbag2 directory, with one storage file or several; see `pc2scan.model.Writer`.
+    """Writes a rosbag2 directory with one storage file; see `pc2scan.model.Writer`.
 
     Nothing in it depends on the machine: ``ros_distro`` is empty.
 
@@ -69,13 +59,6 @@ class Rosbag2Writer:
         ``zstd``, message by message.
     custom_data
         For metadata.yaml.
-    cut
-        Where a new file begins; None for one file.
-
-    Attributes
-    ----------
-    info
-        What metadata.yaml says, once the recording is finished.
 
     Raises
     ------
@@ -91,7 +74,6 @@ class Rosbag2Writer:
         storage: str = "mcap",
         compression: str = "none",
         custom_data: Mapping[str, str] | None = None,
-        cut: Cut | None = None,
     ) -> None:
         self._path = path
         self._storage_name = storage
@@ -107,21 +89,8 @@ class Rosbag2Writer:
             raise self._write_error(err) from err
         options = WriteOptions(name=name, compression=compression)
         assert entry.open_storage is not None
-        open_storage = entry.open_storage
-
-        def open_part(file: Path) -> tuple[Writer, Callable[[RecordingPart | _File], None]]:
-            storage, keep_info = open_storage(file, options)
-            # Each file repeats metadata.yaml's content for itself.
-            return storage, lambda part: keep_info(dump_yaml(self._info([part])).rstrip("\n"))
-
-        self._split: SplitWriter | None = None
         self._file = path / f"{name}_0{entry.suffix}"
-        if cut is None:
-            self._storage, self._keep_info = open_part(self._file)
-        else:
-            from pc2scan.bags.splitting import SplitWriter  # noqa: PLC0415  # most recordings are one file
-
-            self._storage = self._split = SplitWriter(lambda n: path / f"{name}_{n}{entry.suffix}", open_part, cut)
+        self._storage, self._keep_info = entry.open_storage(self._file, options)
 
     def keep_ids(self, connections: Collection[Connection]) -> None:
         """Reserve the ids of these connections, so that they keep them when they are declared."""
@@ -164,16 +133,16 @@ class Rosbag2Writer:
             )
         self._storage.write(handle, log_time_ns, data, publish_time_ns, sequence)
         self._counts[handle] += 1
-        self._extend(log_time_ns, log_time_ns)
+        self._include(log_time_ns, log_time_ns)
 
     def write_chunk(self, chunk: StoredChunk) -> None:
         """Append a whole chunk, if the storage is MCAP."""
         self._storage.write_chunk(chunk)
         for handle, entries in chunk.index.items():
             self._counts[handle] += len(entries)
-        self._extend(*chunk.span_ns())
+        self._include(*chunk.span_ns())
 
-    def _extend(self, first_ns: int, last_ns: int) -> None:
+    def _include(self, first_ns: int, last_ns: int) -> None:
         earliest_ns, latest_ns = self._span_ns or (first_ns, last_ns)
         self._span_ns = (min(earliest_ns, first_ns), max(latest_ns, last_ns))
 
@@ -188,37 +157,41 @@ class Rosbag2Writer:
 
     def finish(self) -> None:
         """Finish the storage, write metadata.yaml, and put everything on the disk."""
-        parts: Sequence[RecordingPart | _File] = [_File(self._file, self._counts, self._span_ns)]
-        if self._split is None:
-            self._keep_info(parts[0])
+        info = self._info()
+        # The file repeats metadata.yaml's content.
+        self._keep_info(dump_yaml(info).rstrip("\n"))
         self._storage.finish()
-        if self._split is not None:
-            parts = self._split.parts
-        _write_info(self._path, self._info(parts))
+        _write_info(self._path, info)
 
     def abort(self) -> None:
         """Release the storage; the caller removes the directory."""
         self._storage.abort()
 
-    def _info(self, parts: Sequence[RecordingPart | _File]) -> dict[str, Any]:
+    def _info(self) -> dict[str, Any]:
         packed = self._message_compression != "none"
         return {
             "version": WRITTEN_VERSION,
             "storage_identifier": self._storage_name,
-            **_extent(parts),
+            **self._extent(),
             "topics_with_message_count": [
-                {
-                    "topic_metadata": self._topic(connection),
-                    "message_count": sum(part.counts.get(handle, 0) for part in parts),
-                }
+                {"topic_metadata": self._topic(connection), "message_count": self._counts[handle]}
                 for handle, connection in self._connections.items()
             ],
             "compression_format": self._message_compression if packed else "",
             "compression_mode": "MESSAGE" if packed else "",
-            "relative_file_paths": [part.path.name for part in parts],
-            "files": [{"path": part.path.name, **_extent([part])} for part in parts],
+            "relative_file_paths": [self._file.name],
+            "files": [{"path": self._file.name, **self._extent()}],
             "custom_data": self._custom_data or None,
             "ros_distro": "",
+        }
+
+    def _extent(self) -> dict[str, Any]:
+        """Return the times and the number of messages."""
+        first_ns, last_ns = self._span_ns or (MAX_ROSBAG2_NS, MAX_ROSBAG2_NS)
+        return {
+            "duration": {"nanoseconds": last_ns - first_ns},
+            "starting_time": {"nanoseconds_since_epoch": first_ns},
+            "message_count": sum(self._counts.values()),
         }
 
     def _topic(self, connection: Connection) -> dict[str, Any]:
@@ -254,15 +227,3 @@ def _write_info(folder: Path, info: Mapping[str, Any]) -> None:
         sync_directory(folder)
     except OSError as err:
         raise OutputError(f"cannot be written: {err.strerror}", path=folder) from err
-
-
-def _extent(parts: Sequence[RecordingPart | _File]) -> dict[str, Any]:
-    """Return the times and the number of messages of files."""
-    spans = [part.span_ns for part in parts if part.span_ns is not None]
-    first_ns = min((first for first, _ in spans), default=MAX_ROSBAG2_NS)
-    last_ns = max((last for _, last in spans), default=MAX_ROSBAG2_NS)
-    return {
-        "duration": {"nanoseconds": last_ns - first_ns},
-        "starting_time": {"nanoseconds_since_epoch": first_ns},
-        "message_count": sum(sum(part.counts.values()) for part in parts),
-    }
