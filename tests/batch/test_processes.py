@@ -50,8 +50,8 @@ def test_processes_convert_as_this_process_does(tmp_path: Path) -> None:
     assert (report.exit_status, report.counts) == (3, {"incomplete": 1, "converted": 2})
     assert "1 incomplete, 2 converted" in str(report)
     assert seen[-1].recordings_done == seen[-1].recordings_total == 3
-    assert seen[-1].work_done == seen[-1].work_total
-    assert all(0 <= each.work_done <= each.work_total for each in seen)
+    assert seen[-1].bytes_done == seen[-1].bytes_total
+    assert all(0 <= each.bytes_done <= each.bytes_total for each in seen)
 
 
 @pytest.mark.parametrize(("count", "kills"), sampled([(42, 1), (200, 5)], 1))

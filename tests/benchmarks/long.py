@@ -2,7 +2,7 @@
 
 A hole is read as zeros: points at the origin, which are no returns. All else is as recorders write it: chunks, their
 indexes and checksums, and the summary. What points cost is measured with shorter recordings of scanned ones. Run it
-with ``python tests/benchmarks/long.py`` to print memory, time, and how true the progress is.
+with ``python tests/benchmarks/long.py`` to print memory and time.
 """
 
 from __future__ import annotations
@@ -13,23 +13,17 @@ import re
 import struct
 import subprocess
 import sys
-import time
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from itertools import accumulate, pairwise
 from pathlib import Path
-from shutil import rmtree
-from statistics import fmean
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 from unittest import mock
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.clouds import POINT_BYTES, serialized_clouds
-from pc2scan import convert
 from pc2scan.bags.destinations import open_writer, plan_destination
-from pc2scan.cli.time_left import TimeLeft
 from pc2scan.files.new_file import NewFile
 from pc2scan.messages.definitions import TYPES, definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
@@ -202,137 +196,15 @@ _COMMANDS = {
 }
 
 
-_ZSTD, _NONE = Long(_CLOUDS, compression="zstd"), Long(_CLOUDS)
-_ODOM = {"target_frame": "base_link"}
-
-#: What is converted to see whether the time left is true: the recording of a gigabyte, and the options. ``start`` is a
-#: share. Scanned points and databases take room: at most `_LARGEST` gigabytes.
-_PROGRESSES: dict[str, tuple[str, Long, dict[str, Any]]] = {
-    "MCAP, zstd": ("long.mcap", _ZSTD, {}),
-    "MCAP, zstd, the second half, `--start`": ("long.mcap", _ZSTD, {"start": 0.5}),
-    "MCAP, zstd, `--target-frame`": ("long.mcap", _ZSTD, _ODOM),
-    "MCAP, zstd, no clouds in the first half": ("long.mcap", replace(_ZSTD, quiet=_CLOUDS // 2), {}),
-    "MCAP, zstd, clouds of 1 MB, `--target-frame`": (
-        "long.mcap",
-        replace(_ZSTD, clouds=4 * _CLOUDS, points=32_768),
-        _ODOM,
-    ),
-    "MCAP, lz4, clouds of 1 MB, `--target-frame`": (
-        "long.mcap",
-        replace(_ZSTD, clouds=4 * _CLOUDS, points=32_768, compression="lz4"),
-        _ODOM,
-    ),
-    "MCAP, none": ("long.mcap", _NONE, {}),
-    "MCAP, none, `--target-frame`": ("long.mcap", _NONE, _ODOM),
-    "MCAP, none, clouds of 0.5 MB, `--target-frame`": (
-        "long.mcap",
-        replace(_NONE, clouds=8 * _CLOUDS, points=16_384),
-        _ODOM,
-    ),
-    "ROS 1, none, no clouds in the first half": ("long.bag", replace(_NONE, quiet=_CLOUDS // 2), {}),
-    "sqlite3, clouds of 0.5 MB, `--target-frame`": ("long", replace(_NONE, clouds=8 * _CLOUDS, points=16_384), _ODOM),
-    "MCAP, zstd, to ROS 1": ("long.mcap", _ZSTD, {"destination": "scans.bag"}),
-    "MCAP, zstd, scanned, `--target-frame`": ("long.mcap", replace(_ZSTD, scanned=True), _ODOM),
-    "MCAP, zstd, scanned, no clouds in the first half": (
-        "long.mcap",
-        replace(_ZSTD, scanned=True, quiet=_CLOUDS // 2),
-        {},
-    ),
-    "MCAP, zstd, scanned, clouds of 1 MB, `--target-frame`": (
-        "long.mcap",
-        replace(_ZSTD, scanned=True, clouds=4 * _CLOUDS, points=32_768),
-        _ODOM,
-    ),
-    "MCAP, zstd, scanned, clouds of 0.5 MB, `--target-frame`": (
-        "long.mcap",
-        replace(_ZSTD, scanned=True, clouds=8 * _CLOUDS, points=16_384),
-        _ODOM,
-    ),
-    "MCAP, lz4, scanned, clouds of 0.5 MB, `--target-frame`": (
-        "long.mcap",
-        replace(_ZSTD, scanned=True, clouds=8 * _CLOUDS, points=16_384, compression="lz4"),
-        _ODOM,
-    ),
-    "ROS 1, lz4, scanned, `--target-frame`": (
-        "long.bag",
-        replace(_NONE, scanned=True, compression="lz4"),
-        _ODOM,
-    ),
-    "MCAP, lz4, scanned, clouds of 0.5 MB, `--target-frame --keep-clouds`": (
-        "long.mcap",
-        replace(_ZSTD, scanned=True, clouds=8 * _CLOUDS, points=16_384, compression="lz4"),
-        {**_ODOM, "keep_clouds": True},
-    ),
-}
-
-_LARGEST = 4
-
-
-class Step(NamedTuple):
-    """A report of the progress, and the processor time at which it came, seconds."""
-
-    done: int
-    total: int
-    messages: int
-    time: float
-
-
-def progress_of(source: Path, destination: Path, **options: Any) -> list[Step]:
-    """Convert on one thread, and return what is reported; the last step has the time of the end."""
-    steps: list[Step] = []
-
-    def progress(done: int, total: int, messages: int) -> None:
-        steps.append(Step(done, total, messages, time.process_time()))
-
-    convert(source, destination, min_height=-2, jobs=1, overwrite=True, progress=progress, **options)
-    return [*steps, steps[-1]._replace(time=time.process_time())]
-
-
-def steady(steps: Sequence[Step]) -> list[Step]:
-    """Return the steps with the times of a machine on which equal work always takes as long: its mean time here."""
-    pairs = [
-        (before, after, (after.messages > 0, f"{after.done - before.done:.1e}")) for before, after in pairwise(steps)
-    ]
-    times: dict[object, list[float]] = {}
-    for before, after, kind in pairs:
-        times.setdefault(kind, []).append(after.time - before.time)
-    ends = accumulate((fmean(times[kind]) for _, _, kind in pairs), initial=steps[0].time)
-    return [step._replace(time=end) for step, end in zip(steps, ends, strict=True)]
-
-
-def largest_errors(steps: Sequence[Step]) -> tuple[float, float]:
-    """Return the largest errors of the progress after a tenth of the time.
-
-    Returns
-    -------
-    share, end : float
-        Of the share that is done, and of the time at which the run is said to end, as shares of the whole time.
-    """
-    left, found = TimeLeft(), []
-    begin, length = steps[0].time, steps[-1].time - steps[0].time
-    for done, total, _, now in steps:
-        passed = (now - begin) / length
-        seconds = left.seconds(done, total, now) or 0
-        if passed > 0.1:  # a tenth
-            found.append((done / total - passed, passed + seconds / length - 1))
-    share, end = (max(errors, key=abs) for errors in zip(*found, strict=True))
-    return share, end
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--gb", type=int, nargs="*", default=[1, 10, 100], help="sizes (default: 1 10 100)")
-    parser.add_argument("--only", choices=["memory", "progress"], help="one of the tables")
-    parser.add_argument("--repeat", type=int, default=2, help="how often the progress is measured (default: 2)")
     parser.add_argument("--folder", type=Path, help="where the recordings are written meanwhile")
     asked = parser.parse_args()
     # As the command does: else half of the time of lz4 is spent on pages of memory that malloc gives back.
     keep_freed_memory()
     with TemporaryDirectory(dir=asked.folder) as folder:
-        if asked.only != "progress":
-            _print_memory(Path(folder), asked.gb)
-        if asked.only != "memory":
-            _print_progress(Path(folder), max(asked.gb), asked.repeat)
+        _print_memory(Path(folder), asked.gb)
 
 
 def _print_memory(folder: Path, sizes: Sequence[int]) -> None:
@@ -350,27 +222,6 @@ def _print_memory(folder: Path, sizes: Sequence[int]) -> None:
             source.unlink()
         for command, own in cells.items():
             print(f"| {form} | {command} |", " | ".join(own), "|", flush=True)  # noqa: T201
-
-
-def _print_progress(folder: Path, gigabytes: int, repeat: int) -> None:
-    print("\n| converted | share done | predicted end | as steady: share done | predicted end |")  # noqa: T201
-    print("|---|---:|---:|---:|---:|")  # noqa: T201
-    for what, (name, short, asked) in _PROGRESSES.items():
-        size = min(gigabytes, _LARGEST) if short.scanned or name == "long" else gigabytes
-        long, options = short.times(size), dict(asked)
-        if "start" in options:
-            options["start"] *= long.clouds / 10  # seconds
-        destination = folder / options.pop("destination", "scans.mcap")
-        source = long.write(folder / name)
-        # What else the machine does only adds errors.
-        runs = [progress_of(source, destination, **options) for _ in range(repeat)]
-        best = min(runs, key=lambda steps: max(map(abs, largest_errors(steps))))
-        cells = [f"{error:+.1%}" for steps in (best, steady(best)) for error in largest_errors(steps)]
-        print(f"| {what}, {size} GB |", " | ".join(cells), "|", flush=True)  # noqa: T201
-        if source.is_dir():
-            rmtree(source)
-        else:
-            source.unlink()
 
 
 if __name__ == "__main__":

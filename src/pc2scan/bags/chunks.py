@@ -273,8 +273,6 @@ def segment_units(
             is_quick=segment.compression == "none" and segment.uncompressed_size < _WORTH_A_THREAD,
             may_be_whole=bool(whole[place]),
             extent=Extent(file, segment.offset, segment.length),
-            messages=segment.message_count or 0,
-            compression=segment.compression,
             end_ns=segment.end_ns,
             connection_ids=segment.connection_ids,
         )

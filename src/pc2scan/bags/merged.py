@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.model import Attachment, ChunkRule, Connection, Metadata, RawMessage
-    from pc2scan.progress import Price
 
     from .damage import Damage
     from .units import Item, Load, Loaded, Unit
@@ -105,19 +104,6 @@ class MergedReader(Reader):
         if self._unchanged:
             return self._readers[0].units(connections, start_ns, stop_ns, rule)
         return _units_in_turn(self._sources(connections, start_ns, stop_ns, rule))
-
-    def work(
-        self,
-        price: Price,
-        connections: Collection[Connection] | None = None,
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
-    ) -> int:
-        """Return how much work these messages of all sources are."""
-        if self._unchanged:
-            return self._readers[0].work(price, connections, start_ns, stop_ns)
-        sources = self._sources(connections, start_ns, stop_ns, None)
-        return sum(source.reader.work(price, *source.selection[:3]) for source in sources)
 
     def _sources(
         self,

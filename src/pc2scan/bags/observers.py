@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 
     from pc2scan.model import Connection
-    from pc2scan.progress import Meter, Price
+    from pc2scan.progress import Meter
 
     from .reader import Reader
     from .units import Loaded, Unit
@@ -193,15 +193,15 @@ class _Seen(NamedTuple):
     values: Sequence[tuple[Observer[Any], Any]]
 
 
-def _work_of(price: Price, reader: Reader, observers: Iterable[Observer[Any]]) -> int:
-    """Return how much work it is to show all messages to those observers that want all; the others want few."""
+def _bytes_for(reader: Reader, observers: Iterable[Observer[Any]]) -> int:
+    """Return how many bytes are read for those observers that want all messages; the others want few."""
     lasting = [each for each in observers if each.most is None and each.spread is None and each.is_needless is None]
     starts, stops = ([getattr(each, name) for each in lasting] for name in ("start_ns", "stop_ns"))
     connections = {connection.id: connection for each in lasting for connection in each.connections}
     if not connections:
         return 0
     start_ns, stop_ns = None if None in starts else min(starts), None if None in stops else max(stops)
-    return reader.work(price, list(connections.values()), start_ns, stop_ns)
+    return reader.stored_bytes(list(connections.values()), start_ns, stop_ns)
 
 
 def observe(*asked: tuple[Reader, Sequence[Observer[Any]]], meter: Meter | None = None) -> None:
@@ -212,10 +212,10 @@ def observe(*asked: tuple[Reader, Sequence[Observer[Any]]], meter: Meter | None 
     asked
         Each recording, and what takes its messages.
     meter
-        Counts the work; None: nothing is reported.
+        Counts the bytes; None: nothing is reported.
     """
     if meter is not None:
-        meter.expect(sum(_work_of(meter.ahead, *each) for each in asked) + meter.following)
+        meter.expect(sum(_bytes_for(*each) for each in asked) + meter.following)
     for reader, observers in asked:
         for _ in observing(reader, observers, meter):
             pass
@@ -232,7 +232,7 @@ def observing(reader: Reader, observers: Iterable[Observer[Any]], meter: Meter |
     reader, observers
         The recording, and what takes its messages.
     meter
-        Gets the work of each unit that was read; None: nothing is reported.
+        Gets the bytes of each unit that was read; None: nothing is reported.
 
     Raises
     ------
@@ -286,7 +286,7 @@ def _observe_together(reader: Reader, observers: Sequence[Observer[Any]], meter:
         if not is_wanted(unit):
             return []
         if meter is not None:
-            meter.add(unit.work(meter.ahead))
+            meter.add(unit.stored)
         return unit.load(callback, whole=whole)
 
     sort_out()

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.model import Attachment, ChunkRule, Connection, Metadata, RawMessage, Summary
-    from pc2scan.progress import Price
 
     from .damage import Damage, DamageLog
     from .units import Unit
@@ -93,23 +92,15 @@ class Reader(ABC):
             By connection id. A missing connection can only be counted by reading its messages.
         """
 
-    def work(
-        self,
-        price: Price,
-        connections: Collection[Connection] | None = None,
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
+    def stored_bytes(
+        self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
     ) -> int:
-        """Return how much work these messages are: that of all their units, for progress.
-
-        Parameters
-        ----------
-        price
-            What is done with them.
-        connections, start_ns, stop_ns
-            See `units`.
-        """
-        return sum(unit.work(price) for unit in self.units(connections, start_ns, stop_ns))
+        """Return about how many bytes of the file are read for these messages, for progress; see `units`."""
+        if self.has_chunks:
+            return sum(unit.stored for unit in self.units(connections, start_ns, stop_ns))
+        # To list the rows of a database is to read them.
+        messages = sum(self.counts(connections, start_ns, stop_ns).values())
+        return self.summary.size_bytes * messages // max(1, self.summary.message_count or 0)
 
     @abstractmethod
     def close(self) -> None:
@@ -182,16 +173,6 @@ class WrappedReader(Reader):
     ) -> Iterable[Unit]:
         """See `Reader`."""
         return self._inner.units(connections, start_ns, stop_ns, rule)
-
-    def work(
-        self,
-        price: Price,
-        connections: Collection[Connection] | None = None,
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
-    ) -> int:
-        """See `Reader`."""
-        return self._inner.work(price, connections, start_ns, stop_ns)
 
     def counts(
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None

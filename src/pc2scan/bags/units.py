@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.files.source import SourceFile
-    from pc2scan.progress import Price
 
 #: Limit of loaded units; beyond it, those needed last are dropped and later loaded again.
 MAX_OPEN_BYTES = 96 << 20
@@ -222,10 +221,6 @@ class Unit(NamedTuple):
         Its place in a file; None if it is not in one piece.
     is_in_memory
         Whether it takes its memory as soon as it is listed, as the rows of a database do.
-    messages
-        How many messages it has; 0 if that is unknown. For progress only.
-    compression
-        How it is stored: ``none``, ``bz2``, ``lz4`` or ``zstd``. For progress only.
     end_ns
         Log time of its last message, or later; None if that is unknown.
     connection_ids
@@ -240,17 +235,13 @@ class Unit(NamedTuple):
     may_be_whole: bool = False
     extent: Extent | None = None
     is_in_memory: bool = False
-    messages: int = 0
-    compression: str = "none"
     end_ns: int | None = None
     connection_ids: frozenset[int] | None = None
 
-    def work(self, price: Price) -> int:
-        """Return how much work it is at a price."""
-        stored = None if self.extent is None else self.extent.length
-        return price.of(
-            self.size, stored, self.messages, self.compression, are_rows=self.is_in_memory, is_quick=self.is_quick
-        )
+    @property
+    def stored(self) -> int:
+        """Its bytes in the file, or those of its messages if it is not in one piece."""
+        return self.size if self.extent is None else self.extent.length
 
     @property
     def due(self) -> tuple[int, tuple[int, ...]]:

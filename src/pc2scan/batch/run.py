@@ -103,14 +103,10 @@ class BatchOptions:
 
 
 class BatchProgress(NamedTuple):
-    """The progress of a batch: work (see `pc2scan.progress.Price`) and recordings, done and in total.
+    """The progress of a batch: bytes and recordings, done and in total."""
 
-    The work of recordings that have not begun is estimated by their bytes; so the total changes. Workers for which no
-    recording is left count as if they worked.
-    """
-
-    work_done: int
-    work_total: int
+    bytes_done: int
+    bytes_total: int
     recordings_done: int
     recordings_total: int
 
@@ -308,13 +304,6 @@ def _source_checksum(found: Recording) -> str:
 # --- Converting ---
 
 
-#: Of a recording that has not said how much work it is.
-_NOTHING_SAID = (0, 0, 0)
-
-#: The rest of a batch is planned again after so much of its work; it may have very many recordings.
-_PLANNED_AGAIN = 1 / 1000
-
-
 def _busiest(running: Iterable[float], waiting: Iterable[float], workers: int) -> float:
     """Return how much work the worker has that ends last, if each that is idle takes the next recording.
 
@@ -336,86 +325,34 @@ def _busiest(running: Iterable[float], waiting: Iterable[float], workers: int) -
 
 
 class _Progress:
-    """Adds up the progress of all conversions: the work that is done of each, and which have ended.
-
-    A recording says how much work it is when it has begun; the others are as much for their bytes as those together.
-    Workers for which no recording is left count as if they worked: so the same work always takes the same time.
+    """Adds up the progress of all conversions: the bytes that are read of each, and which have ended.
 
     Parameters
     ----------
     sizes
-        The bytes of each recording, in the order in which they are begun.
-    workers
-        How many are converted at a time.
+        The bytes of each recording.
     watch
         Gets the reports.
     """
 
-    def __init__(self, sizes: Mapping[str, int], workers: int, watch: BatchCallbacks) -> None:
-        self.workers = workers
+    def __init__(self, sizes: Mapping[str, int], watch: BatchCallbacks) -> None:
         self._sizes = sizes
-        self._bytes = sum(sizes.values())
         self._watch = watch
-        self._waiting = dict(sizes)
-        self._running: set[str] = set()
-        self._ended: set[str] = set()
-        #: Of each recording that has said how much work it is: the work that is done, the work in all, and its bytes.
-        self._said: dict[str, tuple[int, int, int]] = {}
-        #: The sums of these, which are kept because a batch may have very many recordings.
-        self._sums = _NOTHING_SAID
-        #: The work that idle workers would have done so far.
-        self._idle = 0.0
-        #: The work that was done when the rest was planned, and the work of all recordings.
-        self._planned = (0, 0)
-        #: All work, with what idle workers would have done at the end.
-        self._total = 0
+        self._read = dict.fromkeys(sizes, 0)
+        self._done = self._ended = 0
+        self._total = sum(sizes.values())
 
-    def begin(self, key: str) -> None:
-        """Report that a recording begins, for the first time or again."""
-        self._waiting.pop(key, None)
-        self._running.add(key)
-        self._say(key, _NOTHING_SAID)
-
-    def at(self, key: str, done: int, work: int) -> None:
-        """Report how much of the work on a recording is done."""
-        self._say(key, (done, work, self._sizes[key]) if work else self._said.get(key, _NOTHING_SAID))
+    def at(self, key: str, done: int, total: int) -> None:
+        """Report how much of a recording is read; it may begin again."""
+        read = self._sizes[key] * done // max(1, total)
+        self._done += read - self._read[key]
+        self._read[key] = read
+        self._watch.progress(BatchProgress(self._done, self._total, self._ended, len(self._sizes)))
 
     def end(self, key: str) -> None:
         """Report that a recording has ended."""
-        self._waiting.pop(key, None)
-        self._running.discard(key)
-        self._ended.add(key)
-        _, work, _ = self._said.get(key, _NOTHING_SAID)
-        work = work or round(self._sizes[key] * self._work_per_byte())
-        self.at(key, work, work)
-
-    def _work_per_byte(self) -> float:
-        _, work, known = self._sums
-        return work / known if known else 1.0
-
-    def _say(self, key: str, said: tuple[int, int, int]) -> None:
-        before, self._said[key] = self._said.get(key, _NOTHING_SAID), said
-        done, work, known = (each + now - old for each, now, old in zip(self._sums, said, before, strict=True))
-        self._sums = done, work, known
-        if self._running and said[0] > before[0]:
-            self._idle += (said[0] - before[0]) * max(0.0, self.workers / len(self._running) - 1)
-        done += round(self._idle)
-        work += round((self._bytes - known) * self._work_per_byte())
-        changed = max(abs(now - then) for now, then in zip((done, work), self._planned, strict=True))
-        if changed >= work * _PLANNED_AGAIN or len(self._ended) == len(self._sizes):
-            self._planned = done, work
-            self._total = done + round(self.workers * self._rest())
-        done = min(done, self._total)
-        self._watch.progress(BatchProgress(done, self._total, len(self._ended), len(self._sizes)))
-
-    def _rest(self) -> float:
-        """Return how much work is left for the worker that ends last."""
-        per_byte = self._work_per_byte()
-        running = []
-        for key in self._running:
-            done, work, _ = self._said.get(key, _NOTHING_SAID)
-            running.append(work - done if work else self._sizes[key] * per_byte)
-        return _busiest(running, (size * per_byte for size in self._waiting.values()), self.workers)
+        self._ended += 1
+        self.at(key, 1, 1)
 
 
 class _Batch:
@@ -534,7 +471,7 @@ class _Batch:
 
     def _run(self, jobs: Sequence[Job]) -> None:
         """Run jobs, and handle their events in the order in which they come."""
-        progress = _Progress({job.key: job.size_bytes for job in jobs}, self.workers, self.watch)
+        progress = _Progress({job.key: job.size_bytes for job in jobs}, self.watch)
         events = self._executor(
             jobs, workers=self.workers, cores=cores(), retries=self._options.retries, lock=self._folder.lock
         )
@@ -543,16 +480,16 @@ class _Batch:
                 match what:
                     case "begun":
                         self._folder.begin(self._steps[key].output)
-                        progress.begin(key)
+                        progress.at(key, 0, 1)
                     case "progress":
                         progress.at(key, *value)
                     case "died":
-                        progress.begin(key)
+                        progress.at(key, 0, 1)
                         self.watch.warn(f"{key}: {value}; it is tried again")
                     case "told":
                         self.watch.inform(value)
                     case "workers":
-                        self.workers = progress.workers = min(max(1, value), len(jobs))
+                        self.workers = min(max(1, value), len(jobs))
                     case "done":
                         if value.disk_is_full:
                             raise self._disk_is_full(value.error["message"], value.error["path"])

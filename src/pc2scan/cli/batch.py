@@ -128,6 +128,6 @@ def _progress_bar(*, enabled: bool) -> Iterator[Callable[[BatchProgress], None]]
 
         def update(now: BatchProgress) -> None:
             if show_bar is not None:
-                show_bar(now.work_done, now.work_total, now.recordings_done, now.recordings_total)
+                show_bar(now.bytes_done, now.bytes_total, now.recordings_done, now.recordings_total)
 
         yield update

@@ -12,7 +12,6 @@ import os
 import re
 import shlex
 import sys
-import time
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -182,35 +181,32 @@ def progress_bar(
 ) -> Iterator[Callable[..., None] | None]:
     """Show the share done, a text and the time left on a terminal; yields the function that updates the bar, or None.
 
-    The function takes the work done so far, the total work, and the numbers in the text, by default the messages.
+    The function takes what is done so far, what there is in all, and the numbers in the text, by default the messages.
     """
     if not enabled or not sys.stderr.isatty():
         yield None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
-
-    from .time_left import TimeLeft, shown
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
     names = names or ("messages",)
     with Progress(
         BarColumn(),
         TaskProgressColumn(),
         TextColumn(text),
-        TextColumn("{task.fields[left]}"),
+        TimeRemainingColumn(),
+        TextColumn("left"),
         console=Console(stderr=True),
         transient=True,
         # `Screen` writes lines above the bar, fitted to the terminal; rich would write them as they are.
         redirect_stdout=False,
         redirect_stderr=False,
     ) as bar:
-        fields: dict[str, Any] = {**dict.fromkeys(names, 0), "left": shown(None)}
+        fields: dict[str, Any] = dict.fromkeys(names, 0)
         task = bar.add_task("", total=None, **fields)
-        left = TimeLeft()
 
         def update(done: int, total: int, *numbers: int) -> None:
             fields.update(zip(names, numbers, strict=True))
-            fields["left"] = shown(left.seconds(done, total, time.monotonic()))
             bar.update(task, completed=done, total=total, **fields)
 
         yield update

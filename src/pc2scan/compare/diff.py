@@ -13,11 +13,10 @@ from itertools import groupby
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.opening import open_recording
-from pc2scan.bags.reader import Reader
 from pc2scan.errors import DecodeError, TopicError, UsageError, name_list
 from pc2scan.messages.schema import canonical_type
 from pc2scan.messages.transcode import transcoder
-from pc2scan.progress import AHEAD, Meter
+from pc2scan.progress import Meter
 from pc2scan.text import did_you_mean
 
 from .match import OpenRecording, TopicStream, header_stamp_ns, match_messages, read_into_memory
@@ -33,11 +32,6 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Buffer, Connection, RawMessage
     from pc2scan.progress import Progress
-
-
-def _work_of(pair: tuple[TopicStream, TopicStream]) -> int:
-    """Return how much work it is to read a topic of both recordings."""
-    return sum(each.source.work(AHEAD, each.connections) for each in pair if isinstance(each.source, Reader))
 
 
 #: If there are more topics of scans or clouds, they are read together, because one after the other takes too long.
@@ -80,7 +74,7 @@ def diff(
     Parameters
     ----------
     progress
-        Called regularly; see `pc2scan.progress.Progress`. The messages are pairs.
+        Called regularly with the pairs of messages that are compared, the pairs in all, and those again.
     """
     if b is None and not (topics and all(pair.a != pair.b for pair in topics)):
         raise UsageError(
@@ -131,11 +125,10 @@ def diff_sources(
     result = Difference(str(a.path), str(b.path))
     asked = pair_streams(a, b, topics)
     others = [] if topics and not all_topics else _topics_of_type(a, b, decoded=False, without=topics)
-    works = [0] * len(asked) if meter is None else list(map(_work_of, asked))
     if meter is not None:
-        meter.expect(sum(works))
-    for pair, work in zip(_read_into_memory(asked) if len(asked) > _MANY_TOPICS else asked, works, strict=True):
-        _compare([pair], rules, result, meter, work)
+        meter.expect(sum(max(map(_messages_of, pair)) for pair in asked))
+    for pair in _read_into_memory(asked) if len(asked) > _MANY_TOPICS else asked:
+        _compare([pair], rules, result, meter)
     if meter is not None:
         meter.finish()
     if all_topics:
@@ -218,19 +211,23 @@ def _topics_of_type(
     return pairs
 
 
+def _messages_of(stream: TopicStream) -> int:
+    """Return how many messages a topic has; those are 0 that its recording does not count."""
+    return sum(connection.message_count or 0 for connection in stream.connections)
+
+
 def _compare(
     pairs: Sequence[tuple[TopicStream, TopicStream]],
     rules: Rules,
     result: Difference,
     meter: Meter | None = None,
-    work: int = 0,
 ) -> None:
     """Compare topics: scans and clouds topic by topic, all others in one pass.
 
     Parameters
     ----------
-    meter, work
-        Gets this much work in equal parts while the pairs of scans or clouds are compared.
+    meter
+        Counts the pairs of scans or clouds.
     """
     others = []
     for one, other in pairs:
@@ -240,7 +237,7 @@ def _compare(
         if all(kinds) and (kinds[0] != kinds[1] or len(kinds[0]) > 1):
             entry.change("type", MessageTimes(None, 0), ", ".join(kinds[0]), ", ".join(kinds[1]))
         elif entry.msgtype in DECODED_TYPES:
-            _compare_stream(one, other, entry, rules, meter, work)
+            _compare_stream(one, other, entry, rules, meter)
         else:
             others.append(((one, other), entry))
     if others:
@@ -259,15 +256,12 @@ def _compare_stream(
     entry: TopicDifference,
     rules: Rules,
     meter: Meter | None,
-    work: int,
 ) -> None:
     """Compare scans or clouds, pair by pair."""
-    pairs = max(sum(c.message_count or 0 for c in each.connections) for each in (one, other))
-    for number, pair in enumerate(match_messages(one, other)):
+    for pair in match_messages(one, other):
         if meter is not None:
             meter.messages += 1
-            if number < pairs:
-                meter.add(work * (number + 1) // pairs - work * number // pairs)
+            meter.add(1)
         entry.messages_a += pair.a is not None
         entry.messages_b += pair.b is not None
         if pair.a is not None and pair.b is not None:

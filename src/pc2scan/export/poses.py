@@ -179,7 +179,7 @@ def open_poses(
     options
         The requested poses.
     meter
-        Counts the work; None: nothing is reported.
+        Counts the bytes; None: nothing is reported.
 
     Raises
     ------

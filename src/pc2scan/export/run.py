@@ -24,10 +24,11 @@ from pc2scan.files.staging import staged_output
 from pc2scan.messages.clouds import CLOUDS, usual_topics
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.pipeline.options import TopicRequest
+from pc2scan.progress import Meter
 from pc2scan.result import Skipped, tell_early
 from pc2scan.streams.clouds import Clouds
 from pc2scan.streams.scans import Scans
-from pc2scan.streams.stream import Selection, meter_of
+from pc2scan.streams.stream import Selection
 
 from .formats import format_of
 from .poses import PoseOptions, open_poses
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
     from pc2scan.files.records import Record
     from pc2scan.options.call import Options
     from pc2scan.pipeline.options import ConvertOptions
-    from pc2scan.progress import Meter, Progress
+    from pc2scan.progress import Progress
 
     from .formats import ExportFormat, TopicWriter
     from .poses import Poses
@@ -161,10 +162,7 @@ def run(
         readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
         reader = as_one(readers)
         names = _topics([c for c in reader.connections if c.ros_version is not None], file_format, options, form)
-        meter = None
-        if progress is not None:
-            writes = "none" if file_format.clouds else None
-            meter = meter_of(progress, options, converting=form.converting, writes=writes)
+        meter = None if progress is None else Meter(progress)
         stream = _stream(sources, names, file_format, options, form, meter)
         stack.callback(stream.close)
         folder = _is_folder(destination, stream.topics, file_format, in_folder=in_folder)

@@ -20,7 +20,7 @@ from pc2scan.pipeline.clocks import Clocks
 from pc2scan.pipeline.engine import schedule
 from pc2scan.pipeline.items import Span
 from pc2scan.pipeline.survey import Survey
-from pc2scan.progress import CHECK, Meter
+from pc2scan.progress import Meter
 from pc2scan.result import Part, Result
 from pc2scan.text import counted
 from pc2scan.tf.placing import FrameOptions
@@ -328,8 +328,8 @@ def check(
         reading = survey.ask_transforms((odom_frame, base_frame), use=False)
         meter = None
         if progress is not None:
-            meter = Meter(progress, CHECK)
-            meter.following = reader.work(CHECK, wanted)
+            meter = Meter(progress)
+            meter.following = reader.stored_bytes(wanted)
         survey.read(meter)
         transforms = reading.finish()
         buffer = transforms.buffer
@@ -374,7 +374,7 @@ def _check_topics(
     topics = {name: (ScanTopic(), frames[name]) for name in chosen}
     wanted = [each for group in chosen.values() for each in group]
     if meter is not None:
-        meter.expect(reader.work(meter.price, wanted))
+        meter.expect(reader.stored_bytes(wanted))
     for message in schedule(reader.units(wanted), own_message, None, path=reader.path, meter=meter):
         # No rule allows whole chunks here.
         assert not isinstance(message, StoredChunk)

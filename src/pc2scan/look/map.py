@@ -16,9 +16,10 @@ from pc2scan.files.text_output import files_output
 from pc2scan.messages.clouds import CLOUDS, usual_topics
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.pipeline.options import TopicRequest
+from pc2scan.progress import Meter
 from pc2scan.result import tell_early
 from pc2scan.streams.scans import Scans
-from pc2scan.streams.stream import Selection, meter_of
+from pc2scan.streams.stream import Selection
 
 from .map_drawing import Drawing
 from .map_files import map_paths
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.reader import Reader
     from pc2scan.pipeline.options import ConvertOptions
-    from pc2scan.progress import Meter, Progress
+    from pc2scan.progress import Progress
 
     from .map_drawing import MapOptions
     from .map_result import Map
@@ -128,7 +129,7 @@ def map_of(
     tell = partial(tell_early, notes, warn)
     with open_recording(sources, options) as recording:
         topics, converted = _topics(recording.reader, options)
-        meter = None if progress is None else meter_of(progress, options, converting=converted)
+        meter = None if progress is None else Meter(progress)
         frames = (asked.odom_frame, asked.base_frame)
         stream = _stream(sources, options, topics, frames, meter, converted=converted)
         buffer = stream.transforms

@@ -108,7 +108,7 @@ class ShownRecording:
         needed
             Frames that they must have.
         meter
-            Counts the work; None: nothing is reported.
+            Counts the bytes; None: nothing is reported.
 
         Raises
         ------

@@ -162,7 +162,7 @@ class BatchRunProgress(TypedDict, total=False):
         Progress | None,
         Option(
             Function(),
-            "A function that is called from time to time with a tuple: work_done, work_total, recordings_done, "
+            "A function that is called from time to time with a tuple: bytes_done, bytes_total, recordings_done, "
             "recordings_total.",
             typed="",
         ),

@@ -97,8 +97,8 @@ class RunProgress(TypedDict, total=False):
         Progress | None,
         Option(
             Function(),
-            "A function that is called from time to time with work done, work in total, and messages read "
-            "(0 while transforms are read ahead). Work is about nanoseconds.",
+            "A function that is called from time to time with bytes read, bytes in total, and messages read "
+            "(0 while transforms are read ahead).",
             typed="",
         ),
     ]

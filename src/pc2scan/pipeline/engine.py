@@ -96,7 +96,7 @@ def items_of(
     window
         How many units may be loaded ahead; None: as many as memory allows.
     meter
-        Counts the work, and reports it at the beginning, regularly, and at the end; None: nothing is reported.
+        Counts the bytes, and reports them at the beginning, regularly, and at the end; None: nothing is reported.
 
     Yields
     ------
@@ -124,7 +124,7 @@ def _messages(
     work = partial(_work, routes)
     if meter is not None:
         wanted = [route.connection for route in routes.values()]
-        meter.expect(reader.work(meter.price, wanted, span.start_ns, span.stop_ns))
+        meter.expect(reader.stored_bytes(wanted, span.start_ns, span.stop_ns))
     for units in _units_of_cut(reader, routes, span, rule, threads):
         # Closed before the threads are joined, so that work that has not begun is cancelled after an error.
         with closing(schedule(units, work, threads, window=window, path=reader.path, meter=meter)) as items:
@@ -251,7 +251,7 @@ def schedule(
     path
         The recording, for error messages.
     meter
-        Gets the work of each unit when the next one is due.
+        Gets the bytes of each unit when the next one is due.
 
     Yields
     ------
@@ -261,11 +261,11 @@ def schedule(
     """
     loading = load_when_due if threads is None else partial(_load_ahead, threads, window)
     if meter is not None:
-        loading = partial(_count_work, meter, loading)
+        loading = partial(_count_bytes, meter, loading)
     return merge_by_time(units, work, loading=loading, path=path)
 
 
-def _count_work(
+def _count_bytes(
     meter: Meter,
     loading: Callable[[Iterable[Unit], Callable[[RawMessage], Made]], Generator[Handle]],
     units: Iterable[Unit],
@@ -274,11 +274,11 @@ def _count_work(
     """Count each unit as done when the next one is asked for."""
     with closing(loading(units, work)) as handles:
         for handle in handles:
-            done = handle.unit.work(meter.price)
+            size = handle.unit.stored
             yield handle
             # Frees the unit before the next one is made.
             del handle
-            meter.add(done)
+            meter.add(size)
 
 
 def _load_ahead(

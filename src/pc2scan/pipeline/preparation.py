@@ -171,7 +171,7 @@ def _prepare_by_facts(survey: Survey, plan: Plan, firsts: FirstClouds, meter: Me
     outputs = {spec: _OutputFacts(spec, plan, survey, asked) for spec in plan.specs if not spec.reverse}
     if meter is not None:
         connections = [route.connection for route in plan.routes]
-        meter.following = reader.work(meter.price, connections, span.start_ns, span.stop_ns)
+        meter.following = reader.stored_bytes(connections, span.start_ns, span.stop_ns)
     survey.read(meter)
     transforms: TransformBuffer | None = None
     found: FoundTransforms | None = None

@@ -29,6 +29,7 @@ from pc2scan.errors import (
 from pc2scan.files.places import output_folder
 from pc2scan.files.staging import check_destination, staged_output
 from pc2scan.files.urls import UrlPath, exists
+from pc2scan.progress import Meter
 from pc2scan.result import tell_early
 from pc2scan.tf.placing import FrameOptions
 from pc2scan.threads import Threads, cores
@@ -50,7 +51,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.destinations import Destination
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Writer
-    from pc2scan.progress import Price, Progress
+    from pc2scan.progress import Progress
     from pc2scan.result import Failure
 
     from .items import Span
@@ -95,11 +96,7 @@ def run(
         with _staging(files, target, output, stack) as unfinished:
             span = _span_with_messages(reader, plan, options)
             jobs = options.jobs or cores()
-            meter = None
-            if progress is not None:
-                from pc2scan.progress import Meter  # noqa: PLC0415  # only if somebody wants to know
-
-                meter = Meter(progress, _price_of(plan, target, jobs))
+            meter = None if progress is None else Meter(progress)
             prepared = prepare(reader, plan, options, span, stack, tell, meter=meter)
             report.add((), prepared.notes)
             with _writing(target, unfinished) as writer:
@@ -259,20 +256,6 @@ def _estimate(
     recording = open_output(reader, plan, prepared, target, options, None)
     report.topics = recording.entries
     forecast(reader, target, recording, options, prepared, report)
-
-
-def _price_of(plan: Plan, target: Destination, threads: int) -> Price:
-    """Return what a conversion costs."""
-    from pc2scan.progress import Price  # noqa: PLC0415  # only if somebody wants to know
-
-    versions = {route.connection.ros_version for route in plan.routes if route.passes}
-    return Price.of_conversion(
-        projects=any(route.tasks for route in plan.routes),
-        deskews=any(spec.deskew for spec in plan.specs),
-        writes=target.compression if any(route.tasks and route.passes for route in plan.routes) else None,
-        reencodes=bool(versions - {None, target.ros_version}),
-        threads=threads,
-    )
 
 
 def _span_with_messages(reader: Reader, plan: Plan, options: ConvertOptions) -> Span:

@@ -341,7 +341,7 @@ class Survey:
         Parameters
         ----------
         meter
-            Counts the work; None: nothing is reported.
+            Counts the bytes; None: nothing is reported.
 
         Raises
         ------

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.combine.combiner import Combiner
     from pc2scan.pipeline.items import Item as EngineItem
     from pc2scan.pipeline.items import Span
-    from pc2scan.progress import Meter, Progress
+    from pc2scan.progress import Meter
     from pc2scan.result import Skipped
     from pc2scan.tf.placing import LevelTransform
 
@@ -109,28 +109,6 @@ class NumpyTimes:
     def log_time(self) -> np.datetime64:
         """The time of recording as ``numpy.datetime64`` in nanoseconds; ``NaT`` if that cannot represent it."""
         return datetime64(self.log_time_ns)
-
-
-def meter_of(progress: Progress, options: ConvertOptions, *, converting: bool, writes: str | None = None) -> Meter:
-    """Return what counts the work of a `Stream`.
-
-    Parameters
-    ----------
-    progress
-        The function to report to.
-    options
-        The options of the conversion.
-    converting
-        Whether it makes scans of clouds.
-    writes
-        The compression in which clouds are written; None: they are not.
-    """
-    from pc2scan.progress import Meter, Price  # noqa: PLC0415  # most loops show no progress
-
-    # What is read as it was recorded is read on one thread.
-    threads = (options.jobs or cores()) if converting else 1
-    deskews = converting and options.scan.deskew
-    return Meter(progress, Price.of_conversion(threads=threads, projects=converting, deskews=deskews, writes=writes))
 
 
 Item = TypeVar("Item")
@@ -308,7 +286,7 @@ class Stream(ABC, Generic[Item]):
 
     def __init__(self, selection: Selection, meter: Meter | None = None) -> None:
         self._selection = selection
-        #: Counts the work of preparing, and of the first loop; None: nothing is reported.
+        #: Counts the bytes of preparing, and of the first loop; None: nothing is reported.
         self._meter = meter
         self._live: WeakSet[Generator[Item]] = WeakSet()
         self.skipped: list[Skipped] = []
@@ -381,7 +359,7 @@ class Stream(ABC, Generic[Item]):
             start_ns, stop_ns, _ = source.span
             connections = [route.connection for route in source.routes.values()]
             if self._meter is not None:
-                self._meter.following = source.readers[0].work(self._meter.price, connections, start_ns, stop_ns)
+                self._meter.following = source.readers[0].stored_bytes(connections, start_ns, stop_ns)
             if start_ns is not None or stop_ns is not None:
                 with suppress(TopicError):
                     refuse_no_messages(source.readers[0], connections, start_ns, stop_ns)

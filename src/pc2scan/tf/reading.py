@@ -373,7 +373,7 @@ def read_transforms(
     needed, use
         Frames that are needed; see `TransformReading.supply`.
     meter
-        Counts the work; None: nothing is reported.
+        Counts the bytes; None: nothing is reported.
     """
     from pc2scan.bags.observers import observe  # noqa: PLC0415  # only with transforms
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from itertools import chain, islice, pairwise
+from itertools import chain, islice
 from typing import TYPE_CHECKING
 
 from pc2scan.bags import zstd
@@ -12,7 +12,6 @@ from pc2scan.bags.damage import DamageLog
 from pc2scan.bags.reader import Reader
 from pc2scan.bags.units import Unit
 from pc2scan.errors import DamageError, RecordingError
-from pc2scan.files.compression import zstd_content_size
 from pc2scan.model import RawMessage, Summary, declared_counts
 
 from .database import SQLITE_ERRORS, Database
@@ -25,18 +24,11 @@ if TYPE_CHECKING:
     from pc2scan.bags.formats import ReadOptions
     from pc2scan.bags.units import Item
     from pc2scan.model import ChunkRule, Connection
-    from pc2scan.progress import Price
 
 #: Limits of a unit's bytes and rows. Loading less takes less time than handing it to another thread.
 _UNIT_BYTES = 1 << 19
 _UNIT_ROWS = 1024
 _WORTH_A_THREAD = 1 << 20
-
-#: To estimate sizes: how many places of the table are visited, how many rows there, and the bytes of a row that have
-#: the size of its decompressed message.
-_PLACES = 64
-_ROWS_AT_A_PLACE = 16
-_HEAD_BYTES = 18
 
 
 @dataclass(slots=True)
@@ -100,11 +92,10 @@ class Sqlite3Reader(Reader):
             self.close()
             raise
         self.connections, start_ns, end_ns, self._index, self._packed_topics = tables
-        self._compression = "zstd" if self._packed_topics else "none"
         self.summary = Summary(
             container="sqlite3",
             storage="",
-            compression=(self._compression,),
+            compression=("zstd" if self._packed_topics else "none",),
             size_bytes=self._database.size,
             message_count=sum(connection.message_count or 0 for connection in self.connections),
             start_ns=start_ns,
@@ -137,8 +128,6 @@ class Sqlite3Reader(Reader):
                 rest,
                 is_quick=size < _WORTH_A_THREAD,
                 is_in_memory=True,
-                messages=len(rows),
-                compression=self._compression,
             )
 
         for key, message in wanted():
@@ -199,44 +188,6 @@ class Sqlite3Reader(Reader):
             self._log.note(err, key=message_id, messages_lost=1, first_ns=time_ns, last_ns=time_ns)
             return None
         return RawMessage(connection, time_ns, unpacked, time_ns)
-
-    def work(
-        self,
-        price: Price,
-        connections: Collection[Connection] | None = None,
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
-    ) -> int:
-        """Estimate how much work it is by rows in many places: to add up all sizes, SQLite would visit all rows."""
-        known = {own.id: own for own in (self.connections if connections is None else connections)}
-        rows: dict[int, list[int]] = {key: [] for key in known}
-        try:
-            with self._database.ending():
-                for topic_id, is_inside, size, head in self._sampled_rows(start_ns, stop_ns):
-                    if topic_id in rows:
-                        rows[topic_id].append(self._work_of(price, topic_id, size, head) if is_inside else 0)
-        except (*SQLITE_ERRORS, DamageError, RecordingError):
-            size, messages = self.summary.size_bytes, self.summary.message_count or 0
-            return price.of(size, None, messages, self._compression, are_rows=True, is_quick=False)
-        return sum(sum(found) * (known[key].message_count or 0) // max(1, len(found)) for key, found in rows.items())
-
-    def _sampled_rows(self, start_ns: int | None, stop_ns: int | None) -> Iterator[tuple[int, object, object, object]]:
-        """Yield the topic, whether it is in the cut, the size and the first bytes of some rows."""
-        times, bounds = _time_conditions(start_ns, stop_ns)
-        columns = f"topic_id, {' AND '.join(times) or '1'}, length(data), substr(data, 1, {_HEAD_BYTES})"
-        ((first, last),) = self._database.query(f"SELECT min(id), max(id) FROM messages WHERE {SOUND}")  # noqa: S608
-        if first is None:
-            return
-        sql = f"SELECT {columns} FROM messages WHERE {SOUND} AND id BETWEEN ? AND ? LIMIT {_ROWS_AT_A_PLACE}"  # noqa: S608
-        for begin, end in pairwise(first + (last + 1 - first) * part // _PLACES for part in range(_PLACES + 1)):
-            yield from chain(self._database.query(sql, (*bounds, begin, end - 1)))
-
-    def _work_of(self, price: Price, topic_id: int, size: object, head: object) -> int:
-        """Return the work on a message by its size and its first bytes."""
-        stored = size if isinstance(size, int) else 0
-        if topic_id in self._packed_topics and isinstance(head, bytes):
-            stored = zstd_content_size(head) or stored
-        return price.of(stored, None, 1, self._compression, are_rows=True, is_quick=stored < _WORTH_A_THREAD)
 
     def counts(
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
