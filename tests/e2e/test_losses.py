@@ -34,7 +34,6 @@ from support.builders import (
     Item,
     Mcap,
     Recording,
-    metadata_yaml,
     string,
     write_db3,
     write_mcap,
@@ -480,16 +479,6 @@ def test_an_index_that_disagrees_is_reported_once(tmp_path: Path) -> None:
     _, stderr, report = report_of("repair", source, "-o", tmp_path / "out.bag")
     assert lost(report) == [0]
     assert stderr.count("the index and the content disagree") == 1
-
-
-def test_an_empty_storage_identifier_of_missing_files(tmp_path: Path) -> None:
-    source = write_rosbag2(tmp_path / "drive", CONTENT)
-    text = metadata_yaml("drive", CONTENT, ["gone_0.bin"], storage='""', version=8, mode="")
-    (source / "metadata.yaml").write_text(text)
-    status, stderr, _ = report_of("repair", source, "-o", tmp_path / "fixed")
-    assert status == 3
-    assert "no file shows which storage it is" in stderr
-    assert len(rows_of(tmp_path / "fixed")) == len(CONTENT.items)
 
 
 def test_a_connection_that_only_chunks_describe(tmp_path: Path) -> None:

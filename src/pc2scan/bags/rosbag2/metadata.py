@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pc2scan.bags import zstd
 from pc2scan.bags.damage import DamageLog
 from pc2scan.bags.folders import are_named_as_parts, natural_order, recordings_in
-from pc2scan.bags.formats import and_list, storages
+from pc2scan.bags.formats import storages
 from pc2scan.bags.topics import latches
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.files.records import Record
@@ -87,7 +87,6 @@ class BagInfo:
         Whether there is no metadata.yaml, so that only the files say what the recording is.
     """
 
-    storage: str
     files: tuple[str, ...]
     message_compression: str = "none"
     topics: tuple[Connection, ...] = ()
@@ -116,8 +115,7 @@ def read_info(folder: Path, log: DamageLog) -> BagInfo:
         with open_text(path) as file:
             # One more than allowed, so that longer text is refused.
             text = file.read(MAX_CHARACTERS + 1)
-        info = _parse_info(load_yaml(text))
-        return info if info.storage else replace(info, storage=_storage_text(folder, info.files))
+        return _parse_info(load_yaml(text))
     except UnicodeDecodeError as err:
         log.note(DamageError(f"is not UTF-8: {err.reason}", path=path, hint=_WITHOUT_METADATA))
     except OSError as err:
@@ -148,21 +146,35 @@ def storage_files(folder: Path) -> list[Path]:
     return sorted(found, key=natural_order)
 
 
-def locate_file(folder: Path, name: str) -> Path:
-    """Find a file that metadata.yaml names, also if it was compressed or decompressed since.
+def locate_files(folder: Path, names: Iterable[str], log: DamageLog) -> dict[str, Path | None]:
+    """Find the files that metadata.yaml names, also if they were compressed, decompressed or renamed since.
 
-    Raises
-    ------
-    DamageError
-        If it is not in the directory.
+    If as many files of a recording are in the directory without being named, they are the missing ones, renamed;
+    ``log`` gets them. Returns None for each file that is not there.
     """
+    found = {name: _locate_file(folder, name) for name in names}
+    missing = [name for name, path in found.items() if path is None]
+    others = [path for path in storage_files(folder) if path not in found.values()] if missing else []
+    for name, path in zip(missing, others, strict=False) if len(missing) == len(others) else ():
+        what = f"{METADATA_NAME} names {name:.300}, which is not in the directory; {path.name} is read in its place"
+        log.note(DamageError(what, path=folder, hint=_WITHOUT_METADATA), key=name, messages_lost=0)
+        found[name] = path
+    return found
+
+
+def _locate_file(folder: Path, name: str) -> Path | None:
     plain = zstd.without_suffix(name)
     for candidate in (name, plain, *(plain + suffix for suffix in zstd.SUFFIXES)):
         # The name may be too long.
         with suppress(OSError):
             if (folder / candidate).is_file():
                 return folder / candidate
-    raise DamageError(
+    return None
+
+
+def missing_error(folder: Path, name: str) -> DamageError:
+    """Return the error of a file that metadata.yaml names, and that is not there."""
+    return DamageError(
         f"{METADATA_NAME} names {name:.300}, which is not in the directory",
         path=folder,
         hint=f"copy the missing file, or move {METADATA_NAME} away to read the files that are there",
@@ -195,23 +207,6 @@ def _storage_of(name: str) -> str | None:
     return next((storage for storage, entry in storages().items() if entry.suffix == suffix), None)
 
 
-def _storage_text(folder: Path, names: Iterable[str]) -> str:
-    """Return the storage of files if metadata.yaml has none: by content, or by name for compressed files."""
-    for name in names:
-        try:
-            path = locate_file(folder, name)
-        except DamageError:
-            continue
-        with path.open("rb") as file:
-            head = file.read(16)
-        for storage, entry in storages().items():
-            if head.startswith(entry.magic):
-                return storage
-        if found := _storage_of(path.name):
-            return found
-    raise ValueError(f"storage_identifier of {ROOT} is empty, and no file shows which storage it is")
-
-
 def _guess_info(folder: Path) -> BagInfo:
     files = storage_files(folder)
     storages = sorted({_storage_of(file.name) or "" for file in files})
@@ -223,7 +218,7 @@ def _guess_info(folder: Path) -> BagInfo:
             path=folder,
             hint="name the files themselves",
         )
-    return BagInfo(storages[0], tuple(file.name for file in files))
+    return BagInfo(tuple(file.name for file in files))
 
 
 def _parse_info(document: Any) -> BagInfo:
@@ -231,9 +226,6 @@ def _parse_info(document: Any) -> BagInfo:
     version = _get(root, "version", int, ROOT)
     if not 1 <= version <= NEWEST_VERSION:
         raise UnsupportedError(f"has version {version}; 1 to {NEWEST_VERSION} are known")
-    storage = _get(root, "storage_identifier", str, ROOT)
-    if storage not in ("", *storages()):
-        raise UnsupportedError(f"has storage {storage!r}; {and_list(sorted(storages()))} can be read")
     files = [_file_name(path) for path in _get(root, "relative_file_paths", list, ROOT)]
     if not files:
         raise ValueError("names no files")
@@ -243,7 +235,6 @@ def _parse_info(document: Any) -> BagInfo:
     for topic, entry in zip(topics, entries, strict=True):
         counts[topic.topic, topic.msgtype] += _get(entry, "message_count", int, f"topic {topic.id}", 0)
     return BagInfo(
-        storage=storage,
         files=tuple(dict.fromkeys(files)),
         message_compression=_message_compression(root),
         topics=topics,

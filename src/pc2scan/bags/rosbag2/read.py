@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING
 from pc2scan.bags import zstd
 from pc2scan.bags.damage import RECOVER, DamageLog, count_details
 from pc2scan.bags.folders import refuse_unrelated
-from pc2scan.bags.formats import ReadOptions, storages
+from pc2scan.bags.formats import ReadOptions, and_list, storages
 from pc2scan.bags.merged import MergedReader
+from pc2scan.bags.opening import sniff
 from pc2scan.bags.reader import ConnectionLimit
 from pc2scan.errors import DamageError, RecordingError, stamp_text
 from pc2scan.files.places import private_folder
-from pc2scan.files.source import open_bytes
 
-from .metadata import METADATA_NAME, RECORD_NAME, locate_file, read_info
+from .metadata import METADATA_NAME, RECORD_NAME, locate_files, missing_error, read_info
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -74,9 +74,10 @@ class Rosbag2Reader(MergedReader):
         limit = ConnectionLimit(path)
         with ExitStack() as undo:
             undo.callback(self._discard_temporary)
-            for name in self._info.files:
+            for name, file in locate_files(path, self._info.files, self._log).items():
                 try:
-                    file = locate_file(path, name)
+                    if file is None:
+                        raise missing_error(path, name)
                     reader = self._open(file, verify=verify)
                 except DamageError as err:
                     err.path = self._origins.get(Path(err.path or name), Path(err.path or name))
@@ -106,7 +107,7 @@ class Rosbag2Reader(MergedReader):
         packed = self._info.message_compression == "zstd" or any(zstd.is_zstd(file) for file in files)
         self.summary = inner._replace(
             container="rosbag2",
-            storage=self._info.storage,
+            storage=opened[0].summary.container,
             compression=zstd.compressions(inner.compression) if packed else inner.compression,
             size_bytes=sum(file.stat().st_size for file in files),
         )
@@ -138,8 +139,7 @@ class Rosbag2Reader(MergedReader):
             unpacked = zstd.decompress_file(file, Path(self._temporary.name), self._log)
             self._origins[unpacked] = file
             file = unpacked
-        storage = storages()[self._info.storage]
-        _refuse_others(file, storage)
+        storage = _storage_of(file)
         packed = self._info.message_compression
         return storage.open_reader(
             file, ReadOptions(verify=verify, strict=self._log.strict, message_compression=packed)
@@ -227,16 +227,17 @@ class Rosbag2Reader(MergedReader):
             self._temporary = None
 
 
-def _refuse_others(file: Path, storage: Format) -> None:
-    """Raise if a file is not of the expected storage."""
+def _storage_of(file: Path) -> Format:
+    """Return the format of a file of a directory, by its content, whatever metadata.yaml says."""
     try:
-        with open_bytes(file) as stream:
-            head = stream.read(16)
-    except OSError as err:
-        raise RecordingError(f"cannot be read: {err.strerror}", path=file) from err
-    if not head.startswith(storage.magic):
-        found = f"begins with {head!r:.40}" if head else "is empty"
-        raise DamageError(f"is no {storage.name} file: it {found}", path=file, hint=RECOVER)
+        name = sniff(file)
+    except RecordingError as err:
+        if isinstance(err.__cause__, OSError):
+            raise
+        raise DamageError(err.message, path=file, hint=err.hint) from err
+    if name not in storages():
+        raise DamageError(f"is {name}; the files of a directory are {and_list(sorted(storages()))}", path=file)
+    return storages()[name]
 
 
 def _is_same_connection(listed: tuple[str, str], stored: tuple[str, str]) -> bool:

@@ -157,7 +157,7 @@ class Database:
         except sqlite3.Error as error:
             raise self._error(error) from error
         if last_ns is None and not self._connection.execute("SELECT 1 FROM topics").fetchone():
-            raise self.damage(f"nothing of it can be recovered: {problem.message}")
+            raise DamageError(f"nothing of it can be recovered: {problem.message}", path=self.path)
         if any(log.broken for log in self._logs):
             # The missing bytes are noted for the log.
             self._noted.note(problem)
