@@ -157,10 +157,13 @@ def wait_for_the_end(pids: Sequence[int]) -> None:
         time.sleep(0.02)
 
 
-@pytest.mark.parametrize("number", sampled([signal.SIGINT, signal.SIGTERM], 1))
+@pytest.mark.parametrize("number", sampled([signal.SIGINT, signal.SIGTERM, signal.SIGHUP], 1))
 def test_an_interruption_leaves_nothing_half(running: tuple[subprocess.Popen[bytes], Path], number: int) -> None:
     process, out = running
     workers = workers_of(process)
+    # A terminal that is closed tells its workers, too.
+    for pid in workers if number == signal.SIGHUP else ():
+        os.kill(pid, number)
     process.send_signal(number)
     _, stderr = process.communicate(timeout=60)
     assert process.returncode == 128 + number

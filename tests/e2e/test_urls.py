@@ -21,7 +21,7 @@ from pc2scan.errors import MissingError, Pc2ScanError, RecordingError
 from pc2scan.files.store import RemotePath
 from support import ROOT
 from support.builders import CONTENT, POINTS, SECOND, T0, Recording, cloud, item, points_of, write_db3, write_rosbag1
-from support.command import run
+from support.command import run, run_process
 from support.stores import memory_store, s3_server
 from support.tables import rows
 
@@ -318,6 +318,11 @@ def test_a_web_server_is_read_only(tmp_path: Path) -> None:
     said = done.stdout + done.stderr + (tmp_path / "r.json").read_text() + refused.stderr
     for secret in ("secret", "geheim"):
         assert secret not in said
+
+
+def test_the_memory_of_a_command_is_no_destination() -> None:
+    done = run_process("convert", str(FIXTURES / "hall.bag"), "-o", "memory://x.bag", "--min-height", "0.1")
+    assert (done.status, "gone when it ends" in done.stderr) == (2, True), done
 
 
 def test_an_s3_server(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -273,8 +273,10 @@ class _Server:
         self._jobs: SimpleQueue[Any] = SimpleQueue()
         self._ends = False
         self._last = 0.0
-        # A terminal sends Ctrl-C to all of its processes. It is ignored here: the parent handles it.
+        # A terminal sends Ctrl-C, and its end, to all of its processes. They are ignored here: the parent handles them.
         signal.signal(signal.SIGINT, self._interrupted)
+        if hasattr(signal, "SIGHUP"):
+            signal.signal(signal.SIGHUP, signal.SIG_IGN)
         if hasattr(signal, "pthread_sigmask"):
             # Workers of a Dask cluster on this machine block the signal.
             signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})

@@ -32,6 +32,13 @@ def main() -> None:
             sys.stdout = Screen(sys.stdout, guarded=True)
         if sys.stderr is not None:
             sys.stderr = Screen(sys.stderr)
+        if lost := next((word for word in sys.argv if word.startswith("memory:")), None):
+            from pc2scan.errors import UsageError
+
+            from .failures import show_failure
+
+            error = UsageError("is in the memory of this process, and gone when it ends", path=lost)
+            sys.exit(show_failure(error, sys.argv[1:]))
         try:
             application(*sys.argv[1:2])(prog_name="pc2scan")
         except StdoutError as err:

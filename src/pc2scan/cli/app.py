@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from contextlib import suppress
 from importlib import import_module
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -217,8 +218,10 @@ def _what_was_written() -> str:
 
 
 def _terminate(number: int, _frame: FrameType | None) -> None:
-    """End a command at SIGTERM by an exception, so that partial output is removed while the stack unwinds."""
-    say(f"terminated: {_what_was_written()}", err=True)
+    """End a command by an exception, so that partial output is removed while the stack unwinds."""
+    # The terminal may be gone.
+    with suppress(OSError):
+        say(f"terminated: {_what_was_written()}", err=True)
     raise SystemExit(128 + number)
 
 

@@ -1,4 +1,4 @@
-"""Handles Ctrl-C while modules are loaded, and after the command is done; and both signals that end a command."""
+"""Handles Ctrl-C while modules are loaded, and after the command is done; and the signals that end a command."""
 
 from __future__ import annotations
 
@@ -36,18 +36,26 @@ def quiet_interrupts() -> Iterator[None]:
 
 @contextmanager
 def interruptible(terminate: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Let an interruption raise KeyboardInterrupt, so that no partial output stays; SIGTERM calls ``terminate``."""
+    """Let an interruption raise KeyboardInterrupt, so that no partial output stays; what ends it calls ``terminate``.
+
+    That is SIGTERM, and SIGHUP of a terminal that is closed, unless it is ignored as under ``nohup``.
+    """
     ours = signal.getsignal(signal.SIGINT) is _end
     if ours:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    previous = None
+    sent = [signal.SIGTERM]
+    # Windows has no terminals that are closed.
+    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
+        sent.append(signal.SIGHUP)
+    previous = {}
     # Only the main thread may set handlers. In another thread, the program around this handles signals.
     with suppress(ValueError):
-        previous = signal.signal(signal.SIGTERM, terminate)
+        previous = {number: signal.signal(number, terminate) for number in sent}
     try:
         yield
     finally:
         if ours:
             signal.signal(signal.SIGINT, _end)
-        if previous is not None:
-            signal.signal(signal.SIGTERM, previous)
+        for number, handler in previous.items():
+            if handler is not None:
+                signal.signal(number, handler)
