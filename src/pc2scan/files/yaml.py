@@ -68,7 +68,8 @@ def _construct(yaml: Any, node: Any) -> Any:
         return yaml.constructor.construct_document(node)
     except (ValueError, ArithmeticError, LookupError, TypeError, AttributeError) as err:
         # The library raises other errors for, say, a mapping as a key, or a tag on a value of another type.
-        raise ValueError(f"is not valid YAML: {err}") from err
+        # Without Python's advice about long integers.
+        raise ValueError(f"is not valid YAML: {str(err).partition(';')[0]}") from err
 
 
 def _unfolded_size(node: Any, sizes: dict[int, int]) -> int:

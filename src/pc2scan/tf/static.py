@@ -10,14 +10,13 @@ from pc2scan.core.layout import FULL_TURN
 from pc2scan.errors import ParameterError, Pc2ScanError, UsageError
 from pc2scan.text import did_you_mean
 
+from .text_files import text_of
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
 
     from pc2scan.core.rigid import Rigid, TransformRow
-
-#: Larger files are refused: a list of static transforms is a page of text.
-_MAX_FILE_BYTES = 1_000_000
 
 #: Maximum deviation of a quaternion's length from 1. Rounding to two digits (0.71 0 0 0.71: 1.004) stays below it.
 _QUATERNION_SLACK = 0.05
@@ -178,26 +177,13 @@ def load_static_transforms(path: Path) -> tuple[StaticTransform, ...]:
     UsageError
         If the file cannot be read, or has anything else in it.
     """
-    from ruamel.yaml import YAML  # noqa: PLC0415  # heavy, and few have such a file
-    from ruamel.yaml.error import YAMLError  # noqa: PLC0415
+    from pc2scan.files.yaml import MAX_CHARACTERS, load_yaml  # noqa: PLC0415  # few have such a file
 
-    from pc2scan.files.places import missing_hint  # noqa: PLC0415
-    from pc2scan.files.source import open_text  # noqa: PLC0415
-
+    text = text_of(path, MAX_CHARACTERS, "a list of static transforms", (".yaml", ".yml"))
     try:
-        if path.stat().st_size > _MAX_FILE_BYTES:
-            raise UsageError(
-                f"has {path.stat().st_size} bytes; a list of static transforms has at most {_MAX_FILE_BYTES}", path=path
-            )
-        with open_text(path) as file:
-            document = YAML(typ="safe", pure=True).load(file.read(_MAX_FILE_BYTES))
-    except FileNotFoundError as err:
-        hint = missing_hint(path, (".yaml", ".yml"))
-        raise UsageError("does not exist", path=path, hint=hint) from err
-    except OSError as err:
-        raise UsageError(f"cannot be read: {err.strerror}", path=path) from err
-    except (YAMLError, UnicodeDecodeError, RecursionError) as err:
-        raise UsageError(f"is not YAML: {str(err).splitlines()[0]}", path=path) from err
+        document = load_yaml(text)
+    except ValueError as err:
+        raise UsageError(str(err), path=path) from err
     if not isinstance(document, list):
         raise UsageError("is not a YAML list of static transforms", path=path)
     transforms = []
@@ -206,6 +192,9 @@ def load_static_transforms(path: Path) -> tuple[StaticTransform, ...]:
             transforms.append(_static_transform(entry))
         except Pc2ScanError as err:
             raise UsageError(f"entry {number}: {err.message}", path=path, hint=err.hint) from err
+        except (ValueError, OverflowError) as err:
+            # An integer that is too large to be a float, or to be shown in an error.
+            raise UsageError(f"entry {number}: {str(err).partition(';')[0]}", path=path) from err
     return tuple(transforms)
 
 

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
+    from typing import TextIO
 
 
 def text_of(path: Path, most: int, what: str, suffixes: tuple[str, ...]) -> str:
-    """Return the text of a file.
+    """Return the text of a file; see `open_bounded`."""
+    with open_bounded(path, most, what, suffixes) as file:
+        return file.read(most)
+
+
+@contextmanager
+def open_bounded(path: Path, most: int, what: str, suffixes: tuple[str, ...]) -> Iterator[TextIO]:
+    """Open a text file.
 
     Parameters
     ----------
@@ -36,10 +46,10 @@ def text_of(path: Path, most: int, what: str, suffixes: tuple[str, ...]) -> str:
         if (size := path.stat().st_size) > most:
             raise UsageError(f"has {size:,} bytes; {what} has at most {most:,}", path=path)
         with open_text(path) as file:
-            return file.read(most)
+            yield file
     except FileNotFoundError as err:
         raise UsageError("does not exist", path=path, hint=missing_hint(path, suffixes)) from err
     except OSError as err:
         raise UsageError(f"cannot be read: {err.strerror}", path=path) from err
     except UnicodeDecodeError as err:
-        raise UsageError(f"is not {what}: byte {err.start} is not text in UTF-8", path=path) from err
+        raise UsageError(f"is not {what}: it is not text in UTF-8", path=path) from err

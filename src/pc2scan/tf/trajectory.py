@@ -8,20 +8,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from decimal import Decimal, InvalidOperation
-from typing import TYPE_CHECKING
+from functools import partial
+from itertools import islice
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 from pc2scan.core.rigid import are_accepted
 from pc2scan.errors import UsageError
 
-from .text_files import text_of
+from .text_files import open_bounded
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
+
+#: The number of a line, and its words.
+Line: TypeAlias = tuple[int, list[str]]
 
 #: The largest file: some million poses.
 _MAX_BYTES = 500_000_000
@@ -31,6 +36,13 @@ _TUM, _KITTI = 8, 12
 
 #: Whole numbers from here on are nanoseconds: as seconds they would be after the year 5000.
 _NANOSECONDS = 100_000_000_000
+
+#: Stamps are before this: sums of them and offsets fit into 64 bits. It is in the year 2116.
+_MOST_NS = 1 << 62
+
+#: Lines that are read at a time, and characters of one; a longer one has too many values.
+_PIECE_LINES = 10_000
+_MAX_LINE = 1 << 16
 
 #: How far the rows of a rotation matrix may be from orthonormal.
 _ORTHONORMAL = 0.01
@@ -108,54 +120,67 @@ def load_trajectory(path: Path, frames: tuple[str, str], times: Path | None = No
     UsageError
         If a file cannot be read, or a line is not a pose; the error has the line.
     """
-    parent, child = frames
-    text = text_of(path, _MAX_BYTES, "a trajectory", (".tum", ".txt"))
-    lines = list(_lines(text))
-    if not lines:
+    stamps: list[NDArray[np.int64]] = []
+    poses: list[NDArray[np.float64]] = []
+    columns = 0
+    for lines in _pieces(path, "a trajectory", (".tum", ".txt")):
+        columns = columns or _columns(path, *lines[0])
+        if columns == _TUM:
+            stamps.append(_stamps(path, lines))
+        poses.append(_poses(path, lines, columns))
+    if not poses:
         raise UsageError("has no pose", path=path)
-    columns = len(lines[0][1])
-    if columns not in (_TUM, _KITTI):
+    joined = np.concatenate(poses)
+    if columns == _KITTI:
+        stamps = [_times(path, times, len(joined))]
+    elif times is not None:
+        raise UsageError("has stamps, so `trajectory_times` has no effect", path=path)
+    return Trajectory(str(path), *frames, np.concatenate(stamps), joined)
+
+
+def _pieces(path: Path, what: str, suffixes: tuple[str, ...]) -> Iterator[list[Line]]:
+    """Yield the lines of a file that have words, some thousand at a time: they take ten times as much as numbers."""
+    with open_bounded(path, _MAX_BYTES, what, suffixes) as file:
+        numbered = enumerate(iter(partial(file.readline, _MAX_LINE), ""), 1)
+        split = ((number, line.partition("#")[0].replace(",", " ").split()) for number, line in numbered)
+        lines = (line for line in split if line[1])
+        while piece := list(islice(lines, _PIECE_LINES)):
+            yield piece
+
+
+def _columns(path: Path, number: int, words: list[str]) -> int:
+    """Return how many values the first line has."""
+    if len(words) not in (_TUM, _KITTI):
         raise UsageError(
-            f"line {lines[0][0]}: has {columns} values; a pose has {_TUM} (TUM: stamp x y z qx qy qz qw), or {_KITTI} "
+            f"line {number}: has {len(words)} values; a pose has {_TUM} (TUM: stamp x y z qx qy qz qw), or {_KITTI} "
             "(KITTI: the rows of a matrix)",
             path=path,
         )
+    return len(words)
+
+
+def _poses(path: Path, lines: Sequence[Line], columns: int) -> NDArray[np.float64]:
+    """Return the poses of lines, as `Trajectory` has them."""
+    values = _numbers(path, lines, columns)
     if columns == _KITTI:
-        return Trajectory(str(path), parent, child, _stamps(path, times, len(lines)), _matrices(path, lines))
-    if times is not None:
-        raise UsageError("has stamps, so `trajectory_times` has no effect", path=path)
-    stamps = np.array([_stamp(words[0], path, number) for number, words in lines], np.int64)
-    poses = _numbers(path, [(number, words[1:]) for number, words in lines], _TUM)
-    wrong = np.flatnonzero(~are_accepted(poses[:, 3:]))
+        return _of_matrices(path, lines, values)
+    wrong = np.flatnonzero(~are_accepted(values[:, 4:]))
     if wrong.size:
-        number = lines[int(wrong[0])][0]
-        shown = " ".join(f"{value:g}" for value in poses[wrong[0], 3:])
+        shown = " ".join(f"{value:g}" for value in values[wrong[0], 4:])
         raise UsageError(
-            f"line {number}: the quaternion {shown} is not of unit length",
+            f"line {lines[int(wrong[0])][0]}: the quaternion {shown} is not of unit length",
             path=path,
             hint="its order is qx qy qz qw; if that is right, normalise it",
         )
-    return Trajectory(str(path), parent, child, stamps, poses)
+    return values[:, 1:]
 
 
-def _lines(text: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield the number and the words of each line that has any."""
-    for number, line in enumerate(text.splitlines(), 1):
-        words = line.partition("#")[0].replace(",", " ").split()
-        if words:
-            yield number, words
-
-
-def _numbers(path: Path, lines: Sequence[tuple[int, list[str]]], columns: int) -> NDArray[np.float64]:
-    """Return the numbers of lines with equally many columns; ``columns`` is what errors say, stamps included."""
-    expected = len(lines[0][1])
+def _numbers(path: Path, lines: Sequence[Line], columns: int) -> NDArray[np.float64]:
+    """Return the numbers of lines, which have as many columns as the first one."""
     rows = []
     for number, words in lines:
-        if len(words) != expected:
-            further = columns - expected
-            raise UsageError(
-                f"line {number}: has {len(words) + further} values, the first pose has {columns}", path=path
-            )
+        if len(words) != columns:
+            raise UsageError(f"line {number}: has {len(words)} values, the first pose has {columns}", path=path)
         try:
             rows.append([float(word) for word in words])
         except ValueError:
@@ -167,14 +192,19 @@ def _numbers(path: Path, lines: Sequence[tuple[int, list[str]]], columns: int) -
     return values
 
 
+def _stamps(path: Path, lines: Sequence[Line]) -> NDArray[np.int64]:
+    """Return the stamps that lines begin with, nanoseconds."""
+    return np.array([_stamp(words[0], path, number) for number, words in lines], np.int64)
+
+
 def _stamp(word: str, path: Path, number: int) -> int:
     """Return a stamp in nanoseconds: seconds, with all digits that are written, or nanoseconds."""
     try:
         value = Decimal(word)
-        if value.is_finite() and abs(value) < 2**63:
-            if abs(value) >= _NANOSECONDS:
-                return int(value)
-            return int((value * 1_000_000_000).to_integral_value())
+        if value.is_finite() and abs(value) < _MOST_NS:
+            stamp_ns = int(value if abs(value) >= _NANOSECONDS else (value * 1_000_000_000).to_integral_value())
+            if abs(stamp_ns) < _MOST_NS:
+                return stamp_ns
     except InvalidOperation:
         pass
     raise UsageError(
@@ -182,7 +212,7 @@ def _stamp(word: str, path: Path, number: int) -> int:
     )
 
 
-def _stamps(path: Path, times: Path | None, count: int) -> NDArray[np.int64]:
+def _times(path: Path, times: Path | None, count: int) -> NDArray[np.int64]:
     """Return the stamps of a file in KITTI's format."""
     if times is None:
         raise UsageError(
@@ -190,17 +220,20 @@ def _stamps(path: Path, times: Path | None, count: int) -> NDArray[np.int64]:
             path=path,
             hint="`trajectory_times=times.txt` names a file with the stamp of each pose, one a line",
         )
-    lines = list(_lines(text_of(times, _MAX_BYTES, "a list of times", (".txt",))))
-    if wrong := next((number for number, words in lines if len(words) != 1), None):
-        raise UsageError(f"line {wrong}: has several values; a list of times has one stamp a line", path=times)
-    if len(lines) != count:
-        raise UsageError(f"has {len(lines):,} stamps, but {path} has {count:,} poses", path=times)
-    return np.array([_stamp(words[0], times, number) for number, words in lines], np.int64)
+    stamps = [np.empty(0, np.int64)]
+    for lines in _pieces(times, "a list of times", (".txt",)):
+        if wrong := next((number for number, words in lines if len(words) != 1), None):
+            raise UsageError(f"line {wrong}: has several values; a list of times has one stamp a line", path=times)
+        stamps.append(_stamps(times, lines))
+    joined = np.concatenate(stamps)
+    if len(joined) != count:
+        raise UsageError(f"has {len(joined):,} stamps, but {path} has {count:,} poses", path=times)
+    return joined
 
 
-def _matrices(path: Path, lines: Sequence[tuple[int, list[str]]]) -> NDArray[np.float64]:
+def _of_matrices(path: Path, lines: Sequence[Line], values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return poses from the first three rows of their matrices."""
-    matrices = _numbers(path, lines, _KITTI).reshape(-1, 3, 4)
+    matrices = values.reshape(-1, 3, 4)
     rotations = matrices[:, :, :3]
     products = np.einsum("nij,nkj->nik", rotations, rotations)
     off = np.abs(products - np.eye(3)).max(axis=(1, 2))
