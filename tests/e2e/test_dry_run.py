@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import shutil
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
 import pc2scan
-from benchmarks.clouds import write_two
 from support import ROOT, sampled
 from support.command import run
 
@@ -63,38 +62,15 @@ def test_it_says_what_would_happen(source: str, destination: str, folder: Path) 
     assert {line for line in done.stdout.splitlines() if line.startswith("/t")} <= set(lines)
 
 
-@pytest.mark.parametrize(("keep", "least", "most"), [(False, 5_000, 60_000), (True, 250_000, 600_000)])
-def test_its_report_has_the_counts_and_about_the_size(keep: bool, least: int, most: int, folder: Path) -> None:
+def test_its_report_has_the_counts(folder: Path) -> None:
     planned, written = (
-        pc2scan.convert(folder / "drive.bag", folder / "out.bag", min_height=-0.3, keep_clouds=keep, dry_run=dry_run)
+        pc2scan.convert(folder / "drive.bag", folder / "out.bag", min_height=-0.3, dry_run=dry_run)
         for dry_run in (True, False)
     )
     assert (planned.dry_run, written.dry_run) == (True, False)
-    assert least < planned.bytes_written < most
-    assert 0.3 < planned.bytes_written / written.bytes_written < 3
     counts = [[(t.topic, t.messages_in, t.messages_out) for t in report.topics] for report in (planned, written)]
     assert counts[0] == counts[1]
-
-
-@pytest.mark.parametrize("to", ["out.bag", "out.mcap"])
-def test_the_points_that_beams_read_are_counted(to: str, folder: Path) -> None:
-    planned, written = (
-        pc2scan.convert(
-            folder / "drive.bag", folder / to, min_height=-0.3, keep_used="/used", only_scans=True, dry_run=dry_run
-        )
-        for dry_run in (True, False)
-    )
-    assert 0.5 < planned.bytes_written / written.bytes_written < 2
-
-
-def test_a_scan_of_two_lidars_is_as_large_as_a_scan_of_one(tmp_path: Path) -> None:
-    source = write_two(tmp_path / "two.mcap", 4)
-    how: dict[str, Any] = {"target_frame": "base_link", "min_height": -1.0, "only_scans": True, "dry_run": True}
-    sizes = [
-        pc2scan.convert(source, tmp_path / "out.mcap", topics=topics, **how).bytes_written
-        for topics in ("/front:=/scan", ("/front:=/scan", "/rear:=/scan"))
-    ]
-    assert 0.9 < sizes[1] / sizes[0] < 1.2
+    assert "out.bag: ROS 1 bag, which can be written; from 366.4 kB" in str(planned)
 
 
 @pytest.mark.parametrize(("options", "status"), [((), 0), (("--topic", "/nothing"), 2), (("--angle-min", "x"), 2)])

@@ -242,7 +242,7 @@ class Job:
     checksum
         Whether the checksum of the sources is computed.
     dry_run
-        Whether nothing is written; the result is then a forecast.
+        Whether nothing is written.
     shown
         Whether the line has the report as text.
     scratch
@@ -355,7 +355,7 @@ def _run_job(
     if job.dry_run and request.export is not None and not request.export.converting:
         return _inspect_export(job, sources)
     if request.export is None or job.dry_run:
-        # The forecast of an export that converts clouds is the forecast of the conversion.
+        # An export that converts clouds would do what the conversion would.
         scratch = None if job.scratch is None else Path(job.scratch)
         output = request.output._replace(owned=job.owned, dry_run=job.dry_run, scratch=scratch)
         return run(

@@ -7,7 +7,6 @@ import time
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from heapq import heapify, heapreplace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -25,7 +24,7 @@ from pc2scan.threads import cores
 from .dataset_file import Choices, DatasetFile, load_dataset_file
 from .find import find
 from .folder import open_folder
-from .jobs import Job, convert_one
+from .jobs import Job
 from .manifest import MANIFEST, checksum_of
 from .plan import have_same_outcome, make_plan
 from .processes import available_bytes, run_jobs, workers_for
@@ -42,9 +41,6 @@ if TYPE_CHECKING:
     from .jobs import Executor
     from .manifest import ManifestRecord
     from .plan import BatchPlan, Step
-
-#: Sizes of recordings that are converted as a sample: smaller ones say little, larger ones take too long.
-_SAMPLE_BYTES = range(1_000_000, 300_000_000)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -189,7 +185,7 @@ def run_batch(
         batch = _Batch(plan, folder, options, watch or BatchCallbacks(), executor or run_jobs)
         batch.watch.planned(plan)
         if options.dry_run:
-            batch.forecast()
+            batch.try_out()
         else:
             batch.convert()
         keys = [step.found.key for step in plan.steps]
@@ -199,7 +195,6 @@ def run_batch(
             dry_run=options.dry_run,
             seconds=round(time.monotonic() - began, 3),
             workers=batch.workers,
-            estimate_seconds=batch.estimate_seconds,
             warnings=[*choices.warnings(keys), *plan.warnings],
             gone=_gone(folder.history.records, keys),
         )
@@ -304,26 +299,6 @@ def _source_checksum(found: Recording) -> str:
 # --- Converting ---
 
 
-def _busiest(running: Iterable[float], waiting: Iterable[float], workers: int) -> float:
-    """Return how much work the worker has that ends last, if each that is idle takes the next recording.
-
-    Parameters
-    ----------
-    running
-        The work that is left of the recordings that have begun.
-    waiting
-        The work of the others, in their order.
-    workers
-        How many recordings are converted at a time.
-    """
-    ends = [*running]
-    ends += [0.0] * (workers - len(ends))
-    heapify(ends)
-    for work in waiting:
-        heapreplace(ends, ends[0] + work)
-    return max(ends)
-
-
 class _Progress:
     """Adds up the progress of all conversions: the bytes that are read of each, and which have ended.
 
@@ -369,8 +344,6 @@ class _Batch:
         The outcomes so far, by key.
     workers
         How many recordings are converted at a time.
-    estimate_seconds
-        How long the conversions would take; None if that is unknown.
     """
 
     def __init__(
@@ -387,18 +360,15 @@ class _Batch:
         self._jobs.sort(key=lambda job: (-job.size_bytes, job.key))
         count = len(self._jobs)
         self.workers = min(options.jobs or workers_for(count, cores(), available_bytes()), max(1, count))
-        self.estimate_seconds: float | None = None
         self.outcomes = {step.found.key: Outcome.of(step, step.record) for step in plan.of("keep")}
 
-    def forecast(self) -> None:
+    def try_out(self) -> None:
         """Say what would be done, and write nothing."""
         for record in self._refusals():
             self._show(record)
         with TemporaryDirectory(prefix="pc2scan-") as folder:
             # Nothing is written there either. It is needed because the folders of the outputs may not exist yet.
             self._run([replace(job, destination=str(Path(folder, Path(job.destination).name))) for job in self._jobs])
-        records = list(self._folder.history.records.values())
-        self.estimate_seconds = _estimate_seconds(self._jobs, records, self.workers)
 
     def convert(self) -> None:
         """Convert the recordings, and write the manifest.
@@ -526,39 +496,3 @@ class _Batch:
     def _show(self, record: ManifestRecord) -> None:
         outcome = self.outcomes[record.key] = Outcome.of(self._steps[record.key], record)
         self.watch.done(outcome)
-
-
-def _estimate_seconds(jobs: Sequence[Job], records: Sequence[ManifestRecord], workers: int) -> float | None:
-    """Return how many seconds these jobs would take; None if that cannot be estimated.
-
-    Parameters
-    ----------
-    jobs
-        The recordings that would be converted.
-    records
-        The lines of the manifest.
-    workers
-        How many recordings are converted at a time.
-    """
-    size = sum(job.size_bytes for job in jobs)
-    if not size:
-        return 0.0
-    done = [record for record in records if record.is_written and record.seconds > 0]
-    pace = sum(record.identity.size_bytes for record in done) / max(sum(record.seconds for record in done), 1e-9)
-    if not done:
-        pace = _sample_pace(jobs)
-    return _busiest((), (job.size_bytes for job in jobs), workers) / pace if pace else None
-
-
-def _sample_pace(jobs: Sequence[Job]) -> float:
-    """Return the bytes per second of a small recording, converted into a temporary folder; 0 if there is none."""
-    # The parts of a recording are in one folder.
-    local = (job for job in jobs if not is_url(job.sources[0]))
-    fitting = sorted((job for job in local if job.size_bytes in _SAMPLE_BYTES), key=lambda job: job.size_bytes)
-    for job in fitting[:3]:
-        with TemporaryDirectory(prefix="pc2scan-") as folder:
-            destination = str(Path(folder) / Path(job.destination).name)
-            record = convert_one(replace(job, destination=destination, dry_run=False))
-            if record.report is not None and record.seconds:
-                return job.size_bytes / record.seconds
-    return 0.0

@@ -284,13 +284,11 @@ class BatchReport(Result):
     outcomes
         One for each recording, in the order of their names.
     dry_run
-        Whether it was a dry run: outcomes are forecasts, and sizes are estimates.
+        Whether it was a dry run, which converts only the first clouds.
     seconds
         The duration of the run.
     workers
         How many recordings were converted at a time; 0 if there were none.
-    estimate_seconds
-        For a dry run: how long the conversions would take on this machine; None if that cannot be estimated.
     warnings
         Warnings.
     gone
@@ -299,7 +297,7 @@ class BatchReport(Result):
 
     kind: ClassVar[str] = "batch"
     json_names: ClassVar[tuple[str, ...]] = (
-        *("destination", "dry_run", "counts", "unchanged", "workers", "seconds", "estimate_seconds"),
+        *("destination", "dry_run", "counts", "unchanged", "workers", "seconds"),
         *("changes", "groups", "recordings"),
     )
 
@@ -308,7 +306,6 @@ class BatchReport(Result):
     dry_run: bool = False
     seconds: float = 0.0
     workers: int = 0
-    estimate_seconds: float | None = None
     warnings: list[str] = field(default_factory=list)
     gone: tuple[str, ...] = ()
 
@@ -382,8 +379,7 @@ class BatchReport(Result):
         scans, empty = sum(each.scans for each in self.outcomes), sum(each.empty_scans for each in self.outcomes)
         if self.dry_run:
             if done:
-                took = "unknown" if self.estimate_seconds is None else f"about {duration(self.estimate_seconds)}"
-                yield f"{len(done):,} to convert: {size(read)}; written would be about {size(written)}; time: {took}"
+                yield f"{len(done):,} to convert: {size(read)}"
             return
         yield f"{counted(scans, 'scan')}, {empty:,} without a return"
         if done:

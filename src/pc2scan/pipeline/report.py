@@ -169,7 +169,7 @@ class Report(Result):
     errors
         The error of a run that failed and wrote nothing; empty if it did not fail.
     dry_run
-        Whether it was a dry run: counts and sizes are estimates, and points are those of the first messages.
+        Whether it was a dry run: counts are those of the index, and points those of the first messages.
     container, ros_version
         Container and ROS version of the destination: ``rosbag1``, ``rosbag2`` or ``mcap``, and 1 or 2; empty and 0 as
         long as they are not known.
@@ -322,7 +322,7 @@ class Report(Result):
             frames = [repr(spec.params.target_frame) if spec.params.target_frame else _OWN for spec in self.scans]
             named = ", ".join(dict.fromkeys(frames))
             yield f"frame{'s' * (',' in named)}: {named}; points: those of the first messages"
-            yield f"{place}: {FORMATS[self.container].readable_one}, about {written} from {read}"
+            yield f"{place}: {FORMATS[self.container].readable_one}, which can be written; from {read}"
         else:
             yield f"{place}: {written} from {read} in {duration(self.seconds)}"
         if self.container == "mcap":

@@ -91,7 +91,7 @@ def run(
         tell = partial(tell_early, report.warnings, warn)
         reader, plan, target = _open(files, options, output, stack, report, tell)
         if output.dry_run:
-            _estimate(files, reader, plan, target, options, output, stack, report, tell)
+            _try_out(files, reader, plan, target, options, output, stack, report, tell)
             return report
         with _staging(files, target, output, stack) as unfinished:
             span = _span_with_messages(reader, plan, options)
@@ -234,7 +234,7 @@ def _staging(
     return staged_output(target.path, overwrite=output.overwrite, owned=output.owned, record_in=recorded_in)
 
 
-def _estimate(
+def _try_out(
     files: RunFiles,
     reader: Reader,
     plan: Plan,
@@ -245,8 +245,8 @@ def _estimate(
     report: Report,
     tell: Callable[[str], None],
 ) -> None:
-    """Add to the report of a dry run what the conversion would write."""
-    from .forecast import forecast  # noqa: PLC0415  # dry runs only
+    """Add to the report of a dry run what the conversion would do."""
+    from .dry_run import convert_first  # noqa: PLC0415  # dry runs only
 
     files.open_report(stack)
     check_destination(target.path, overwrite=output.overwrite, record_in=recorded_in, folder=output.folder)
@@ -255,7 +255,7 @@ def _estimate(
     report.add((), prepared.notes)
     recording = open_output(reader, plan, prepared, target, options, None)
     report.topics = recording.entries
-    forecast(reader, target, recording, options, prepared, report)
+    convert_first(reader, recording, options, prepared, report)
 
 
 def _span_with_messages(reader: Reader, plan: Plan, options: ConvertOptions) -> Span:

@@ -46,7 +46,7 @@ class OutputOptions(NamedTuple):
     to
         Format of the destination: ``bag``, ``mcap`` or ``rosbag2``; None: by its name, or the source's.
     dry_run
-        Whether nothing is written, not even the report: the result is only estimated.
+        Whether nothing is written, not even the report.
     like_source
         Whether a named destination has the storage of the source, like a destination that is named after the source.
     scratch

@@ -104,7 +104,7 @@ class Combiner:
         )
 
     def alone(self, contribution: Contribution) -> ConvertedMessage:
-        """Make the scan of one message alone, for forecasts."""
+        """Make the scan of one message alone, for dry runs."""
         return self._last(self._conversion.alone(contribution))
 
 
