@@ -27,11 +27,14 @@ def main() -> None:
         from .render import Screen, StdoutError
 
         keep_freed_memory()
-        # A stream is None if the process was started without it.
-        if sys.stdout is not None:
-            sys.stdout = Screen(sys.stdout, guarded=True)
-        if sys.stderr is not None:
-            sys.stderr = Screen(sys.stderr)
+        # A daemon may start a process without these. An output, and what workers inherit, must not get their numbers.
+        for name in ("stdin", "stdout", "stderr"):
+            if getattr(sys, name) is None:
+                stream = open(os.devnull, "r" if name == "stdin" else "w", encoding="utf-8")  # noqa: PTH123, SIM115
+                os.set_inheritable(stream.fileno(), True)
+                setattr(sys, name, stream)
+        sys.stdout = Screen(sys.stdout, guarded=True)
+        sys.stderr = Screen(sys.stderr)
         if lost := next((word for word in sys.argv if word.startswith("memory:")), None):
             from pc2scan.errors import UsageError
 
