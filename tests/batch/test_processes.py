@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import random
@@ -28,6 +29,7 @@ from support.command import COMMAND, INTERRUPTED, environment, run
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+NOTE = ".pc2scan-begun.json"
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals and locks of POSIX")
 
 
@@ -306,3 +308,21 @@ def test_cores_and_memory_bound_the_number_of_workers() -> None:
         assert workers_for(jobs, 8, memory) == workers
     found = available_bytes()
     assert found is None or found > 1_000_000
+
+
+def test_a_note_that_cannot_be_removed_is_no_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    place(tmp_path / "in", "a.bag")
+    unlink = Path.unlink
+
+    def failing(path: Path, missing_ok: bool = False) -> None:
+        if path.name == NOTE:
+            raise OSError(errno.EIO, "Input/output error")
+        unlink(path, missing_ok)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "unlink", failing)
+        assert batch(tmp_path / "in", tmp_path / "out").exit_status == 0
+    assert (tmp_path / "out" / NOTE).exists()
+    # The next run finds everything in order, and removes it.
+    assert [each.action for each in batch(tmp_path / "in", tmp_path / "out").outcomes] == ["keep"]
+    assert not (tmp_path / "out" / NOTE).exists()

@@ -16,6 +16,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
+import zstandard
 from mcap.writer import Writer as McapLibraryWriter
 
 import pc2scan
@@ -24,7 +25,7 @@ from fuzz.mutants.mutate import fields_of
 from fuzz.mutants.rosbag1 import FIRST_LINE, raw_records
 from pc2scan.bags.opening import open_recording
 from pc2scan.errors import DamageError, ResultError, UsageError
-from support import SHARED, needs_shared, sampled
+from support import ROOT, SHARED, needs_shared, sampled
 from support.builders import (
     CHATTER,
     CONTENT,
@@ -803,3 +804,18 @@ def test_the_crc_of_a_data_section_without_chunks(command: tuple[str, ...], tmp_
 def test_the_flipped_bit_of_the_shared_file(tmp_path: Path) -> None:
     status, stderr, _ = report_of("repair", SHARED / "hostile" / "dc.mcap", "-o", tmp_path / "out.mcap")
     assert (status, "the data section has CRC" in stderr) == (3, True)
+
+
+def test_memory_that_runs_out_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Compressor:
+        def __init__(self, *, level: int) -> None:
+            pass
+
+        def compress(self, _: bytes) -> bytes:
+            raise zstandard.ZstdError("cannot compress: Allocation error : not enough memory")
+
+    monkeypatch.setattr(zstandard, "ZstdCompressor", Compressor)
+    done = run("convert", ROOT / "fixtures" / "hall.mcap", "-o", tmp_path / "out.mcap", "--min-height", "0.1")
+    assert (done.status, "Traceback" in done.stderr) == (1, False)
+    assert "error: memory ran out: nothing was written\nhint: fewer threads take less: --jobs 1\n" in done.stderr
+    assert list(tmp_path.iterdir()) == []

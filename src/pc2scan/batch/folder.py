@@ -193,7 +193,8 @@ class BatchFolder:
                         (self.path / folder).rmdir()
             # What exists now and did not before was made by this run, even if nothing was heard of its beginning.
             known = (self._noted.outputs | self._begun | absent) - self._ended
-            with suppress(OutputError):
+            # A note that stays names outputs that the manifest has.
+            with suppress(OutputError, OSError):
                 if left := self._existing(known) if known else known:
                     self._write_note(_Unfinished(frozenset(left)))
                 elif outputs or self._stored is None or _UNFINISHED in self._stored:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 from contextlib import suppress
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -15,7 +16,7 @@ from typer._click.exceptions import UsageError as TyperUsageError
 from typer.core import TyperCommand, TyperGroup, TyperOption
 from typer.models import TyperPath
 
-from pc2scan.errors import Pc2ScanError, UsageError, name_list
+from pc2scan.errors import OutputError, Pc2ScanError, UsageError, name_list
 from pc2scan.options.table import options_of
 
 from .interrupts import interruptible
@@ -198,6 +199,15 @@ class _Group(TyperGroup):
         except KeyboardInterrupt:
             say(f"interrupted: {_what_was_written()}", err=True)
             raise typer.Exit(_INTERRUPTED) from None
+        except MemoryError as err:
+            error = OutputError(f"memory ran out: {_what_was_written()}", hint="fewer threads take less: `jobs=1`")
+            raise _as_exit(error, words) from err
+        except FileNotFoundError as err:
+            try:
+                Path.cwd()
+            except FileNotFoundError:
+                raise _as_exit(OutputError("the current folder was deleted", hint="cd to another one"), words) from err
+            raise
 
 
 def _as_exit(err: Pc2ScanError | TyperUsageError, words: Sequence[str]) -> Exception:

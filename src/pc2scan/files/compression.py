@@ -294,7 +294,11 @@ def _to_lz4(data: Buffer, _level: int | None) -> Buffer:
 def _to_zstd(data: Buffer, level: int | None) -> Buffer:
     import zstandard  # noqa: PLC0415  (only recordings that need it pay for it)
 
-    return zstandard.ZstdCompressor(level=_ZSTD_LEVEL if level is None else level).compress(data)
+    try:
+        return zstandard.ZstdCompressor(level=_ZSTD_LEVEL if level is None else level).compress(data)
+    except zstandard.ZstdError as err:
+        # Any data can be compressed.
+        raise MemoryError(str(err)) from err
 
 
 _DECOMPRESS: dict[str, Callable[[Buffer, int], DecompressedData]] = {
