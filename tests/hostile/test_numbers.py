@@ -72,9 +72,8 @@ def test_a_long_chain_of_frames(count: int, tmp_path: Path) -> None:
 @pytest.mark.parametrize("count", sampled([2_000, 20_000], 1))
 def test_frames_that_form_a_loop(count: int, tmp_path: Path) -> None:
     source = tree(tmp_path / "a.bag", count, loop=True)
-    done = run_bounded("convert", source, "--target-frame", "f3")
-    assert done.status == 1
-    assert "contains a loop" in done.stderr
+    # The walk up from the cloud's frame ends at f3, as in tf2.
+    assert run_bounded("convert", source, "--target-frame", "f3").status == 0
     assert run_bounded("tf", source).status == 0
 
 
