@@ -41,7 +41,7 @@ _OF_ALL = ConvertOptions.__dataclass_fields__.keys() - {"scans", "frames", "cloc
 OF_FRAMES = {*ConversionFrames.__annotations__, "write_static_tf"} - {"frames"}
 
 #: The options that name files which are read.
-NAMED_FILES = ("params_file", "static_tf_file", "trajectory", "trajectory_times", "urdf", "scans")
+NAMED_FILES = ("params_file", "static_tf_file", "trajectory", "urdf", "scans")
 
 
 class ConversionRequest(NamedTuple):
@@ -107,13 +107,13 @@ def _odometry(texts: tuple[str, ...]) -> tuple[PoseTopic, ...]:
 def _trajectory(options: Options) -> Trajectory | None:
     """Return the poses of a file that are used as transforms."""
     if options.trajectory is None:
-        if options.trajectory_frames or options.trajectory_times is not None:
-            raise UsageError("`trajectory_frames` and `trajectory_times` need `trajectory`")
+        if options.trajectory_frames:
+            raise UsageError("`trajectory_frames` needs `trajectory`")
         return None
     from .tf.trajectory import frames_of_trajectory, load_trajectory  # noqa: PLC0415  # few conversions add poses
 
     frames = frames_of_trajectory(options.trajectory_frames)
-    found = load_trajectory(options.trajectory, frames, options.trajectory_times)
+    found = load_trajectory(options.trajectory, frames)
     clock = clock_of(options)
     return found if clock is None else found.moved(clock.trajectory_ns)
 

@@ -108,7 +108,6 @@ def inputs() -> Iterator[tuple[str, str, bytes]]:
     yield "scan-text", "messages", _scan_text().encode()
     yield "model", "fixed", _MODEL
     yield "trajectory", "tum", b"# stamp x y z qx qy qz qw\n1.5 0 1 2 0 0 0 1\n2.5 0 1 2 0.5 0.5 0.5 0.5\n"
-    yield "trajectory", "kitti", b"1 0 0 4 0 1 0 5 0 0 1 6\n0 -1 0 4 1 0 0 5 0 0 1 6\n"
     yield "qos", "profile", qos_text((POINTS,)).encode()
     yield "parameters", "ros2", (GOLDEN / "launch_sample" / "params.yaml").read_bytes()
     yield "parameters", "ros1", b"min_height: -0.5\nangle_min: rad(-pi/2)\nuse_inf: 1\n"

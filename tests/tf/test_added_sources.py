@@ -197,15 +197,6 @@ def _tum(path: Path, text: str = "{stamp} {pose}\n") -> Path:
     return path
 
 
-def _kitti(folder: Path) -> dict[str, Any]:
-    matrices = [rigid(pose) for pose in map(pose_at, SAMPLES)]
-    rows = [np.column_stack([each.matrix, each.translation]).ravel().tolist() for each in matrices]
-    poses, times = folder / "poses.txt", folder / "times.txt"
-    poses.write_text("\n".join(" ".join(map(repr, row)) for row in rows), encoding="utf-8")
-    times.write_text("\n".join(map(str, SAMPLES)), encoding="utf-8")
-    return {"trajectory": poses, "trajectory_times": times}
-
-
 FRAMES: dict[str, Any] = {"trajectory_frames": "odom:base_link"}
 
 
@@ -214,8 +205,6 @@ def test_a_trajectory_is_transforms(suffix: str, tmp_path: Path, by_tf: list[tup
     path = written(tmp_path, recording(), suffix=suffix)
     tum: dict[str, Any] = {"trajectory": _tum(tmp_path / "poses.tum")}
     assert scans_of(path, **tum, **FRAMES) == by_tf
-    for one, other in zip(scans_of(path, **_kitti(tmp_path), **FRAMES), by_tf, strict=True):
-        assert are_near(one, other, rtol=1e-5)
     out = tmp_path / f"out.{suffix}"
     report = pc2scan.convert(path, out, target_frame="base_link", **tum, **FRAMES, **HEIGHTS)
     (entry,) = (topic for topic in report.topics if topic.action == "added")
@@ -235,11 +224,6 @@ def test_evo_writes_what_is_read(tmp_path: Path, by_tf: list[tuple[int, str, byt
     path = written(tmp_path, recording())
     for one, other in zip(scans_of(path, trajectory=tmp_path / "evo.tum", **FRAMES), by_tf, strict=True):
         assert are_near(one, other, rtol=1e-4)
-    tools.write_kitti_poses_file(tmp_path / "evo.txt", read)
-    how: dict[str, Any] = {"trajectory": tmp_path / "evo.txt", "trajectory_times": _kitti(tmp_path)["trajectory_times"]}
-    tree = pc2scan.tf(path, **how, **FRAMES)
-    for stamp_ns in SAMPLES:
-        assert np.allclose(tree.lookup("odom", "base_link", stamp_ns).pose, pose_at(stamp_ns), rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize(("content", "said"), rows(TABLES, "wrong files"))

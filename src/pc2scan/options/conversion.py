@@ -256,8 +256,7 @@ class TransformInputs(TransformTopics, total=False):
         Path | None,
         Option(
             PathName(),
-            "Use the poses of this file as transforms: TUM (stamp x y z qx qy qz qw), or KITTI with "
-            "`trajectory_times`. Needs `trajectory_frames`.",
+            "Use the poses of this file as transforms: TUM (stamp x y z qx qy qz qw). Needs `trajectory_frames`.",
         ),
     ]
     trajectory_frames: Annotated[
@@ -267,10 +266,6 @@ class TransformInputs(TransformTopics, total=False):
             "The frames of `trajectory`: the poses are those of CHILD in PARENT (odom:base_link, map:velodyne).",
             default="",
         ),
-    ]
-    trajectory_times: Annotated[
-        Path | None,
-        Option(PathName(), "The stamps of a `trajectory` in KITTI's format: one a line, in seconds or nanoseconds."),
     ]
     urdf: Annotated[
         Path | None,
