@@ -146,11 +146,6 @@ def test_what_the_beams_of_a_scan_say() -> None:
     shorter = observing_beams(ranges, 0.1, 10.0, longest=6.0)
     assert shorter.lengths.tolist() == [pytest.approx(0.1), 5.0, 6.0]
     assert shorter.hits.tolist() == [True, True, False]
-    clearing = observing_beams(ranges, 0.1, 10.0, longest=6.0, clear_to=4.0)
-    assert clearing.numbers.tolist() == [1, 4, 5, 6, 7, 8]
-    assert clearing.lengths.tolist() == [4.0, pytest.approx(0.1), 5.0, 6.0, 4.0, 4.0]
-    assert clearing.hits.tolist() == [False, True, True, False, False, False]
-    assert observing_beams(ranges, 0.1, 10.0, clear_to=99.0).lengths.max() == 10.0
     endless = observing_beams(ranges, 0.1, np.inf)
     assert endless.numbers.tolist() == [4, 5, 6, 7, 8]
     assert observing_beams(ranges, 0.1, np.nan).numbers.size == 0

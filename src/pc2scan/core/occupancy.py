@@ -93,14 +93,12 @@ def observing_beams(
     range_max: float,
     *,
     longest: float = math.inf,
-    clear_to: float = 0.0,
 ) -> ObservingBeams:
     """Return the beams of a scan that observe free or occupied space.
 
     A range from ``range_min`` to less than ``range_max`` is a return, as for laser_geometry. Beams without a return
-    (inf, or from ``range_max`` on) are ignored, as in gmapping and slam_toolbox, unless ``clear_to`` is given: a scan
-    of a cloud also has no return where all points were too high or too low. NaN and ranges below ``range_min`` are
-    ignored.
+    (inf, or from ``range_max`` on), NaN, and ranges below ``range_min`` are ignored, as in gmapping and slam_toolbox: a
+    scan of a cloud also has no return where all points were too high or too low.
 
     Parameters
     ----------
@@ -110,18 +108,12 @@ def observing_beams(
         Limits of the scan, metres.
     longest
         A return beyond it only clears the way up to it, metres; ``maxUrange`` of gmapping.
-    clear_to
-        How far beams without a return clear, metres; at most ``range_max``.
     """
     with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
         lengths = ranges.astype(np.float64)
         returns = (lengths >= range_min) & (lengths < range_max) & np.isfinite(lengths)
-        empty = lengths >= range_max if clear_to > 0 else np.zeros(len(lengths), np.bool_)
-    empty[~returns & (lengths == math.inf)] = clear_to > 0
-    lengths[empty] = min(clear_to, range_max)
-    hits = returns & (lengths <= longest)
-    numbers = np.flatnonzero(returns | empty)
-    return ObservingBeams(numbers, np.minimum(lengths[numbers], longest), hits[numbers])
+    numbers = np.flatnonzero(returns)
+    return ObservingBeams(numbers, np.minimum(lengths[numbers], longest), lengths[numbers] <= longest)
 
 
 def place_beams(

@@ -84,7 +84,6 @@ class Drawing:
                 scan.range_min,
                 scan.range_max,
                 longest=min(asked.max_range, LONGEST * asked.resolution),
-                clear_to=asked.clear_to,
             )
             origins, ends = place_beams(beams, self._directions(scan), len(scan.ranges), start, end)
             self.grid.add(origins, ends, beams.hits)
@@ -264,8 +263,6 @@ class MapOptions:
         The side of a cell, metres.
     max_range
         Returns beyond this range mark no cell as occupied; the cells up to it are cleared. Metres.
-    clear_to
-        The range up to which beams without a return clear cells, metres; 0: they are ignored.
 
     Raises
     ------
@@ -277,7 +274,6 @@ class MapOptions:
     base_frame: str = ""
     resolution: float = 0.05
     max_range: float = math.inf
-    clear_to: float = 0.0
 
     @classmethod
     def of(cls, options: Options) -> MapOptions:
@@ -296,7 +292,5 @@ class MapOptions:
             )
         if not self.max_range > 0:
             raise UsageError(f"`max_range` is {self.max_range:g} m, it must be greater than 0")
-        if not 0 <= self.clear_to < math.inf:
-            raise UsageError(f"`clear_to` is {self.clear_to:g} m, it must be 0 or more, and finite")
         if not self.odom_frame.removeprefix("/"):
             raise UsageError("`odom_frame` is empty", hint="pc2scan tf shows the frames of a recording")

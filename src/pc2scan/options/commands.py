@@ -235,16 +235,6 @@ class MapDrawing(TypedDict, total=False):
             common=True,
         ),
     ]
-    clear_to: Annotated[
-        Quantity,
-        Option(
-            Number("m"),
-            "Up to which range beams without a return clear cells. 0: not at all, like in gmapping and slam_toolbox.",
-            default=0.0,
-            default_text="0",
-            common=True,
-        ),
-    ]
     odom_frame: Annotated[
         str,
         Option(
