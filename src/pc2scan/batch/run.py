@@ -59,8 +59,6 @@ class BatchOptions:
         Whether sources are compared by SHA-256 instead of their times of modification.
     force
         Whether recordings are converted again whose results are up to date.
-    fail_fast
-        Whether the run ends when the first recording fails.
     dry_run
         Whether nothing is written; the report then says what would be.
     dask
@@ -76,7 +74,6 @@ class BatchOptions:
     retries: int = 1
     checksum: bool = False
     force: bool = False
-    fail_fast: bool = False
     dry_run: bool = False
     dask: bool | str = False
     report: Path | None = None
@@ -388,15 +385,14 @@ class _Batch:
 
     def _convert(self) -> None:
         refusals = self._refusals()
-        jobs = [] if self._options.fail_fast and refusals else self._jobs
-        with self._folder.writing({job.output for job in jobs}):
+        with self._folder.writing({job.output for job in self._jobs}):
             for record in refusals:
                 earlier = self._steps[record.key].record
                 if earlier is None or not have_same_outcome(earlier, record):
                     self._folder.append(record)
                 self._show(record)
-            if jobs:
-                self._run(jobs)
+            if self._jobs:
+                self._run(self._jobs)
 
     def _clean_up(self) -> None:
         """Remove the temporary files that killed runs have left beside the outputs in this folder."""
@@ -465,8 +461,6 @@ class _Batch:
                             raise self._disk_is_full(value.error["message"], value.error["path"])
                         self._end(value)
                         progress.end(key)
-                        if self._options.fail_fast and value.exit_status in (1, 2):
-                            return
         finally:
             # Also if the manifest cannot be written: the workers must end.
             events.close()

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from .plan import Step
 
 #: Outcomes from bad to good. Recordings are shown in this order.
-_ORDER = ("died", "failed", "not begun", "empty", "incomplete", NO_CLOUDS, "converted", "skipped")
+_ORDER = ("died", "failed", "empty", "incomplete", NO_CLOUDS, "converted", "skipped")
 
 #: Outcomes that make the exit status 1, and 3.
-_BAD, _ODD = frozenset({"died", "failed", "not begun"}), frozenset({"empty", "incomplete"})
+_BAD, _ODD = frozenset({"died", "failed"}), frozenset({"empty", "incomplete"})
 
 #: Maximum number of recordings that are listed one by one. Of more, what is said of them is listed instead.
 _MAX_SHOWN = 30
@@ -117,7 +117,7 @@ class Outcome:
     why
         The reason.
     outcome
-        As in a `pc2scan.batch.manifest.ManifestRecord`; or ``skipped``; or ``not begun``, if the run ended before that.
+        As in a `pc2scan.batch.manifest.ManifestRecord`; or ``skipped``.
     exit_status
         The exit status that `pc2scan convert` would have had.
     output
@@ -162,11 +162,7 @@ class Outcome:
         """Return the outcome of a step of the plan, given its line of the manifest."""
         if step.action == "skip":
             return cls(key=step.found.key, action="skip", why=step.why, outcome="skipped")
-        if record is None:
-            before = "" if step.record is None else step.record.outcome
-            return cls(
-                key=step.found.key, action=step.action, why=step.why, outcome="not begun", exit_status=1, before=before
-            )
+        assert record is not None  # all others have ended
         report: Mapping[str, Any] = record.report or {}
         error: Mapping[str, Any] = record.error or {}
         topics = report.get("topics", ())

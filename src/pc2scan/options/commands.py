@@ -134,7 +134,6 @@ class BatchRun(TypedDict, total=False):
             Flag(), "Recognise unchanged recordings by SHA-256 instead of their modification time. Reads every byte."
         ),
     ]
-    fail_fast: Annotated[bool, Option(Flag(), "Stop at the first recording that fails.")]
     report: Annotated[
         Path | None, Option(PathName(), "Write the summary of all recordings: *.json, *.csv or *.md.", common=True)
     ]
