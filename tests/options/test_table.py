@@ -129,7 +129,6 @@ def test_what_only_python_has_is_no_option_of_a_command() -> None:
             "`channels` has 'stamp', its values must be among distances",
         ),
         ("convert", {"start": "soon"}, "`start`: 'soon' is not a time"),
-        ("batch", {"retries": 101}, "`retries` is 101, it must be from 0 to 100"),
         ("view", {"clouds": 1001}, "`clouds` is 1,001, it must be from 1 to 1,000"),
         ("info", {"samples": 0}, "`samples` is 0, it must be 1 or more"),
         ("diff", {"atol": ["x"]}, "`atol`: 'x' is not a tolerance"),

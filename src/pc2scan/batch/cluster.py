@@ -89,7 +89,7 @@ def dask_setup(_worker: Any) -> None:
 
 
 def run_jobs_on_dask(
-    jobs: Sequence[Job], *, address: str, workers: int, cores: int, retries: int, lock: int | None = None
+    jobs: Sequence[Job], *, address: str, workers: int, cores: int, lock: int | None = None
 ) -> Generator[Event]:
     """Run jobs on the Dask cluster whose scheduler has this address; see `pc2scan.batch.jobs.Executor`.
 
@@ -99,7 +99,7 @@ def run_jobs_on_dask(
     if not jobs:
         return
     with ExitStack() as stack:
-        client = stack.enter_context(_connect(address, workers, retries))
+        client = stack.enter_context(_connect(address, workers))
         yield Event("told", value=f"Dask's dashboard: {client.dashboard_link}")
         if not client.scheduler_info(n_workers=-1)["workers"]:
             yield Event("told", value=f"{address} has no worker yet; the batch begins when one joins")
@@ -109,7 +109,7 @@ def run_jobs_on_dask(
         yield Event("workers", value=at_a_time)
         # A cluster that was started here has a thread for each task: the cores are for the conversions.
         threads = 0 if address else max(1, cores // workers)
-        yield from _run_jobs(client, tasks_of(jobs, at_a_time, retries), threads)
+        yield from _run_jobs(client, tasks_of(jobs, at_a_time), threads)
         if client.status == "running":
             yield Event("workers", value=_tasks_at_a_time(client))
 
@@ -123,14 +123,14 @@ class _Task(NamedTuple):
     """Recordings that a worker converts one after the other, and how often the task is tried again if one kills it."""
 
     jobs: tuple[Job, ...]
-    retries: int
+    retries: int = 1
 
     def singly(self) -> list[_Task]:
         """Return a task for each recording, after an attempt that may have completed some of them."""
         return [_Task((job.retried(),), self.retries) for job in self.jobs]
 
 
-def tasks_of(jobs: Sequence[Job], at_a_time: int, retries: int) -> Iterator[_Task]:
+def tasks_of(jobs: Sequence[Job], at_a_time: int) -> Iterator[_Task]:
     """Yield tasks of several small recordings: handing one over takes longer than converting it."""
     most = max(1, min(_MOST_JOBS, len(jobs) // (4 * max(1, at_a_time))))
     together: list[Job] = []
@@ -138,12 +138,12 @@ def tasks_of(jobs: Sequence[Job], at_a_time: int, retries: int) -> Iterator[_Tas
     for job in jobs:
         is_small = job.size_bytes * most <= _TASK_BYTES and not any(map(is_url, job.sources))
         if together and (not is_small or len(together) == most or size + job.size_bytes > _TASK_BYTES):
-            yield _Task(tuple(together), retries)
+            yield _Task(tuple(together))
             together, size = [], 0
         together.append(job)
         size = size + job.size_bytes if is_small else _TASK_BYTES
     if together:
-        yield _Task(tuple(together), retries)
+        yield _Task(tuple(together))
 
 
 def _run_jobs(client: Any, tasks: Iterable[_Task], threads: int) -> Generator[Event]:
@@ -503,7 +503,7 @@ def _block_sigint() -> Iterator[None]:
 
 
 @contextmanager
-def _connect(address: str, workers: int, retries: int) -> Iterator[Any]:
+def _connect(address: str, workers: int) -> Iterator[Any]:
     """Yield a client of the scheduler, or of a cluster on this machine."""
     import logging  # noqa: PLC0415
 
@@ -517,7 +517,7 @@ def _connect(address: str, workers: int, retries: int) -> Iterator[Any]:
         if not address:
             # Dask counts every task that a dead worker held as tried. So no worker holds a second, waiting task.
             settings = {
-                "distributed.scheduler.allowed-failures": retries,
+                "distributed.scheduler.allowed-failures": 1,
                 "distributed.scheduler.worker-saturation": 1.0,
             }
             stack.enter_context(dask.config.set(settings))

@@ -196,9 +196,7 @@ class Executor(Protocol):
     Closing the generator interrupts the jobs and removes their unfinished outputs.
     """
 
-    def __call__(
-        self, jobs: Sequence[Job], *, workers: int, cores: int, retries: int, lock: int | None
-    ) -> Generator[Event]:
+    def __call__(self, jobs: Sequence[Job], *, workers: int, cores: int, lock: int | None) -> Generator[Event]:
         """Run jobs.
 
         Parameters
@@ -209,8 +207,6 @@ class Executor(Protocol):
             How many recordings are converted at a time.
         cores
             The number of threads of all conversions together.
-        retries
-            How often a recording is tried again if its process died.
         lock
             The file descriptor of a lock that the processes on this machine hold until they end.
         """

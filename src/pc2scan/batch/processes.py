@@ -179,8 +179,8 @@ def run_jobs(
 ) -> Generator[Event]:
     """Run jobs in worker processes; see `pc2scan.batch.jobs.Executor`.
 
-    The last recordings get the threads of idle workers. The last attempt to convert a recording uses a single thread.
-    The workers of a ``pool`` that is given stay for the next jobs if all of these are done.
+    The last recordings get the threads of idle workers. A recording whose process died is tried ``retries`` times more,
+    by a single thread. The workers of a ``pool`` that is given stay for the next jobs if all of these are done.
     """
     stays = pool is not None
     pending = deque(jobs)

@@ -53,8 +53,6 @@ class BatchOptions:
         The dataset file; None for none.
     jobs
         How many recordings are converted at a time; 0: one for each core, as far as the memory is enough.
-    retries
-        How often a recording is tried again if its process died: up to 100 times.
     checksum
         Whether sources are compared by SHA-256 instead of their times of modification.
     force
@@ -71,7 +69,6 @@ class BatchOptions:
 
     dataset: Path | None = None
     jobs: int = 0
-    retries: int = 1
     checksum: bool = False
     force: bool = False
     dry_run: bool = False
@@ -438,9 +435,7 @@ class _Batch:
     def _run(self, jobs: Sequence[Job]) -> None:
         """Run jobs, and handle their events in the order in which they come."""
         progress = _Progress({job.key: job.size_bytes for job in jobs}, self.watch)
-        events = self._executor(
-            jobs, workers=self.workers, cores=cores(), retries=self._options.retries, lock=self._folder.lock
-        )
+        events = self._executor(jobs, workers=self.workers, cores=cores(), lock=self._folder.lock)
         try:
             for what, key, value in events:
                 match what:

@@ -108,15 +108,6 @@ class BatchRun(TypedDict, total=False):
             common=True,
         ),
     ]
-    retries: Annotated[
-        int,
-        Option(
-            Count(0, 100),
-            "How often a recording is tried again if its process was killed, for instance for lack of memory; up to "
-            "100 times.",
-            default=1,
-        ),
-    ]
     dask: Annotated[
         bool | str,
         Option(
