@@ -359,14 +359,14 @@ def test_a_worker_that_dies_spoils_nothing_else_of_its_task(tmp_path: Path, monk
 )
 def test_small_recordings_share_a_task(sizes: list[int], at_a_time: int, tasks: list[int]) -> None:
     jobs = [job(str(number), size) for number, size in enumerate(sizes)]
-    made = list(tasks_of(jobs, at_a_time, 1))
+    made = list(tasks_of(jobs, at_a_time))
     assert [len(task.jobs) for task in made] == tasks
     assert [each for task in made for each in task.jobs] == jobs
 
 
 def test_recordings_at_urls_have_a_task_each() -> None:
     jobs = [job(str(number), 10, "s3://bucket/a.bag") for number in range(64)]
-    assert [len(task.jobs) for task in tasks_of(jobs, 1, 1)] == [1] * 64
+    assert [len(task.jobs) for task in tasks_of(jobs, 1)] == [1] * 64
 
 
 def job(key: str, size: int, source: str = "/data/a.bag") -> Job:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import pc2scan
-from pc2scan.batch.manifest import Identity, checksum_of, identity_of
+from pc2scan.batch.manifest import Identity, identity_of
 from support.batches import batch, manifest_of, place
 from support.builders import CONTENT, SECOND, Item, Recording, write_mcap, write_rosbag1
 from support.tables import rows
@@ -98,15 +98,6 @@ def test_a_changed_file_or_folder_is_another(
     change(tmp_path)
     assert (identity_of([tmp_path]) != before, identity_of(files) != of_files) == (folder_is_another, files_are_others)
     assert identity_of([tmp_path / "missing"]) == Identity()
-
-
-def test_checksums_are_of_content_and_names(tmp_path: Path) -> None:
-    for name, text in (("a", "content"), ("b", "content"), ("c", "other..")):
-        (tmp_path / name).write_text(text)
-    assert checksum_of([tmp_path / "a"]) == checksum_of([tmp_path / "b"]) != checksum_of([tmp_path / "c"])
-    whole = checksum_of([tmp_path])
-    (tmp_path / "b").rename(tmp_path / "d")
-    assert checksum_of([tmp_path]) != whole
 
 
 def test_each_recording_has_a_line_of_json(tmp_path: Path) -> None:

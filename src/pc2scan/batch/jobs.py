@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from pc2scan.bags.opening import open_recordings
 from pc2scan.core.params import ProjectionParams
-from pc2scan.errors import NothingToConvertError, OutputError, Pc2ScanError, RecordingError, UsageError
+from pc2scan.errors import NothingToConvertError, OutputError, Pc2ScanError, UsageError
 from pc2scan.files.records import Record
 from pc2scan.files.system import is_full
 from pc2scan.files.urls import UrlPath, absolute, path_or_url
@@ -24,7 +24,7 @@ from pc2scan.pipeline.run import run
 from pc2scan.requests import conversion_of, output_of
 from pc2scan.result import json_value
 
-from .manifest import NO_CLOUDS, Identity, ManifestRecord, checksum_of, identity_of
+from .manifest import NO_CLOUDS, Identity, ManifestRecord, identity_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Sequence
@@ -235,8 +235,6 @@ class Job:
         What earlier runs wrote into the destination's folder: it may be replaced without ``overwrite``, too.
     threads
         The number of threads of the conversion.
-    checksum
-        Whether the checksum of the sources is computed.
     dry_run
         Whether nothing is written.
     shown
@@ -255,7 +253,6 @@ class Job:
     size_bytes: int = 0
     owned: Record | None = None
     threads: int = 1
-    checksum: bool = False
     dry_run: bool = False
     shown: bool = False
     scratch: str | None = None
@@ -312,8 +309,6 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
     known: dict[str, Any] = {"identity": Identity(), "started": _utc_now()}
     try:
         known["identity"] = identity_of(sources)
-        if job.checksum:
-            known["sha256"] = _checksum_of_sources(sources)
         done = _run_job(job, sources, destination, progress)
         report, status = done.as_dict(), done.exit_status
         record = job.record(
@@ -385,8 +380,3 @@ def _damage_of(job: Job, sources: list[Path]) -> tuple[Damage, ...]:
         return tuple(place for reader in readers for place in reader.damage)
 
 
-def _checksum_of_sources(sources: list[Path]) -> str:
-    try:
-        return checksum_of(sources)
-    except OSError as err:
-        raise RecordingError(f"cannot be read: {err.strerror}", path=sources[0]) from err

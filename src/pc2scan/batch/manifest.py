@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import DestinationError, UsageError
 from pc2scan.files.records import RECORD, FileState, Record
-from pc2scan.files.source import file_beside, open_bytes
+from pc2scan.files.source import file_beside
 from pc2scan.files.urls import UrlPath
 from pc2scan.version import __version__
 
@@ -32,8 +32,6 @@ MANIFEST = "manifest.jsonl"
 
 #: Each line of a manifest begins with this. A file of the same name without it is refused.
 _BEGINNING = '{"pc2scan": "'
-
-_PIECE_BYTES = 1 << 20
 
 #: Identities list up to this many files of a folder one by one; more are summed up.
 _MOST = 100
@@ -139,25 +137,6 @@ def _summed_up(found: list[tuple[str, int, int | str]]) -> list[tuple[str, int, 
     return [(f"{len(found)} files", sum(size for _, size, _ in found), last)]
 
 
-def checksum_of(paths: Iterable[Path]) -> str:
-    """Return the SHA-256 of the content of a recording's files, in the order of `identity_of`.
-
-    Raises
-    ------
-    OSError
-        If a file cannot be read.
-    """
-    import hashlib  # noqa: PLC0415  # only where it is wanted
-
-    digest = hashlib.sha256()
-    for path in paths:
-        files = sorted(each for each in path.iterdir() if each.is_file()) if path.is_dir() else [path]
-        for file in files:
-            digest.update(f"{file.name if path.is_dir() else ''}\0{file.stat().st_size}\0".encode())
-            with open_bytes(file) as opened:
-                while piece := opened.read(_PIECE_BYTES):
-                    digest.update(piece)
-    return digest.hexdigest()
 
 
 # --- Lines ---
@@ -173,8 +152,8 @@ class ManifestRecord:
         Its name in the dataset.
     sources
         Its paths, absolute.
-    identity, sha256
-        The identity and the checksum of the source when it was read; no checksum unless it was requested.
+    identity
+        The identity of the source when it was read.
     container
         The name of the source's format; empty if it is not a recording.
     options
@@ -211,7 +190,6 @@ class ManifestRecord:
     key: str
     sources: tuple[str, ...]
     identity: Identity
-    sha256: str | None = None
     container: str = ""
     options: str
     version: str = __version__
@@ -249,7 +227,6 @@ class ManifestRecord:
                 "container": self.container or None,
                 "bytes": self.identity.size_bytes,
                 "files": self.identity.as_json(),
-                "sha256": self.sha256,
             },
             "options": self.options,
             "output": None
@@ -275,7 +252,6 @@ class ManifestRecord:
             key=str(line["key"]),
             sources=tuple(map(str, source["paths"])),
             identity=Identity.from_json(source["files"]),
-            sha256=source["sha256"],
             container=source["container"] or "",
             options=str(line["options"]),
             version=str(line["pc2scan"]),

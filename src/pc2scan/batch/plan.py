@@ -128,7 +128,6 @@ def make_plan(
     out: Path,
     forbidden: Callable[[str], Pc2ScanError | None] = lambda _: None,
     present: Callable[[str], Identity],
-    checksum: Callable[[Recording], str] | None = None,
     force: bool = False,
 ) -> BatchPlan:
     """Decide what is done with each recording.
@@ -147,8 +146,6 @@ def make_plan(
         Returns why an output may not be written, whatever is there: it is a source, or behind a link.
     present
         Returns the identity of an output in the folder; without files if it does not exist.
-    checksum
-        Returns the checksum of a recording; None: sources are compared by their times of modification.
     force
         Whether everything is converted again.
     """
@@ -169,7 +166,7 @@ def make_plan(
             continue
         there = present(output)
         step = replace(step, owned=history.record(output, there))
-        why = "forced" if force else _reason(each, request, output, history, there, checksum)
+        why = "forced" if force else _reason(each, request, output, history, there)
         error = None
         if why:
             others = clashes.get(each.key)
@@ -220,7 +217,6 @@ def _reason(
     output: str,
     history: History,
     there: Identity,
-    checksum: Callable[[Recording], str] | None,
 ) -> str:
     """Return why a recording is converted; empty if its result is up to date."""
     record = history.records.get(found.key)
@@ -230,7 +226,7 @@ def _reason(
         return f"converted by pc2scan {record.version}"
     if record.options != request.digest:
         return "other options"
-    if changed := _change_of(found, record, checksum):
+    if changed := _change_of(found, record):
         return changed
     if record.has_nothing:
         return ""
@@ -248,12 +244,10 @@ def _reason(
     return ""
 
 
-def _change_of(found: Recording, record: ManifestRecord, checksum: Callable[[Recording], str] | None) -> str:
+def _change_of(found: Recording, record: ManifestRecord) -> str:
     before, now = record.identity, found.identity
     if not now.has_sizes_of(before):
         return f"the source was changed: it has {size(now.size_bytes)}, it had {size(before.size_bytes)}"
-    if checksum is not None and record.sha256 is not None:
-        return "" if checksum(found) == record.sha256 else "the source was changed: another checksum"
     if now == before:
         return ""
     of_store = any(isinstance(version, str) for _, _, version in now.files)

@@ -25,7 +25,7 @@ from .dataset_file import Choices, DatasetFile, load_dataset_file
 from .find import find
 from .folder import open_folder
 from .jobs import Job
-from .manifest import MANIFEST, checksum_of
+from .manifest import MANIFEST
 from .plan import have_same_outcome, make_plan
 from .processes import available_bytes, run_jobs, workers_for
 from .summary import BEGINNINGS, BatchReport, Outcome, report_text
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
     from pc2scan.options.call import Options
 
-    from .find import Recording
     from .folder import BatchFolder
     from .jobs import Executor
     from .manifest import ManifestRecord
@@ -53,8 +52,6 @@ class BatchOptions:
         The dataset file; None for none.
     jobs
         How many recordings are converted at a time; 0: one for each core, as far as the memory is enough.
-    checksum
-        Whether sources are compared by SHA-256 instead of their times of modification.
     force
         Whether recordings are converted again whose results are up to date.
     dry_run
@@ -69,7 +66,6 @@ class BatchOptions:
 
     dataset: Path | None = None
     jobs: int = 0
-    checksum: bool = False
     force: bool = False
     dry_run: bool = False
     dask: bool | str = False
@@ -251,15 +247,10 @@ def _plan(sources: Sequence[str], folder: BatchFolder, choices: Choices, options
         out=folder.path,
         forbidden=partial(_forbidden, folder.path, cache(partial(Inputs, inputs))),
         present=folder.present,
-        checksum=_source_checksum if options.checksum else None,
         force=options.force,
     )
-    if isinstance(folder.path, UrlPath) or any(isinstance(path, UrlPath) for each in found for path in each.paths):
-        if options.checksum:
-            raise UsageError(
-                "`checksum` works only with local recordings", hint="a store reports itself whether objects changed"
-            )
-    elif options.scratch is not None:
+    at_url = isinstance(folder.path, UrlPath) or any(isinstance(path, UrlPath) for each in found for path in each.paths)
+    if options.scratch is not None and not at_url:
         raise UsageError("`scratch` has no effect: no source and no destination is a URL")
     return plan
 
@@ -280,14 +271,6 @@ def _forbidden(out: Path, read: Callable[[], Inputs], output: str) -> Destinatio
         hint="remove the link; or convert what belongs there in a batch of its own, "
         f"`destination={os.path.realpath(link)}`",
     )
-
-
-def _source_checksum(found: Recording) -> str:
-    try:
-        return checksum_of(found.paths)
-    except OSError:
-        # The conversion will report the error.
-        return ""
 
 
 # --- Converting ---
@@ -426,7 +409,6 @@ class _Batch:
             request=step.request,
             size_bytes=step.found.identity.size_bytes,
             owned=step.owned or Record({}),
-            checksum=self._options.checksum and not self._options.dry_run,
             dry_run=self._options.dry_run,
             shown=self.watch.shown is not None,
             scratch=None if scratch is None else str(absolute(scratch)),

@@ -119,12 +119,6 @@ class BatchRun(TypedDict, total=False):
         ),
     ]
     force: Annotated[bool, Option(Flag(), "Convert again what earlier runs have converted.", common=True)]
-    checksum: Annotated[
-        bool,
-        Option(
-            Flag(), "Recognise unchanged recordings by SHA-256 instead of their modification time. Reads every byte."
-        ),
-    ]
     report: Annotated[
         Path | None, Option(PathName(), "Write the summary of all recordings: *.json, *.csv or *.md.", common=True)
     ]
