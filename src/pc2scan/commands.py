@@ -74,7 +74,7 @@ def repair(source: Path, destination: PathText | None, options: Options, *, prog
     from .pipeline.run import run  # noqa: PLC0415
 
     path, folder = destination_of(destination)
-    asked = ConvertOptions(repair=True, verify=options.verify)
+    asked = ConvertOptions(repair=True)
     return run([source], path, asked, output_of(options, folder=folder), progress=progress)
 
 

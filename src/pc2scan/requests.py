@@ -365,7 +365,6 @@ def selection_of(sources: PathText | Iterable[PathText], topics: tuple[str, ...]
         start=options.start,
         end=options.end,
         on_error=options.on_error,
-        verify=options.verify,
         strict=options.strict,
         clock=clock_of(options),
         cloud_scale=options.cloud_scale,

@@ -23,9 +23,9 @@ def loads(monkeypatch: pytest.MonkeyPatch) -> list[Segment]:
     seen: list[Segment] = []
     original = mcap_chunks.borrow_payload
 
-    def counting(file: RecordFile, segment: Segment, *, verify: bool = True) -> BorrowedBytes:
+    def counting(file: RecordFile, segment: Segment) -> BorrowedBytes:
         seen.append(segment)
-        return original(file, segment, verify=verify)
+        return original(file, segment)
 
     for module in (mcap_chunks, mcap_reader):
         monkeypatch.setattr(module, "borrow_payload", counting)

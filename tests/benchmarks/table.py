@@ -284,7 +284,6 @@ def conversions(place: Path, size: int, repeat: int) -> None:
                 lambda: seconds(projected),
                 lambda: converted(source, place / "scans.mcap", 1),  # noqa: B023
                 lambda: converted(source, place / "scans.mcap", 2),  # noqa: B023
-                lambda: converted(source, place / "scans.mcap", 2, "--no-verify"),  # noqa: B023
             )
             columns = list(zip(*found, strict=True))
             yield (
@@ -304,7 +303,6 @@ def conversions(place: Path, size: int, repeat: int) -> None:
             "source",
             "1 job",
             "2 jobs",
-            "2 jobs, `--no-verify`",
             "of plain reading + projecting (1 thread)",
             "of decompressing alone / 2",
             "of decompressing alone on 2 threads",
@@ -397,7 +395,7 @@ def in_python(place: Path, size: int, repeat: int) -> None:
 _READ = """
 import resource, sys, time
 
-path, crc = sys.argv[1], sys.argv[2] == "compared"
+path = sys.argv[1]
 {read}
 read()
 before, began, rounds = resource.getrusage(resource.RUSAGE_SELF).ru_utime, time.perf_counter(), 0
@@ -410,7 +408,7 @@ _CLOUDS = """
 import pc2scan
 
 def read():
-    for cloud in pc2scan.clouds(path, verify=crc, topics="/points"):
+    for cloud in pc2scan.clouds(path, topics="/points"):
         pass
 """
 _SMALL_MCAP = """
@@ -418,7 +416,7 @@ from small_mcap import read_message
 
 def read():
     with open(path, "rb") as file:
-        for schema, channel, message in read_message(file, validate_crc=crc):
+        for schema, channel, message in read_message(file, validate_crc=True):
             pass
 """
 _SMALL_MCAP_DECODED = """
@@ -427,7 +425,7 @@ from small_mcap import read_message_decoded
 
 def read():
     with open(path, "rb") as file:
-        for message in read_message_decoded(file, decoder_factories=[DecoderFactory()], validate_crc=crc):
+        for message in read_message_decoded(file, decoder_factories=[DecoderFactory()], validate_crc=True):
             message.decoded_message
 """
 
@@ -436,29 +434,29 @@ def small_mcap(place: Path, size: int, repeat: int, python: str) -> None:
     """`pc2scan.clouds` beside the package small-mcap, which another Python has."""
     size //= 8
 
-    def user_time(interpreter: str, read: str, source: Path, crc: str) -> float:
-        line = [interpreter, "-c", _READ.format(read=read), str(source), crc]
+    def user_time(interpreter: str, read: str, source: Path) -> float:
+        line = [interpreter, "-c", _READ.format(read=read), str(source)]
         return float(subprocess.run(line, check=True, capture_output=True, text=True).stdout)
 
     def rows() -> Iterable[Sequence[str]]:
         for points in (1_000, 16_384, 131_072):
             source = write_recording(place, FORMS["MCAP, none"], size, points)
             count = max(1, size // (points * POINT_BYTES))
-            for crc in ("compared", "not compared"):
-                found = rounds(
-                    repeat,
-                    lambda: user_time(python, _SMALL_MCAP, source, crc),  # noqa: B023
-                    lambda: user_time(python, _SMALL_MCAP_DECODED, source, crc),  # noqa: B023
-                    lambda: user_time(sys.executable, _CLOUDS, source, crc),  # noqa: B023
-                )
-                times = (f"{median(column) / count * 1e6:,.1f}" for column in zip(*found, strict=True))
-                yield f"{points:,}", crc, *times, f"{median(row[2] / row[1] for row in found):.2f}"
+            found = rounds(
+                repeat,
+                lambda: user_time(python, _SMALL_MCAP, source),  # noqa: B023
+                lambda: user_time(python, _SMALL_MCAP_DECODED, source),  # noqa: B023
+                lambda: user_time(sys.executable, _CLOUDS, source),  # noqa: B023
+            )
+            times = (f"{median(column) / count * 1e6:,.1f}" for column in zip(*found, strict=True))
+            yield f"{points:,}", *times, f"{median(row[2] / row[1] for row in found):.2f}"
             source.unlink()
 
     table(
         f"Python's `clouds()`** of {size / 1e9:g} GB of uncompressed MCAP, beside small-mcap, which decodes with "
-        "mcap-ros2-support-fast: user time in µs a cloud, and as a multiple of small-mcap's with decoding",
-        ("points", "CRC", "small-mcap, messages alone", "small-mcap, decoded", "`clouds()`", "a multiple"),
+        "mcap-ros2-support-fast: user time in µs a cloud, and as a multiple of small-mcap's with decoding; "
+        "both compare CRCs",
+        ("points", "small-mcap, messages alone", "small-mcap, decoded", "`clouds()`", "a multiple"),
         rows(),
     )
 
@@ -683,7 +681,6 @@ def passing(place: Path, size: int, repeat: int) -> None:
             "`rosbags-convert`",
             "times as fast",
             "pc2scan, compression kept",
-            "the same, `--no-verify`",
         ),
         rows(),
     )
@@ -731,7 +728,6 @@ def passed(name: str, source: Path, form: Form, place: Path, repeat: int, count:
         lambda: pc2scan_passes("none"),
         rosbags_passes,
         lambda: pc2scan_passes(form.compression),
-        lambda: pc2scan_passes(form.compression, "--no-verify"),
     )
     remove(ours)
     remove(theirs)

@@ -130,9 +130,9 @@ def test_a_directory_of_too_many_topics_is_not_opened_whole(tmp_path: Path, monk
     opened = []
     open_file = Rosbag2Reader._open
 
-    def counted(self: Rosbag2Reader, file: Path, *, verify: bool) -> Reader:
+    def counted(self: Rosbag2Reader, file: Path) -> Reader:
         opened.append(file.name)
-        return open_file(self, file, verify=verify)
+        return open_file(self, file)
 
     monkeypatch.setattr(Rosbag2Reader, "_open", counted)
     with pytest.raises(RecordingError, match="has more than 8 connections"):

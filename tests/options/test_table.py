@@ -156,7 +156,6 @@ def test_each_tolerance_is_a_number(values: dict[str, object]) -> None:
         ({"topics": ["/a", "/b:=/c"]}, ("/a", "/b:=/c")),
         ({"start": 1.5}, TimeBound(1_500_000_000)),
         ({"start": TimeBound(5, absolute=True)}, TimeBound(5, absolute=True)),
-        ({"verify": False}, False),
         ({"min_height": 2.2250738585072014e-308}, 2.2250738585072014e-308),
     ],
 )

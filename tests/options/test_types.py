@@ -33,7 +33,7 @@ CALLS = {
     'pc2scan.check("a", consumers=["nav2"], tf_from="b")': "",
     'pc2scan.info("a", samples=3, target_frame="base_link")': "",
     'pc2scan.tf("a", tf_topics="/tf").lookup("a", "b")': "",
-    'pc2scan.repair("a", compression="zstd", verify=False)': "",
+    'pc2scan.repair("a", compression="zstd")': "",
     'pc2scan.diff("a", "b", rtol=1e-5, atol={"ranges": 1e-3}, ignore=["seq"])': "",
     'pc2scan.golden("cases", "drive", update=True)': "",
     'pc2scan.convert("a", min_hieght=1)': 'Unexpected keyword argument "min_hieght" for "convert"; did you mean',

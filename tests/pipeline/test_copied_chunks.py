@@ -174,15 +174,6 @@ def test_copying_is_seen_in_the_work_and_not_in_the_messages(source: Path, monke
     assert len(copied.of("/scan")) == ROUNDS
 
 
-def test_unverified_chunks_of_mcap_are_not_even_decompressed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    source = write(tmp_path / "drive.mcap", "zstd")
-    expected = convert(source).read_bytes()
-    counts = Counts(monkeypatch)
-    assert convert(source, verify=False).read_bytes() == expected
-    # And one of them to see whether messages are packed by themselves.
-    assert (counts.done.count("decompressed"), counts.done.count("compressed")) == (ROUNDS + 1, ROUNDS)
-
-
 @pytest.mark.parametrize("suffix", [".bag", ".mcap"])
 def test_another_compression_leaves_chunks_whole(suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source = write(tmp_path / f"drive{suffix}", "lz4")
@@ -354,15 +345,14 @@ def consistent(path: Path) -> bool:
 DECLARED = [(False, False, slice(0, 2)), (True, False, slice(1, 2)), (False, True, slice(1, 2))]
 
 
-@pytest.mark.parametrize("verify", [True, False])
 @pytest.mark.parametrize(("clouds_first", "directory", "copied"), DECLARED)
 def test_chunks_that_declare_what_is_written_are_copied(
-    clouds_first: bool, directory: bool, copied: slice, verify: bool, tmp_path: Path
+    clouds_first: bool, directory: bool, copied: slice, tmp_path: Path
 ) -> None:
     there = declaring_chunks(tmp_path / "drive.mcap", clouds_first=clouds_first)
     assert len(there) == 3
     options = {"suffix": ""} if directory else {}
-    destination = convert(tmp_path / "drive.mcap", verify=verify, **options)
+    destination = convert(tmp_path / "drive.mcap", **options)
     storage = destination / "scans_0.mcap" if directory else destination
     assert [stored for _, _, stored in stored_chunks(storage) if stored in there] == there[copied]
     assert consistent(storage)

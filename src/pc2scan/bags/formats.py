@@ -24,15 +24,12 @@ class ReadOptions(NamedTuple):
 
     Attributes
     ----------
-    verify
-        Whether checksums are verified that reading does not need.
     strict
         Whether damage is an error; otherwise it is reported and the rest is recovered.
     message_compression
         For a storage file: the compression of each message by metadata.yaml.
     """
 
-    verify: bool = True
     strict: bool = False
     message_compression: str = "none"
 

@@ -84,15 +84,13 @@ def sniff(path: Path) -> str:
     return _content_hint(head, path)
 
 
-def open_recording(path: Path, *, verify: bool = True, strict: bool = False) -> Reader:
+def open_recording(path: Path, *, strict: bool = False) -> Reader:
     """Open a recording of any format.
 
     Parameters
     ----------
     path
         A ROS 1 bag, an MCAP or ``.db3`` file, one of these compressed by zstd, or a rosbag2 directory.
-    verify
-        Whether checksums of MCAP files are verified.
     strict
         Whether damage is an error; otherwise it is in the reader's ``damage``, and the rest is recovered.
 
@@ -106,7 +104,7 @@ def open_recording(path: Path, *, verify: bool = True, strict: bool = False) -> 
     # What is fetched from a URL to detect the format is read again.
     held = path.hold() if isinstance(path, UrlPath) else None
     name, _, packed = sniff(path).partition("+")
-    options = ReadOptions(verify=verify, strict=strict)
+    options = ReadOptions(strict=strict)
     if packed:
         from .zstd import ZstdReader  # noqa: PLC0415  # few recordings need it
 
@@ -116,13 +114,11 @@ def open_recording(path: Path, *, verify: bool = True, strict: bool = False) -> 
     return reader
 
 
-def open_recordings(
-    paths: Iterable[Path], stack: ExitStack, *, verify: bool = True, strict: bool = False
-) -> list[Reader]:
+def open_recordings(paths: Iterable[Path], stack: ExitStack, *, strict: bool = False) -> list[Reader]:
     """Open several, each as `open_recording` does, to be closed with the stack."""
     readers = []
     for path in paths:
-        reader = open_recording(path, verify=verify, strict=strict)
+        reader = open_recording(path, strict=strict)
         stack.callback(reader.close)
         readers.append(reader)
     return readers

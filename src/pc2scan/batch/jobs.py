@@ -376,7 +376,7 @@ def _damage_of(job: Job, sources: list[Path]) -> tuple[Damage, ...]:
     """Open a recording, and return the damage that is found by that."""
     options = job.request.options
     with ExitStack() as stack:
-        readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
+        readers = open_recordings(sources, stack, strict=options.strict)
         return tuple(place for reader in readers for place in reader.damage)
 
 

@@ -159,7 +159,7 @@ def run(
     _check_request(file_format, options, form)
     refuse_overlap(inputs_of(sources, options.frames.tf_from, also_read), [OutputPath(destination)])
     with ExitStack() as stack:
-        readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
+        readers = open_recordings(sources, stack, strict=options.strict)
         reader = as_one(readers)
         names = _topics([c for c in reader.connections if c.ros_version is not None], file_format, options, form)
         meter = None if progress is None else Meter(progress)
@@ -174,7 +174,7 @@ def run(
         )
         poses = None
         if form.poses.is_requested:
-            others = open_recordings(options.frames.tf_from, stack, verify=options.verify, strict=options.strict)
+            others = open_recordings(options.frames.tf_from, stack, strict=options.strict)
             posing = reader
             if options.clock:
                 from pc2scan.pipeline.stamps import corrected  # noqa: PLC0415  # most clocks are the recording's
@@ -274,7 +274,6 @@ def _stream(
         start=options.start,
         end=options.end,
         on_error=options.on_error,
-        verify=options.verify,
         strict=options.strict,
         clock=options.clock,
         cloud_scale=options.cloud_scale,

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def topics_in(paths: Iterable[Path], endings: tuple[str, ...] = ()) -> Iterator[str]:
     """Yield the topics of recordings, of types with these endings, or of any type."""
     with ExitStack() as stack:
-        for reader in open_recordings(paths, stack, verify=False):
+        for reader in open_recordings(paths, stack):
             for connection in reader.connections:
                 if not endings or connection.ros_type.endswith(endings):
                     yield connection.topic
@@ -26,7 +26,7 @@ def topics_in(paths: Iterable[Path], endings: tuple[str, ...] = ()) -> Iterator[
 def frames_in(paths: Iterable[Path], tf_topics: Sequence[str] = ()) -> Iterator[str]:
     """Yield the frames of the transforms in recordings, as they are read, each as often as it occurs."""
     with ExitStack() as stack:
-        for reader in open_recordings(paths, stack, verify=False):
+        for reader in open_recordings(paths, stack):
             for message in reader.messages(tf_connections(reader.connections, tf_topics)):
                 for parent, child, *_ in decode_transforms(message.data, message.connection.serialization):
                     yield parent

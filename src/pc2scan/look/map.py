@@ -202,7 +202,6 @@ def _stream(
         topics=tuple(topic.source for topic in topics),
         start=options.start,
         end=options.end,
-        verify=options.verify,
         strict=options.strict,
         clock=options.clock,
         cloud_scale=options.cloud_scale,

@@ -118,7 +118,7 @@ class ShownRecording:
             If a recording cannot be read.
         """
         options = self.options
-        self.others = open_recordings(options.frames.tf_from, self.stack, verify=options.verify, strict=options.strict)
+        self.others = open_recordings(options.frames.tf_from, self.stack, strict=options.strict)
         reader = self.reader
         if options.clock:
             from pc2scan.pipeline.stamps import corrected  # noqa: PLC0415  # most clocks are the recording's
@@ -140,7 +140,7 @@ def open_recording(
         If one cannot be read.
     """
     with ExitStack() as stack:
-        readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
+        readers = open_recordings(sources, stack, strict=options.strict)
         reader = scaled(as_one(readers), options.cloud_scale)
         try:
             yield ShownRecording(reader, options, stack, warn)

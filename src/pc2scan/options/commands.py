@@ -333,9 +333,6 @@ class RepairContainer(TypedDict, total=False):
     compression: Annotated[
         str | None, Option(Text(words=("none", "lz4", "zstd", "bz2")), "Compression of DST.", default_text="SRC's")
     ]
-    verify: Annotated[
-        bool, Option(Flag(), "Whether the CRCs of an MCAP source are checked.", default=True, typed="--no-verify")
-    ]
 
 
 class RepairScreen(TypedDict, total=False):

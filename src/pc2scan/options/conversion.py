@@ -72,17 +72,6 @@ class TimeRange(TypedDict, total=False):
         ),
     ]
     end: Annotated[Time | None, Option(Moment("TIME"), "End time (exclusive), written like `start`.", common=True)]
-    verify: Annotated[
-        bool,
-        Option(
-            Flag(),
-            "Whether the CRCs of an MCAP source are checked. If not, reading is faster, but damage may not be "
-            "detected.",
-            panel=RUN,
-            default=True,
-            typed="--no-verify",
-        ),
-    ]
     strict: Annotated[
         bool,
         Option(

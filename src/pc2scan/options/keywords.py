@@ -28,7 +28,6 @@ _SYNONYMS = {
     "channel": "channels",
     "tf_topic": "tf_topics",
     "static": "static_tf",
-    "no_verify": "verify",
     "frame": "target_frame",
     "frame_id": "target_frame",
     "for": "consumers",

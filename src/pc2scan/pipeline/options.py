@@ -536,8 +536,6 @@ class ConvertOptions:
         What to do if a message cannot be converted: ``skip`` or ``fail``.
     jobs
         Number of threads; 0: one for each processor core.
-    verify
-        Whether the CRCs of MCAP files are checked. The checksums of lz4 and bz2 always are.
     strict
         Whether damage of a source is an error; otherwise everything readable is recovered, and the report lists the
         damage.
@@ -564,7 +562,6 @@ class ConvertOptions:
     end: TimeBound | None = None
     on_error: str = "skip"
     jobs: int = 0
-    verify: bool = True
     strict: bool = False
     fail_on: str = ""
     min_used: float = 0.0

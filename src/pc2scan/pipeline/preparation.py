@@ -143,7 +143,7 @@ def prepare(
 
     others: Sequence[Reader] = ()
     if reads_transforms:
-        others = open_recordings(asked.tf_from, stack, verify=options.verify, strict=options.strict)
+        others = open_recordings(asked.tf_from, stack, strict=options.strict)
     survey = Survey(reader, others, asked, span)
     if reads_transforms:
         needed = (frame for spec in plan.specs if spec.needs_transforms for frame in spec.frames)
@@ -367,7 +367,7 @@ def _robot_transforms(reader: Reader, options: ConvertOptions, span: Span) -> Tr
     if not given and all(each.ros_type not in TF_TYPES for each in reader.connections):
         return None
     with suppress(Pc2ScanError), ExitStack() as stack:
-        others = open_recordings(frames.tf_from, stack, verify=options.verify)
+        others = open_recordings(frames.tf_from, stack)
         return read_robot_transforms(as_one([reader, *others]), frames, span.first_ns)
     return None
 

@@ -151,7 +151,7 @@ def _open(
     if len(files.sources) > 1 and files.destination is None and output.folder is None:
         _refuse_missing_destination(files.sources)
     refuse_unusable(options)
-    readers = open_recordings(files.sources, stack, verify=options.verify, strict=options.strict)
+    readers = open_recordings(files.sources, stack, strict=options.strict)
     reader = as_one(readers)
     if options.cloud_scale != 1:
         from .cloud_scale import scaled  # noqa: PLC0415  # most clouds are in metres

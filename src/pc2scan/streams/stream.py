@@ -131,7 +131,7 @@ class Selection:
         The cut, by log time.
     on_error
         What to do with a message that cannot be used: ``skip`` it, or ``fail``.
-    verify, strict
+    strict
         As for `pc2scan.bags.opening.open_recordings`.
     clock
         How stamps are corrected; None: they are not.
@@ -144,7 +144,6 @@ class Selection:
     start: TimeBound | None = None
     end: TimeBound | None = None
     on_error: str = "skip"
-    verify: bool = True
     strict: bool = False
     clock: StampOptions | None = None
     cloud_scale: float = 1.0
@@ -344,7 +343,7 @@ class Stream(ABC, Generic[Item]):
     def _open(self) -> StreamSource:
         selection = self._selection
         with ExitStack() as stack:
-            readers = open_recordings(selection.paths, stack, verify=selection.verify, strict=selection.strict)
+            readers = open_recordings(selection.paths, stack, strict=selection.strict)
             reader = as_one(readers)
             if selection.cloud_scale != 1:
                 from pc2scan.pipeline.cloud_scale import scaled  # noqa: PLC0415  # most clouds are in metres

@@ -1,11 +1,9 @@
-"""Chunks that are told whole by their message indexes alone, and what makes that impossible."""
+"""Chunks that are copied as a whole, and what makes that impossible."""
 
 from __future__ import annotations
 
-import struct
 import zlib
 from contextlib import closing
-from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -13,7 +11,7 @@ import zstandard
 from mcap.records import MessageIndex
 
 from pc2scan.bags import chunks
-from pc2scan.bags.mcap.chunks import copy_by_content, copy_by_index
+from pc2scan.bags.mcap.chunks import whole_chunk
 from pc2scan.bags.mcap.read import McapReader
 from pc2scan.bags.mcap.records import RecordFile
 from pc2scan.bags.units import merge_by_time
@@ -43,15 +41,10 @@ class Chunk:
         """Where the message indexes begin."""
         return int(self.segment.offset + self.segment.length)
 
-    def by_index(self, rule: ChunkRule = RULE) -> StoredChunk | None:
+    def whole(self, rule: ChunkRule = RULE) -> StoredChunk | memoryview:
         self.path.write_bytes(self.data)
         with closing(RecordFile(self.path)) as file:
-            return copy_by_index(file, self.segment, rule)
-
-    def by_content(self, rule: ChunkRule = RULE) -> StoredChunk | memoryview:
-        self.path.write_bytes(self.data)
-        with closing(RecordFile(self.path)) as file:
-            return copy_by_content(file, self.segment, rule, verify=True)
+            return whole_chunk(file, self.segment, rule)
 
 
 @pytest.fixture
@@ -59,13 +52,9 @@ def chunk(tmp_path: Path) -> Chunk:
     return Chunk(tmp_path / "chunk.mcap", ROWS)
 
 
-def test_both_ways_find_the_same(chunk: Chunk) -> None:
-    found = chunk.by_index()
-    assert found is not None
-    other = chunk.by_content()
-    assert other is not None
-    for each in fields(StoredChunk):
-        assert getattr(found, each.name) == getattr(other, each.name), each.name
+def test_the_messages_of_a_chunk_are_indexed(chunk: Chunk) -> None:
+    found = chunk.whole()
+    assert isinstance(found, StoredChunk)
     assert {channel: [time_ns for time_ns, _ in entries] for channel, entries in found.index.items()} == {
         1: [1000, 1020, 1040, 1060],
         2: [1010, 1030, 1050, 1070],
@@ -74,54 +63,32 @@ def test_both_ways_find_the_same(chunk: Chunk) -> None:
     assert bytes(found.stored) == bytes(chunk.data[chunk.segment.offset : chunk.indexes])
 
 
-@pytest.mark.parametrize(
-    ("at", "form", "value"),
-    [
-        (0, "<B", 0x0F),  # not a message index
-        (1, "<Q", 3),  # of another length
-        (9, "<H", 7),  # of a channel that the summary does not list
-        (11, "<I", 24),  # half an entry
-        (15, "<Q", 2000),  # a time after the chunk's last
-        (15, "<Q", 1065),  # no message at the chunk's first time
-        (23, "<Q", 5),  # something in front of the first message
-        (-8, "<Q", 1 << 40),  # a place beyond the records
-    ],
-)
-def test_indexes_that_cannot_be_trusted_are_not(chunk: Chunk, at: int, form: str, value: int) -> None:
-    assert chunk.by_index() is not None
-    struct.pack_into(form, chunk.data, chunk.indexes + (at if at >= 0 else chunk.segment.index_length + at), value)
-    assert chunk.by_index() is None
-    assert isinstance(chunk.by_content(), StoredChunk)
-
-
 def test_messages_packed_by_themselves_are_not_copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(chunks, "MIN_WHOLE_BYTES", 1)
     packed = [(channel, time_ns, zstandard.compress(data)) for channel, time_ns, data in ROWS]
-    assert isinstance(Chunk(tmp_path / "packed.mcap", packed).by_content(), memoryview)
-    with closing(McapReader(tmp_path / "packed.mcap", verify=False)) as reader:
+    assert isinstance(Chunk(tmp_path / "packed.mcap", packed).whole(), memoryview)
+    with closing(McapReader(tmp_path / "packed.mcap")) as reader:
         found: list[Any] = list(merge_by_time(reader.units(rule=RULE)))
     assert [bytes(message.data) for message in found] == [row[2] for row in ROWS]
 
 
 def test_for_another_compression_a_chunk_is_decompressed(chunk: Chunk) -> None:
     rule = ChunkRule("mcap", frozenset({"none"}), frozenset({1, 2}))
-    assert chunk.by_index(rule) is None
-    found = chunk.by_content(rule)
+    found = chunk.whole(rule)
     assert isinstance(found, StoredChunk)
     assert (found.compression, len(found.stored)) == ("", found.size)
     assert zlib.crc32(found.stored) == found.crc
 
 
-def test_unsorted_messages_are_found_both_ways(tmp_path: Path) -> None:
-    chunk = Chunk(tmp_path / "chunk.mcap", [ROWS[0], ROWS[2], ROWS[1]])
-    for found in (chunk.by_index(), chunk.by_content()):
-        assert isinstance(found, StoredChunk)
-        places = sorted((place, time_ns) for entries in found.index.values() for time_ns, place in entries)
-        assert [time_ns for _, time_ns in places] == [ROWS[number][1] for number in (0, 2, 1)]
+def test_unsorted_messages_are_found(tmp_path: Path) -> None:
+    found = Chunk(tmp_path / "chunk.mcap", [ROWS[0], ROWS[2], ROWS[1]]).whole()
+    assert isinstance(found, StoredChunk)
+    places = sorted((place, time_ns) for entries in found.index.values() for time_ns, place in entries)
+    assert [time_ns for _, time_ns in places] == [ROWS[number][1] for number in (0, 2, 1)]
 
 
 def test_a_chunk_with_a_channel_not_in_the_rule_is_not_copied(chunk: Chunk) -> None:
-    assert isinstance(chunk.by_content(ChunkRule("mcap", frozenset({"zstd"}), frozenset({1}))), memoryview)
+    assert isinstance(chunk.whole(ChunkRule("mcap", frozenset({"zstd"}), frozenset({1}))), memoryview)
 
 
 def test_padding_is_not_copied(tmp_path: Path) -> None:
@@ -135,11 +102,7 @@ def test_padding_is_not_copied(tmp_path: Path) -> None:
     with closing(McapReader(path, strict=True)) as reader, closing(RecordFile(path)) as file:
         opened: Any = reader._index
         (segment,) = opened.segments
-        copies = [
-            copy_by_index(file, replace(segment, index_length=len(index)), rule),
-            copy_by_content(file, segment, rule, verify=True),
-        ]
-    for copy in copies:
-        assert isinstance(copy, StoredChunk)
-        assert bytes(copy.stored) == first + second
-        assert copy.index == {1: [(5, 0), (6, len(first))]}
+        copy = whole_chunk(file, segment, rule)
+    assert isinstance(copy, StoredChunk)
+    assert bytes(copy.stored) == first + second
+    assert copy.index == {1: [(5, 0), (6, len(first))]}

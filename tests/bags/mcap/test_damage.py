@@ -130,9 +130,6 @@ def test_a_flipped_bit_in_a_chunk_is_refused(compression: str, tmp_path: Path) -
     data[3000] ^= 1
     path.write_bytes(data)
     failing(path, "has CRC|cannot be decompressed")
-    if compression != "lz4":  # its frames have no checksum of their own, zstd's by default neither
-        with closing(McapReader(path, verify=False)) as reader:
-            assert len(content(reader)) == 1
 
 
 def test_the_data_of_a_file_without_chunks_have_a_crc(tmp_path: Path) -> None:
@@ -141,8 +138,6 @@ def test_the_data_of_a_file_without_chunks_have_a_crc(tmp_path: Path) -> None:
     data[data.index(SAMPLE[40][2])] ^= 1
     path.write_bytes(data)
     failing(path, "the data section")
-    with closing(McapReader(path, verify=False)) as reader:
-        assert len(content(reader)) == len(SAMPLE)
 
 
 def test_a_damaged_attachment_is_refused(tmp_path: Path) -> None:
@@ -153,10 +148,9 @@ def test_a_damaged_attachment_is_refused(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes().replace(b"spotless", b"spottier"))
     with closing(McapReader(path, strict=True)) as reader, pytest.raises(RecordingError, match=r"'a\.bin' has CRC"):
         list(reader.attachments())
-    for verify in (True, False):
-        with closing(McapReader(path, verify=verify)) as reader:
-            assert [a.data for a in reader.attachments()] == [b"spottier"]
-            assert ["has CRC" in damage.what for damage in reader.damage] == [True] * verify
+    with closing(McapReader(path)) as reader:
+        assert [a.data for a in reader.attachments()] == [b"spottier"]
+        assert ["has CRC" in damage.what for damage in reader.damage] == [True]
 
 
 # --- Summaries ---
@@ -169,8 +163,6 @@ def test_the_summary_has_a_crc(tmp_path: Path) -> None:
     data[at + 6] = ord("9")
     path.write_bytes(data)
     failing(path, "the summary's CRC is")
-    with closing(McapReader(path, verify=False)) as reader:
-        assert reader.connections[1].topic == "/topic9"
 
 
 @pytest.mark.parametrize(

@@ -439,9 +439,6 @@ def test_a_plain_chunk_with_a_wrong_crc_keeps_its_messages(tmp_path: Path) -> No
     assert len(rows) == len(MESSAGES)
     assert "has CRC" in damage.what
     assert (damage.bytes_lost, damage.messages_lost) == (0, 0)
-    with closing(McapReader(path, verify=False)) as reader:
-        assert len(content(reader)) == len(MESSAGES)
-        assert reader.damage == ()
 
 
 @pytest.mark.parametrize("compression", ["lz4", "zstd"])

@@ -11,7 +11,7 @@ from pc2scan.bags.units import MAX_LISTED_ITEMS
 from pc2scan.files.compression import ZSTD_MAGIC, CompressionError, allowed_bytes, crc32, decompress
 from pc2scan.model import StoredChunk, own_data
 
-from .records import CHUNK, COMPRESSIONS, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, UINT64
+from .records import CHUNK, COMPRESSIONS, MESSAGE, OP_CHUNK, OP_MESSAGE, RECORD, UINT64
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -84,7 +84,7 @@ def chunk_at(data: Buffer, position: int, record_offset: int, file: RecordFile, 
     )
 
 
-def payload(file: RecordFile, segment: Segment, *, verify: bool = True) -> memoryview:
+def payload(file: RecordFile, segment: Segment) -> memoryview:
     """Read and decompress a segment's records.
 
     Raises
@@ -92,43 +92,17 @@ def payload(file: RecordFile, segment: Segment, *, verify: bool = True) -> memor
     RecordingError
         If bytes are missing, do not decompress to the declared size, or fail their CRC.
     """
-    return memoryview(own_data(borrow_payload(file, segment, verify=verify).data))
+    return memoryview(own_data(borrow_payload(file, segment).data))
 
 
-def borrow_payload(file: RecordFile, segment: Segment, *, verify: bool = True) -> BorrowedBytes:
+def borrow_payload(file: RecordFile, segment: Segment) -> BorrowedBytes:
     """Return the result of `payload`, which may be borrowed; see `SourceFile.borrow`."""
     if not isinstance(segment, ChunkSegment):
         return file.borrow(segment.offset, segment.length)
     head = segment.offset - segment.record_offset
     record = file.borrow(segment.record_offset, head + segment.length)
     chunk = _check_header(record.data, segment, file)
-    return record._replace(data=decompress_chunk(file, chunk, record.data[head:], verify=verify))
-
-
-def stored_chunk(
-    file: RecordFile, segment: ChunkSegment, behind: int = 0
-) -> tuple[ChunkSegment, memoryview, memoryview]:
-    """Read a chunk as it is stored.
-
-    Parameters
-    ----------
-    behind
-        Bytes after the chunk's record to read with it.
-
-    Returns
-    -------
-    tuple[ChunkSegment, memoryview, memoryview]
-        The chunk by its own header, its compressed records, and the bytes after its record.
-
-    Raises
-    ------
-    RecordingError
-        If bytes are missing, or the header differs from the index.
-    """
-    head = segment.offset - segment.record_offset
-    following = head + segment.length + segment.padding
-    record = memoryview(file.read(segment.record_offset, following + behind))
-    return _check_header(record, segment, file), record[head : head + segment.length], record[following:]
+    return record._replace(data=decompress_chunk(file, chunk, record.data[head:]))
 
 
 def _check_header(record: memoryview, segment: ChunkSegment, file: RecordFile) -> ChunkSegment:
@@ -139,7 +113,7 @@ def _check_header(record: memoryview, segment: ChunkSegment, file: RecordFile) -
     return chunk
 
 
-def decompress_chunk(file: RecordFile, chunk: ChunkSegment, data: memoryview, *, verify: bool = True) -> memoryview:
+def decompress_chunk(file: RecordFile, chunk: ChunkSegment, data: memoryview) -> memoryview:
     """Decompress a chunk's records into exactly the declared size, and compare their CRC; see `payload`."""
     size = chunk.uncompressed_size
     where = f"the chunk at byte {chunk.record_offset}"
@@ -161,7 +135,7 @@ def decompress_chunk(file: RecordFile, chunk: ChunkSegment, data: memoryview, *,
         raise file.damage(f"{where} cannot be decompressed to the declared {size} bytes: {err}") from err
     if len(unpacked) != size:
         raise file.damage(f"{where} decompresses to {len(unpacked)} bytes, declared are {size}")
-    if verify and chunk.crc and (actual := crc32(unpacked)) != chunk.crc:
+    if chunk.crc and (actual := crc32(unpacked)) != chunk.crc:
         raise file.damage(f"{where} has CRC {actual:08x}, recorded is {chunk.crc:08x}")
     return memoryview(unpacked)
 
@@ -169,50 +143,7 @@ def decompress_chunk(file: RecordFile, chunk: ChunkSegment, data: memoryview, *,
 # --- Chunks that are copied as a whole ---
 
 
-def copy_by_index(file: RecordFile, segment: ChunkSegment, rule: ChunkRule) -> StoredChunk | None:
-    """Read a chunk and the message indexes after it, without decompressing it.
-
-    Returns
-    -------
-    StoredChunk | None
-        None if it cannot keep its compression, the indexes do not have all of its messages or contradict its times, or
-        there may be other declarations before the first one.
-
-    Raises
-    ------
-    RecordingError
-        If bytes are missing, or the chunk's header differs from the index.
-    """
-    if not 0 < segment.index_length <= MAX_LISTED_ITEMS * 16 or segment.compression not in rule.compressions:
-        return None
-    chunk, stored, indexes = stored_chunk(file, segment, segment.index_length)
-    index: Index = {}
-    position = 0
-    while position < len(indexes):
-        if position + RECORD.size + 6 > len(indexes):
-            return None
-        opcode, length, channel_id, size = struct.unpack_from("<BQHI", indexes, position)
-        start = position + RECORD.size + 6
-        position += RECORD.size + length
-        if opcode != OP_MESSAGE_INDEX or size % 16 or start + size > position or position > len(indexes):
-            return None
-        if size:
-            index[channel_id] = sorted(struct.iter_unpack("<QQ", indexes[start : start + size]), key=_place)
-    entries = sorted((entry for found in index.values() for entry in found), key=_place)
-    if not entries or entries[0][1] != 0 or entries[-1][1] >= segment.uncompressed_size:
-        return None
-    found = StoredChunk(segment.compression, stored, segment.uncompressed_size, chunk.crc, index)
-    is_sound = index.keys() == segment.connection_ids and found.span_ns() == (segment.start_ns, segment.end_ns)
-    return found if is_sound else None
-
-
-def copy_by_content(
-    file: RecordFile,
-    segment: ChunkSegment,
-    rule: ChunkRule,
-    *,
-    verify: bool,
-) -> StoredChunk | memoryview:
+def whole_chunk(file: RecordFile, segment: ChunkSegment, rule: ChunkRule) -> StoredChunk | memoryview:
     """Read a chunk, and decompress it to compare its CRC and to index its messages.
 
     Returns
@@ -225,8 +156,11 @@ def copy_by_content(
     RecordingError
         As `payload` does.
     """
-    chunk, stored, _ = stored_chunk(file, segment)
-    records = decompress_chunk(file, chunk, stored, verify=verify)
+    head = segment.offset - segment.record_offset
+    record = memoryview(file.read(segment.record_offset, head + segment.length + segment.padding))
+    chunk = _check_header(record, segment, file)
+    stored = record[head : head + segment.length]
+    records = decompress_chunk(file, chunk, stored)
     index = _index_of(records, segment, rule.declarations)
     if index is None or not index.keys() <= rule.connection_ids:
         return records
@@ -265,7 +199,3 @@ def _index_of(records: memoryview, segment: ChunkSegment, declarations: Collecti
 def _are_within(times: list[int], segment: ChunkSegment) -> bool:
     """Whether log times are within the declared ones."""
     return segment.start_ns <= min(times) and max(times) <= segment.end_ns
-
-
-def _place(entry: tuple[int, int]) -> int:
-    return entry[1]

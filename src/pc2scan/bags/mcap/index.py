@@ -145,15 +145,13 @@ def _name_of(record: records.Schema | records.Channel) -> str:
     return f"{type(record).__name__.lower()} {record.id}"
 
 
-def find_index(file: RecordFile, *, verify: bool = True) -> McapIndex:
+def find_index(file: RecordFile) -> McapIndex:
     """Index a sound file, without channels that only chunks declare.
 
     Parameters
     ----------
     file
         The open file.
-    verify
-        Whether to compare the summary's CRC.
 
     Raises
     ------
@@ -164,7 +162,7 @@ def find_index(file: RecordFile, *, verify: bool = True) -> McapIndex:
     """
     index = McapIndex()
     start = read_header(file, index)
-    end = read_summary(file, index, verify=verify)
+    end = read_summary(file, index)
     walk = RecordWalk(file, index, index.segments)
     stop = walk.run(start, end)
     if walk.stray:
@@ -186,7 +184,7 @@ def read_header(file: RecordFile, index: McapIndex) -> int:
     return len(MAGIC) + RECORD.size + len(content)
 
 
-def read_summary(file: RecordFile, index: McapIndex, *, verify: bool) -> int:
+def read_summary(file: RecordFile, index: McapIndex, *, verify: bool = True) -> int:
     """Read the summary at the end of the file; returns the end of the data section.
 
     The chunks are in the order of the file.

@@ -15,16 +15,16 @@ from pc2scan.bags.damage import AnotherRecordingError, DamageLog
 from pc2scan.bags.reader import MAX_CONNECTIONS
 from pc2scan.bags.topics import latches
 from pc2scan.bags.units import LazyItems, map_items
-from pc2scan.bags.zstd import decompress_messages, is_frame
+from pc2scan.bags.zstd import decompress_messages
 from pc2scan.errors import DamageError, stamp_text
 from pc2scan.files.compression import combine_crc32, crc32
 from pc2scan.files.source import BorrowedBytes
 from pc2scan.model import Attachment, Connection, Definition, Metadata, StoredChunk, Summary
 
 from . import records
-from .chunks import ChunkSegment, borrow_payload, chunk_at, copy_by_content, copy_by_index, payload
+from .chunks import ChunkSegment, borrow_payload, chunk_at, payload, whole_chunk
 from .index import McapIndex, find_declarations, find_index, indexed_times
-from .records import ANY_TIME, MESSAGE, RECORD, Opcode, RecordFile, encode_record, parse, scan_messages, split
+from .records import ANY_TIME, MESSAGE, RECORD, Opcode, RecordFile, parse, scan_messages, split
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 def open_reader(path: Path, options: ReadOptions) -> Reader:
     """Open an MCAP file; see `pc2scan.bags.formats.Format`."""
-    return McapReader(path, verify=options.verify, strict=options.strict)
+    return McapReader(path, strict=options.strict)
 
 
 class _Selection(NamedTuple):
@@ -56,15 +56,12 @@ class _Selection(NamedTuple):
         Only messages with ``start_ns <= log_time_ns < stop_ns``.
     rule
         Which chunks may be copied as a whole; None: none.
-    blindly
-        Channels whose chunks may be copied without decompressing them.
     """
 
     wanted: Mapping[int, Connection]
     start_ns: int
     stop_ns: int
     rule: ChunkRule | None
-    blindly: frozenset[int]
 
 
 class McapReader(ChunkedReader):
@@ -77,9 +74,6 @@ class McapReader(ChunkedReader):
     ----------
     path
         The file. If another one follows in it, it is not read, which is damage.
-    verify
-        Whether to compare the recorded CRCs of the summary, the chunks and the attachments, and in a file without
-        chunks that of the data section. The last is compared when all messages were read.
     strict
         Whether damage is an error; otherwise it is in `damage`, and the rest is recovered.
 
@@ -93,11 +87,10 @@ class McapReader(ChunkedReader):
 
     _file: RecordFile
 
-    def __init__(self, path: Path, *, verify: bool = True, strict: bool = False) -> None:
+    def __init__(self, path: Path, *, strict: bool = False) -> None:
         self.path = path
         self._file = RecordFile(path)
         self._log = DamageLog(strict=strict)
-        self._verify = verify
         #: The connections by channel.
         self._known: dict[int, Connection] = {}
         #: Declarations in chunks that agree with those of the file.
@@ -123,8 +116,7 @@ class McapReader(ChunkedReader):
             self._indexed_times = partial(indexed_times, self._file)
             self._are_times_verified = self._index.verified
             self._confirm_ends()
-            sound = verify and not self._log.found
-            self._data_crc = data_crc(self._file, self._index, self._log) if sound else None
+            self._data_crc = None if self._log.found else data_crc(self._file, self._index, self._log)
             self.summary = summary_of(self._index, self._file, self._log)
         except BaseException:
             self._file.close()
@@ -133,7 +125,7 @@ class McapReader(ChunkedReader):
     def _found_index(self) -> McapIndex:
         """Index the file, sound or damaged."""
         try:
-            index = find_index(self._file, verify=self._verify)
+            index = find_index(self._file)
             if index.rest is not None:
                 from .recover import refuse_more  # noqa: PLC0415  # few files have anything there
 
@@ -144,7 +136,7 @@ class McapReader(ChunkedReader):
             return index
         from .recover import recover_index  # noqa: PLC0415  # only damaged files pay for it
 
-        return recover_index(self._file, problem, self._log, verify=self._verify)
+        return recover_index(self._file, problem, self._log)
 
     def units(
         self,
@@ -153,10 +145,7 @@ class McapReader(ChunkedReader):
         stop_ns: int | None = None,
         rule: ChunkRule | None = None,
     ) -> Iterator[Unit]:
-        """Return chunks, and segments of records outside chunks, by start; see `pc2scan.bags.reader.Reader`.
-
-        Without verification, whole chunks with complete message indexes are not decompressed.
-        """
+        """Return chunks, and segments of records outside chunks, by start; see `pc2scan.bags.reader.Reader`."""
         known = wanted = self._known
         if connections is not None:
             wanted = {connection.id: known[connection.id] for connection in connections if connection.id in known}
@@ -167,11 +156,8 @@ class McapReader(ChunkedReader):
         rule = rule if rule and rule.container == "mcap" else None
         segments = self._segments_with(ids, start_ns, stop_ns)
         whole, due = whole_chunks(segments, rule, start_ns, stop_ns)
-        blindly: frozenset[int] = frozenset()
-        if rule and not self._verify and whole.any() and not self._packs(segments[0]):
-            blindly = shared_channels(self._index, rule)
         times = (0 if start_ns is None else start_ns, 1 << 64 if stop_ns is None else stop_ns)
-        selection = _Selection(wanted, *times, rule, blindly)
+        selection = _Selection(wanted, *times, rule)
         return segment_units(segments, partial(self._load, selection), self._file, whole, due)
 
     def _load(
@@ -204,15 +190,10 @@ class McapReader(ChunkedReader):
         """
         seen: StoredChunk | memoryview | None = None
         if whole and selection.rule and isinstance(segment, ChunkSegment):
-            if segment.connection_ids and segment.connection_ids <= selection.blindly:
-                seen = copy_by_index(self._file, segment, selection.rule)
-            seen = seen or copy_by_content(self._file, segment, selection.rule, verify=self._verify)
+            seen = whole_chunk(self._file, segment, selection.rule)
         if isinstance(seen, StoredChunk):
             return seen, None
-        if seen is None:
-            payload = borrow_payload(self._file, segment, verify=self._verify)
-        else:
-            payload = BorrowedBytes(seen, None)
+        payload = borrow_payload(self._file, segment) if seen is None else BorrowedBytes(seen, None)
         if self._data_crc is not None:
             self._data_crc.add(segment, payload.data)
         messages = self._scan(selection, segment, payload.data)
@@ -226,7 +207,7 @@ class McapReader(ChunkedReader):
         DamageError
             If the records are not sound, or contradict what the segment declares.
         """
-        wanted, start_ns, stop_ns, _, _ = selection
+        wanted, start_ns, stop_ns, _ = selection
         span = _declared_span(segment)
         further = partial(self._compare_declaration, data, segment) if isinstance(segment, ChunkSegment) else None
         scan = scan_messages(data, wanted, start_ns, stop_ns, span or ANY_TIME, further)
@@ -263,7 +244,7 @@ class McapReader(ChunkedReader):
     def _prefix(self, segment: Segment) -> tuple[memoryview, DamageError | None]:
         """A segment's records as far as they can be decompressed, and why that is not all."""
         try:
-            return payload(self._file, segment, verify=self._verify), None
+            return payload(self._file, segment), None
         except DamageError as err:
             if self._log.strict:
                 raise
@@ -296,11 +277,6 @@ class McapReader(ChunkedReader):
     def _is_counted(self) -> bool:
         """Whether the file declares how many messages it has, apart from where they are."""
         return self._index.statistics is not None
-
-    def _packs(self, segment: Segment) -> bool:
-        """Whether messages are single zstd frames, which one segment shows for all."""
-        data, _ = self._prefix(segment)
-        return any(map(is_frame, scan_messages(data, self._known, 0, 1 << 64).messages))
 
     def _records(self, chunk: Segment) -> Iterator[tuple[int, memoryview]]:
         """A chunk's records, as far as they can be read."""
@@ -405,7 +381,7 @@ class McapReader(ChunkedReader):
             except DamageError as err:
                 self._log.note(err, offset=offset, bytes_lost=len(content))
                 continue
-            if self._verify and record.crc and (actual := crc32(memoryview(content)[:covered])) != record.crc:
+            if record.crc and (actual := crc32(memoryview(content)[:covered])) != record.crc:
                 self._log.note(
                     self._file.damage(f"attachment {record.name!r} has CRC {actual:08x}, recorded is {record.crc:08x}"),
                     offset=offset,
@@ -528,18 +504,6 @@ def compare_counts(index: McapIndex, file: RecordFile, log: DamageLog) -> None:
         if found < declared:
             error = file.damage(f"the statistics count {declared} {kind}, {found} were found")
             log.note(error, key=kind, messages_lost=lost)
-
-
-def shared_channels(index: McapIndex, rule: ChunkRule) -> frozenset[int]:
-    """Find the channels that the destination declares as this file does, so that a chunk may repeat the declaration."""
-    found = []
-    for channel_id in rule.connection_ids & index.channels.keys():
-        channel = index.channels[channel_id]
-        schema = index.schemas.get(channel.schema_id)
-        records = {encode_record(channel)} if schema is None else {encode_record(channel), encode_record(schema)}
-        if records <= rule.declarations:
-            found.append(channel_id)
-    return frozenset(found)
 
 
 # --- The CRC of a data section ---

@@ -311,7 +311,7 @@ class _Gap(NamedTuple):
     error: DamageError
 
 
-def recover_index(file: RecordFile, problem: DamageError, log: DamageLog, *, verify: bool) -> McapIndex:
+def recover_index(file: RecordFile, problem: DamageError, log: DamageLog) -> McapIndex:
     """Index a damaged file.
 
     Parameters
@@ -322,8 +322,6 @@ def recover_index(file: RecordFile, problem: DamageError, log: DamageLog, *, ver
         The error of indexing it as a sound file.
     log
         Gets the damage.
-    verify
-        Whether a summary with a wrong CRC is ignored.
 
     Returns
     -------
@@ -342,7 +340,7 @@ def recover_index(file: RecordFile, problem: DamageError, log: DamageLog, *, ver
     summary, end = McapIndex(), file.size - len(MAGIC) * _ends_with_magic(file)
     indexed: Iterable[Segment] = ()
     try:
-        end = read_summary(file, summary, verify=verify)
+        end = read_summary(file, summary)
     except DamageError as err:
         without_summary = err
         # The walk then includes the records of the summary, and finds channels there.

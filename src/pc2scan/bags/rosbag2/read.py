@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 def open_reader(path: Path, options: ReadOptions) -> Rosbag2Reader:
     """Open a rosbag2 directory; see `pc2scan.bags.formats.Format`."""
-    return Rosbag2Reader(path, verify=options.verify, strict=options.strict)
+    return Rosbag2Reader(path, strict=options.strict)
 
 
 class Rosbag2Reader(MergedReader):
@@ -46,8 +46,6 @@ class Rosbag2Reader(MergedReader):
     ----------
     path
         The directory. Only files in it are opened, whatever metadata.yaml names.
-    verify
-        Whether checksums of MCAP files are verified.
     strict
         Whether damage is an error, and so are a missing file and messages that metadata.yaml counts and the files do
         not have; otherwise everything else is read, and `damage` has the rest.
@@ -62,7 +60,7 @@ class Rosbag2Reader(MergedReader):
         With ``strict``, if metadata.yaml cannot be understood, or a file is missing or damaged.
     """
 
-    def __init__(self, path: Path, *, verify: bool = True, strict: bool = False) -> None:
+    def __init__(self, path: Path, *, strict: bool = False) -> None:
         self.path = path
         self._log = DamageLog(strict=strict)
         self._temporary: TemporaryDirectory[str] | None = None
@@ -78,7 +76,7 @@ class Rosbag2Reader(MergedReader):
                 try:
                     if file is None:
                         raise missing_error(path, name)
-                    reader = self._open(file, verify=verify)
+                    reader = self._open(file)
                 except DamageError as err:
                     err.path = self._origins.get(Path(err.path or name), Path(err.path or name))
                     if strict or (name == self._info.files[-1] and not opened):
@@ -132,7 +130,7 @@ class Rosbag2Reader(MergedReader):
         super().close()
         self._discard_temporary()
 
-    def _open(self, file: Path, *, verify: bool) -> Reader:
+    def _open(self, file: Path) -> Reader:
         if zstd.is_zstd(file):
             if self._temporary is None:
                 self._temporary = private_folder(self.path)
@@ -141,9 +139,7 @@ class Rosbag2Reader(MergedReader):
             file = unpacked
         storage = _storage_of(file)
         packed = self._info.message_compression
-        return storage.open_reader(
-            file, ReadOptions(verify=verify, strict=self._log.strict, message_compression=packed)
-        )
+        return storage.open_reader(file, ReadOptions(strict=self._log.strict, message_compression=packed))
 
     def _lose(self, name: str, err: DamageError) -> None:
         """Note a file that is missing or cannot be read."""
