@@ -378,5 +378,3 @@ def _damage_of(job: Job, sources: list[Path]) -> tuple[Damage, ...]:
     with ExitStack() as stack:
         readers = open_recordings(sources, stack, strict=options.strict)
         return tuple(place for reader in readers for place in reader.damage)
-
-

@@ -137,8 +137,6 @@ def _summed_up(found: list[tuple[str, int, int | str]]) -> list[tuple[str, int, 
     return [(f"{len(found)} files", sum(size for _, size, _ in found), last)]
 
 
-
-
 # --- Lines ---
 
 
