@@ -156,7 +156,6 @@ def _trajectory(data: bytes) -> None:
     from pc2scan.tf.trajectory import load_trajectory
 
     _file("a.tum", data, lambda path: _ignored(load_trajectory(path, ("odom", "base_link"))))
-    _file("times.txt", data, lambda path: _ignored(load_trajectory(path, ("odom", "base_link"), path)))
 
 
 def _wire(data: bytes) -> None:
