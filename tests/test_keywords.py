@@ -92,7 +92,7 @@ def test_scans_takes_what_convert_takes() -> None:
     others = set().union(*NOT_FOR_SCANS.values())
     assert taken_by_function("convert") - taken_by_function("scans") == others
     assert taken_by_function("scans") - taken_by_function("convert") == set()
-    assert taken_by_function("clouds") == {*("sources", "topics", "start", "end", "cloud_scale", "on_error", "strict")}
+    assert taken_by_function("clouds") == {*("sources", "topics", "start", "end", "cloud_scale", "strict")}
 
 
 @pytest.fixture

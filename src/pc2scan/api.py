@@ -76,7 +76,7 @@ def convert(
     ResultError
         If no message was converted, or the result does not meet ``fail_on`` or ``min_used``.
     MessageError
-        If ``on_error`` is ``fail`` and a message cannot be converted. After any error the destination is unchanged.
+        With ``strict``, if a message cannot be converted. After any error the destination is unchanged.
 
     Examples
     --------
@@ -483,7 +483,7 @@ def export(
     ResultError
         If no message could be written.
     MessageError
-        If ``on_error`` is ``fail`` and a message cannot be written. After any error nothing is written.
+        With ``strict``, if a message cannot be written. After any error nothing is written.
 
     Examples
     --------
@@ -529,7 +529,7 @@ def scans(
     DamageError
         With ``strict``, if a source is damaged.
     MessageError
-        If ``on_error`` is ``fail`` and a message cannot be used. Raised in the loop.
+        With ``strict``, if a message cannot be used. Raised in the loop.
 
     Examples
     --------
@@ -588,7 +588,7 @@ def clouds(
     DamageError
         With ``strict``, if a source is damaged.
     MessageError
-        If ``on_error`` is ``fail`` and a message cannot be read. Raised in the loop.
+        With ``strict``, if a message cannot be read. Raised in the loop.
 
     Examples
     --------

@@ -364,7 +364,6 @@ def selection_of(sources: PathText | Iterable[PathText], topics: tuple[str, ...]
         topics=topics,
         start=options.start,
         end=options.end,
-        on_error=options.on_error,
         strict=options.strict,
         clock=clock_of(options),
         cloud_scale=options.cloud_scale,

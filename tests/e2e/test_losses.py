@@ -262,7 +262,7 @@ def test_a_chunk_with_a_time_too_late_for_rosbag2_is_not_copied(tmp_path: Path) 
 
 def test_fail_stops_at_a_log_time_that_does_not_fit(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "drive.mcap", with_times(T0, 2**32 * SECOND))
-    done = run("convert", source, "-o", tmp_path / "out.bag", "--on-error", "fail")
+    done = run("convert", source, "-o", tmp_path / "out.bag", "--strict")
     assert done.status == 1
     assert "is outside the 0 to 4294967295 s" in done.stderr
     assert not (tmp_path / "out.bag").exists()

@@ -136,7 +136,7 @@ def test_a_conversion_that_fails_replaces_only_the_report(folder: Path) -> None:
     report = folder / "report.json"
     assert run("convert", folder / "drive.bag", "-o", folder / "a.bag", "--report", report).status == 0
     before = state_of(folder)
-    for status, *options in ((2, "--topic", "/missing"), (1, "--on-error", "fail", "--target-frame", "nowhere")):
+    for status, *options in ((2, "--topic", "/missing"), (1, "--strict", "--target-frame", "nowhere")):
         done = run("convert", folder / "drive.bag", "-o", folder / "b.bag", "--report", report, *map(str, options))
         assert done.status == status
         assert changed(before, folder) == {"report.json"}

@@ -76,7 +76,7 @@ def test_poses_are_at_the_stamps_and_scans_without_are_skipped(recording: Path, 
     assert [entry.stamp_ns for entry in report.skipped] == [STAMPS[0], STAMPS[-1]]
     assert (report.messages, report.exit_status, report.topics[0].skipped) == (4, 3, 2)
     with pytest.raises(TransformError, match=r"1699999999\.9"):
-        pc2scan.export(recording, tmp_path / "other.npz", pose_frame="odom", on_error="fail")
+        pc2scan.export(recording, tmp_path / "other.npz", pose_frame="odom", strict=True)
     assert not (tmp_path / "other.npz").exists()
 
 

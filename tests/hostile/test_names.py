@@ -247,7 +247,7 @@ def test_results_in_python_are_not_obeyed(folder: Path, evil: Path, tmp_path: Pa
 
 def test_errors_in_python_are_not_obeyed(evil: Path, tmp_path: Path) -> None:
     with pytest.raises(pc2scan.Pc2ScanError) as caught:
-        pc2scan.convert(evil, tmp_path / "a.mcap", target_frame=f"nowhere{EVIL}", on_error="fail")
+        pc2scan.convert(evil, tmp_path / "a.mcap", target_frame=f"nowhere{EVIL}", strict=True)
     shown = "".join(traceback.format_exception_only(caught.value))
     assert_harmless(shown)
     assert "hint: " in shown

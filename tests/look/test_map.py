@@ -200,7 +200,7 @@ def test_scans_without_a_place_are_counted(tmp_path: Path) -> None:
     assert done.status == 3
     assert "skipped: 10 of /scan: their stamps are before the first [base_link] in [odom]" in done.stderr
     assert pc2scan.map(source).scans == {"/scan": 30}
-    failed = run("map", source, "--png", tmp_path / "none.png", "--on-error", "fail")
+    failed = run("map", source, "--png", tmp_path / "none.png", "--strict")
     assert failed.status == 1
     assert not (tmp_path / "none.png").exists()
 

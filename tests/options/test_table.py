@@ -61,8 +61,8 @@ def test_defaults_have_the_right_type() -> None:
 
 
 def test_options_of_other_commands_have_their_defaults() -> None:
-    options = Options("map", {"on_error": "fail", "resolution": "5cm"})
-    assert (options.on_error, options.resolution, options.reverse, options.keep) == ("fail", 0.05, False, ())
+    options = Options("map", {"strict": True, "resolution": "5cm"})
+    assert (options.strict, options.resolution, options.reverse, options.keep) == (True, 0.05, False, ())
     with pytest.raises(AttributeError, match="map has no option 'nothing'"):
         options.nothing  # noqa: B018
 
@@ -118,7 +118,6 @@ def test_what_only_python_has_is_no_option_of_a_command() -> None:
 @pytest.mark.parametrize(
     ("command", "values", "message"),
     [
-        ("convert", {"on_error": "ignore"}, "`on_error` is 'ignore', it must be one of skip, fail"),
         ("convert", {"fail_on": "emtpy"}, "`fail_on` is 'emtpy', it must be one of empty, warning"),
         ("convert", {"jobs": -1}, "`jobs` is -1, it must be from 0 to 1,024"),
         ("convert", {"range_cutoff": "far"}, "`range_cutoff`: 'far' is not a number"),

@@ -211,7 +211,7 @@ def test_times_are_seconds_after_the_beginning_or_of_a_clock(text: str, time_ns:
     assert TimeBound.parse(text).resolve(1000) == time_ns + (0 if absolute else 1000)
 
 
-@pytest.mark.parametrize("options", [{"on_error": "ignore"}, {"jobs": -1}, {"only_scans": True, "keep_clouds": True}])
+@pytest.mark.parametrize("options", [{"jobs": -1}, {"only_scans": True, "keep_clouds": True}])
 def test_contradictions_are_refused(options: dict[str, Any]) -> None:
     with pytest.raises(UsageError, match=next(iter(options))):
         pc2scan.convert(ROOT / "fixtures" / "hall.bag", **options)

@@ -112,7 +112,7 @@ def test_outputs_that_place_points_alike_share_the_work(
 
     monkeypatch.setattr(Deskew, "track", counted)
     moved = {**BAND, "deskew": True, "fixed_frame": "odom"}
-    report = converted(tmp_path / "a.mcap", {"/a": moved, "/b": {**moved, **other}}, on_error="skip", jobs=1)
+    report = converted(tmp_path / "a.mcap", {"/a": moved, "/b": {**moved, **other}}, jobs=1)
     assert calls["track"] == times * made(report)[0].messages_in
 
 

@@ -197,7 +197,7 @@ def test_files_are_closed_whatever_becomes_of_the_loop(recording: Path, tmp_path
 
     def failing() -> None:
         with pytest.raises(DecodeError):
-            list(pc2scan.scans(path, on_error="fail"))
+            list(pc2scan.scans(path, strict=True))
 
     path = broken(tmp_path)
     for end in (exhausted, left, closed, closed_with_the_stream, in_a_block, forgotten, wrong, failing):
@@ -225,16 +225,14 @@ def broken(folder: Path) -> Path:
 def test_what_cannot_be_used_is_skipped_or_an_error(tmp_path: Path) -> None:
     path = broken(tmp_path)
     stream = pc2scan.scans(path)
-    with pytest.warns(pc2scan.RecordingWarning, match="skipped: /scan.*on_error='fail'") as warned:
+    with pytest.warns(pc2scan.RecordingWarning, match="skipped: /scan.*strict=True") as warned:
         found = list(stream)
     assert [w.filename for w in warned] == [__file__]
     assert [(scan.stamp_ns - START) // STEP for scan in found] == [0, 1, 3, 4]
     assert stream.skipped_count == 1
     assert [(s.topic, s.log_time_ns) for s in stream.skipped] == [("/scan", START + 2 * STEP)]
     with pytest.raises(MessageError, match="/scan"):
-        list(pc2scan.scans(path, on_error="fail"))
-    with pytest.raises(UsageError, match="must be one of skip, fail"):
-        pc2scan.scans(path, on_error="ignore")
+        list(pc2scan.scans(path, strict=True))
 
 
 def test_scans_of_surprising_heights_are_warned_of() -> None:

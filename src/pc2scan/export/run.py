@@ -153,7 +153,7 @@ def run(
     ResultError
         If there is nothing to write.
     MessageError
-        If ``options.on_error`` is ``fail`` and a message cannot be written. After any error nothing is written.
+        If ``options.strict`` and a message cannot be written. After any error nothing is written.
     """
     file_format = format_of(form.format, destination)
     _check_request(file_format, options, form)
@@ -184,7 +184,7 @@ def run(
             tell(*texts)
         # Scans that are made of clouds have the right frame in their headers.
         frame = "" if form.converting else options.frames.source_frame
-        export = _Export(file_format, poses, report, source_frame=frame, failing=options.on_error == "fail")
+        export = _Export(file_format, poses, report, source_frame=frame, failing=options.strict)
         export.lay_out(stream.topics, unfinished, destination, folder=folder)
         try:
             export.write(stream)
@@ -273,7 +273,6 @@ def _stream(
         topics=tuple(names),
         start=options.start,
         end=options.end,
-        on_error=options.on_error,
         strict=options.strict,
         clock=options.clock,
         cloud_scale=options.cloud_scale,

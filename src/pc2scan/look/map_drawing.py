@@ -97,7 +97,7 @@ class Drawing:
 
     def skip(self, topic: str, error: MessageError) -> None:
         """Count a message that is not drawn."""
-        if self.options.on_error == "fail":
+        if self.options.strict:
             raise error
         self.first_error = self.first_error or error
         reason = error.reason if isinstance(error, TransformError) else ""

@@ -76,8 +76,9 @@ class TimeRange(TypedDict, total=False):
         bool,
         Option(
             Flag(),
-            "Refuse a damaged source. Without this option, everything readable is recovered, the damage is reported, "
-            "and the exit status is 3.",
+            "End with an error at the first damage of a source, and at the first message that cannot be converted. "
+            "Without this option, all that is readable is converted, the rest is counted and listed, and the exit "
+            "status is 3.",
             panel=RUN,
         ),
     ]
@@ -117,19 +118,6 @@ class CloudUnit(TypedDict, total=False):
             "centimetres. Kept clouds are multiplied, too.",
             default=1.0,
             default_text="1, which is metres",
-        ),
-    ]
-
-
-class BadMessages(TypedDict, total=False):
-    """What is done with messages that cannot be used."""
-
-    on_error: Annotated[
-        str,
-        Option(
-            Text(words=("skip", "fail")),
-            "What to do with messages that cannot be converted. skip: count and list them; fail: end the run.",
-            default="skip",
         ),
     ]
 

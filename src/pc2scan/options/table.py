@@ -34,7 +34,6 @@ from .commands import (
     RepairScreen,
 )
 from .conversion import (
-    BadMessages,
     CloudCombination,
     CloudContent,
     CloudUnit,
@@ -114,7 +113,6 @@ class _Conversion(
     SourceTopics,
     _Scans,
     SeveralOutputs,
-    BadMessages,
     CloudContent,
     OtherTopics,
     FailureConditions,
@@ -135,7 +133,7 @@ class Batch(BatchRun, BatchExport, _Conversion, BatchRunProgress, total=False):
     """``batch``."""
 
 
-class Export(ExportFormat, SourceTopics, _Scans, BadMessages, ThreadCount, RunProgress, total=False):
+class Export(ExportFormat, SourceTopics, _Scans, ThreadCount, RunProgress, total=False):
     """``export``."""
 
 
@@ -147,7 +145,7 @@ class Plot(FigureClouds, SourceTopics, _Clouds, SeveralOutputs, total=False):
     """``plot``."""
 
 
-class Map(MapDrawing, SourceTopics, _Scans, SeveralOutputs, BadMessages, ThreadCount, RunProgress, total=False):
+class Map(MapDrawing, SourceTopics, _Scans, SeveralOutputs, ThreadCount, RunProgress, total=False):
     """``map``."""
 
 
@@ -175,11 +173,11 @@ class Golden(GoldenCases, total=False):
     """``golden``."""
 
 
-class Scans(_Scans, BadMessages, ThreadCount, total=False):
+class Scans(_Scans, ThreadCount, total=False):
     """``pc2scan.scans``."""
 
 
-class Clouds(TimeRange, CloudUnit, BadMessages, total=False):
+class Clouds(TimeRange, CloudUnit, total=False):
     """``pc2scan.clouds``."""
 
 
@@ -212,7 +210,6 @@ _SECTIONS: Mapping[Any, tuple[str, str]] = {
     TimeRange: (TOPICS, CONVERSION),
     StampCorrection: (TOPICS, CONVERSION),
     CloudUnit: (TOPICS, CONVERSION),
-    BadMessages: (RUN, CONVERSION),
     PointSelection: (POINTS, ONE_OUTPUT),
     ConversionFrames: (FRAMES, CONVERSION),
     SourceFrame: (FRAMES, CONVERSION),

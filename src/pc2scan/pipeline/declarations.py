@@ -212,7 +212,7 @@ class RecordingTopics:
                     )
                 entry.action, entry.note = "re-encoded", "; ".join(transcoding.notes)
                 return self.add(transcoding.connection), transcoding.encode
-        if options.on_error == "fail" and connection.message_count != 0:
+        if options.strict and connection.message_count != 0:
             error.topic = connection.topic
             raise error
         entry.note, entry.lost = error.message, True

@@ -39,10 +39,10 @@ def convert_first(
     TransformError
         If no transforms connect any message with the target frame.
     MessageError
-        With ``on_error`` ``fail``, if one of the first messages cannot be converted.
+        With ``strict``, if one of the first messages cannot be converted.
     """
     routes, span = recording.routes, prepared.span
-    with prepared.counting(routes, options.on_error, report) as tally:
+    with prepared.counting(routes, report, strict=options.strict) as tally:
         for key, route in routes.items():
             if route.steps:
                 _convert(reader, {key: route}, recording.combiners, span, tally)

@@ -145,8 +145,8 @@ class Tally:
     ----------
     routes
         The routes by the id of their connection.
-    on_error
-        Whether to ``skip`` messages that cannot be converted, or to ``fail``.
+    strict
+        Whether a message that cannot be converted is an error; otherwise it is skipped.
     warn
         Called with a warning if no transforms connect any of the first messages with the target frame; None: there is
         no such warning.
@@ -163,13 +163,13 @@ class Tally:
     """
 
     def __init__(
-        self, routes: Mapping[int, OpenRoute], on_error: str, warn: Callable[[str], None] | None = None
+        self, routes: Mapping[int, OpenRoute], warn: Callable[[str], None] | None = None, *, strict: bool
     ) -> None:
         self.skipped: list[Skipped] = []
         self.failures = 0
         self.is_connected = False
         self._routes = routes
-        self._on_error = on_error
+        self._strict = strict
         self._warn = warn
         #: Messages that no transforms connect with the target frame, and the first of them.
         self._unconnected = 0
@@ -192,7 +192,7 @@ class Tally:
         Raises
         ------
         MessageError
-            With ``on_error`` ``fail``: the first error.
+            With ``strict``: the first error.
         """
         route = item.route
         failed: list[tuple[MessageError, TopicReport]] = []
@@ -275,7 +275,7 @@ class Tally:
             errors.setdefault(error.message, (error, []))[1].append(entry.target or "")
         for error, targets in errors.values():
             error.topic = topic
-            if self._on_error == "fail":
+            if self._strict:
                 raise error
             if len(self.skipped) < MAX_LISTED:
                 found = (topic, item.log_time_ns, error.stamp_ns, error.message, error.hint or "")

@@ -532,13 +532,11 @@ class ConvertOptions:
         excludes a cloud topic that is not requested by name.
     start, end
         The cut, by log time: from ``start`` on, before ``end``.
-    on_error
-        What to do if a message cannot be converted: ``skip`` or ``fail``.
     jobs
         Number of threads; 0: one for each processor core.
     strict
-        Whether damage of a source is an error; otherwise everything readable is recovered, and the report lists the
-        damage.
+        Whether damage of a source, and a message that cannot be converted, are errors; otherwise everything readable
+        is converted, and the report lists the rest.
     fail_on
         When the whole run fails and nothing is written: ``empty`` (if a scan has no return), or ``warning`` (also for
         any other warning, skipped message or damage); empty text for neither.
@@ -560,7 +558,6 @@ class ConvertOptions:
     drop: tuple[str, ...] = ()
     start: TimeBound | None = None
     end: TimeBound | None = None
-    on_error: str = "skip"
     jobs: int = 0
     strict: bool = False
     fail_on: str = ""

@@ -69,12 +69,12 @@ class Preparation(NamedTuple):
         return None if self.found is None else self.found.buffer
 
     @contextmanager
-    def counting(self, routes: Mapping[int, OpenRoute], on_error: str, report: Report) -> Generator[Tally]:
+    def counting(self, routes: Mapping[int, OpenRoute], report: Report, *, strict: bool) -> Generator[Tally]:
         """Count the items of the conversion; the report then has what the first clouds show, also after an error.
 
         It has their warnings already: the preparation's ``warn`` was called with them.
         """
-        tally = Tally(routes, on_error, self.firsts.warn)
+        tally = Tally(routes, self.firsts.warn, strict=strict)
         report.skipped = tally.skipped
         try:
             yield tally

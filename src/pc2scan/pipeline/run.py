@@ -116,7 +116,7 @@ def run(
                     window=options.window,
                     meter=meter,
                 )
-                with prepared.counting(recording.routes, options.on_error, report) as tally, closing(items):
+                with prepared.counting(recording.routes, report, strict=options.strict) as tally, closing(items):
                     try:
                         write_items(items, writer, tally, recording)
                     finally:

@@ -22,7 +22,6 @@ from pc2scan.errors import (
     Pc2ScanError,
     RecordingWarning,
     TopicError,
-    UsageError,
     name_list,
     visible,
 )
@@ -129,10 +128,8 @@ class Selection:
         The requested topics; empty means the only one of its type.
     start, end
         The cut, by log time.
-    on_error
-        What to do with a message that cannot be used: ``skip`` it, or ``fail``.
     strict
-        As for `pc2scan.bags.opening.open_recordings`.
+        Whether damage, and a message that cannot be used, are errors.
     clock
         How stamps are corrected; None: they are not.
     cloud_scale
@@ -143,14 +140,9 @@ class Selection:
     topics: tuple[str, ...] = ()
     start: TimeBound | None = None
     end: TimeBound | None = None
-    on_error: str = "skip"
     strict: bool = False
     clock: StampOptions | None = None
     cloud_scale: float = 1.0
-
-    def __post_init__(self) -> None:
-        if self.on_error not in ("skip", "fail"):
-            raise UsageError(f"on_error is {self.on_error!r}, it must be skip or fail")
 
     def select_connections(
         self, reader: Reader, kinds: Collection[str], hint: Callable[[Reader], str | None]
@@ -389,7 +381,7 @@ class Stream(ABC, Generic[Item]):
 
     def _read(self, source: StreamSource) -> Generator[EngineItem]:
         """Yield the engine's items, after they were counted."""
-        tally = Tally(source.routes, self._selection.on_error)
+        tally = Tally(source.routes, strict=self._selection.strict)
         self.skipped, self.skipped_count = tally.skipped, 0
         jobs = source.jobs or cores()
         meter, self._meter = self._meter, None
@@ -458,7 +450,7 @@ class Stream(ABC, Generic[Item]):
                     if self.skipped_count == 1 and not self.listener and item.errors:
                         error = item.errors[0]
                         hint = f" ({error.hint})" if error.hint else ""
-                        more = "see .skipped for all such messages; on_error='fail' makes them errors"
+                        more = "see .skipped for all such messages; strict=True makes them errors"
                         warnings.warn(f"skipped: {error}{hint}; {more}", RecordingWarning, stacklevel=2)
                     objects = self._objects(item)
                     del item
