@@ -129,6 +129,16 @@ class Connection:
         return self.ros_type
 
     @property
+    def is_static(self) -> bool:
+        """Whether transforms on this topic are valid at any time."""
+        return self.topic.rsplit("/", 1)[-1] == "tf_static"
+
+    @property
+    def is_latched(self) -> bool:
+        """Whether its messages stay valid until the next one, or for ever."""
+        return self.latching or self.is_static
+
+    @property
     def in_utf8(self) -> Connection:
         """Return the connection with texts in UTF-8. Those of ROS 1 may have any bytes, read as surrogates."""
         return replace(

@@ -23,7 +23,6 @@ from pc2scan.errors import UsageError
 
 from . import zstd
 from .formats import FORMATS
-from .topics import is_latched
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -241,7 +240,7 @@ def _moving_topics(reader: Reader) -> set[str]:
     return {
         connection.topic
         for connection in reader.connections
-        if connection.message_count != 0 and not is_latched(connection)
+        if connection.message_count != 0 and not connection.is_latched
     }
 
 

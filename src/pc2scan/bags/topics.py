@@ -154,16 +154,6 @@ def by_topic(connections: Iterable[Connection]) -> dict[str, list[Connection]]:
 # --- Messages that stay valid: those of latched topics, and static transforms ---
 
 
-def is_static(topic: str) -> bool:
-    """Whether transforms on this topic are valid at any time."""
-    return topic.rsplit("/", 1)[-1] == "tf_static"
-
-
-def is_latched(connection: Connection) -> bool:
-    """Whether messages of a connection stay valid until the next one, or for ever."""
-    return connection.latching or is_static(connection.topic)
-
-
 def latches(qos: str) -> bool:
     r"""Whether any of rosbag2's ``offered_qos_profiles`` has the durability transient local.
 
@@ -174,6 +164,24 @@ def latches(qos: str) -> bool:
     (True, False)
     """
     return re.search(_TRANSIENT_LOCAL, qos.lower()) is not None
+
+
+def unheard(connections: Iterable[Connection]) -> list[tuple[str, str]]:
+    """Return for each topic of static transforms that ROS 2 plays to nobody what is wrong with it, and what to do.
+
+    tf2 asks for the durability transient local.
+    """
+    topics = dict.fromkeys(
+        each.topic
+        for each in connections
+        if each.ros_version == 2 and each.is_static and not each.latching and each.message_count != 0
+    )
+    what = "its QoS is volatile or not recorded, so ROS 2 plays it as volatile, and tf2 does not receive it"
+    cure = "play it with --qos-profile-overrides-path qos.yaml, a file with the line"
+    return [
+        (f"{topic}: {what}", f"{cure} '{topic}: {{durability: transient_local, history: keep_all}}'")
+        for topic in topics
+    ]
 
 
 class NewestItems(Generic[Item]):

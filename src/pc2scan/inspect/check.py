@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from pc2scan.bags.damage import mention
 from pc2scan.bags.opening import as_one, open_recordings
-from pc2scan.bags.topics import find_topics
+from pc2scan.bags.topics import find_topics, unheard
 from pc2scan.core.consumers import CONSUMERS
 from pc2scan.core.verdicts import OUTCOMES, Outcome
 from pc2scan.errors import DecodeError, TopicError, UsageError, leading, stamp_text
@@ -26,6 +26,7 @@ from pc2scan.text import counted
 from pc2scan.tf.placing import FrameOptions
 from pc2scan.tf.robot_model import NO_MODEL
 
+from .findings import Finding
 from .scan_frames import ScanFrames, mounting_findings
 from .scan_topic import ScanTopic
 
@@ -40,7 +41,6 @@ if TYPE_CHECKING:
     from pc2scan.progress import Progress
     from pc2scan.tf.buffer import TransformBuffer
 
-    from .findings import Finding
 
 #: How many frames are shown as text.
 _MAX_SHOWN = 5
@@ -50,7 +50,8 @@ _MAX_SHOWN = 5
 #: needs no odometry.
 _UNUSABLE: dict[str, frozenset[str]] = {
     **dict.fromkeys(
-        ("angles", "full-circle", "moving-frame", "no-returns", "optical-frame", "parts"), frozenset(CONSUMERS)
+        ("angles", "full-circle", "moving-frame", "no-returns", "optical-frame", "parts", "static-unheard"),
+        frozenset(CONSUMERS),
     ),
     **dict.fromkeys(("few-directions", "odometry-direction"), frozenset(CONSUMERS) - {"nav2"}),
 }
@@ -336,7 +337,8 @@ def check(
         wrong = {name: clock for name, clock in clocks.findings().items() if clock.other}
         places = {name: ScanFrames(buffer, odom_frame, base_frame, wrong.get(name)) for name in chosen}
         found = _check_topics(reader, chosen, places, meter, echo)
-        found = _with_mountings(found, clouds, buffer)
+        unheard_ones = [Finding("static-unheard", "defect", *each) for each in unheard(reader.connections)]
+        found = _with_mountings(found, clouds, buffer, unheard_ones)
         damage = tuple(place for each in (reader, *others) for place in each.damage)
     return Check(tuple(map(str, paths)), asked, tuple(found), (*transforms.warnings, *transforms.notes), damage)
 
@@ -393,12 +395,14 @@ def _check_topics(
 
 
 def _with_mountings(
-    found: Sequence[TopicCheck], clouds: Iterable[TopicFacts], buffer: TransformBuffer
+    found: Sequence[TopicCheck], clouds: Iterable[TopicFacts], buffer: TransformBuffer, others: Sequence[Finding]
 ) -> list[TopicCheck]:
-    """Add findings about the scans' frames, from the clouds of the recording."""
+    """Add findings about the scans' frames, from the clouds of the recording, and others that all topics share."""
     tilted = mounting_findings(clouds, buffer, [frame for topic in found for frame in topic.frames])
     return [
-        replace(topic, findings=(*(tilted[frame] for frame in topic.frames if frame in tilted), *topic.findings))
+        replace(
+            topic, findings=(*(tilted[frame] for frame in topic.frames if frame in tilted), *others, *topic.findings)
+        )
         for topic in found
     ]
 

@@ -115,7 +115,8 @@ def transcoder(connection: Connection, ros_version: int) -> Transcoding:
         definition=plan.definition,
         digest=plan.digest,
         callerid=None,
-        qos=LATCHED_QOS if ros_version == 2 and connection.latching else "",
+        latching=connection.is_latched,
+        qos=LATCHED_QOS if ros_version == 2 and connection.is_latched else "",
         metadata={key: value for key, value in connection.metadata.items() if key not in _METADATA_OF[source]},
     )
     return Transcoding(declared, _encoder(plan, source, connection.topic), plan.notes, plan.fields)

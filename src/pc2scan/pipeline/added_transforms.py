@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, cast
 
-from pc2scan.bags.topics import is_static
 from pc2scan.core.rule import NO_POINTS
 from pc2scan.errors import MessageError
 from pc2scan.messages.poses import decode_pose
@@ -107,7 +106,7 @@ def add_poses(
     children = {name for each in added for attachment in each.attachments.values() for name in attachment.replaced}
     for connection in tf_connections(reader.connections, frames.tf_topics):
         route = opened.by_id.get(connection.id)
-        if route is not None and route.passing_handle >= 0 and not is_static(connection.topic):
+        if route is not None and route.passing_handle >= 0 and not connection.is_static:
             route.reencode = partial(_without, children, connection.serialization, target.serialization)
     place = topics.add(tf_connection(reader, frames, target))
     name = tf_connection(reader, frames, target).topic

@@ -6,7 +6,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from pc2scan.bags.observers import Observer, observe
-from pc2scan.bags.topics import by_topic, is_static
+from pc2scan.bags.topics import by_topic
 from pc2scan.core.percentiles import median_low
 from pc2scan.errors import DecodeError, UsageError, stamp_text
 from pc2scan.messages.clouds import CLOUDS
@@ -91,7 +91,7 @@ def ask_motion(survey: Survey, frames: FrameOptions, spec: ScanSpec) -> dict[str
     connections = survey.reader.connections
     found: list[Connection] = []
     if spec.fixed_frame:
-        found += (each for each in tf_connections(connections, frames.tf_topics) if not is_static(each.topic))
+        found += (each for each in tf_connections(connections, frames.tf_topics) if not each.is_static)
     if spec.imu_request:
         name = spec.imu_request.topic.strip("/")
         found += (each for each in connections if each.ros_type == IMU and each.topic.strip("/") == name)
@@ -370,7 +370,7 @@ def _moving(connections: Sequence[Connection], tf_topics: Sequence[str]) -> list
     """Return the connections with moving transforms; without any, or if it is not clear which, those with poses."""
     moving: list[Connection] = []
     with suppress(UsageError):
-        moving = [each for each in tf_connections(connections, tf_topics) if not is_static(each.topic)]
+        moving = [each for each in tf_connections(connections, tf_topics) if not each.is_static]
     return moving or [each for each in connections if each.ros_type in POSES and each.ros_version is not None]
 
 

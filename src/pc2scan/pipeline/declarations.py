@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.formats import FORMATS
+from pc2scan.bags.topics import unheard
 from pc2scan.errors import MessageError, RecordingError
 from pc2scan.messages.clouds import to_pointcloud2, written_as_pointcloud2
 from pc2scan.messages.definitions import definition
@@ -160,8 +161,8 @@ class RecordingTopics:
                 definition=text,
                 digest=digest,
                 callerid=source.callerid if target.ros_version == 1 else None,
-                latching=source.latching,
-                qos=source.qos if same else LATCHED_QOS if source.latching and target.ros_version == 2 else "",
+                latching=source.is_latched,
+                qos=source.qos if same else LATCHED_QOS if source.is_latched and target.ros_version == 2 else "",
             )
         )
 
@@ -218,6 +219,11 @@ class RecordingTopics:
         entry.note, entry.lost = error.message, True
         entry.action, entry.target = "skipped", None
         return -1, None
+
+    @property
+    def warnings(self) -> list[str]:
+        """What programs will not receive of the recording when it is played."""
+        return [f"{what}; {cure}" for what, cure in unheard(self._connections)]
 
     def declare(self, writer: Writer, routes: Iterable[OpenRoute]) -> list[int]:
         """Declare all topics, and give the routes the writer's handles; return the handle of each topic."""

@@ -14,7 +14,7 @@ from contextlib import closing
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 
-from pc2scan.bags.topics import NewestItems, is_latched, is_static
+from pc2scan.bags.topics import NewestItems
 from pc2scan.bags.units import Handle, LazyItems, Unit, load_when_due, merge_by_time
 from pc2scan.errors import DecodeError, MessageError
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
@@ -144,7 +144,7 @@ def _units_of_cut(
     """Yield the unit with what is latched at the beginning of the cut, then the units of the cut."""
     wanted = [route.connection for route in routes.values()]
     start, stop = span.start_ns, span.stop_ns
-    lasting = [route.connection for route in routes.values() if is_latched(route.connection)]
+    lasting = [route.connection for route in routes.values() if route.connection.is_latched]
     if start is not None and lasting:
         with closing(schedule(reader.units(lasting, None, start), own_message, threads, path=reader.path)) as earlier:
             # No rule allows whole chunks here.
@@ -216,7 +216,7 @@ def latched_at(messages: Iterable[RawMessage], start_ns: int) -> Unit:
 def _names(message: RawMessage) -> Collection[Hashable]:
     """Return the keys that a message supersedes in earlier ones."""
     connection = message.connection
-    if not is_static(connection.topic):
+    if not connection.is_static:
         return [connection.id]
     try:
         if connection.ros_type in TF_TYPES:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.topics import is_static
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.tfmessage import encode_transforms
 from pc2scan.model import NEW_ID, TF_QOS, Connection
@@ -72,7 +71,7 @@ class UpSources:
 
 def tf_connection(reader: Reader, frames: FrameOptions, target: Destination) -> Connection:
     """Return the connection of new transforms: one more publisher of the topic that has the moving ones."""
-    moving = [c for c in tf_connections(reader.connections, frames.tf_topics) if not is_static(c.topic)]
+    moving = [c for c in tf_connections(reader.connections, frames.tf_topics) if not c.is_static]
     first = moving[0] if moving else None
     if first is not None and first.ros_version == target.ros_version and first.definition.data:
         # ROS 1 has two types with the same layout; all publishers of a topic have the same type.

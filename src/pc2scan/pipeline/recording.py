@@ -99,6 +99,7 @@ def open_output(
 
         trajectories = add_poses(reader, frames, prepared.found.poses, opened, topics, span)
     levels = _level_frames(reader, topics, options) if any(spec.level for spec in plan.specs) else None
+    warnings += topics.warnings
     handles = [] if writer is None else topics.declare(writer, opened.by_id.values())
     if levels is not None:
         entries.append(levels.report)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.topics import is_latched, is_static
 from pc2scan.messages.clouds import written_as_pointcloud2
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 
@@ -177,12 +176,10 @@ def count_skipped(
     skipped = [route for route in routes.values() if not route.writes]
     counted = reader.counts([route.connection for route in skipped], start_ns, stop_ns) if skipped else {}
     # What was latched before the cut would have been written, too.
-    lasting = [route.connection for route in skipped if is_latched(route.connection)]
+    lasting = [route.connection for route in skipped if route.connection.is_latched]
     earlier = reader.counts(lasting, None, start_ns) if lasting and start_ns is not None else {}
     for route in skipped:
         (entry,) = route.reports
         before = earlier.get(route.connection.id, 0)
-        entry.skip(
-            counted.get(route.connection.id, 0) + (before if is_static(route.connection.topic) else min(before, 1))
-        )
+        entry.skip(counted.get(route.connection.id, 0) + (before if route.connection.is_static else min(before, 1)))
     return {key: route for key, route in routes.items() if key not in counted}

@@ -9,7 +9,6 @@ from functools import partial
 from itertools import zip_longest
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pc2scan.bags.topics import is_static
 from pc2scan.errors import DecodeError, RecordingError, UsageError, name_list
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
 from pc2scan.model import copied_message
@@ -249,7 +248,7 @@ class TransformReading:
                     warnings[f"`static_tf` replaces the transforms of {child} in {parent}, which move"] = 1
             rows = [row for row in rows if row[1].removeprefix("/") not in self._overridden]
         try:
-            self._builder.add(rows, static=is_static(connection.topic))
+            self._builder.add(rows, static=connection.is_static)
         except RecordingError as err:
             err.path, err.topic = reader.path, connection.topic
             raise
@@ -422,7 +421,7 @@ class RobotTransforms:
         from pc2scan.bags.observers import Observer  # noqa: PLC0415  # only with transforms
 
         static, moving = (
-            [connection for connection in connections if is_static(connection.topic) is kind] for kind in (True, False)
+            [connection for connection in connections if connection.is_static is kind] for kind in (True, False)
         )
         if static:
             self.observers.append(Observer(static, copied_message, _SOME_MESSAGES))

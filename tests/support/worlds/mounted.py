@@ -13,7 +13,7 @@ from pc2scan.bags.destinations import open_writer, plan_destination
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
 from pc2scan.messages.tfmessage import encode_transforms
-from pc2scan.model import Connection
+from pc2scan.model import LATCHED_QOS, Connection
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -289,7 +289,8 @@ def write_clouds(
     handles = {}
     for topic, msgtype in (("/tf_static", "tf2_msgs/msg/TFMessage"), ("/points", POINTCLOUD2)):
         text, digest = definition(msgtype, 2)
-        handles[topic] = writer.add_connection(Connection(0, topic, msgtype, "cdr", text, digest))
+        qos = LATCHED_QOS if topic == "/tf_static" else ""
+        handles[topic] = writer.add_connection(Connection(0, topic, msgtype, "cdr", text, digest, qos=qos))
     if tf:
         writer.write(handles["/tf_static"], begin_ns, encode_transforms(list(tf), "cdr"), begin_ns)
     for number, points in enumerate(clouds):

@@ -19,7 +19,7 @@ from pc2scan.messages.definitions import definition
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
 from pc2scan.messages.tfmessage import encode_transforms
-from pc2scan.model import Connection, Definition
+from pc2scan.model import LATCHED_QOS, Connection, Definition
 from support.builders import definition as message_text
 from support.builders import imu_message
 
@@ -285,7 +285,8 @@ def write_world(
     handles = {}
     for topic, msgtype in types.items():
         text, digest = definition(msgtype, 2)
-        handles[topic] = writer.add_connection(Connection(0, topic, msgtype, "cdr", text, digest))
+        qos = LATCHED_QOS if topic == "/tf_static" else ""
+        handles[topic] = writer.add_connection(Connection(0, topic, msgtype, "cdr", text, digest, qos=qos))
     for log_time_ns, topic, data in sorted(rows):
         writer.write(handles[topic], log_time_ns, data, log_time_ns)
     writer.finish()
