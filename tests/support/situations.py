@@ -356,7 +356,7 @@ SITUATIONS = (
         "2D scans whose time_increment is in milliseconds",
         drive(lidar=replace(_FLAT, time_scale=1e-3)),
         (
-            (_REBIN, "by its time_increment a scan takes 0.0001 s, but scans come every 0.1 s"),
+            (_REBIN, "by its time_increment a turn takes 0.0001 s, but scans come every 0.1 s"),
             ("check {src}", "time_increment is in seconds"),
         ),
         (_REBIN,),

@@ -207,7 +207,7 @@ def _refused_by_slam_toolbox(scan: ConsumerScan, first: ConsumerScan, _placed: S
                 "every scan must be as long as the angles of the first one require",
                 f"{scan.beams} ranges",
                 f"{expected} ranges",
-                "give all scans one number of beams (pc2scan convert does, to scans made from clouds)",
+                "give all scans one number of beams: pc2scan convert `preset=slam_toolbox`",
             )
         return Verdict(
             "slam_toolbox",
@@ -328,7 +328,7 @@ def _refused_by_gmapping(scan: ConsumerScan, first: ConsumerScan, _placed: ScanT
             "every scan must be as long as the first",
             f"{scan.beams} ranges",
             f"{first.beams} ranges",
-            "give all scans one number of beams (pc2scan convert does, to scans made from clouds)",
+            "give all scans one number of beams: pc2scan convert `preset=gmapping`",
         )
     # gmapping skips ranges above the first scan's range_max, and replaces ranges below range_min by range_max.
     infinite = scan.infinite + (scan.short if scan.range_max == math.inf else 0)

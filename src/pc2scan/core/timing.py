@@ -32,11 +32,16 @@ AZIMUTH = "azimuth"
 #: Units that a user may name, in seconds.
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
-#: The least and the largest duration of a cloud, seconds.
-_SHORTEST, _LONGEST = 1e-9, 60.0
+#: The least and the largest duration of a cloud or a scan, seconds.
+_SHORTEST, LONGEST = 1e-9, 60.0
 
 #: A lidar takes longer for a cloud or a scan, seconds, and for a larger share of the time from one to the next.
 _BRIEF, _BRIEF_SHARE = 1e-3, 0.02
+#: No turn takes so many times as long as it is from one scan to the next, even if a sector is swept to and fro.
+_LONG = 10.0
+
+#: What to do about a ``time_increment`` in another unit.
+IN_SECONDS = "time_increment is in seconds, and this one is probably in another unit"
 
 #: Times of this many seconds and more do not count from the cloud's beginning, but from 1970, or from the sensor's
 #: start.
@@ -78,6 +83,21 @@ def is_brief(seconds: float, period: float) -> bool:
     Packets are brief, too, but follow each other; and points of a flash lidar have one time.
     """
     return 0 < seconds < _BRIEF and seconds < _BRIEF_SHARE * period
+
+
+def increment_doubt(turn: float, period: float) -> str:
+    """Return what is implausible about a ``time_increment``; empty if nothing is.
+
+    Parameters
+    ----------
+    turn
+        How long a whole turn takes by it, seconds.
+    period
+        The time from one scan to the next, seconds.
+    """
+    if is_brief(turn, period) or turn > _LONG * period > 0:
+        return f"by its time_increment a turn takes {turn:.3g} s, but scans come every {period:.3g} s"
+    return ""
 
 
 def time_field(fields: Iterable[str]) -> str:
@@ -139,13 +159,13 @@ def absolute_times(values: NDArray[Any], stamp_ns: int, unit_name: str = "") -> 
     low, high = float(some.min()), float(some.max())
     offset, unit = offset_and_unit(low, high, stamp_ns, unit_name, whole=values.dtype.kind in "iu")
     # Without a span, nothing but its distance from the stamp shows the unit of a time that all points share.
-    is_absolute = offset and (low < high or abs(low - offset) * unit < _LONGEST)
+    is_absolute = offset and (low < high or abs(low - offset) * unit < LONGEST)
     return (offset, unit) if is_absolute else None
 
 
 def _are_near(low: float, high: float, stamp: float) -> bool:
     """Whether times of a cloud are about as large as its stamp, and too large to count from it: seconds."""
-    return high - low <= _LONGEST <= low and stamp / _NEAR <= low and high <= stamp * _NEAR
+    return high - low <= LONGEST <= low and stamp / _NEAR <= low and high <= stamp * _NEAR
 
 
 def azimuth_times(x: NDArray[Any], y: NDArray[Any], period: float, direction: int = 0) -> NDArray[np.float64] | None:
@@ -261,7 +281,7 @@ def fit_sweep(angles: NDArray[Any], times: NDArray[np.float64]) -> Sweep | None:
     if times.size < _SLICES:
         return None
     begin, end = float(times.min()), float(times.max())
-    if not _SHORTEST < end - begin < _LONGEST:
+    if not _SHORTEST < end - begin < LONGEST:
         return None
     slices = np.minimum(((times - begin) * (_SLICES / (end - begin))).astype(np.intp), _SLICES - 1)
     points = np.bincount(slices, minlength=_SLICES)

@@ -421,9 +421,18 @@ def _topic_check(name: str, scans: ScanTopic, places: ScanFrames) -> TopicCheck:
         scans.interval_ns,
         scans.first,
         tuple(
-            ConsumerCheck(consumer, worst[0].outcome, worst[1], worst[0], worst[2])
+            ConsumerCheck(consumer, worst[0].outcome, worst[1], _with_rebin(worst[0]), worst[2])
             for consumer in CONSUMERS
             if (worst := scans.worst(consumer)) is not None
         ),
         tuple(findings),
     )
+
+
+def _with_rebin(verdict: Verdict) -> Verdict:
+    """Return a verdict whose cure is one for scans that a 2D lidar has measured, too."""
+    preset = f"`preset={verdict.consumer}`"
+    if preset not in verdict.cure:
+        return verdict
+    cure = verdict.cure.replace(preset, f"`rebin=True` {preset}")
+    return verdict._replace(cure=f"{cure}; without `rebin` for scans made from clouds")

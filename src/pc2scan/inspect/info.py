@@ -516,6 +516,7 @@ def _survey(
     wrong = clocks.findings()
     warnings += (each.warning for each in wrong.values())
     warnings += filter(None, (each.unit_warning(moved=moved) for each in facts.values()))
+    warnings += filter(None, (duration_warning(each, PointTime()) for each in flat.values()))
     ups = {topic: _up(reading) for topic, reading in readings.items()}
     places = places._replace(buffer=buffer if moved else None)
     return _Surveyed({**facts, **flat}, places, buffer, ups, wrong, warnings, knows_end)

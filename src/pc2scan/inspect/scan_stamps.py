@@ -175,7 +175,7 @@ class ScanStamps:
                     "scan-time",
                     "notice",
                     f"scan_time is {scan_time_ns / 1e9:.4g} s, but scans come every {median / 1e9:.4g} s",
-                    f"pc2scan convert `scan_time={median / 1e9:.3g}`",
+                    f"pc2scan convert `scan_time={median / 1e9:.3g}`, with `rebin` for scans of a 2D lidar",
                 )
             )
         return found

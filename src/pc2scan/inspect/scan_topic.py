@@ -11,7 +11,7 @@ import numpy as np
 
 from pc2scan.core.consumers import CONSUMERS, has_angles, judge
 from pc2scan.core.layout import TURN
-from pc2scan.core.timing import is_brief
+from pc2scan.core.timing import IN_SECONDS, increment_doubt
 from pc2scan.core.verdicts import OUTCOMES, ConsumerScan, Outcome, ScanTransforms, Verdict
 from pc2scan.messages.laserscan import scan_for_consumers
 from pc2scan.text import agreeing, counted
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pc2scan.messages.laserscan import LaserScan
+
+    from .findings import Level
 
 #: A median range from here on is taken for millimetres: no lidar sees half a kilometre in most directions.
 _MILLIMETRES = 500.0
@@ -215,7 +217,7 @@ class ScanTopic:
                     "defect",
                     f"{self._of(self._length, 'have')} another number of beams than the first: "
                     f"{min(self.beams):,} to {max(self.beams):,}",
-                    "give all scans one number of beams",
+                    "pc2scan convert `rebin=True` gives all scans one number of beams",
                     self._length,
                 )
             )
@@ -258,7 +260,15 @@ class ScanTopic:
 
     def _time_findings(self) -> list[Finding]:
         found = []
-        if self._slow.count and self.first is not None:
+        first, interval_ns, doubt = self.first, self.interval_ns, ""
+        if first is not None and interval_ns is not None and has_angles(first) and _turn(first):
+            turn = abs(first.time_increment) * (first.beams - 1) / min(1.0, _turn(first) / TURN)
+            doubt = increment_doubt(turn, interval_ns / 1e9)
+            if doubt:
+                hint = f"{IN_SECONDS}; pc2scan convert `rebin=True` writes 0"
+                level: Level = "defect" if turn > interval_ns / 1e9 else "notice"
+                found.append(Finding("time-increment", level, doubt, hint))
+        if self._slow.count and not doubt:
             found.append(
                 finding(
                     "time-increment",
@@ -269,20 +279,6 @@ class ScanTopic:
                     self._slow,
                 )
             )
-        swept = 0.0 if self.first is None else abs(self.first.time_increment) * (self.first.beams - 1)
-        if self.first is not None and self.interval_ns is not None and has_angles(self.first):
-            # A whole turn takes as long as it is from one scan to the next, a sector its share of it.
-            period = self.interval_ns / 1e9 * min(1.0, _turn(self.first) / TURN)
-            if is_brief(swept, period):
-                found.append(
-                    Finding(
-                        "time-increment",
-                        "notice",
-                        f"by its time_increment of {self.first.time_increment:.3g} s the first scan takes "
-                        f"{swept:.3g} s, but scans come every {self.interval_ns / 1e9:.3g} s",
-                        "time_increment is in seconds: milli- or microseconds?",
-                    )
-                )
         if self._times.count:
             found.append(
                 finding(

@@ -8,7 +8,7 @@ import numpy as np
 
 from pc2scan.core.percentiles import median
 from pc2scan.core.points import TIME
-from pc2scan.core.timing import TIME_UNITS, fit_sweep, is_brief, median_interval_ns
+from pc2scan.core.timing import IN_SECONDS, TIME_UNITS, fit_sweep, increment_doubt, is_brief, median_interval_ns
 
 from .stages.turn import TURN_CLOUDS, measure_turn, turn_sample
 from .survey import Fact
@@ -164,13 +164,9 @@ def _are_ordered(angles: NDArray[np.float64], seconds: NDArray[np.float64], whol
     return bool((off < _NEAR).mean() >= _FOLLOWS)
 
 
-def _increment_doubt(topic: str, seconds: float, period: float) -> str:
-    if not is_brief(seconds, period):
-        return ""
-    return (
-        f"{topic}: by its time_increment a scan takes {seconds:.3g} s, but scans come every {period:.3g} s: deskewing "
-        "hardly moves a beam; time_increment is in seconds, and this one is probably in another unit"
-    )
+def _increment_doubt(topic: str, turn: float, period: float) -> str:
+    doubt = increment_doubt(turn, period)
+    return f"{topic}: {doubt}: {IN_SECONDS}" if doubt else ""
 
 
 def _duration_doubt(topic: str, clouds: Sequence[PointTimes]) -> str:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.rule import PointCounts
+from pc2scan.core.timing import IN_SECONDS, LONGEST
 from pc2scan.core.unproject import UnprojectedScan, UnprojectParams, deskew, last_beam_ns
 from pc2scan.errors import DecodeError, stamp_text
 from pc2scan.messages.beams import unproject_scan
@@ -96,7 +97,14 @@ class ScanToCloud(Conversion):
     def _end(self, scan: LaserScan) -> Rigid | None:
         """Return the transform at the time of the last beam."""
         try:
-            end_ns = scan.stamp_ns + last_beam_ns(len(scan.ranges), scan.time_increment)
+            taken_ns = last_beam_ns(len(scan.ranges), scan.time_increment)
+            if abs(taken_ns) > LONGEST * 1e9:
+                raise DecodeError(
+                    f"its beams span {abs(taken_ns) / 1e9:.6g} s by its time_increment, "
+                    f"at most {LONGEST:g} s are possible",
+                    hint=IN_SECONDS,
+                )
+            end_ns = scan.stamp_ns + taken_ns
             if end_ns < 0:
                 raise DecodeError(
                     f"its last beam would be at {stamp_text(end_ns)}, which is before 1970",

@@ -17,7 +17,7 @@ from pc2scan.core import kernel
 from pc2scan.core.moving import MovingTransform
 from pc2scan.core.points import TIME, Points
 from pc2scan.core.rule import NO_TIME, NO_TRANSFORM
-from pc2scan.core.timing import AZIMUTH, TIME_FIELDS, TIME_UNITS
+from pc2scan.core.timing import AZIMUTH, IN_SECONDS, LONGEST, TIME_FIELDS, TIME_UNITS
 from pc2scan.errors import DecodeError, TransformError
 from pc2scan.pipeline.conversion import Motion
 
@@ -38,8 +38,6 @@ if TYPE_CHECKING:
 #: Which time of a cloud is the stamp of its scan.
 STAMPS = ("header", "start", "middle", "end")
 
-#: The longest time between the first and the last point of a cloud, and between a point and the stamp, seconds.
-_LONGEST = 60.0
 #: If a cloud takes less with another unit, seconds, a hint names this unit.
 _USUAL = 2.0
 #: If the times of all points span less than this, they count as equal, seconds.
@@ -345,12 +343,12 @@ class Deskew:
     def _check(self, name: str, low: float, high: float, unit: float, *, several: bool, stamp_ns: int) -> None:
         """Raise an error for impossible times."""
         message, hint = "", "if another field has the times, name it: `point_time=FIELD`"
-        if high - low > _LONGEST:
-            message = f"its points span {high - low:.6g} s by their field {name}, at most {_LONGEST:g} s are possible"
+        if high - low > LONGEST:
+            message = f"its points span {high - low:.6g} s by their field {name}, at most {LONGEST:g} s are possible"
             units = (other for other, size in TIME_UNITS.items() if size < unit and (high - low) / unit * size < _USUAL)
             if name in {*TIME_FIELDS, self._point_time.field} and (fitting := next(units, "")):
                 hint = f"name the unit of the times: `point_time={name}:{fitting}`"
-        elif low < -_LONGEST or high > _LONGEST:
+        elif low < -LONGEST or high > LONGEST:
             message = f"its points are {low:.6g} to {high:.6g} s after its stamp by their field {name}"
             hint = "the times of the points and the stamps come from different clocks, or have another unit"
             hint += f": `point_time={name}:us`"
@@ -358,7 +356,7 @@ class Deskew:
             message = f"its points all have the same time in their field {name}, {low:.6g} s after its stamp"
             hint = "name the field with the times: `point_time=FIELD`; clouds measured at once need no `deskew`"
         if name == "time_increment":
-            hint = "time_increment is in seconds, and this one is probably in another unit"
+            hint = IN_SECONDS
         if message:
             raise DecodeError(message, stamp_ns=stamp_ns, hint=hint)
 
