@@ -25,6 +25,7 @@ HALL = ROOT / "fixtures" / "hall.bag"
 GOLDEN = ROOT / "fixtures" / "golden"
 TABLES = Path(__file__).with_name("standard_output.txt")
 PLACES = {"HALL": str(HALL), "GOLDEN": str(GOLDEN), "MCAP": str(HALL.with_suffix(".mcap"))}
+PLACES["SCANS"] = str(GOLDEN / "defaults" / "expected.bag")
 
 
 def into_full(words: str, folder: Path) -> Finished:
@@ -127,6 +128,10 @@ def test_everything_fits_into_the_terminal(words: str, columns: int, tmp_path: P
     assert len(lines) > 2
     # A path or another word longer than the screen cannot be broken.
     assert [line for line in lines if len(line) > columns and " " in line.removesuffix(" \\").strip()] == []
+
+
+def test_help_is_as_wide_as_one_reads() -> None:
+    assert 100 < max(map(len, shown("convert", "--help", columns=200, NO_COLOR="1").split("\n"))) <= 120
 
 
 def test_warnings_replace_the_progress_bar(tmp_path: Path) -> None:

@@ -379,9 +379,9 @@ class BatchReport(Result):
             return
         yield f"{counted(scans, 'scan')}, {empty:,} without a return"
         if done:
-            failed = sum(each.outcome in ("failed", "died") for each in done)
+            results = sum(each.outcome in ("empty", "incomplete", "converted") for each in done)
             yield (
-                f"{self.destination}: {len(done) - failed:,} converted now, {size(written)} from {size(read)} in "
+                f"{self.destination}: {counted(results, 'result')} written now, {size(written)} from {size(read)} in "
                 f"{duration(self.seconds)}, {self.workers} at a time"
             )
         else:
@@ -444,5 +444,6 @@ def _markdown_table(headings: Sequence[str], rows: Iterable[Sequence[Any]]) -> I
 
 
 def _cell(text: str) -> str:
-    # Names come from recordings and folders. Escaped, they cannot be taken for markup.
-    return "".join(f"\\{c}" if c in "\\`*_{}[]<>#|~" else c for c in visible(text, None))
+    # Names come from recordings and folders. Escaped, they cannot be taken for markup. Options are code.
+    parts = re.split(r"(`[\w=./:-]+`)", visible(text, None))
+    return "".join(part if n % 2 else re.sub(r"[\\`*_{}\[\]<>#|~]", r"\\\g<0>", part) for n, part in enumerate(parts))

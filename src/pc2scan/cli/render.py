@@ -195,7 +195,6 @@ def progress_bar(
         TaskProgressColumn(),
         TextColumn(text),
         TimeRemainingColumn(),
-        TextColumn("left"),
         console=Console(stderr=True),
         transient=True,
         # `Screen` writes lines above the bar, fitted to the terminal; rich would write them as they are.

@@ -481,8 +481,7 @@ def _mrpt_sector(angle_min: float, angle_max: float, angle_increment: float, bea
         "mrpt",
         angle_increment,
         off,
-        "angles run from -(angle_max - angle_min) / 2 to + that, in equal steps; angle_increment is not read, and "
-        "each beam takes the range at its index, a truncated quotient with the roundings of float32",
+        "angles run from -(angle_max - angle_min) / 2 to + that in equal steps; angle_increment is not read",
         f"angle_min {angle_min:.9g}, angle_max {angle_max:.9g}" + (f", in {misread[0]}" if len(misread) == 1 else ""),
         allowed,
         "pc2scan convert `preset=mrpt`, or `geometry=symmetric`",
