@@ -38,15 +38,17 @@ def test_there_is_one_version() -> None:
     assert "version =" not in (ROOT / "pyproject.toml").read_text("utf-8").partition("[project]")[2].partition("\n[")[0]
     assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text("utf-8")
     assert f'\n  version: "{__version__}"\n' in (ROOT / ".ci" / "conda" / "recipe.yaml").read_text("utf-8")
-    named = set(re.findall(r"pc2scan@v(\S+)", (ROOT / "docs" / "golden.md").read_text("utf-8")))
-    assert named == {__version__}
 
 
-def test_the_release_has_the_date_of_the_changelog() -> None:
-    changelog = (ROOT / "CHANGELOG.md").read_text("utf-8")
-    dated = re.search(rf"^## {re.escape(__version__)} \((\S+)\)$", changelog, re.MULTILINE)
-    assert dated is not None
-    assert f"\ndate-released: {dated[1]}\n" in (ROOT / "CITATION.cff").read_text("utf-8")
+def test_the_version_is_released_or_not_everywhere() -> None:
+    headings = re.findall(r"^## (.+)$", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)
+    version, _, date = headings[0].partition(" ")
+    assert version == __version__
+    released = re.findall(r"^date-released: (\S+)$", (ROOT / "CITATION.cff").read_text("utf-8"), re.MULTILINE)
+    assert date == (f"({released[0]})" if released else "(unreleased)")
+    named = re.findall(r"(?:pc2scan@|rev: )(\S+)", (ROOT / "docs" / "golden.md").read_text("utf-8"))
+    assert set(named) == {f"v{__version__}" if released else "main"}
+    assert ("Until the first release" in (ROOT / "README.md").read_text("utf-8")) == (not released)
 
 
 @pytest.mark.parametrize("name", [".ci/run", ".ci/packages"])
