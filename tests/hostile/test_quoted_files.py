@@ -1,4 +1,4 @@
-"""What a launch, scans or dataset file names, files and environment variables, is not quoted in errors."""
+"""Files that a launch, scans or dataset file names are not quoted in errors; environment variables are not read."""
 
 from __future__ import annotations
 
@@ -115,78 +115,27 @@ def test_a_file_without_parameters_is_not_quoted_at_all(kind: str, tmp_path: Pat
     assert_not_quoted(refused(tmp_path, "--params-file", other))
 
 
-def param(value: str, name: str = "min_height") -> str:
-    return f'<param name="{name}" value="{value}"/>'
-
-
-def block(text: str) -> str:
-    return f'<rosparam subst_value="true">{text}</rosparam>'
-
-
-#: Launch files with a variable in each place that an error could quote, and what the error says instead.
-VARIABLES = {
-    "a number": (param("$(env SECRET)"), "min_height: expected a number, got '$(env SECRET)'"),
-    "a part": (param("1$(optenv SECRET 0)"), "got '1$(optenv SECRET 0)'"),
-    "a name": (param("1", "$(env SECRET)"), "unknown parameter '$(env SECRET)'"),
-    "no value": ('<param name="$(env SECRET)"/>', "$(env SECRET): <param> has no value here"),
-    "a condition": ('<param if="$(env SECRET)" name="a"/>', "if='$(env SECRET)' is neither true nor false"),
-    "a file": ('<rosparam file="$(env SECRET)/a.yaml"/>', "$(env SECRET)/a.yaml: does not exist"),
-    "a file that is there": ('<rosparam file="$(env FOLDER)/a text"/>', "$(env FOLDER)/a text: not valid"),
-    "a block": (block("min_height: $(env SECRET)"), "min_height: expected a number"),
-    "a key": (block("$(env SECRET): 1"), "unknown parameter '<rosparam>'"),
-    "no block": (block("*$(env SECRET)"), "the values of environment variables"),
-    "an argument": (param("$(arg $(env SECRET))"), "its argument '$(arg $(env SECRET))'"),
-    "a package": (param("$(find $(env SECRET))"), "the package '$(find $(env SECRET))'"),
-    "a variable": (param("$(env $(env SECRET))"), "the environment variable $(env $(env SECRET))"),
-    "an expression": (param("$(eval $(env SECRET))"), "'$(eval $(env SECRET))' cannot be computed"),
-    "not closed": (param("$(env SECRET) $(eval"), "'$(env SECRET) $(eval' cannot be computed"),
-    "too large": (param("$(env DEGREES)", "angle_max"), "angle_max: expected another value, got '$(env DEGREES)'"),
-    "the wrong order": (param("$(env DEGREES)", "range_min") + param("1", "range_max"), "'$(env DEGREES)'"),
-    "through an argument": (param("$(arg low)"), "min_height: expected a number, got '$(arg low)'"),
-    "no variable": (param("$(env NOTHING x)"), "got 'x'"),
-}
-
-
-@pytest.mark.parametrize("name", VARIABLES)
-def test_a_variable_in_a_launch_file_is_not_quoted(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    "inner",
+    [
+        '<param name="min_height" value="1$(env SECRET)"/>',
+        '<param name="$(optenv SECRET 0)" value="1"/>',
+        '<param if="$(env SECRET)" name="min_height" value="1"/>',
+        '<rosparam file="$(env SECRET)/a.yaml"/>',
+        '<rosparam subst_value="true">min_height: $(env SECRET)</rosparam>',
+        '<param name="min_height" value="$(arg low)"/>',
+    ],
+)
+def test_a_variable_in_a_launch_file_is_not_read(inner: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SECRET", SECRET)
-    monkeypatch.setenv("DEGREES", "271828")
-    monkeypatch.setenv("FOLDER", str(tmp_path / SECRET))
-    (tmp_path / SECRET).mkdir()
-    (tmp_path / SECRET / "a text").write_text(FILES["a text"])
-    inner, said = VARIABLES[name]
     launch = tmp_path / "me.launch"
     text = NODE.format(name="scanner", inner=inner)
     launch.write_text(text.replace("<launch>", '<launch>\n<arg name="low" default="$(env SECRET)"/>'))
     told = refused(tmp_path, "--params-file", launch)
     assert_not_quoted(told)
-    assert said in told
-    if name != "a file":
-        assert f"{launch}, line 2" in told
-
-
-def test_nodes_and_arguments_named_by_variables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("SECRET", SECRET)
-    launch = tmp_path / "me.launch"
-    node = '<node pkg="pointcloud_to_laserscan" name="$(env SECRET)_{}" ns="$(env SECRET)"/>'
-    launch.write_text(f'<launch><arg name="$(env SECRET)" default="1"/>{node.format(1)}{node.format(2)}</launch>')
-    none = refused(tmp_path, "--params-file", launch, "--node", "nothing")
-    assert_not_quoted(none)
-    assert "found /$(env SECRET)/$(env SECRET)_1" in none
-    argument = refused(tmp_path, "--params-file", launch, "--node", f"{SECRET}_1", "--arg", "no:=1")
-    assert_not_quoted(argument.replace(f"{SECRET}_1", ""))
-    assert "its arguments are $(env SECRET)" in argument
-
-
-def test_variables_still_set_values(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("LOW", "-0.3")
-    monkeypatch.setenv("ROBOT", "r2")
-    launch = tmp_path / "me.launch"
-    inner = '<param name="min_height" value="$(env LOW)"/><remap from="scan" to="$(env ROBOT)/flat"/>'
-    launch.write_text(NODE.format(name="$(env ROBOT)_scanner", inner=inner))
-    report = pc2scan.convert(HALL, tmp_path / "a.mcap", params_file=launch)
-    assert report.scans[0].params.min_height == -0.3
-    assert [topic.target for topic in report.topics if topic.action == "converted"] == ["/r2/flat"]
+    assert "env SECRET" in told
+    assert "is not read" in told
+    assert f"{launch}, line 2" in told
 
 
 def test_included_files_and_commands_are_not_read(tmp_path: Path) -> None:

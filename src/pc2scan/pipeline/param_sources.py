@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from .parameters import Direction, ResolvedParams, Setting
-    from .params_file import HiddenPlace
 
 
 def resolve_sources(
@@ -63,7 +62,7 @@ def resolve_sources(
     ignored: tuple[str, ...] = ()
     remaps: tuple[str, ...] = ()
     files: tuple[Path, ...] = ()
-    hidden: tuple[HiddenPlace, ...] = ()
+    hidden: tuple[tuple[str, str], ...] = ()
     if assignments:
         from .yaml_nodes import parse_param  # noqa: PLC0415
 
@@ -86,11 +85,11 @@ def resolve_sources(
     try:
         resolved = resolve(found, direction=direction)
     except ParameterError as err:
-        from .redaction import may_quote, redact_file, redact_value  # noqa: PLC0415  # only for errors
+        from .redaction import may_quote, redact_file  # noqa: PLC0415  # only for errors
 
-        for place, written, named_in in hidden:
-            if may_quote(err, place):
-                raise (redact_value(err, place, written) if written else redact_file(err, place, named_in)) from None
+        for named, named_in in hidden:
+            if may_quote(err, named):
+                raise redact_file(err, named, named_in) from None
         raise
     return resolved._replace(ignored=ignored, remaps=remaps, files=files)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, get_args
+from typing import TYPE_CHECKING, Any, NoReturn, get_args
 
 from pc2scan.errors import ParameterError, SeveralNodesError
 from pc2scan.files.places import missing_hint
@@ -13,7 +13,8 @@ from pc2scan.files.source import open_bytes, refuse_pointer
 from pc2scan.options.table import PARAMETERS
 from pc2scan.text import did_you_mean, nearest
 
-from .launch_file import is_launch_xml, launch_node
+from .launch_file import is_launch_xml, launch_node, refuse_unknown
+from .launch_node import ELSEWHERE, UnreadError
 from .parameters import (
     ALIASES,
     TOPICS,
@@ -29,7 +30,7 @@ from .yaml_nodes import compose, is_empty, is_mapping, is_scalar, place_of, scal
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping
 
-    from .launch_file import LaunchNode, LaunchParam
+    from .launch_node import LaunchNode, LaunchParam
 
 #: Maximum size of a parameter file. A larger file was given by mistake.
 MAX_FILE_BYTES = 1_000_000
@@ -46,24 +47,6 @@ _EVERY_NODE = frozenset({"use_sim_time", "start_type_description_service", "qos_
 #: Names that identify a section as one of upstream's nodes. pc2scan's own names (``geometry``, ``beams``) do not: any
 #: node may use them, also for groups of parameters.
 _OF_UPSTREAM = {name for name, parameter in PARAMETERS.items() if parameter.upstreams} | ALIASES.keys()
-
-
-class HiddenPlace(NamedTuple):
-    """A place whose content errors must not show.
-
-    Attributes
-    ----------
-    place
-        As it is in the text of errors: a path, or a line of a launch file.
-    written
-        The text there, which names environment variables; empty for a file.
-    named_in
-        For a file: the place in the launch file that names it.
-    """
-
-    place: str
-    written: str = ""
-    named_in: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,8 +70,7 @@ class ParamsFile:
     files
         Other files that a launch file names, and that were read.
     hidden
-        Places of values that errors must not show: for a value with an environment variable, its place and the text
-        that names the variable; for a file that the launch file names, its path and the place that names it.
+        Files that the launch file names, whose content errors must not show, and the places that name them.
     """
 
     direction: Direction | None
@@ -97,7 +79,7 @@ class ParamsFile:
     ignored: tuple[str, ...] = ()
     remaps: tuple[str, ...] = ()
     files: tuple[Path, ...] = ()
-    hidden: tuple[HiddenPlace, ...] = ()
+    hidden: tuple[tuple[str, str], ...] = ()
 
 
 def load_params_file(
@@ -174,39 +156,36 @@ def _from_launch(
     text: str, path: Path, node: str | None, arguments: Mapping[str, str], overridden: Collection[str]
 ) -> ParamsFile:
     """Read a node's parameters from a launch file; a later value replaces an earlier one."""
-    found = launch_node(text, path, arguments, node, overridden)
+    found, file = launch_node(text, path, arguments, node, overridden)
+    content = found.read()
+    refuse_unknown(arguments, file, path)
     settings: dict[str, Setting] = {}
-    ignored = list(found.ignored)
+    ignored = list(file.ignored)
     files: list[Path] = []
-    hidden: list[HiddenPlace] = []
-    for param in found.params:
+    hidden: list[tuple[str, str]] = []
+    for param in content.params:
         place = f"{path}, line {param.line}"
-        if param.kind == "unread":
-            if ALIASES.get(param.name, param.name) not in overridden:
-                raise _unread(param, place)
+        if isinstance(param.value, UnreadError):
+            name = ALIASES.get(param.name, param.name)
+            if not name or (name in PARAMETERS and name not in overridden):
+                raise _unread(name, param.value, place)
             continue
         if param.kind == "file":
-            loaded = _named_file(param, place, found)
+            loaded = _named_file(Path(param.value), place, found)
             files.append(Path(param.value))
-            hidden.append(HiddenPlace(param.value.shown, named_in=place))
+            hidden.append((param.value, place))
             # Their names are content of the file.
             ignored += [re.sub(r"(, line \d+), .*", r"\1", origin) for origin in loaded.ignored]
             settings |= {setting.name: setting for setting in loaded.settings}
             continue
-        for written, value in _launch_values(param, path, place):
-            name, called = ALIASES.get(written, written), param.name.shown or written
+        for written, value in _launch_values(param, param.value, path, place):
+            name, called = ALIASES.get(written, written), param.name or written
             if _is_every_nodes(written):
                 continue
-            if param.value.is_hidden and param.kind == "yaml":
-                called = name if name in PARAMETERS else "<rosparam>"
             origin = f"{place}, {called}"
-            if param.value.is_hidden:
-                hidden.append(HiddenPlace(origin, "$(env ...)" if param.kind == "yaml" else param.value.shown.strip()))
             if name in names_of(found.direction):
                 settings[name] = Setting(name, _as_bool(name, value), origin, "file")
-            elif written in TOPICS:
-                ignored.append(origin)
-            elif param.value.is_hidden or param.name.is_hidden or nearest(written, PARAMETERS):
+            elif written not in TOPICS and nearest(written, PARAMETERS):
                 raise unknown_parameter(called, origin, found.direction)
             else:
                 # The node ignores a parameter that it does not declare.
@@ -214,56 +193,44 @@ def _from_launch(
     return ParamsFile(
         found.direction,
         tuple(settings.values()),
-        found.name.shown,
+        found.name,
         tuple(ignored),
-        found.remaps,
+        tuple(content.remaps),
         tuple(files),
         tuple(hidden),
     )
 
 
-def _unread(param: LaunchParam, place: str) -> ParameterError:
-    """Return the error about a value that only the execution of a launch file would give."""
-    name = param.name.shown
-    if not name:
-        return ParameterError(
-            f"the path of a parameter file: {param.value} (from {place})", hint="give the file: `params_file=FILE`"
-        )
-    hint = f"give its value: `{name}=...`" if name in PARAMETERS else None
-    return ParameterError(f"{name}: {param.value} (from {place})", name=name, hint=hint)
+def _unread(name: str, err: UnreadError, place: str) -> ParameterError:
+    """Return the error about a value that is not read of a launch file."""
+    hint = f"give its value: `{name}=...`" if name else ELSEWHERE
+    return ParameterError(f"{name or 'parameters'}: {err.problem} (from {place})", name=name, hint=err.hint or hint)
 
 
-def _named_file(param: LaunchParam, place: str, node: LaunchNode) -> ParamsFile:
+def _named_file(file: Path, place: str, node: LaunchNode) -> ParamsFile:
     """Read a parameter file that a launch file names. Errors do not quote it, because it may be any file."""
-    shown = Path(param.value.shown)
     try:
-        text = read_text(Path(param.value), shown)
+        text = read_text(file)
         if not is_launch_xml(text):
-            return _section_for(node.name, text, shown)
+            return _section_for(node.name, text, file)
     except ParameterError as err:
-        if may_quote(err, shown):
-            raise redact_file(err, shown, place) from None
+        if may_quote(err, file):
+            raise redact_file(err, file, place) from None
         raise
-    raise ParameterError(f"{shown}: is a launch file, where parameters are expected (from {place})")
+    raise ParameterError(f"{file}: is a launch file, where parameters are expected (from {place})")
 
 
-def _launch_values(param: LaunchParam, path: Path, place: str) -> list[tuple[str, object]]:
-    """Return the names and values of a parameter element."""
+def _launch_values(param: LaunchParam, text: str, path: Path, place: str) -> list[tuple[str, object]]:
+    """Return the names and values of a parameter of a launch file."""
     if param.kind != "yaml":
-        return [(param.name, _launch_value(param))]
-    try:
-        root = compose(param.value, place)
-        if root is None or not is_mapping(root):
-            raise ParameterError(f"{place}: expected parameters as 'name: value' in <rosparam>")
-        return [
-            (".".join(leaf.path), scalar_value(leaf.node, leaf.path[-1], f"{place}, {'.'.join(leaf.path)}", ros1=True))
-            for leaf in _leaves(root, path, ())
-        ]
-    except ParameterError:
-        if param.value.is_hidden:
-            message = f"{place}: the values of environment variables make this <rosparam> no parameters"
-            raise ParameterError(message) from None
-        raise
+        return [(param.name, _launch_value(param, text))]
+    root = compose(text, place)
+    if root is None or not is_mapping(root):
+        raise ParameterError(f"{place}: expected parameters as 'name: value' in <rosparam>")
+    return [
+        (".".join(leaf.path), scalar_value(leaf.node, leaf.path[-1], f"{place}, {'.'.join(leaf.path)}", ros1=True))
+        for leaf in _leaves(root, path, ())
+    ]
 
 
 def _section_for(node: str, text: str, file: Path) -> ParamsFile:
@@ -274,14 +241,14 @@ def _section_for(node: str, text: str, file: Path) -> ParamsFile:
         return _from_yaml(text, file, None)
 
 
-def _launch_value(param: LaunchParam) -> object:
-    text = param.value.strip()
+def _launch_value(param: LaunchParam, written: str) -> object:
+    text = written.strip()
     quoted = re.fullmatch(r"'(.*)'|\"(.*)\"", text)
     if quoted:
         return quoted[1] if quoted[1] is not None else quoted[2]
     parameter = PARAMETERS.get(ALIASES.get(param.name, param.name))
     if param.type in {"str", "string"} or (parameter and parameter.value.kind == "str"):
-        return str(param.value)
+        return written
     return plain_scalar(text)
 
 
@@ -292,11 +259,10 @@ def _as_bool(name: str, value: object) -> object:
     return value
 
 
-def read_text(path: Path, shown: Path | None = None, example: str = _EXAMPLE) -> str:
-    """Return the text of a parameter file; ``shown`` is its path for errors, ``example`` the hint if there is none."""
-    actual, path = path, shown or path
+def read_text(path: Path, example: str = _EXAMPLE) -> str:
+    """Return the text of a parameter file; ``example`` is the hint if there is none."""
     try:
-        with open_bytes(actual) as file:
+        with open_bytes(path) as file:
             data = file.read(MAX_FILE_BYTES + 1)
     except FileNotFoundError as err:
         hint = missing_hint(path, (".yaml", ".yml")) or example

@@ -1,7 +1,7 @@
-"""Removes content from errors about files that another file names, and about environment variables.
+"""Removes content from errors about files that another file names.
 
-A launch file, a scans file or a dataset file may come from somebody else, and can name any file and any variable. So
-errors about them have the path or the variable, and the place, but not the content.
+A launch file, a scans file or a dataset file may come from somebody else, and can name any file. So errors about these
+have the path and the place, but not the content.
 """
 
 from __future__ import annotations
@@ -51,12 +51,6 @@ def redact_file(
         name=name,
         hint=f"`{option}={file}` shows what is wrong",
     )
-
-
-def redact_value(err: UsageError, place: str, written: str) -> ParameterError:
-    """Return an error about a value in which an environment variable is, with the text that names the variable."""
-    name = _known_name(err)
-    return ParameterError(f"{_fault(err, name)}, got {written!r} (from {place})", name=name)
 
 
 def _known_name(err: UsageError) -> str:

@@ -1,5 +1,6 @@
-from pathlib import Path
+import os
 
+from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition, UnlessCondition
@@ -9,6 +10,7 @@ from launch_ros.descriptions import ComposableNode
 
 
 def generate_launch_description():
+    share = get_package_share_directory("my_robot")
     points = LaunchConfiguration("points")
     composed = LaunchConfiguration("composed")
     container = ComposableNodeContainer(
@@ -40,7 +42,7 @@ def generate_launch_description():
         namespace="front",
         remappings=[("cloud_in", points), ("scan", "flat")],
         parameters=[
-            str(Path(__file__).parent / "sector.yaml"),
+            os.path.join(share, "sector.yaml"),
             {"min_height": -0.3, "reliability": "best_effort", "use_sim_time": True},
         ],
         condition=UnlessCondition(composed),
