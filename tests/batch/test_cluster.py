@@ -59,7 +59,7 @@ def test_a_missing_package_and_a_wrong_address_are_named(
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(UsageError, match="needs distributed, which is not installed") as raised:
         pc2scan.batch(drives, tmp_path / "out", dask=True)
-    assert "pip install 'pc2scan[dask]'" in (raised.value.hint or "")
+    assert 'pip install "pc2scan[dask]"' in (raised.value.hint or "")
     with pytest.raises(UsageError, match="the address of a scheduler is tcp://HOST:PORT"):
         pc2scan.batch(drives, tmp_path / "out", dask="scheduler")
 
@@ -154,7 +154,7 @@ def test_a_scheduler_is_reached_by_its_address(drives: Path, tmp_path: Path) -> 
 UNUSABLE = {
     "another version": (
         {"pc2scan/__init__.py": "", "pc2scan/version.py": '__version__ = "0.0.1"\n'},
-        ("has pc2scan 0.0.1, this is ", "pip install 'pc2scan[dask]=="),
+        ("has pc2scan 0.0.1, this is ", 'pip install "pc2scan[dask]=='),
     ),
     "no pc2scan": ({"pc2scan/__init__.py": "raise ModuleNotFoundError\n"}, ("has no pc2scan",)),
     # As on a machine where the disk is not mounted.

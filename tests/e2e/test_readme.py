@@ -41,7 +41,7 @@ COMMANDS = ("convert", "batch", "export", "view", "plot", "map", "check", "info"
 #: Options of other programs that the README names, and pc2scan's own outside its commands.
 ELSEWHERE = {
     *("--install-completion", "--version", "--help"),
-    *("--clock", "--repeat", "--memory", "--pc2scan-golden", "--pc2scan-update"),
+    *("--clock", "--repeat", "--memory", "--pc2scan-golden", "--pc2scan-update", "--junitxml"),
 }
 OPTION = r"(?<![\w-])--[a-z][a-z0-9-]*"
 
@@ -288,20 +288,28 @@ def test_the_recipe_for_ci_works_from_start_to_finish(tmp_path: Path) -> None:
     block = PAGES["golden"].partition("<!-- golden commands -->")[2].split("```")[1].removeprefix("sh\n")
     workflow, *_ = code_blocks("yaml", PAGES["golden"])
     steps = YAML(typ="safe").load(workflow)["jobs"]["golden"]["steps"]
-    in_ci = [step["run"] for step in steps if step.get("run", "").startswith("pc2scan")]
+    in_ci = [step["run"] for step in steps if step.get("run", "").startswith("pytest")]
     uploaded = [step["with"]["path"] for step in steps if "upload-artifact" in step.get("uses", "")]
     commands = [*block.splitlines(), *in_ci]
+
+    def in_pytest(*words: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "pytest", "-p", "pc2scan.pytest_plugin", *words]
+        env = {**environment(), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+        return subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, check=False)
+
     assert len(commands) == 6
     for command in commands:
         program, *words = shlex.split(command)
         if program == "pc2scan":
             assert run(*words, cwd=tmp_path).status == 0, command
+        elif program == "pytest":
+            assert in_pytest(*words).returncode == 0, command
         else:
             subprocess.run([program, *words], cwd=tmp_path, check=True)
     assert [(tmp_path / path).is_file() for path in uploaded] == [True]
     (tmp_path / "golden" / "drive" / "params.yaml").write_text(params.replace("-0.3", "-0.2"))
-    (words,) = commands_in(in_ci[0])
-    assert run(*words, cwd=tmp_path).status == 1
+    done = in_pytest(*shlex.split(in_ci[0])[1:])
+    assert (done.returncode, "worst scan" in done.stdout) == (1, True)
 
 
 # --- the library ---

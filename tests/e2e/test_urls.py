@@ -292,7 +292,7 @@ def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(sys.modules, name, None)
     done = run("info", "s3://bucket/a.mcap")
     assert done.status == 2
-    assert "pip install 'pc2scan[remote]' s3fs" in done.stderr
+    assert 'pip install "pc2scan[remote]" s3fs' in done.stderr
     assert "Traceback" not in done.stderr
 
 

@@ -92,5 +92,5 @@ def test_names_are_text_and_odd_points_no_trouble(tmp_path: Path) -> None:
 def test_without_matplotlib_the_error_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     done = run("plot", HALL, "-o", tmp_path / "figure.png")
-    assert (done.status, "hint: pip install 'pc2scan[plot]'" in done.stderr) == (2, True)
+    assert (done.status, 'hint: pip install "pc2scan[plot]"' in done.stderr) == (2, True)
     assert list(tmp_path.iterdir()) == []

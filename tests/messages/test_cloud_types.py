@@ -362,7 +362,7 @@ def test_a_missing_extra_is_named(package: str, extra: str, kind: str, monkeypat
         data = clouds.velodyne([(T0, clouds.packet(0, [0] * 32, 0))], 2)
     with pytest.raises(DecodeError) as caught:
         decoded(kind, data, 2)
-    assert caught.value.hint == f"pip install 'pc2scan[{extra}]'"
+    assert caught.value.hint == f'pip install "pc2scan[{extra}]"'
 
 
 # --- Which topics ---

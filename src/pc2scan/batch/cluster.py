@@ -79,7 +79,7 @@ def check_dask() -> None:
             import distributed  # noqa: F401, PLC0415  # an extra
     except ImportError as err:
         raise UsageError(
-            "`dask` needs distributed, which is not installed", hint="pip install 'pc2scan[dask]'"
+            "`dask` needs distributed, which is not installed", hint='pip install "pc2scan[dask]"'
         ) from err
 
 
@@ -466,7 +466,7 @@ def _unseen_error(host: str, path: str) -> Pc2ScanError:
 def _version_error(host: str, version: str) -> Pc2ScanError:
     has = f"has pc2scan {version}, this is {__version__}" if version else "has no pc2scan"
     return UsageError(
-        f"the Dask worker on {host} {has}", hint=f"on every worker: pip install 'pc2scan[dask]=={__version__}'"
+        f"the Dask worker on {host} {has}", hint=f'on every worker: pip install "pc2scan[dask]=={__version__}"'
     )
 
 

@@ -33,7 +33,7 @@ def plot(
 ) -> None:
     """Draw clouds from above and from the side, with the height band and the scan, for reports.
 
-    Needs matplotlib: pip install 'pc2scan[plot]'. To tune parameters, use `pc2scan view`.
+    Needs matplotlib: pip install "pc2scan[plot]". To tune parameters, use `pc2scan view`.
     """
     from pc2scan.commands import plot as run
 

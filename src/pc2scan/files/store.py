@@ -203,7 +203,7 @@ class RemotePath:
             raise UsageError(
                 "a URL needs the library fsspec, which is not installed",
                 path=shown,
-                hint=f"pip install 'pc2scan[remote]'{f' {library}' * bool(library)}",
+                hint=f'pip install "pc2scan[remote]"{f" {library}" * bool(library)}',
             ) from err
         try:
             with self.translate_errors():

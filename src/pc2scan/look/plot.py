@@ -167,7 +167,7 @@ def _figure(taken: Shots, title: str, kind: str) -> bytes:
         import matplotlib as mpl  # noqa: PLC0415  # an extra, and heavy
         from matplotlib.figure import Figure  # noqa: PLC0415
     except ImportError as err:
-        raise UsageError("figures need matplotlib, which is not installed", hint="pip install 'pc2scan[plot]'") from err
+        raise UsageError("figures need matplotlib, which is not installed", hint='pip install "pc2scan[plot]"') from err
     columns = len(taken.shots)
     # No date, no version and no random ids, so that the same input gives the same bytes.
     with warnings.catch_warnings(), mpl.rc_context({"svg.hashsalt": "pc2scan", "text.parse_math": False}):

@@ -94,7 +94,7 @@ def _from_draco(cloud: PointCloud2) -> None:
         raise DecodeError(
             "its data are compressed with Draco, which the package DracoPy decompresses",
             stamp_ns=cloud.stamp_ns,
-            hint="pip install 'pc2scan[draco]'",
+            hint='pip install "pc2scan[draco]"',
         ) from err
     count, components = _read_draco_head(cloud.data)
     if len(components) != len(cloud.fields):

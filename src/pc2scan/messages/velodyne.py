@@ -101,7 +101,7 @@ def _points_of(packets: list[tuple[float, bytes]], stamp_ns: int) -> NDArray[np.
         raise DecodeError(
             "it has packets of a Velodyne lidar, which the package velodyne-decoder decodes",
             stamp_ns=stamp_ns,
-            hint="pip install 'pc2scan[velodyne]'",
+            hint='pip install "pc2scan[velodyne]"',
         ) from err
     try:
         # The package crashes if there are no packets.
