@@ -63,9 +63,16 @@ def convert(
         raise
     from .pipeline.run import run  # noqa: PLC0415
 
-    done = run(sources, path, conversion.options, output, also_read=conversion.files, progress=progress, warn=warn)
-    done.warnings += conversion.notes
-    return done
+    return run(
+        sources,
+        path,
+        conversion.options,
+        output,
+        also_read=conversion.files,
+        warnings=conversion.notes,
+        progress=progress,
+        warn=warn,
+    )
 
 
 def repair(source: Path, destination: PathText | None, options: Options, *, progress: Progress | None = None) -> Report:

@@ -355,6 +355,8 @@ def _run_job(
             options,
             output,
             also_read=request.files,
+            # The batch says them once; here they count if they are errors.
+            warnings=request.notes if options.fail_on == "warning" else (),
             progress=progress,
         )
     from pc2scan.export.run import run as export  # noqa: PLC0415  # most batches write recordings

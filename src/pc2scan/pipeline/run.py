@@ -68,6 +68,7 @@ def run(
     output: OutputOptions,
     *,
     also_read: Mapping[str, Path] | None = None,
+    warnings: Sequence[str] = (),
     progress: Progress | None = None,
     warn: Callable[[str], None] | None = None,
 ) -> Report:
@@ -77,6 +78,8 @@ def run(
     ----------
     also_read
         Files that were read for the request, by option: the destination must not overwrite them.
+    warnings
+        About the request; ``warn`` had them.
     progress
         Called regularly; see `pc2scan.progress.Progress`.
     warn
@@ -87,6 +90,7 @@ def run(
     files = RunFiles(sources, destination, options.frames, also_read or {}, output)
     report = Report([str(source) for source in sources], str(destination or ""), options.scans)
     report.source_frame = options.frames.source_frame
+    report.warnings += warnings
     with ExitStack() as stack, files.reporting(report):
         tell = partial(tell_early, report.warnings, warn)
         reader, plan, target = _open(files, options, output, stack, report, tell)
