@@ -168,7 +168,7 @@ def conversion_of(options: Options, warn: Warn | None = None) -> ConversionReque
     try:
         return _of_node(options, settings, options.node, warn)
     except SeveralNodesError as err:
-        if options.reverse or options.params_file is None:
+        if options.reverse or options.params_file is None or options.command == "export":
             raise
         return _of_nodes(options, settings, err.nodes, options.params_file, warn)
 
@@ -206,10 +206,10 @@ def _pass_on(notes: Iterable[str], warn: Warn | None) -> None:
 def _several_scans(options: Options, settings: list[Setting], warn: Warn | None) -> ConversionRequest:
     """Read the options of a conversion with several outputs; parameters besides ``scans`` apply to all of them."""
     from .pipeline.scans_file import load_scans, refuse_beside  # noqa: PLC0415
-    from .pipeline.yaml_nodes import parse_param  # noqa: PLC0415  # few conversions have several outputs
+    from .pipeline.yaml_nodes import parse_params  # noqa: PLC0415  # few conversions have several outputs
 
     refuse_beside(options.of_one_output)
-    settings = [*settings, *(parse_param(text) for text in reversed(options.param))]
+    settings = [*settings, *parse_params(options.param)]
     found = load_scans(options.scans, settings)
     notes = tuple(_IGNORED + place for place in found.ignored)
     _pass_on(notes, warn)

@@ -14,6 +14,7 @@ from typer._click.exceptions import BadOptionUsage, BadParameter, MissingParamet
 from typer._click.exceptions import UsageError as TyperUsageError
 
 from pc2scan.errors import DamageError, Pc2ScanError, UsageError
+from pc2scan.options.keywords import meant_by
 from pc2scan.options.table import GROUPS, instead_of, options_of
 from pc2scan.options.values import Flag
 from pc2scan.text import did_you_mean
@@ -200,7 +201,9 @@ def _is_transform(words: Sequence[str]) -> bool:
 
 
 def _instead(command: str, typed: str) -> str:
-    """Return what to use instead of an option that only other commands have."""
+    """Return what to use instead of an option that only other commands have, or other tools."""
+    if command in GROUPS and (meant := meant_by(command, typed.strip("-").replace("-", "_"))):
+        return as_typed(f"did you mean {' and '.join(meant)}?")
     names = [name for name in (typed.strip("-").replace("-", "_"),) if command in GROUPS]
     names += [option.name for other in GROUPS for option in options_of(other).values() if option.spelling == typed]
     return next((as_typed(text) for name in names if (text := instead_of(command, name))), "")

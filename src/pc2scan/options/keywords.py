@@ -19,8 +19,25 @@ if TYPE_CHECKING:
 _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
 
-#: Names that users of the command line or of ROS may try, and the arguments that they mean.
-_SYNONYMS = {
+#: Names that users of the command line, of ROS or of other tools may try, and the options that they mean.
+SYNONYMS = {
+    **dict.fromkeys(("threads", "workers", "nproc"), "jobs"),
+    **dict.fromkeys(("z_min", "min_z", "zmin"), "min_height"),
+    **dict.fromkeys(("z_max", "max_z", "zmax"), "max_height"),
+    **dict.fromkeys(("min_range", "range"), "range_min range_max"),
+    "max_range": "range_max",
+    "fov": "angle_min angle_max",
+    "resolution": "angle_increment",
+    "begin": "start",
+    "from": "start",
+    **dict.fromkeys(("duration", "until"), "end"),
+    "ros1": "to=bag",
+    "ros2": "to=rosbag2",
+    "format": "to",
+    "force": "overwrite",
+    **dict.fromkeys(("config", "yaml"), "params_file"),
+    "launch": "params_file",
+    "base_frame": "target_frame",
     "topic": "topics",
     "source": "sources",
     "output": "destination",
@@ -54,6 +71,12 @@ _MODULES = re.compile(r"\b[a-z_0-9.]+\.(?=[A-Z])|\bdatetime\.(?=datetime|timedel
 _WIDTH = 112
 
 
+def meant_by(command: str, word: str) -> list[str]:
+    """Return the options of a command that are meant by a name, as errors write options."""
+    known = options_of(command)
+    return [f"`{meant}`" for meant in SYNONYMS.get(word, "").split() if meant.partition("=")[0] in known]
+
+
 def takes_options(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
     """Decorate a function that takes ``**options``, the options of the command with its name.
 
@@ -71,7 +94,7 @@ def takes_options(function: Callable[_Arguments, _Result]) -> Callable[_Argument
             for key in kwargs.keys() - named:
                 if hint := _OF_RESULTS.get(name, {}).get(key) or instead_of(name, key):
                     raise TypeError(f"{name}() has no argument {key!r}; {hint}")
-            refuse_unknown(name, kwargs, named, _SYNONYMS)
+            refuse_unknown(name, kwargs, named, {word: meant.split()[0] for word, meant in SYNONYMS.items()})
         return function(*args, **kwargs)
 
     ordered = sorted(known.values(), key=lambda option: not option.common)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import UsageError
+from pc2scan.options.table import PARAMETERS
 from pc2scan.text import did_you_mean
 
 from .options import TopicRequest
@@ -79,10 +80,10 @@ def read_remaps(texts: Iterable[str], *, reverse: bool = False) -> Remappings:
         if name not in (source_name, target_name, *_TF):
             node = "laserscan_to_pointcloud" if reverse else "pointcloud_to_laserscan"
             known = (source_name, target_name, *_TF)
-            raise UsageError(
-                f"{text!r}: {node} has no topic {name!r}",
-                hint=f"{did_you_mean(name, known)} its topics are {', '.join(known)}".strip(),
-            )
+            hint = f"{did_you_mean(name, known)} its topics are {', '.join(known)}".strip()
+            if name in PARAMETERS:
+                hint = f"it is a parameter: `param={name}:={right}`"
+            raise UsageError(f"{text!r}: {node} has no topic {name!r}", hint=hint)
         found[name] = right if right.startswith(("/", "~")) else f"/{right}"
     topics: tuple[str, ...] = ()
     if source_name in found or target_name in found:

@@ -33,7 +33,7 @@ def resolve_sources(
     settings
         Parameters that are given as options or keywords.
     assignments
-        Texts for `pc2scan.pipeline.yaml_nodes.parse_param`; a later one overrides an earlier one.
+        Texts for `pc2scan.pipeline.yaml_nodes.parse_params`; a later one overrides an earlier one.
     file, node
         A parameter file or a launch file, and the node whose section of it is read.
     launch_args
@@ -64,9 +64,9 @@ def resolve_sources(
     files: tuple[Path, ...] = ()
     hidden: tuple[tuple[str, str], ...] = ()
     if assignments:
-        from .yaml_nodes import parse_param  # noqa: PLC0415
+        from .yaml_nodes import parse_params  # noqa: PLC0415
 
-        found += [parse_param(text) for text in reversed(assignments)]
+        found += parse_params(assignments)
     if file is not None:
         from .params_file import load_params_file  # noqa: PLC0415
 

@@ -100,6 +100,15 @@ _FLOAT = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"
 _SPECIAL = r"([-+]?)\.?(inf|Inf|INF|nan|NaN|NAN)"
 
 
+#: Parameters that every ROS 2 node has.
+_EVERY_NODE = frozenset({"use_sim_time", "start_type_description_service", "qos_overrides"})
+
+
+def is_every_nodes(name: str) -> bool:
+    """Whether a parameter is one that every ROS 2 node has; it does not change the projection."""
+    return name.partition(".")[0] in _EVERY_NODE
+
+
 def names_of(direction: Direction | None) -> list[str]:
     """Return the names of a node's parameters; all names if the direction is not known."""
     return [p.name for p in PARAMETERS.values() if p.is_shared or direction != "laserscan_to_pointcloud"]

@@ -20,6 +20,7 @@ from .parameters import (
     TOPICS,
     Direction,
     Setting,
+    is_every_nodes,
     names_of,
     plain_scalar,
     unknown_parameter,
@@ -40,9 +41,6 @@ MAX_DEPTH = 50
 
 #: The hint where no parameter file is found.
 _EXAMPLE = "name a ROS parameter file or a launch file; each parameter is an option, too, such as `min_height=-0.3`"
-
-#: Parameters that every ROS 2 node has.
-_EVERY_NODE = frozenset({"use_sim_time", "start_type_description_service", "qos_overrides"})
 
 #: Names that identify a section as one of upstream's nodes. pc2scan's own names (``geometry``, ``beams``) do not: any
 #: node may use them, also for groups of parameters.
@@ -180,7 +178,7 @@ def _from_launch(
             continue
         for written, value in _launch_values(param, param.value, path, place):
             name, called = ALIASES.get(written, written), param.name or written
-            if _is_every_nodes(written):
+            if is_every_nodes(written):
                 continue
             origin = f"{place}, {called}"
             if name in names_of(found.direction):
@@ -398,7 +396,10 @@ def _node_to_read(sections: _Sections, node: str | None, file: Path) -> str:
     message = f"{file}: no section is named pointcloud_to_laserscan or laserscan_to_pointcloud, and "
     if upstreams:
         _raise_several(f"{message}several have only their parameters; found {_section_names(sections)}", upstreams)
-    raise ParameterError(f"{message}none has only their parameters; found {_section_names(sections)}")
+    raise ParameterError(
+        f"{message}none has only their parameters; found {_section_names(sections)}",
+        hint=f"choose one, for example `node={min(sections)}`" if sections else None,
+    )
 
 
 def _raise_several(message: str, nodes: list[str]) -> NoReturn:
@@ -437,12 +438,8 @@ def _section_names(sections: Iterable[str]) -> str:
     return (", ".join(names[:10]) or "none") + more
 
 
-def _is_every_nodes(name: str) -> bool:
-    return name.partition(".")[0] in _EVERY_NODE
-
-
 def _own_names(parameters: Iterable[str]) -> list[str]:
-    return [name for name in parameters if not _is_every_nodes(name)]
+    return [name for name in parameters if not is_every_nodes(name)]
 
 
 def _foreign(names: Iterable[str]) -> list[str]:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pc2scan.core.quantities import ANGLE, angle_value, written_angle
 from pc2scan.errors import ParameterError
 
-from .parameters import Setting, expected_message, plain_scalar
+from .parameters import Setting, expected_message, is_every_nodes, plain_scalar
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 _YAML_TAG = "tag:yaml.org,2002:"
 
@@ -100,6 +103,12 @@ def scalar_value(node: Any, name: str, origin: str, *, ros1: bool) -> object:
         return node.value
     angle = written_angle(node.value) if ros1 else None
     return plain_scalar(node.value) if angle is None else angle
+
+
+def parse_params(texts: Sequence[str]) -> list[Setting]:
+    """Read parameters as `parse_param` does, the last one first, but for those that every node has."""
+    found = [parse_param(text) for text in reversed(texts)]
+    return [setting for setting in found if not is_every_nodes(setting.name)]
 
 
 def parse_param(text: str) -> Setting:
