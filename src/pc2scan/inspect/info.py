@@ -22,7 +22,7 @@ from pc2scan.model import copied_message
 from pc2scan.pipeline.clocks import Clocks
 from pc2scan.pipeline.cloud_scale import scaled
 from pc2scan.pipeline.items import Span
-from pc2scan.pipeline.point_times import duration_warning
+from pc2scan.pipeline.point_times import duration_warning, increment_warning
 from pc2scan.pipeline.stages.point_time import PointTime
 from pc2scan.pipeline.survey import Survey
 from pc2scan.result import Call, Part, Result
@@ -516,7 +516,7 @@ def _survey(
     wrong = clocks.findings()
     warnings += (each.warning for each in wrong.values())
     warnings += filter(None, (each.unit_warning(moved=moved) for each in facts.values()))
-    warnings += filter(None, (duration_warning(each, PointTime()) for each in flat.values()))
+    warnings += filter(None, (increment_warning(each) for each in flat.values()))
     ups = {topic: _up(reading) for topic, reading in readings.items()}
     places = places._replace(buffer=buffer if moved else None)
     return _Surveyed({**facts, **flat}, places, buffer, ups, wrong, warnings, knows_end)

@@ -112,11 +112,16 @@ def time_warnings(facts: TopicFacts, point_time: PointTime) -> Iterator[str]:
 
 def duration_warning(facts: TopicFacts, point_time: PointTime) -> str:
     """Return the warning that clouds or scans take far too long or too short by their own times; empty if not."""
-    turn = median([each.turn for each in facts.headers]) if facts.headers else 0.0
-    if turn:
-        period = (median_interval_ns(each.stamp_ns for each in facts.headers) or 0) / 1e9
-        return _increment_doubt(facts.topic, turn, period)
+    if any(each.turn for each in facts.headers):
+        return increment_warning(facts)
     return "" if point_time.turn is not None else _duration_doubt(facts.topic, facts.found(times_of(point_time)))
+
+
+def increment_warning(facts: TopicFacts) -> str:
+    """Return the warning that scans take far too long or too short by their time_increment; empty if not."""
+    turn = median([each.turn for each in facts.headers]) if facts.headers else 0.0
+    period = (median_interval_ns(each.stamp_ns for each in facts.headers) or 0) / 1e9
+    return _increment_doubt(facts.topic, turn, period) if turn else ""
 
 
 def times_of(point_time: PointTime) -> Fact[PointTimes]:
