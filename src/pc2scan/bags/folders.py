@@ -203,7 +203,8 @@ def overlap_warnings(readers: Sequence[Reader]) -> list[str]:
     longest_ns = 0
     for reader, other in combinations(readers, 2):
         common_ns = _common_ns(reader, other)
-        if common_ns <= (_allowed_ns(reader, other) if are_named_as_parts((reader.path, other.path)) else 0):
+        is_parted = common_ns and are_named_as_parts((reader.path, other.path))
+        if common_ns <= (_allowed_ns(reader, other) if is_parted else 0):
             continue
         shared = sorted(_moving_topics(reader) & _moving_topics(other))
         if shared:

@@ -6,7 +6,6 @@ The reader of split rosbag2 recordings (`pc2scan.bags.rosbag2.read`) is a subcla
 from __future__ import annotations
 
 import heapq
-import math
 from dataclasses import replace
 from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple
@@ -185,12 +184,10 @@ class _Source(NamedTuple):
     selection: tuple[Collection[Connection] | None, int | None, int | None, ChunkRule | None]
 
     @property
-    def times_ns(self) -> tuple[int, float]:
-        """The first and the last log time; all times if they are unknown."""
-        summary = self.reader.summary
-        if summary.start_ns is None or summary.end_ns is None:
-            return UNKNOWN_START_NS, math.inf
-        return summary.start_ns, summary.end_ns
+    def start_ns(self) -> int:
+        """The first log time; if it is unknown, it may be any."""
+        start_ns = self.reader.summary.start_ns
+        return UNKNOWN_START_NS if start_ns is None else start_ns
 
     def units(self) -> Iterator[Unit]:
         """Yield its units, with messages of the merged connections."""
@@ -213,21 +210,18 @@ class _ConnectionReplacer(NamedTuple):
 
 
 def _units_in_turn(sources: Iterable[_Source]) -> Iterator[Unit]:
-    """Yield the units of all sources by start; a source that overlaps no other is read after the ones before it."""
-    together: list[_Source] = []
-    latest: float = -math.inf
-    for source in sorted(sources, key=lambda source: (source.times_ns[0], source.number)):
-        start_ns, end_ns = source.times_ns
-        if start_ns > latest:
-            yield from _sources_by_start(together)
-            together.clear()
-        together.append(source)
-        latest = max(latest, end_ns)
-    yield from _sources_by_start(together)
-
-
-def _sources_by_start(sources: Iterable[_Source]) -> Iterator[Unit]:
-    return heapq.merge(*(source.units() for source in sources), key=attrgetter("due"))
+    """Yield the units of all sources by start; a source is read from its start on."""
+    waiting = sorted(sources, key=attrgetter("start_ns"), reverse=True)
+    # Places differ, as they begin with the number of the source.
+    heap: list[tuple[tuple[int, tuple[int, ...]], Unit, Iterator[Unit]]] = []
+    while waiting or heap:
+        if waiting and (not heap or waiting[-1].start_ns <= heap[0][0][0]):
+            units = waiting.pop().units()
+        else:
+            _, unit, units = heapq.heappop(heap)
+            yield unit
+        if (following := next(units, None)) is not None:
+            heapq.heappush(heap, (following.due, following, units))
 
 
 def unify_connections(sources: Sequence[Sequence[Connection]]) -> tuple[list[Connection], list[dict[int, int]]]:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import errno
 import os
 import stat
+from collections import deque
 from contextlib import suppress
 from io import TextIOWrapper
 from threading import RLock
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 from weakref import WeakValueDictionary, ref
 
 from pc2scan.errors import RecordingError, UsageError
@@ -238,6 +239,36 @@ def retain(memory: bytes | ReadBuffer) -> RetainedMemory | None:
     return RetainedMemory(owner, len(memory)) if owner is not None else None
 
 
+_Opened = TypeVar("_Opened")
+
+#: What was opened last. The rest is closed as soon as nothing reads it, and opened again when it is read: a recording
+#: may have more parts than a process may have open files.
+_recent: deque[object] = deque(maxlen=32)
+
+
+def keep_open(opened: _Opened) -> ref[_Opened]:
+    """Keep something open until many others were opened, or nobody uses it any more; it closes when it is deleted."""
+    _recent.append(opened)
+    return ref(opened)
+
+
+class _Descriptor:
+    """A descriptor of an open file, which is closed with this object."""
+
+    __slots__ = ("__weakref__", "number")
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+
+    def close(self) -> None:
+        """Close it; reading is an error from now on."""
+        number, self.number = self.number, -1
+        if number >= 0:
+            os.close(number)
+
+    __del__ = close
+
+
 #: The buffers. They are freed when no file is open any more.
 _shared: WeakValueDictionary[str, BufferPool] = WeakValueDictionary()
 
@@ -260,18 +291,34 @@ class SourceFile:
         self.path = path
         #: Fetches bytes before they are read; None for a local file.
         self._fetch: Callable[[int, int], None] | None = None
-        self._descriptor = -1
         self._buffers = _shared.setdefault("", BufferPool())
+        self._opened: Callable[[], _Descriptor | None]
         if isinstance(path, UrlPath):
             ranges = path.remote.ranges()
-            self._fetch, self._descriptor, self.size = ranges.fetch, ranges.descriptor(), ranges.size
+            fetched = _Descriptor(ranges.descriptor())
+            self._fetch, self._opened, self.size = ranges.fetch, lambda: fetched, ranges.size
             return
+        # The working directory may change before it is opened again.
+        self._place = str(path.absolute())
+        descriptor, self._status = self._open()
+        self._opened, self.size = keep_open(descriptor), self._status.st_size
+
+    def _open(self) -> tuple[_Descriptor, os.stat_result]:
         try:
-            self._descriptor = _open_regular(str(path), os.O_RDONLY | BINARY | getattr(os, "O_CLOEXEC", 0))
-            self.size = os.fstat(self._descriptor).st_size
+            descriptor = _Descriptor(_open_regular(self._place, os.O_RDONLY | BINARY | getattr(os, "O_CLOEXEC", 0)))
+            return descriptor, os.fstat(descriptor.number)
         except OSError as err:
-            self.close()
             raise self.error(f"cannot be opened: {err.strerror}") from err
+
+    def _file(self) -> _Descriptor:
+        """Return the open file; it is opened again if it was closed for others."""
+        descriptor = self._opened()
+        if descriptor is None:
+            descriptor, status = self._open()
+            if not os.path.samestat(status, self._status):
+                raise changed_while_read(self.path)
+            self._opened = keep_open(descriptor)
+        return descriptor
 
     def end_at(self, size: int) -> None:
         """End the recording after this many bytes, where another one begins."""
@@ -279,20 +326,22 @@ class SourceFile:
 
     def expect(self, offset: int, length: int) -> None:
         """Tell the system to read these bytes ahead, if it can."""
+        descriptor = self._file().number
         # If the last byte is cached already, the call is skipped: it would look up each page.
         with suppress(OSError, AttributeError):
-            if os.preadv(self._descriptor, [bytearray(1)], offset + length - 1, os.RWF_NOWAIT):
+            if os.preadv(descriptor, [bytearray(1)], offset + length - 1, os.RWF_NOWAIT):
                 return
         with suppress(OSError, AttributeError):
-            os.posix_fadvise(self._descriptor, offset, length, os.POSIX_FADV_WILLNEED)
+            os.posix_fadvise(descriptor, offset, length, os.POSIX_FADV_WILLNEED)
 
     def close(self) -> None:
         """Release the file; reading afterwards is an error."""
         self._buffers = BufferPool()
         self._fetch = None
-        descriptor, self._descriptor = self._descriptor, -1
-        if descriptor >= 0:
-            os.close(descriptor)
+        descriptor, closed = self._opened(), _Descriptor(-1)
+        self._opened = lambda: closed
+        if descriptor is not None:
+            descriptor.close()
 
     def error(self, message: str, hint: str | None = None) -> RecordingError:
         """Return an error that names this file."""
@@ -308,10 +357,11 @@ class SourceFile:
             raise self._outside(offset, length)
         if self._fetch is not None:
             self._fetch(offset, length)
+        file = self._file()
         try:
-            data = read_at(self._descriptor, length, offset)
+            data = read_at(file.number, length, offset)
             # A call may return fewer bytes than requested.
-            while len(data) < length and (more := read_at(self._descriptor, length - len(data), offset + len(data))):
+            while len(data) < length and (more := read_at(file.number, length - len(data), offset + len(data))):
                 data += more
         except OSError as err:
             raise self._unreadable(offset, err) from err
@@ -346,9 +396,9 @@ class SourceFile:
         view = memoryview(borrowed.buffer)[:length]
         if self._fetch is not None:
             self._fetch(offset, length)
-        done = 0
+        file, done = self._file(), 0
         try:
-            while done < length and (more := os.preadv(self._descriptor, [view[done:]], offset + done)):
+            while done < length and (more := os.preadv(file.number, [view[done:]], offset + done)):
                 done += more
         except OSError as err:
             raise self._unreadable(offset, err) from err

@@ -17,14 +17,14 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.bags.damage import RECOVER
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.files.places import TEMPORARY_HINT, copy_errors, private_folder
-from pc2scan.files.source import copy_file
+from pc2scan.files.source import changed_while_read, copy_file, keep_open, state_of
 from pc2scan.files.urls import UrlPath
 
 from .logs import missing_bytes, side_logs, write_merged
 from .recover import PageFile, declared_size, rebuild_database
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
     from tempfile import TemporaryDirectory
 
     from pc2scan.bags.damage import DamageLog
@@ -64,6 +64,43 @@ _DAMAGE_CODES = (CORRUPT, NOTADB, ERROR, IOERR_SHORT_READ)
 SQLITE_ERRORS = (sqlite3.Error, UnicodeDecodeError, MemoryError)
 
 
+class _Opened:
+    """An open database, which is closed with this object: a connection itself would wait for the garbage collection."""
+
+    __slots__ = ("__weakref__", "connection")
+
+    def __init__(self, connection: sqlite3.Connection) -> None:
+        self.connection = connection
+
+    def close(self) -> None:
+        """Close it."""
+        self.connection.close()
+
+    __del__ = close
+
+
+class _Cursor(sqlite3.Cursor):
+    """A cursor, and the database that stays open for it."""
+
+    opened: _Opened
+
+
+def _open(path: Path, most: int) -> _Opened:
+    """Open a file as immutable, with the limits for untrusted recordings; ``most`` is the length of its values."""
+    # Other threads use the reader, one at a time.
+    uri = f"{path.as_uri()}?mode=ro&immutable=1"
+    database = sqlite3.connect(uri, uri=True, check_same_thread=False)
+    # A topic's name may have bytes that are not UTF-8.
+    database.text_factory = lambda raw: raw.decode("utf-8", "replace")
+    if sys.version_info >= (3, 11):
+        # No value is longer than the file, or than SQLite's limit.
+        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(most, 2**31 - 1))
+        # No statement of an untrusted recording may open another file, or call functions with effects.
+        database.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
+    database.execute("PRAGMA trusted_schema = OFF")
+    return _Opened(database)
+
+
 class Database:
     """A database and the logs beside it. `open` opens it; `recover` replaces it by one of the rows in its pages.
 
@@ -92,7 +129,11 @@ class Database:
         self._noted = damage
         self._logs: list[PageLog] = []
         self._copy: TemporaryDirectory[str] | None = None
-        self._connection: sqlite3.Connection | None = None
+        #: What `open` opened: the file, and its database, unless it was closed for other files.
+        self._file: Path | None = None
+        self._opened: Callable[[], _Opened | None] = lambda: None
+        #: The rows in the pages, after `recover`.
+        self._rebuilt: _Opened | None = None
         self._pages: PageFile | None = None
         try:
             self.size = path.stat().st_size
@@ -110,7 +151,7 @@ class Database:
     @property
     def is_rebuilt(self) -> bool:
         """Whether it was rebuilt from pages. Its tables are trusted then."""
-        return self._pages is not None
+        return self._rebuilt is not None
 
     def open(self) -> None:
         """Open as immutable: the database is neither locked nor recovered.
@@ -124,19 +165,23 @@ class Database:
         path = self.path
         if any(log.page_count is not None for log in self._logs):
             path = self._merged_copy()
-        # Other threads use the reader, one at a time.
         elif isinstance(path, UrlPath):
             path = self._local_copy()
-        database = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True, check_same_thread=False)
-        self._connection = database
-        # A topic's name may have bytes that are not UTF-8.
-        database.text_factory = lambda raw: raw.decode("utf-8", "replace")
-        if sys.version_info >= (3, 11):
-            # No value is longer than the file, or than SQLite's limit.
-            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(self._most, 2**31 - 1))
-            # No statement of an untrusted recording may open another file, or call functions with effects.
-            database.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
-        database.execute("PRAGMA trusted_schema = OFF")
+        self._file = path.absolute()
+        self._state = state_of(self._file)
+        self._opened = keep_open(_open(self._file, self._most))
+
+    def _database(self) -> _Opened:
+        """Return the open database; it is opened again if it was closed for other files."""
+        opened = self._rebuilt or self._opened()
+        if opened is None:
+            if self._file is None:
+                raise RecordingError("is closed", path=self.path)
+            if state_of(self._file) != self._state:
+                raise changed_while_read(self.path)
+            opened = _open(self._file, self._most)
+            self._opened = keep_open(opened)
+        return opened
 
     def recover(self, err: Exception) -> None:
         """Continue with the rows that can be found without SQLite's trees.
@@ -149,14 +194,14 @@ class Database:
         problem = err if isinstance(err, RecordingError) else self._error(err)
         if not isinstance(problem, DamageError) or self.is_rebuilt or self._noted.strict:
             raise problem
-        if self._connection is not None:
-            self._connection.close()
+        self._disconnect()
         self._pages = PageFile(self.path, self._logs)
         try:
-            self._connection, last_ns = rebuild_database(self._pages)
+            database, last_ns = rebuild_database(self._pages)
         except sqlite3.Error as error:
             raise self._error(error) from error
-        if last_ns is None and not self._connection.execute("SELECT 1 FROM topics").fetchone():
+        self._rebuilt = _Opened(database)
+        if last_ns is None and not database.execute("SELECT 1 FROM topics").fetchone():
             raise DamageError(f"nothing of it can be recovered: {problem.message}", path=self.path)
         if any(log.broken for log in self._logs):
             # The missing bytes are noted for the log.
@@ -166,9 +211,7 @@ class Database:
 
     def close(self) -> None:
         """Close the database and remove the copy, if there is one."""
-        if self._connection is not None:
-            self._connection.close()
-            self._connection = None
+        self._disconnect()
         if self._pages is not None:
             self._pages.close()
             self._pages = None
@@ -178,12 +221,19 @@ class Database:
             self._copy.cleanup()
             self._copy = None
 
+    def _disconnect(self) -> None:
+        for opened in (self._rebuilt, self._opened()):
+            if opened is not None:
+                opened.close()
+        self._file, self._rebuilt, self._opened = None, None, lambda: None
+
     def query(self, sql: str, values: Sequence[Any] = ()) -> sqlite3.Cursor:
         """Execute a statement; raises one of `SQLITE_ERRORS` or `RecordingError`."""
-        if self._connection is None:
-            raise RecordingError("is closed", path=self.path)
+        opened = self._database()
+        cursor = opened.connection.cursor(_Cursor)
+        cursor.opened = opened
         try:
-            return self._connection.execute(sql, values)
+            return cursor.execute(sql, values)
         except UnicodeDecodeError as err:
             # The message quotes a damaged name, which Python cannot decode.
             raise self.damage("SQLite cannot read it, and names what is not text") from err
@@ -192,12 +242,12 @@ class Database:
     def ending(self) -> Iterator[None]:
         """Interrupt SQLite if it takes more steps than a file of this size can need."""
         millions = iter(range(5 + self.size // 100_000))
-        assert self._connection is not None
-        self._connection.set_progress_handler(lambda: next(millions, None) is None, 1_000_000)
+        opened = self._database()
+        opened.connection.set_progress_handler(lambda: next(millions, None) is None, 1_000_000)
         try:
             yield
         finally:
-            self._connection.set_progress_handler(None, 0)
+            opened.connection.set_progress_handler(None, 0)
 
     def bounded_rows(self, rows: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
         """Yield rows as they are, up to the size of the file: rows that share pages may have any number of values."""
