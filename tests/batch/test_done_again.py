@@ -54,6 +54,8 @@ class Line:
     source: Files
     outcome: str
     error: str = ""
+    #: Of an error about a result, its path.
+    place: str = ""
     output: str = ""
     left: Files = ()
     is_older: bool = False
@@ -164,12 +166,13 @@ class World:
         there = files_in(self.out / output)
         why = "forced" if force else self.why(before, options, path, output, there)
         if why and there and not overwrite:
-            # A result belongs to the last line that names it, unless nothing was written; or it is as an earlier
-            # line has left it.
-            last = dict(self.lines).values()
-            owned = {line.output for line in last if line.output in written or line.outcome == "died"}
-            if output not in owned and there != written.get(output):
-                return "refuse", "exists already, and was not written by this batch"
+            # It is as a line has left it; or what is there is not known, since the process died that wrote it.
+            died = {line.output for line in dict(self.lines).values() if line.outcome == "died"}
+            if output not in died and there != written.get(output):
+                if output not in written:
+                    return "refuse", "exists already, and was not written by this batch"
+                names = sorted({name for name, _, _ in {*there} - {*written[output]}} - {output.rpartition("/")[2]})
+                return "refuse", "was edited since" + (f": {', '.join(names)}" if names else "")
         return ("convert", why) if why else ("keep", "unchanged")
 
     def why(self, line: Line | None, options: int, path: Path, output: str, there: Files) -> str:
@@ -233,15 +236,19 @@ class World:
             return
         path, last = self.root / "in" / key, dict(self.lines).get(key)
         output = name_of(key, options)
-        line = Line(options, files_in(path), outcome, error)
+        place = output if done.action == "refuse" and error != "is empty" else ""
+        line = Line(options, files_in(path), outcome, error, place)
         if done.action == "convert":
             line.output = output
             found = files_in(self.out / output) if outcome == "converted" else ()
             line.left = tuple(each for each in found if each not in before)
         else:
             line.output = last.output if last is not None else ""
-            said = last is not None and (last.outcome, last.error, last.source, digest_of(last.options), last.is_older)
-            if said == (outcome, error, line.source, digest_of(options), False):
+            said = last is not None and (
+                *(last.outcome, last.error, last.place, last.source),
+                *(digest_of(last.options), last.is_older),
+            )
+            if said == (outcome, error, place, line.source, digest_of(options), False):
                 return
         self.lines.append((key, line))
 

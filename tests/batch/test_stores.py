@@ -234,7 +234,7 @@ def test_exported_folders_are_replaced_if_all_is_known(store: Store, drives: Pat
     store.put("out/a/labels.npz", b"mine")
     before = store.contents("out")
     for overwrite in (False, True):
-        assert "a/labels.npz" in batch(source, out, export="csv", overwrite=overwrite).outcomes[0].error
+        assert "labels.npz" in batch(source, out, export="csv", overwrite=overwrite).outcomes[0].error
     assert store.contents("out") == before
     store.remove("out/a/labels.npz")
     assert batch(source, out, export="csv").exit_status == 0

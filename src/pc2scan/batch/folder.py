@@ -62,10 +62,13 @@ class _Unfinished(NamedTuple):
         The results.
     folders
         The folders that it makes for them.
+    after
+        How many lines the manifest had.
     """
 
     outputs: frozenset[str] = frozenset()
     folders: frozenset[str] = frozenset()
+    after: int = 0
 
 
 class BatchFolder:
@@ -99,8 +102,9 @@ class BatchFolder:
         self._version = self._stored_version()
         data = self._read_manifest()
         noted = self._read_note()
-        self.history = History.read(records_in(data, path / MANIFEST), noted.outputs)
+        self.history = History.read(records_in(data, path / MANIFEST), noted.outputs, noted.after)
         self._noted = noted._replace(outputs=self.history.unfinished)
+        self._count = data.count(b"\n")
         #: How many bytes of the manifest are whole lines; in a store, those lines, and the time of the next upload.
         self._whole = data.rfind(b"\n") + 1
         self._lines = data[: self._whole] if isinstance(path, UrlPath) else b""
@@ -125,8 +129,8 @@ class BatchFolder:
             if data is None:
                 return _Unfinished()
             noted = json.loads(data)
-            # Older versions did not note folders.
-            found = _Unfinished(frozenset(map(str, noted["outputs"])), frozenset(map(str, noted.get("folders", ()))))
+            outputs, folders = (frozenset(map(str, noted[name])) for name in ("outputs", "folders"))
+            found = _Unfinished(outputs, folders, int(noted["after"]))
             for place in (*found.outputs, *found.folders):
                 refuse_outside(place)
         except (OSError, ValueError, LookupError, TypeError, AttributeError) as err:
@@ -154,19 +158,21 @@ class BatchFolder:
             return identity_among(self._stored, output)
         return identity_of([self.path / output])
 
-    def _existing(self, outputs: Iterable[str]) -> frozenset[str]:
-        """Return those outputs that exist now."""
+    def _unrecorded(self, outputs: Iterable[str]) -> frozenset[str]:
+        """Return those outputs that exist now, and not as the manifest had them."""
         stored = _listing(self.path)
-        if stored is not None:
-            return frozenset(each for each in outputs if identity_among(stored, each).files)
-        return frozenset(each for each in outputs if os.path.lexists(self.path / each))
+        now = {
+            each: identity_of([self.path / each]) if stored is None else identity_among(stored, each)
+            for each in outputs
+        }
+        return frozenset(each for each, found in now.items() if found.files and found != self.history.left.get(each))
 
     @contextmanager
     def writing(self, outputs: Collection[str]) -> Iterator[None]:
         """Keep a note of outputs while they are written, and make their folders.
 
         After a run was killed, the note shows which files belong to the batch. At the end, only outputs that exist and
-        are not in the manifest stay in it, and folders that stay empty are removed, also those of killed runs.
+        that the manifest does not have stay in it, and folders that stay empty are removed, also those of killed runs.
         """
         folders = self._noted.folders
         if isinstance(self.path, UrlPath):
@@ -174,10 +180,10 @@ class BatchFolder:
             folders = frozenset()
         else:
             folders |= {folder for folder in _folders_of(outputs) if not (self.path / folder).is_dir()}
-        absent: frozenset[str] = frozenset()
+        known: frozenset[str] = frozenset()
         if outputs:
-            self._write_note(_Unfinished(self._noted.outputs.union(outputs), folders))
-            absent = frozenset(outputs) - self._existing(outputs)
+            self._write_note(self._noted.outputs.union(outputs), folders)
+            known = frozenset(outputs) - self._unrecorded(outputs)
         try:
             for folder in sorted(folders) if outputs else ():
                 # If it cannot be made, the conversions that write into it report why.
@@ -191,12 +197,12 @@ class BatchFolder:
                 if first_link(self.path, folder) is None:
                     with suppress(OSError):
                         (self.path / folder).rmdir()
-            # What exists now and did not before was made by this run, even if nothing was heard of its beginning.
-            known = (self._noted.outputs | self._begun | absent) - self._ended
+            # What is new was made by this run, even if nothing was heard of its beginning.
+            known = (self._noted.outputs | self._begun | known) - self._ended
             # A note that stays names outputs that the manifest has.
             with suppress(OutputError, OSError):
-                if left := self._existing(known) if known else known:
-                    self._write_note(_Unfinished(frozenset(left)))
+                if left := self._unrecorded(known) if known else known:
+                    self._write_note(left)
                 elif outputs or self._stored is None or _UNFINISHED in self._stored:
                     (self.path / _UNFINISHED).unlink(missing_ok=True)
 
@@ -205,7 +211,7 @@ class BatchFolder:
         self._begun.add(output)
         self._ended.discard(output)
 
-    def _write_note(self, unfinished: _Unfinished) -> None:
+    def _write_note(self, outputs: Iterable[str], folders: Iterable[str] = ()) -> None:
         """Note what a run is going to write.
 
         Raises
@@ -213,8 +219,8 @@ class BatchFolder:
         OutputError
             If it cannot be written.
         """
-        outputs, folders = (json.dumps(sorted(names)) for names in unfinished)
-        text = f'{_NOTE_BEGINNING.decode()}"{__version__}", "outputs": {outputs}, "folders": {folders}}}\n'
+        noted = {"pc2scan begun": __version__, "outputs": sorted(outputs), "folders": sorted(folders)}
+        text = json.dumps({**noted, "after": self._count}) + "\n"
         with text_output(self.path / _UNFINISHED, beginning=_NOTE_BEGINNING, overwrite=False) as write:
             write(text)
 
@@ -243,6 +249,7 @@ class BatchFolder:
                 os.fsync(self._file.fileno())
             except OSError as err:
                 raise OutputError(f"the manifest cannot be written: {err.strerror}", path=self.path / MANIFEST) from err
+        self._count += 1
         self._ended.add(record.output)
 
     def close(self) -> None:

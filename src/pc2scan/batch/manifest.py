@@ -305,7 +305,7 @@ class History:
     records
         The manifest, by key.
     unfinished
-        Outputs that a killed run was going to write, relative to the folder of the batch.
+        Outputs that a killed run was going to write, and did not record; relative to the folder of the batch.
     left
         How the files of the outputs were left when they were last written, by output. The last line of a recording
         that could not be converted again does not say it.
@@ -316,26 +316,34 @@ class History:
     left: Mapping[str, Identity] = field(default_factory=dict)
 
     @classmethod
-    def read(cls, lines: Iterable[ManifestRecord], unfinished: frozenset[str]) -> History:
-        """Return the history that a manifest, and the note of a killed run, tell."""
+    def read(cls, lines: Iterable[ManifestRecord], noted: frozenset[str], noted_after: int = 0) -> History:
+        """Return the history that a manifest tells, and the note of outputs that a run made after so many lines."""
         records: dict[str, ManifestRecord] = {}
         left: dict[str, Identity] = {}
-        for line in lines:
+        recorded = set()
+        for number, line in enumerate(lines):
             records[line.key] = line
             if line.is_written:
                 left[line.output] = line.output_identity
-        # An output in the manifest was completed, even if the note still lists it.
-        return cls(records, unfinished - {record.output for record in records.values()}, left)
+            if number >= noted_after:
+                recorded.add(line.output)
+        return cls(records, noted - recorded, left)
 
     @cached_property
-    def owned(self) -> frozenset[str]:
-        """The outputs that were written by earlier runs."""
-        # What a process had written when it died is not known. A conversion that failed has left nothing.
+    def outputs(self) -> frozenset[str]:
+        """The outputs that were written by earlier runs, or may be."""
+        return self._unknown.union(self.left)
+
+    @cached_property
+    def _unknown(self) -> frozenset[str]:
+        """The outputs of which it is not known what a run left: it was killed, or the process died that wrote it."""
         return self.unfinished | {
-            record.output
-            for record in self.records.values()
-            if record.output and (record.output in self.left or record.outcome == "died")
+            each.output for each in self.records.values() if each.output and each.outcome == "died"
         }
+
+    def may_replace(self, output: str, there: Identity) -> bool:
+        """Whether an output that is there may be replaced: no one else has written or edited it."""
+        return not there.files or output in self._unknown or there == self.left.get(output)
 
     @cached_property
     def _containers(self) -> dict[tuple[str, Any], str]:
@@ -354,12 +362,9 @@ class History:
         """Return the format of a recording that an earlier run has found, by its first path and files; else empty."""
         return self._containers.get((str(path), identity.files), "")
 
-    def record(self, output: str, there: Identity | None = None) -> Record | None:
-        """Return what is recorded about the files of an output, relative to its folder; None if nothing is.
-
-        Of an output whose recording has had another one since, only if it is ``there`` as it was left.
-        """
-        if output not in self.owned and (there is None or not there.files or there != self.left.get(output)):
+    def record(self, output: str) -> Record | None:
+        """Return what is recorded about the files of an output, relative to its folder; None if nothing is."""
+        if output not in self.outputs:
             return None
         name = PurePosixPath(output).name
         files: dict[str, FileState | None] = {name: None}

@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.destinations import name_after
-from pc2scan.errors import DestinationError
+from pc2scan.errors import DestinationError, name_list
 from pc2scan.files.ownership import name_key
 from pc2scan.files.places import working_names
 from pc2scan.text import size
@@ -165,13 +165,14 @@ def make_plan(
             steps.append(replace(step, action="refuse", why=each.error.message, error=each.error))
             continue
         there = present(output)
-        step = replace(step, owned=history.record(output, there))
+        step = replace(step, owned=history.record(output))
         why = "forced" if force else _reason(each, request, output, history, there)
         error = None
         if why:
             others = clashes.get(each.key)
             error = _clash(each.key, others[0], outputs, out) if others else forbidden(output)
-            error = error or _ownership_error(step, request, out, there)
+            if error is None and not request.output.overwrite and not history.may_replace(output, there):
+                error = _ownership_error(out / output, there, history.left.get(output))
         if error is not None:
             steps.append(replace(step, action="refuse", why=error.message, error=error))
             continue
@@ -193,14 +194,17 @@ def _clash(key: str, other: str, outputs: Mapping[str, str], out: Path) -> Pc2Sc
     )
 
 
-def _ownership_error(step: Step, request: Request, out: Path, there: Identity) -> Pc2ScanError | None:
-    """Return the error of an output that exists and that no record names; None if it may be replaced."""
-    if not there.files or step.owned is not None or request.output.overwrite:
-        return None
+def _ownership_error(path: Path, there: Identity, left: Identity | None) -> Pc2ScanError:
+    """Return the error of an output that somebody else has written, or edited since it was recorded."""
+    if left is None:
+        return DestinationError(
+            "exists already, and was not written by this batch", path=path, hint="`overwrite=True` replaces it"
+        )
+    names = sorted({name for name, _, _ in {*there.files} - {*left.files}} - {path.name})
     return DestinationError(
-        "exists already, and was not written by this batch",
-        path=out / step.output,
-        hint="`overwrite=True` replaces it",
+        f"was edited since{f': {name_list(names, 3)}' if names else ''}",
+        path=path,
+        hint="move it away, or `overwrite=True` replaces it",
     )
 
 

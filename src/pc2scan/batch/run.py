@@ -210,7 +210,7 @@ def _open_report(options: BatchOptions, folder: BatchFolder, stack: ExitStack) -
         return None
     real = Path(os.path.realpath(path))
     if real.is_relative_to(folder.path) and (
-        real.relative_to(folder.path).as_posix() in {MANIFEST, *folder.history.owned}
+        real.relative_to(folder.path).as_posix() in {MANIFEST, *folder.history.outputs}
     ):
         raise DestinationError("the report cannot be written there: the batch writes this file itself", path=path)
     beginning = BEGINNINGS[path.suffix.lower()]
@@ -230,7 +230,7 @@ def _open_report(options: BatchOptions, folder: BatchFolder, stack: ExitStack) -
 def _plan(sources: Sequence[str], folder: BatchFolder, choices: Choices, options: BatchOptions) -> BatchPlan:
     """Find the recordings, and decide what is done with each."""
     history = folder.history
-    outputs = [folder.path / output for output in {*history.owned, *history.left}]
+    outputs = [folder.path / output for output in history.outputs]
     found = find(sources, folder.path, known=history.container_of, outputs=outputs)
     if not found:
         raise UsageError(f"no recording found in {', '.join(sources)}")
@@ -381,7 +381,7 @@ class _Batch:
             # Nothing is beside them: see `pc2scan.files.transfers`.
             return
         planned = [step.output for action in ("convert", "keep") for step in self._plan.of(action)]
-        for output in {*history.owned, *planned}:
+        for output in {*history.outputs, *planned}:
             if first_link(out, output) is None:
                 clean_up(out / output)
 
