@@ -8,12 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-import typer
-from typer.core import TyperGroup
-from typer.main import get_command
 
 import pc2scan
-from pc2scan.cli.app import COMMANDS, application
+from pc2scan.cli.commands import COMMANDS
 from pc2scan.errors import UsageError
 from pc2scan.options.table import GROUPS, options_of
 from pc2scan.options.values import Instance
@@ -33,12 +30,8 @@ ONLY_TYPED = {"tf": {"lookup", "at"}, "view": {"destination"}, "map": {"destinat
 
 def taken_by_command(command: str) -> set[str]:
     """The names of what a command takes."""
-    group = get_command(application(command))
-    assert isinstance(group, TyperGroup)
-    asked = group.commands[command]
-    # Options are made when the command is asked for them; `--help` and `--help-all` are no keywords.
-    asked.get_params(typer.Context(asked))
-    return {str(parameter.name) for parameter in asked.params}
+    own = {argument.name for argument in COMMANDS[command].arguments}
+    return own | {name for name, option in options_of(command).items() if option.spelling}
 
 
 def taken_by_function(function: str) -> set[str]:

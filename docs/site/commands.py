@@ -9,13 +9,11 @@ from __future__ import annotations
 import html
 import re
 import sys
+from inspect import cleandoc
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import typer
-
-from pc2scan.cli.app import COMMANDS, application
-from pc2scan.cli.examples import EXAMPLES
+from pc2scan.cli.commands import COMMANDS
 from pc2scan.options.option import Parameter
 from pc2scan.options.table import options_of, spelling_of
 from pc2scan.options.values import Flag
@@ -23,6 +21,7 @@ from pc2scan.options.values import Flag
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+    from pc2scan.cli.commands import Argument, Command
     from pc2scan.options.option import Option
 
 FOLDER = Path(__file__).parents[1] / "commands"
@@ -59,9 +58,8 @@ def main(folder: Path) -> None:
 
 def pages() -> dict[str, str]:
     """Return the text of each page, by the name of its file."""
-    commands = typer.main.get_command(application()).commands  # type: ignore[attr-defined]
-    found = {f"{name}.md": page(name, commands[name]) for name in COMMANDS}
-    rows = [f"| [`{name}`]({name}.md) | {_prose(_sentences(commands[name].help)[0])} |" for name in COMMANDS]
+    found = {f"{name}.md": page(name, command) for name, command in COMMANDS.items()}
+    rows = [f"| [`{name}`]({name}.md) | {_prose(_sentences(each.help)[0])} |" for name, each in COMMANDS.items()]
     listed = "\n".join(["| | |", "|---|---|", *rows])
     return {"index.md": f"# Commands\n\n{listed}\n\n{_STATUSES}\n\n{_COMMENT}\n", **found}
 
@@ -73,14 +71,13 @@ _STATUSES = (
 )
 
 
-def page(name: str, command: Any) -> str:
+def page(name: str, command: Command) -> str:
     """Return the page of a command."""
-    description, *further = command.help.split("\n\n")
+    description, *further = cleandoc(command.help).split("\n\n")
     sentences = [description, *_sentences(" ".join(further))[:1]]
     statuses = [_prose(text) for text in further[1:] if text.startswith("Exit status")]
-    typed, what = EXAMPLES[name][0]
-    own = [each for each in command.params if each.name not in options_of(name)]
-    taken = " ".join(_argument(each) for each in own if each.required or each.param_type_name == "argument")
+    typed, what = command.examples[0]
+    taken = " ".join(_usage(each) for each in command.arguments if each.required or not each.spellings)
     parts = [
         f"# pc2scan {name}",
         _prose(" ".join(sentences)),
@@ -94,13 +91,13 @@ def page(name: str, command: Any) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _option_tables(name: str, command: Any) -> Iterable[str]:
+def _option_tables(name: str, command: Command) -> Iterable[str]:
     """Yield the tables of a command's options, each under the title of its group."""
     known = options_of(name)
     elsewhere = _of_convert(name, known)
-    groups: dict[str, list[str]] = {"": [_row_of_own(each) for each in command.params if each.name not in known]}
+    groups: dict[str, list[str]] = {"": [_row_of_own(each) for each in command.arguments]}
     for option in known.values():
-        if option.spelling and option.name != "ros_args" and option.name not in elsewhere:
+        if option.spelling and option.name not in elsewhere:
             groups.setdefault(option.panel or "", []).append(_row(option))
     # An option that is alone in its group needs no title.
     for title in [title for title, rows in groups.items() if title and len(rows) == 1]:
@@ -123,11 +120,7 @@ def _of_convert(name: str, known: Mapping[str, Option]) -> dict[str, Option]:
     if name == "convert" or len(known) <= FEW:
         return {}
     others = options_of("convert")
-    return {
-        key: option
-        for key, option in known.items()
-        if others.get(key) is option and option.spelling and key != "ros_args"
-    }
+    return {key: option for key, option in known.items() if others.get(key) is option and option.spelling}
 
 
 def _row(option: Option) -> str:
@@ -147,22 +140,18 @@ def _row(option: Option) -> str:
     return f"| {', '.join(spellings)} | {text} | {option.default_text} |"
 
 
-def _row_of_own(parameter: Any) -> str:
-    """Return the row of an argument, or of an option that is not in the table of options."""
-    text, _, default = parameter.help.partition("  [default: ")
-    if parameter.param_type_name == "argument":
-        name = f"`{_argument(parameter).strip('[]')}`"
-    else:
-        first, *others = sorted(parameter.opts, key=len)
-        name = ", ".join([f"`{first}`", *(f"`{each}`" for each in others)])[:-1] + f" {parameter.metavar}`"
-    return f"| {name} | {_prose(text)} | {default.removesuffix(']') or ('required' if parameter.required else '')} |"
+def _row_of_own(argument: Argument) -> str:
+    """Return the row of an argument that is not in the table of options."""
+    name = f"`{argument.shown}`"
+    if argument.spellings:
+        name = ", ".join(f"`{each}`" for each in argument.spellings)[:-1] + f" {argument.metavar}`"
+    default = argument.default_text or ("required" if argument.required else "")
+    return f"| {name} | {_prose(argument.help)} | {default} |"
 
 
-def _argument(parameter: Any) -> str:
+def _usage(argument: Argument) -> str:
     """Return an argument, or a required option, as the usage has it."""
-    if parameter.param_type_name == "option":
-        return f"-o {parameter.metavar}"
-    return str(parameter.metavar) if parameter.required else f"[{parameter.metavar.strip('[]')}]"
+    return f"-o {argument.metavar}" if argument.spellings else argument.metavar
 
 
 def _sentences(text: str) -> list[str]:

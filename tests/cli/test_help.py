@@ -10,16 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-import typer
-from typer.main import get_command
 from typer.testing import CliRunner
 
 import pc2scan
 from pc2scan.cli import completion
-from pc2scan.cli.app import COMMANDS, application
-from pc2scan.cli.examples import EXAMPLES
+from pc2scan.cli.app import application, parse
+from pc2scan.cli.commands import COMMANDS
 from pc2scan.core import kernel
-from pc2scan.options.table import spelling_of
+from pc2scan.options.table import options_of, spelling_of
 from support import ROOT
 from support.command import run
 from support.tables import rows
@@ -60,27 +58,24 @@ def completed(typed: str) -> list[str]:
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_help_has_examples_and_says_each_default_once(name: str) -> None:
-    shown = run(name, "--help").stdout
-    lines = [line.strip() for line in shown.splitlines() if line.strip()]
+    text = run(name, "--help").stdout
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
     assert 2 <= sum(line.startswith("pc2scan ") for line in lines[1:7]) <= 3
-    assert max(map(len, shown.splitlines())) <= 80
-    assert not re.search(r"\[default:\s[^]]*\]\s+\[default:\s", shown)
-    # Alone it is the same command as among all.
-    alone, among = (CliRunner().invoke(application(*only), [name, "--help"]).stdout for only in ((name,), ()))
-    assert alone == among
-    command = get_command(application(name)).commands[name]  # type: ignore[attr-defined]
-    for typed, _ in EXAMPLES[name]:
-        program, called, *rest = shlex.split(typed)
-        assert (program, called) == ("pc2scan", name)
-        assert command.make_parser(typer.Context(command)).parse_args(rest)[0]
+    assert max(map(len, text.splitlines())) <= 80
+    assert not re.search(r"\[default:\s[^]]*\]\s+\[default:\s", text)
+    for typed, _ in COMMANDS[name].examples:
+        program, *words = shlex.split(typed)
+        parsed = parse(words)
+        assert not isinstance(parsed, int)
+        assert (program, parsed.command) == ("pc2scan", name)
 
 
 def test_defaults_are_for_people() -> None:
-    shown = " ".join(run("convert", "--help-all").stdout.split())
+    text = " ".join(run("convert", "--help-all").stdout.split())
     for default in ("above 0 m", "no limit", "-pi rad", "pi rad", "pi/180 rad, 1 degree", "1/30 s"):
-        assert f"[default: {default}]" in shown
-    assert "e+308" not in shown
-    assert "e-308" not in shown
+        assert f"[default: {default}]" in text
+    assert "e+308" not in text
+    assert "e-308" not in text
     everything = run("--help").stdout
     assert all(f"  {name}" in everything for name in COMMANDS)
 
@@ -97,10 +92,8 @@ def texts_of_the_library() -> Iterator[tuple[str, str]]:
 
 @pytest.mark.slow
 def test_the_library_names_options_and_the_command_spells_them() -> None:
-    group = get_command(application())
-    commands = [group.commands[name] for name in COMMANDS]  # type: ignore[attr-defined]
-    # Options are made when a command is asked for them.
-    known = {name for each in commands for made in each.get_params(typer.Context(each)) for name in made.opts}
+    known = {spelling for each in COMMANDS.values() for own in each.arguments for spelling in own.spellings}
+    known |= {option.spelling for name in COMMANDS for option in options_of(name).values()}
     named, spelled = set(), set()
     for path, text in texts_of_the_library():
         if not path.startswith("cli/"):

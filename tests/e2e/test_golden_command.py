@@ -9,10 +9,8 @@ import signal
 from pathlib import Path
 
 import pytest
-import typer
 
 import pc2scan
-from pc2scan.cli import app as app_module
 from pc2scan.cli.in_process import run_command
 from support import ROOT
 from support.command import run
@@ -80,12 +78,9 @@ def test_a_large_case_is_warned_of(less: int, told: bool, tmp_path: Path, monkey
 def test_a_signal_is_meant_for_the_whole_process(
     number: signal.Signals, raised: type[BaseException], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    app = typer.Typer()
-
-    @app.command()
-    def ended() -> None:
+    def ended(_words: object) -> int:
         raise SystemExit(128 + number)
 
-    monkeypatch.setattr(app_module, "application", lambda *_: app)
+    monkeypatch.setattr("pc2scan.cli.in_process.run", ended)
     with pytest.raises(raised):
         run_command([])

@@ -447,7 +447,7 @@ def test_a_worker_that_fails(
 # --- The moment of an interruption ---
 
 
-@pytest.mark.parametrize("module", sampled(["typer._click", "pc2scan.errors", "pc2scan.core.presets", "numpy"], 2))
+@pytest.mark.parametrize("module", sampled(["typer", "pc2scan.errors", "pc2scan.core.presets", "numpy"], 2))
 def test_an_interruption_while_modules_are_loaded(module: str, many: Path, tmp_path: Path) -> None:
     """Quiet from the first modules on; what the interpreter itself loads before is not ours."""
     command = [sys.executable, "-X", "importtime", *COMMAND[1:], "convert", str(many), "-o", str(tmp_path / "out.bag")]

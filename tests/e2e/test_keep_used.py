@@ -11,12 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import pc2scan
 from pc2scan.bags.mcap.write import McapWriter
 from pc2scan.bags.opening import open_recording
-from pc2scan.cli.app import application
 from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import TopicError
@@ -27,6 +25,7 @@ from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointCloud2, PointField, d
 from pc2scan.model import Connection, Definition
 from support import ROOT, sampled
 from support.builders import POINTS, Item, Recording, write_rosbag1
+from support.command import run
 from support.tables import rows
 from support.worlds.moving import Lidar, write_world
 
@@ -187,9 +186,9 @@ def test_a_cloud_that_is_skipped_is_skipped_once(tmp_path: Path) -> None:
         serialization="cdr", sequence=0, stamp_ns=T0, frame_id="lidar", fields=[], point_step=4, data=b"1234"
     )
     words = ["convert", str(recorded(tmp_path / "a.mcap", data)), "-o", str(tmp_path / "b.mcap"), "--keep-used", "/u"]
-    done = CliRunner().invoke(application(), words)
-    assert "no field 'x'" in done.output
-    assert "more (" not in done.output
+    done = run(*words)
+    assert "no field 'x'" in done.stderr
+    assert "more (" not in done.stderr
 
 
 def test_two_outputs_keep_points_on_topics_of_their_own(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ import pytest
 from e2e.system_calls import Job, Traced, no_tracer, trace
 from e2e.trace_driver import WAYS
 from hostile.recordings import make_hostile
-from pc2scan.cli.app import COMMANDS
+from pc2scan.cli.commands import COMMANDS
 from support import ROOT, sampled
 from support.command import COMMAND
 

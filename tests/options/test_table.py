@@ -7,15 +7,14 @@ from dataclasses import fields
 from typing import TYPE_CHECKING
 
 import pytest
-from typer.testing import CliRunner
 
-from pc2scan.cli.app import application
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError
 from pc2scan.options.call import Options
 from pc2scan.options.moment import TimeBound
 from pc2scan.options.table import GROUPS, PARAMETERS, instead_of, options_of, spelling_of
 from pc2scan.options.values import Instance
+from support.command import run
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -69,8 +68,8 @@ def test_options_of_other_commands_have_their_defaults() -> None:
 
 def shown(command: str, how: str) -> set[str]:
     """The options in a command's help."""
-    done = CliRunner().invoke(application(command), [command, how], prog_name="pc2scan")
-    assert done.exit_code == 0
+    done = run(command, how)
+    assert done.status == 0
     return set(re.findall(r"^  (?:-\w, )?(--[a-z][a-z-]*)", done.stdout, re.MULTILINE))
 
 
@@ -80,14 +79,13 @@ def test_the_short_help_has_what_people_use() -> None:
     assert len(common) <= 20
     assert short == {*common, "--help-all"} | (short & {"--output", "--help"})
     assert {options_of("convert")[name].spelling for name in RARE} & short == set()
-    every = {option.spelling for option in options_of("convert").values() if option.name != "ros_args"}
+    every = {option.spelling for option in options_of("convert").values()}
     assert every - {""} <= long
 
 
 @pytest.mark.parametrize("command", ["batch", "export", "view", "plot", "map"])
 def test_the_short_help_leads_to_the_long_one(command: str) -> None:
-    done = CliRunner().invoke(application(command), [command, "--help"], prog_name="pc2scan")
-    assert done.stdout.rstrip().endswith(f"pc2scan {command} --help-all shows all options.")
+    assert run(command, "--help").stdout.rstrip().endswith(f"pc2scan {command} --help-all shows all options.")
     assert shown(command, "--help") < shown(command, "--help-all")
 
 

@@ -10,12 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import pc2scan
 from pc2scan.bags.mcap.write import McapWriter
 from pc2scan.bags.opening import open_recording
-from pc2scan.cli.app import application
 from pc2scan.core.points import Points
 from pc2scan.errors import DecodeError, ParameterError, UsageError
 from pc2scan.messages.clouds import CLOUDS
@@ -26,6 +24,7 @@ from pc2scan.pipeline.options import ScanSpec
 from pc2scan.pipeline.stages.filters import Frame
 from support import builders
 from support.builders import T0
+from support.command import run
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -133,7 +132,7 @@ def test_a_new_cloud_type_is_in_what_is_listed(tmp_path: Path, monkeypatch: pyte
     (described,) = pc2scan.info([source]).clouds
     assert (described.shape, described.points_max, described.frames) == ((1, 2), 2, ("polar",))
     assert [name for name, *_ in described.fields] == ["x", "y", "z"]
-    printed = CliRunner().invoke(application(), ["info", str(source)]).output
+    printed = run("info", source).stdout
     assert "2 a cloud (1 x 2)\n" in printed
     assert "x float32, y float32, z float32" in printed
     with pytest.raises(UsageError, match="the recording has no LaserScan topic") as caught:

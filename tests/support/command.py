@@ -8,14 +8,11 @@ import subprocess
 import sys
 import traceback
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from functools import cache
 from io import BytesIO, TextIOWrapper
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from typer.main import get_command
-
-from pc2scan.cli.app import application
+from pc2scan.cli import app
 from pc2scan.cli.render import Screen
 
 if TYPE_CHECKING:
@@ -45,8 +42,7 @@ def run(*args: str | Path, cwd: Path | None = None) -> Finished:
     status = 0
     with _guarded(), _inside(cwd), redirect_stdout(Screen(stdout, guarded=True)), redirect_stderr(Screen(stderr)):
         try:
-            # Not the application itself: a call would set the process's hook for exceptions.
-            _command(*words[:1]).main(words, prog_name="pc2scan")
+            status = app.run(words)
         except SystemExit as err:
             status = err.code if isinstance(err.code, int) else 1
         except AssertionError:
@@ -55,11 +51,6 @@ def run(*args: str | Path, cwd: Path | None = None) -> Finished:
             status = 1
             traceback.print_exc()
     return Finished(status, *(each.buffer.getvalue().decode() for each in (stdout, stderr)))
-
-
-@cache
-def _command(name: str | None = None) -> Any:
-    return get_command(application(name))
 
 
 @contextmanager

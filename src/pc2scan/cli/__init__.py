@@ -23,7 +23,7 @@ def main() -> None:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         from pc2scan.threads import keep_freed_memory
 
-        from .app import application
+        from .app import run
         from .render import Screen, StdoutError
 
         keep_freed_memory()
@@ -43,7 +43,7 @@ def main() -> None:
             error = UsageError("is in the memory of this process, and gone when it ends", path=lost)
             sys.exit(show_failure(error, sys.argv[1:]))
         try:
-            application(*sys.argv[1:2])(prog_name="pc2scan")
+            sys.exit(run(sys.argv[1:]))
         except StdoutError as err:
             from .failures import end_without_output
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
+from pc2scan.files.urls import path_or_url
 from pc2scan.options.call import Options
 from pc2scan.text import counted, size
 
@@ -21,32 +19,8 @@ if TYPE_CHECKING:
     from pc2scan.batch.summary import Outcome
 
 
-def batch(
-    sources: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="SRC...",
-            help="Folders, which are searched for recordings; recordings; globs in quotes; text files with one path "
-            "per line; URLs.",
-        ),
-    ],
-    destination: Annotated[
-        Path,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="OUT",
-            help="Folder for the results, with the subfolders of the sources, and for manifest.jsonl. May be a URL.",
-        ),
-    ],
-    *,
-    options: Options,
-) -> None:
-    """Convert every recording of a dataset, each on its own, in several processes.
-
-    If a recording fails, the others are still converted. A second run converts only what is missing, has changed or
-    failed. OUT/manifest.jsonl has the result of each recording. After an interruption, run the same command again.
-    """
+def batch(sources: list[str], destination: str, *, options: Options) -> int:
+    """Convert every recording of a dataset."""
     from pc2scan.batch.run import BatchCallbacks
     from pc2scan.commands import batch as run
 
@@ -62,12 +36,12 @@ def batch(
             inform=lambda text: None if quiet else say(as_typed(text), err=True),
         )
         try:
-            report = run(sources, destination, options, watch)
+            report = run(sources, path_or_url(destination), options, watch)
         except KeyboardInterrupt:
             say("hint: run the same command again to continue it", err=True)
             raise
     show(report, quiet=quiet, verbose=verbose)
-    raise typer.Exit(report.exit_status)
+    return report.exit_status
 
 
 def _show_plan(plan: BatchPlan, *, quiet: bool) -> None:

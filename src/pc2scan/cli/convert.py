@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from pc2scan.files.urls import is_url
 from pc2scan.options.call import Options
 
-from .options import Destination
 from .render import LiveWarnings, progress_bar, say, show
 
 if TYPE_CHECKING:
@@ -20,23 +17,8 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.report import Report
 
 
-def convert(
-    sources: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="SRC...",
-            help="ROS 1 bag, rosbag2 directory, .db3 or .mcap file, or a URL of one. Several are merged in time order.",
-        ),
-    ],
-    destination: Destination = None,
-    *,
-    options: Options,
-) -> None:
-    """Convert recorded clouds to laser scans, or back.
-
-    PointCloud2 becomes LaserScan, with the results of ROS's pointcloud_to_laserscan. All other topics are copied.
-    Messages that cannot be converted are counted, listed, and reflected in the exit status.
-    """
+def convert(sources: list[Path], destination: str | None, *, options: Options) -> int:
+    """Convert a recording."""
     from pc2scan.commands import convert as run
 
     sources, further = _ros_arguments(sources)
@@ -48,7 +30,7 @@ def convert(
     show(result, quiet=options.quiet, verbose=options.verbose, known=warn)
     if not options.quiet and not result.dry_run:
         say(f"next: {next_command(result)}")
-    raise typer.Exit(result.exit_status)
+    return result.exit_status
 
 
 def _ros_arguments(words: Iterable[Path]) -> tuple[list[Path], dict[str, list[str]]]:

@@ -1,4 +1,4 @@
-"""Shows errors, and returns their exit statuses; Typer's usage errors are turned into errors of our style."""
+"""Shows errors, and returns their exit statuses; Typer's texts are turned into errors of our style."""
 
 from __future__ import annotations
 
@@ -7,11 +7,8 @@ import os
 import re
 import shlex
 import signal
+from difflib import get_close_matches
 from typing import TYPE_CHECKING
-
-# Typer has no public place for these; pyproject.toml allows only versions in which they are here.
-from typer._click.exceptions import BadOptionUsage, BadParameter, MissingParameter, NoSuchOption
-from typer._click.exceptions import UsageError as TyperUsageError
 
 from pc2scan.errors import DamageError, Pc2ScanError, UsageError
 from pc2scan.options.keywords import meant_by
@@ -19,6 +16,7 @@ from pc2scan.options.table import GROUPS, instead_of, options_of
 from pc2scan.options.values import Flag
 from pc2scan.text import did_you_mean
 
+from .commands import COMMANDS
 from .render import as_typed, say, show_error
 
 if TYPE_CHECKING:
@@ -33,14 +31,6 @@ _WRITING = frozenset({"batch", "convert", "export", "map", "repair", "view"})
 #: How many words a command has at least that names a source and a destination.
 _SRC_DST = 3
 
-#: Typer's names of types, and ours.
-_KINDS = {
-    "a valid int": "a whole number",
-    "a valid int range": "a whole number",
-    "a valid float": "a number",
-    "a valid float range": "a number",
-}
-
 #: Options that are typed as if they were commands.
 _FLAGS = ("help", "version")
 
@@ -51,7 +41,7 @@ _PLACES = {"golden": "DIR"}
 _ALIKE = 0.6
 
 
-def show_failure(err: Pc2ScanError | TyperUsageError, words: Sequence[str]) -> int:
+def show_failure(err: Pc2ScanError, words: Sequence[str]) -> int:
     """Show an error on standard error, and with ``--json`` also as JSON on standard output; return the exit status.
 
     Parameters
@@ -59,11 +49,8 @@ def show_failure(err: Pc2ScanError | TyperUsageError, words: Sequence[str]) -> i
     words
         What was typed after ``pc2scan``.
     """
-    if isinstance(err, TyperUsageError):
-        err = in_our_words(err, words)
-    else:
-        err.hint = _mistyped(err, words) or err.hint
-    command = words[0] if words else ""
+    err.hint = _mistyped(err, words) or err.hint
+    command = words[0]
     status = err.exit_status
     if command in VERDICTS:
         status = max(status, 2)
@@ -99,46 +86,38 @@ def end_without_output(err: OSError, words: Sequence[str]) -> int:
     return 3 if command in _WRITING else 2 if command in VERDICTS else 1
 
 
-def in_our_words(err: TyperUsageError, typed: Sequence[str]) -> UsageError:
-    """Convert an error of Typer to one of ours; ``typed`` are the arguments, including the command's name."""
-    # The command is taken from the arguments, because Typer's error lacks it if the parser itself fails.
-    command = err.ctx.command_path if err.ctx else " ".join(("pc2scan", *typed[:1]))
-    hint = f"{command} --help shows what it takes"
-    if isinstance(err, NoSuchOption):
-        near_options = _nearest_first(err.option_name, err.possibilities or ())
-        if instead := _instead(typed[0] if typed else "", err.option_name):
+def in_our_words(text: str, typed: Sequence[str]) -> UsageError:
+    """Convert the text of an error of Typer to an error of ours; ``typed`` is what was typed after ``pc2scan``."""
+    command = typed[0] if typed[0] in COMMANDS else ""
+    hint = f"{f'pc2scan {command}'.rstrip()} --help shows what it takes"
+    if unknown := re.match(r"No such option: (\S+)", text):
+        option = unknown[1]
+        if instead := _instead(command, option):
             hint = instead
-        elif near_options:
-            hint = f"did you mean {' or '.join(near_options)}?"
-        elif err.option_name == "--json":
+        elif option == "--json":
             hint = "--report report.json writes a report as JSON"
+        elif near := _near_options(command, option):
+            hint = f"did you mean {' or '.join(near)}?"
         elif file := next((word for word in typed if word.startswith("-") and os.path.lexists(word)), None):
             hint = f"for the file of this name, type ./{file}"
-        return UsageError(f"there is no option {err.option_name}", hint=hint)
-    if isinstance(err, MissingParameter) and err.param is not None:
-        is_option = err.param.param_type_name == "option"
-        name = "/".join(err.param.opts) if is_option else err.param.human_readable_name
-        return UsageError(f"{name} is missing", hint=(is_option and _meant_as_output(typed)) or hint)
-    text = err.message.rstrip(".")
-    if unreadable := re.search(r"(?:Path|File|Directory) '(.*)' is not readable$", text):
-        return UsageError("permission denied", path=unreadable[1], hint="ls -l shows who owns it and who may read it")
-    if isinstance(err, BadParameter) and err.param is not None:
-        value, is_not, kind = text.rpartition(" is not ")
-        near = did_you_mean(value.strip("'"), re.findall(r"'([^']*)'", kind)) if kind.startswith("one of") else ""
-        kind = re.sub(r"^in the range x>=(\S+)$", r"\1 or more", kind)
-        spellings = err.param.opts if err.param.param_type_name == "option" else [err.param.human_readable_name]
-        return UsageError(f"{_spelling(spellings, typed)}: {value}{is_not}{_KINDS.get(kind, kind)}", hint=near or hint)
-    if isinstance(err, BadOptionUsage):
-        return UsageError(f"{err.option_name} {text.removeprefix(f'Option {err.option_name!r} ')}", hint=hint)
+        return UsageError(f"there is no option {option}", hint=hint)
+    if not command and not typed[0].startswith("-"):
+        return _no_command(typed)
     if text.startswith("Got unexpected extra argument"):
         hint = _meant_as_output(typed) or _meant_as_option(typed) or hint
-    text, _, near = text.partition(". Did you mean ")
-    if typed and f"No such command {typed[0]!r}" == text:
-        if os.path.lexists(typed[0]):
-            hint = f"the command comes first: pc2scan info {shlex.quote(typed[0])}"
-        elif typed[0] in _FLAGS:
-            hint = " ".join(("pc2scan", *(word for word in typed[1:2] if word in GROUPS), f"--{typed[0]}"))
-    return UsageError(text[:1].lower() + text[1:], hint=f"did you mean {near}" if near else hint)
+    text = re.sub(r"^Option '(\S+)' ", r"\1 ", text.rstrip("."))
+    return UsageError(text[:1].lower() + text[1:], hint=hint)
+
+
+def _no_command(typed: Sequence[str]) -> UsageError:
+    """Return the error about a first word that is no command."""
+    name = typed[0]
+    hint = did_you_mean(name, COMMANDS) or "pc2scan --help shows what it takes"
+    if os.path.lexists(name):
+        hint = f"the command comes first: pc2scan info {shlex.quote(name)}"
+    elif name in _FLAGS:
+        hint = " ".join(("pc2scan", *(word for word in typed[1:2] if word in COMMANDS), f"--{name}"))
+    return UsageError(f"no such command {name!r}", hint=hint)
 
 
 def _mistyped(err: Pc2ScanError, words: Sequence[str]) -> str:
@@ -152,6 +131,8 @@ def _mistyped(err: Pc2ScanError, words: Sequence[str]) -> str:
             return "the shell replaces * only without quotes; pc2scan batch converts each of several recordings"
         if hint := _meant_as_option(words, name) or (name == words[-1] and _meant_as_output(words)):
             return hint
+    if err.message.endswith(" is missing") and (hint := _meant_as_output(words)):
+        return hint
     if "--static-tf" in words and isinstance(err, UsageError):
         begin = words.index("--static-tf") + 1
         count = next((n for n in (9, 8) if _is_transform(words[begin : begin + n])), 0)
@@ -175,7 +156,7 @@ def _meant_as_option(words: Sequence[str], missing: str = "") -> str:
 
     ``missing`` is the word that was taken for a path, if it is known.
     """
-    options = options_of(words[0]).values() if words[0] in GROUPS else ()
+    options = options_of(words[0]).values() if words[0] in COMMANDS else ()
     known = {option.spelling: option for option in options if option.spelling}
     for at, word in enumerate(words[1:], 1):
         option = known.get(f"--{word.replace('_', '-')}")
@@ -202,29 +183,15 @@ def _is_transform(words: Sequence[str]) -> bool:
 
 def _instead(command: str, typed: str) -> str:
     """Return what to use instead of an option that only other commands have, or other tools."""
-    if command in GROUPS and (meant := meant_by(command, typed.strip("-").replace("-", "_"))):
+    if command and (meant := meant_by(command, typed.strip("-").replace("-", "_"))):
         return as_typed(f"did you mean {' and '.join(meant)}?")
-    names = [name for name in (typed.strip("-").replace("-", "_"),) if command in GROUPS]
+    names = [name for name in (typed.strip("-").replace("-", "_"),) if command]
     names += [option.name for other in GROUPS for option in options_of(other).values() if option.spelling == typed]
     return next((as_typed(text) for name in names if (text := instead_of(command, name))), "")
 
 
-def _nearest_first(typed: str, options: Sequence[str]) -> list[str]:
+def _near_options(command: str, typed: str) -> list[str]:
     """Return the options similar to the typed one; if one differs only in its underscores, only that one."""
-    from difflib import SequenceMatcher
-
-    plain = typed.replace("_", "-").lower()
-    if plain in options:
-        return [plain]
-    likeness = {option: SequenceMatcher(None, plain.strip("-"), option.strip("-")).ratio() for option in options}
-    return sorted((option for option in options if likeness[option] >= _ALIKE), key=lambda option: -likeness[option])
-
-
-def _spelling(spellings: Sequence[str], typed: Sequence[str]) -> str:
-    """Return how an option was typed last, which is what counts: ``-j``, ``-j4``, ``--jobs=4``."""
-    for word in reversed(typed):
-        for spelling in spellings:
-            joined = spelling + "=" if spelling.startswith("--") else spelling
-            if word == spelling or word.startswith(joined):
-                return spelling
-    return spellings[0]
+    plain = typed.strip("-").replace("_", "-").lower()
+    options = [option.spelling.strip("-") for option in options_of(command).values()] if command else []
+    return [f"--{near}" for near in ([plain] if plain in options else get_close_matches(plain, options, cutoff=_ALIKE))]

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from pc2scan.errors import UsageError
 from pc2scan.options.call import Options
@@ -16,33 +14,13 @@ if TYPE_CHECKING:
     from pc2scan.golden.result import CaseResult
 
 
-def golden(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder of cases, or one case.")],
-    pattern: Annotated[
-        str,
-        typer.Option(
-            "-k",
-            metavar="PATTERN",
-            help="Run only cases whose name contains this or matches this glob.",
-            show_default=False,
-        ),
-    ] = "",
-    *,
-    options: Options,
-) -> None:
-    """Check conversions against their expected output.
-
-    A case is a folder with input.bag (or input.mcap, input.db3, input/), params.yaml, and the expected output of the
-    conversion, expected.txt (or expected.bag, expected.mcap, expected/). A case.yaml may name other inputs, further
-    arguments of convert, and tolerances.
-
-    Exit status: 0 all as expected, 1 some differ, 2 some could not be checked.
-    """
+def golden(folder: Path, pattern: str | None, *, options: Options) -> int:
+    """Check conversions against their expected output."""
     if options.init is not None:
         if pattern or options.given.keys() & {"update", "as_json"}:
             raise UsageError("--init makes one case, and cannot be combined with -k, --update or --json")
         _init(folder, options)
-        return
+        return 0
     if options.given.keys() & {"start", "end", "topics", "params_file"}:
         raise UsageError("--start, --end, --topic and --params-file need --init", hint="a case has its own")
     from pc2scan.commands import golden as run
@@ -53,12 +31,12 @@ def golden(
         if not options.as_json and not (options.quiet and case.outcome == "passed"):
             show_parts(case.body())
 
-    report = run(folder, pattern, options, run_command, each=show_case)
+    report = run(folder, pattern or "", options, run_command, each=show_case)
     if options.as_json:
         show(report, as_json=True)
     else:
         show_parts(report.conclusion())
-    raise typer.Exit(report.exit_status)
+    return report.exit_status
 
 
 def _init(folder: Path, options: Options) -> None:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import os
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
+from pc2scan.files.urls import path_or_url
 from pc2scan.options.call import Options
 
 from .render import LiveWarnings, show
@@ -19,29 +18,15 @@ if TYPE_CHECKING:
 _WHERE = "MPLCONFIGDIR"
 
 
-def plot(
-    sources: Annotated[
-        list[Path],
-        typer.Argument(metavar="SRC...", help="Recordings with clouds; several are merged in time order."),
-    ],
-    destination: Annotated[
-        Path,
-        typer.Option("--output", "-o", metavar="FIGURE", help="The figure: *.png, *.svg or *.pdf.", show_default=False),
-    ],
-    *,
-    options: Options,
-) -> None:
-    """Draw clouds from above and from the side, with the height band and the scan, for reports.
-
-    Needs matplotlib: pip install "pc2scan[plot]". To tune parameters, use `pc2scan view`.
-    """
+def plot(sources: list[Path], destination: str, *, options: Options) -> int:
+    """Draw clouds."""
     from pc2scan.commands import plot as run
 
     warn = LiveWarnings()
     with _temporary_fonts():
-        drawn = run(sources, destination, options, warn=warn)
+        drawn = run(sources, path_or_url(destination), options, warn=warn)
     show(drawn, known=warn)
-    raise typer.Exit(drawn.exit_status)
+    return drawn.exit_status
 
 
 @contextmanager

@@ -3,46 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from pc2scan.errors import TransformError, UnconnectedError, UsageError, stamp_text
 from pc2scan.options.call import Options
 from pc2scan.options.moment import TimeBound
 
-from . import completion
 from .render import show
 
 
-def tf(
-    sources: Annotated[list[Path], typer.Argument(metavar="SRC...", help="Recordings; their transforms are merged.")],
-    lookup: Annotated[
-        tuple[str, str] | None,
-        typer.Option(
-            "--lookup",
-            metavar="TARGET SOURCE",
-            help="Print the transform from SOURCE to TARGET.",
-            autocompletion=completion.frames,
-        ),
-    ] = None,
-    at: Annotated[
-        str | None,
-        typer.Option(
-            metavar="TIME",
-            help="With --lookup: the stamp, in seconds (or nanoseconds) since 1970, or as a date and time.  "
-            "[default: the latest time common to all frames between]",
-            show_default=False,
-        ),
-    ] = None,
-    *,
-    options: Options,
-) -> None:
-    """Show the frames of a recording.
-
-    It shows the tree, and the rate, first and last times, and largest gap of each frame. Unconnected parts are shown
-    separately.
-    """
+def tf(sources: list[Path], lookup: tuple[str, str] | None, at: str | None, *, options: Options) -> int:
+    """Show the frames of a recording."""
     from pc2scan.commands import tf as run
     from pc2scan.inspect.tf import Lookup
 
@@ -64,6 +34,7 @@ def tf(
         show(Lookup(lookup[0], lookup[1], stamp_ns or None, rigid, tree.damage), as_json=options.as_json)
     else:
         show(tree, as_json=options.as_json)
+    return 0
 
 
 #: Times below this, in nanoseconds since 1970 (1973), are probably meant to count from a recording's beginning.

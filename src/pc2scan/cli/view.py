@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
+from pc2scan.files.urls import path_or_url
 from pc2scan.options.call import Options
 
 from .render import LiveWarnings, show, warn
@@ -15,38 +14,17 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 
-def view(
-    sources: Annotated[
-        list[Path],
-        typer.Argument(metavar="SRC...", help="Recordings with clouds or scans; several are merged in time order."),
-    ],
-    destination: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="PAGE",
-            help="The page, an HTML file. Default: next to SRC, named after it, with _view.html at the end.",
-        ),
-    ] = None,
-    *,
-    options: Options,
-) -> None:
-    """Write a page that shows clouds and the scans made of them, to tune the parameters by eye.
-
-    The page is one HTML file that needs no network. In it you change heights, ranges, sector, mount and all other
-    parameters. It computes the same scans as `pc2scan convert`, to the bit, and shows the command line and parameter
-    files for them. Of a recording without clouds, it shows the scans.
-    """
+def view(sources: list[Path], destination: str | None, *, options: Options) -> int:
+    """Write a page that shows clouds and their scans."""
     from pc2scan.commands import view as run
 
-    path = destination or _beside(sources)
+    path = _beside(sources) if destination is None else path_or_url(destination)
     warn = LiveWarnings()
     page = run(sources, path, options, warn=warn)
     show(page, known=warn)
     if options.open_page:
         _open(path)
-    raise typer.Exit(page.exit_status)
+    return page.exit_status
 
 
 def _beside(sources: Sequence[Path]) -> Path:

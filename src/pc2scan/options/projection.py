@@ -9,7 +9,6 @@ from typing import Annotated, Any, TypedDict
 from pc2scan.core.params import CHOICES, ProjectionParams
 
 from .option import (
-    CALL_ONLY,
     CONVERSION,
     PYTHON,
     SINGLE,
@@ -192,10 +191,6 @@ class ParameterSources(TypedDict, total=False):
             short="-r",
             scope=SINGLE,
         ),
-    ]
-    ros_args: Annotated[
-        bool | None,
-        Option(Flag(), "ROS 2's marker in front of -r and -p; changes nothing.", scope=CALL_ONLY, command_only=True),
     ]
     preset: Annotated[
         str | None,

@@ -1,0 +1,310 @@
+"""The commands: what their help says, their arguments, and the examples at its beginning."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Argument(NamedTuple):
+    """An argument of a command that is not in the table of options.
+
+    Attributes
+    ----------
+    name
+        The parameter of the command's function.
+    metavar
+        What stands for it in the help: ``SRC...`` may be several, ``TARGET SOURCE`` are two.
+    help
+        One or two sentences, without the default.
+    spellings
+        How an option is typed; empty for a positional argument.
+    required
+        Whether it must be there.
+    default_text
+        The default for users.
+    is_path
+        Whether it is a path.
+    """
+
+    name: str
+    metavar: str
+    help: str
+    spellings: tuple[str, ...] = ()
+    required: bool = False
+    default_text: str = ""
+    is_path: bool = True
+
+    @property
+    def shown(self) -> str:
+        """How errors and tables name it: ``SRC...``, ``B``, ``-o``."""
+        return self.spellings[0] if self.spellings else self.metavar.strip("[]")
+
+
+class Command(NamedTuple):
+    """What the help of a command says: a text whose first line stands in the list of commands, and examples."""
+
+    help: str
+    arguments: tuple[Argument, ...]
+    examples: tuple[tuple[str, str], ...]
+
+
+def _sources(text: str) -> Argument:
+    return Argument("sources", "SRC...", text, required=True)
+
+
+def _output(metavar: str, text: str, *, required: bool = False, default_text: str = "") -> Argument:
+    return Argument("destination", metavar, text, ("-o", "--output"), required, default_text)
+
+
+_DST = _output(
+    "DST",
+    "*.bag: ROS 1 bag; *.mcap: MCAP file; DIR/: a file in this folder, named after SRC; any other name: rosbag2 "
+    "directory.",
+    default_text="next to SRC, in SRC's format, with _scan (repair: _repaired) in its name",
+)
+
+#: The commands in the order of the help; each is a function in the module of its name.
+COMMANDS = {
+    "convert": Command(
+        """Convert recorded clouds to laser scans, or back.
+
+        PointCloud2 becomes LaserScan, with the results of ROS's pointcloud_to_laserscan. All other topics are copied.
+        Messages that cannot be converted are counted, listed, and reflected in the exit status.""",
+        (
+            _sources(
+                "ROS 1 bag, rosbag2 directory, .db3 or .mcap file, or a URL of one. Several are merged in time order."
+            ),
+            _DST,
+        ),
+        (
+            ("pc2scan convert drive.bag --min-height 0.1 --max-height 1.5", "writes drive_scan.bag"),
+            (
+                "pc2scan convert drive.bag -o drive.mcap --params-file params.yaml",
+                "with the parameter file of the robot",
+            ),
+            ("pc2scan convert drive.bag --preset slam_toolbox --target-frame base_link", "scans that SLAM takes"),
+        ),
+    ),
+    "batch": Command(
+        """Convert every recording of a dataset, each on its own, in several processes.
+
+        If a recording fails, the others are still converted. A second run converts only what is missing, has changed or
+        failed. OUT/manifest.jsonl has the result of each recording. After an interruption, run the same command
+        again.""",
+        (
+            Argument(
+                "sources",
+                "SRC...",
+                "Folders, which are searched for recordings; recordings; globs in quotes; text files with one path per "
+                "line; URLs.",
+                required=True,
+                is_path=False,
+            ),
+            _output(
+                "OUT",
+                "Folder for the results, with the subfolders of the sources, and for manifest.jsonl. May be a URL.",
+                required=True,
+            ),
+        ),
+        (
+            ("pc2scan batch recordings/ -o scans/ --preset slam_toolbox", "every recording, several at a time"),
+            ("pc2scan batch recordings/ -o scans/ --dataset dataset.yaml", "other options for some recordings"),
+            ("pc2scan batch recordings/ -o scans/ --dry-run", "show what would be done, and why"),
+        ),
+    ),
+    "export": Command(
+        """Write scans with poses, the trajectory, or clouds as files for learning and evaluation.
+
+        The scans are those of the LaserScan topics. With any parameter of the projection, the clouds are converted
+        first, like with `pc2scan convert`. Poses are interpolated like in tf2, and never extrapolated: messages without
+        a pose at their stamp are skipped and counted, and the exit status is 3.""",
+        (
+            _sources("Recordings with scans or clouds; several are merged in time order."),
+            _output(
+                "OUT",
+                "The file to write. DIR/: a new folder with a file for each topic. For clouds: always a folder.",
+                required=True,
+            ),
+        ),
+        (
+            (
+                "pc2scan export scans.mcap -o scans.npz --pose-frame odom",
+                "scans with the robot's pose, as NumPy arrays",
+            ),
+            ("pc2scan export drive.bag -o scans.csv --min-height -0.3", "convert its clouds; one row per scan"),
+            ("pc2scan export drive.bag -o clouds --format pcd", "one file per cloud"),
+        ),
+    ),
+    "view": Command(
+        """Write a page that shows clouds and the scans made of them, to tune the parameters by eye.
+
+        The page is one HTML file that needs no network. In it you change heights, ranges, sector, mount and all other
+        parameters. It computes the same scans as `pc2scan convert`, to the bit, and shows the command line and
+        parameter files for them. Of a recording without clouds, it shows the scans.""",
+        (
+            _sources("Recordings with clouds or scans; several are merged in time order."),
+            _output(
+                "PAGE",
+                "The page, an HTML file.",
+                default_text="next to SRC, named after it, with _view.html at the end",
+            ),
+        ),
+        (
+            ("pc2scan view drive.bag", "a page that shows its clouds and scans"),
+            ("pc2scan view drive.bag --min-height 0.1 --max-height 1.5", "with scans of these heights"),
+        ),
+    ),
+    "plot": Command(
+        """Draw clouds from above and from the side, with the height band and the scan, for reports.
+
+        Needs matplotlib: pip install "pc2scan[plot]". To tune parameters, use `pc2scan view`.""",
+        (
+            _sources("Recordings with clouds; several are merged in time order."),
+            _output("FIGURE", "The figure: *.png, *.svg or *.pdf.", required=True),
+        ),
+        (
+            (
+                "pc2scan plot drive.bag -o figure.png --min-height -0.3 --max-height 1",
+                "a cloud, the height band, and the scan",
+            ),
+            ("pc2scan plot drive.bag -o figure.pdf --frames 3", "three moments side by side"),
+        ),
+    ),
+    "map": Command(
+        """Draw the scans of a recording into a map, placed by the recorded odometry: a preview, not SLAM.
+
+        Nothing is matched or corrected: doubled walls show that mounts, stamps or odometry do not fit together. A scan
+        is placed at its stamp; if it has a time_increment, each beam is placed at its own time. Clouds are converted
+        and drawn if there are no scans, if --topic names them, or with any option that is about their conversion.
+
+        Exit status: 0 done, 1 failed, 2 wrong usage, 3 written, but with scans skipped or from a damaged source.""",
+        (
+            _sources(
+                "Recordings with scans, or with clouds, which are converted like with `pc2scan convert`; several are "
+                "merged in time order."
+            ),
+            _output("NAME.yaml", "The map for map_server, NAME.yaml and NAME.pgm, and the picture NAME.png."),
+        ),
+        (
+            ("pc2scan map scans.mcap --png map.png", "its scans, placed by the odometry"),
+            (
+                "pc2scan map drive.bag -o map.yaml --min-height 0.1 --max-height 1.5",
+                "a map for map_server, made of clouds",
+            ),
+        ),
+    ),
+    "check": Command(
+        """Check whether SLAM and navigation accept a recording's scans.
+
+        The verdict for each LaserScan topic and consumer is: accepted; shifted (accepted, but rotated by up to one
+        beam); misplaced (accepted, but with beams or ranges in wrong places); ignored; or aborts (the consumer
+        crashes). Each comes with the rule, the numbers and a remedy. Problems for all consumers follow, as defects or
+        notices: frames and transforms, stamps, rates, lengths, ranges.
+
+        Exit status: 0 all accepted (without --for: or shifted, and no defect), 1 not all, 2 wrong usage.""",
+        (_sources("Recordings with scans; several are merged in time order."),),
+        (
+            ("pc2scan check scans.mcap", "do SLAM and navigation accept its scans?"),
+            ("pc2scan check scans.mcap --for slam_toolbox --for nav2", "only these decide"),
+        ),
+    ),
+    "info": Command(
+        """Describe a recording, its clouds and its scans.
+
+        For each topic with clouds, it shows fields, points, frame, NaN, the spread of x, y, z and range, and a
+        histogram of heights, which helps to choose --min-height and --max-height. For each LaserScan topic: beams,
+        sector and increment, limits, the share of returns, and the consumers that accept them. Then the heights of
+        floor and ceiling, whether the clouds are tilted, upside down or in a camera's optical frame, and a convert
+        command for them.""",
+        (_sources("Recordings; several are merged in time order."),),
+        (
+            ("pc2scan info drive.bag", "its topics, and the heights of its points"),
+            ("pc2scan info drive.bag --json", "the same as JSON, for programs"),
+        ),
+    ),
+    "tf": Command(
+        """Show the frames of a recording.
+
+        It shows the tree, and the rate, first and last times, and largest gap of each frame. Unconnected parts are
+        shown separately.""",
+        (
+            _sources("Recordings; their transforms are merged."),
+            Argument(
+                "lookup", "TARGET SOURCE", "Print the transform from SOURCE to TARGET.", ("--lookup",), is_path=False
+            ),
+            Argument(
+                "at",
+                "TIME",
+                "With --lookup: the stamp, in seconds (or nanoseconds) since 1970, or as a date and time.",
+                ("--at",),
+                default_text="the latest time common to all frames between",
+                is_path=False,
+            ),
+        ),
+        (
+            ("pc2scan tf drive.bag", "its frames"),
+            ("pc2scan tf drive.bag --lookup base_link lidar", "where the lidar is on the robot"),
+        ),
+    ),
+    "repair": Command(
+        """Write everything that can be recovered of a damaged recording, of any type, byte for byte.
+
+        The exit status is 0 if nothing was damaged (DST is then a complete copy), 3 if something was. SRC is never
+        changed.""",
+        (
+            Argument(
+                "source", "SRC", "ROS 1 bag, rosbag2 directory, .db3 or .mcap file; damaged or not.", required=True
+            ),
+            _DST,
+        ),
+        (
+            ("pc2scan repair drive.bag.active", "writes drive_repaired.bag"),
+            ("pc2scan repair cut_off.mcap -o sound.mcap", "everything that can be recovered"),
+        ),
+    ),
+    "diff": Command(
+        """Show the differences between two recordings.
+
+        Scans and clouds are compared message by message, matched by their header's stamp: repeated stamps in order,
+        messages without a stamp by log time. All bits must be equal unless a tolerance is given. Container, compression
+        and ROS version are not compared.
+
+        Exit status: 0 the same, 1 different, 2 not comparable.""",
+        (
+            Argument("a", "A", "A recording, the reference.", required=True),
+            Argument("b", "[B]", "The recording to compare with it.", default_text="A itself, see --topic"),
+        ),
+        (
+            ("pc2scan diff before.bag after.mcap", "every scan and cloud, to the bit"),
+            ("pc2scan diff before.bag after.mcap --rtol 1e-5", "with a tolerance"),
+            ("pc2scan diff drive.bag --topic /scan:=/scan2", "two topics of one recording"),
+        ),
+    ),
+    "golden": Command(
+        """Check conversions against their expected output.
+
+        A case is a folder with input.bag (or input.mcap, input.db3, input/), params.yaml, and the expected output of
+        the conversion, expected.txt (or expected.bag, expected.mcap, expected/). A case.yaml may name other inputs,
+        further arguments of convert, and tolerances.
+
+        Exit status: 0 all as expected, 1 some differ, 2 some could not be checked.""",
+        (
+            Argument("folder", "DIR", "A folder of cases, or one case.", required=True),
+            Argument(
+                "pattern",
+                "PATTERN",
+                "Run only cases whose name contains this or matches this glob.",
+                ("-k",),
+                is_path=False,
+            ),
+        ),
+        (
+            ("pc2scan golden golden/", "do conversions still give the expected output?"),
+            (
+                "pc2scan golden golden/turn --init drive.bag --start 12 --end 14",
+                "make a new case of two seconds of a drive",
+            ),
+            ("pc2scan golden golden/ -k drive --update", "expect the present output from now on"),
+        ),
+    ),
+}

@@ -1,0 +1,128 @@
+"""The help: plain text in sections, as wide as the terminal."""
+
+from __future__ import annotations
+
+import sys
+from inspect import cleandoc
+from textwrap import wrap
+from typing import TYPE_CHECKING
+
+from pc2scan.options.option import Parameter
+from pc2scan.options.table import options_of
+from pc2scan.options.values import Flag
+
+from .commands import COMMANDS
+from .render import as_typed
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from pc2scan.options.option import Option
+
+    from .commands import Argument
+
+ABOUT = "Recorded 3D lidar to the 2D laser scans that SLAM and navigation need, without a ROS installation."
+
+_STATUSES = (
+    "Exit status: 0 done, 1 failed and nothing written, 2 wrong usage or a missing file, "
+    "3 written but with messages skipped, from a damaged source, or without the report, "
+    "4 written but no scan has a return. "
+    "batch: 0 all converted, 3 some with messages skipped, damage or empty scans, 1 any failed, "
+    "5 ended early because the disk is full. "
+    "check, diff and golden: 0 accepted or the same, 1 not, 2 could not be judged."
+)
+
+#: Of a command with more options than these, ``--help`` shows the common ones.
+_FEW = 30
+
+#: The width where it is unknown, the largest, and that of the column of options.
+_WIDTH, _WIDEST, _COLUMN = 80, 120, 30
+
+
+def has_more(command: str) -> bool:
+    """Return whether ``--help-all`` shows more options of a command than ``--help``."""
+    return len(options_of(command)) > _FEW
+
+
+def help_of(command: str, *, every: bool = False) -> Iterator[str]:
+    """Yield the lines of the help of a command, or of all commands if there is none."""
+    width = min(getattr(sys.stdout, "width", None) or _WIDTH, _WIDEST)
+    if not command:
+        yield from _help_of_all(width)
+        return
+    shown = COMMANDS[command]
+    positional = [argument for argument in shown.arguments if not argument.spellings]
+    yield " ".join(("Usage: pc2scan", command, "[OPTIONS]", *(argument.metavar for argument in positional)))
+    yield ""
+    beside = [f"  {typed}  # {what}" for typed, what in shown.examples]
+    if max(map(len, beside)) <= width:
+        yield from beside
+    else:
+        for typed, what in shown.examples:
+            yield from (f"  # {what}", f"  {typed}")
+    yield from _paragraphs(shown.help, width)
+    short = has_more(command) and not every
+    sections = {"Arguments": [_row_of_own(argument) for argument in positional]}
+    sections["Options"] = [_row_of_own(argument) for argument in shown.arguments if argument.spellings]
+    for option in options_of(command).values():
+        if option.spelling and (option.common or not short):
+            sections.setdefault(option.panel or "Options", []).append(_row(option))
+    sections["Options"].append(("-h, --help", "Show this message and exit."))
+    if has_more(command):
+        sections["Options"].append(("--help-all", "Show all options, and exit."))
+    for title, rows in sections.items():
+        yield from _section(title, rows, width)
+    if short:
+        yield from ("", f"pc2scan {command} --help-all shows all options.")
+
+
+def _help_of_all(width: int) -> Iterator[str]:
+    yield "Usage: pc2scan [OPTIONS] COMMAND [ARGS]..."
+    yield from _paragraphs(ABOUT, width)
+    options = (
+        ("--version", "Show the version and exit."),
+        ("--install-completion", "Install completion for the current shell."),
+        ("--show-completion", "Show completion for the current shell, to copy it or customize the installation."),
+        ("-h, --help", "Show this message and exit."),
+    )
+    yield from _section("Options", options, width)
+    yield from _section("Commands", [(name, each.help.partition("\n")[0]) for name, each in COMMANDS.items()], width)
+    yield from _paragraphs(_STATUSES, width)
+
+
+def _paragraphs(text: str, width: int) -> Iterator[str]:
+    for paragraph in cleandoc(text).split("\n\n"):
+        yield ""
+        yield from wrap(paragraph, width, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False)
+
+
+def _section(title: str, rows: Iterable[tuple[str, str]], width: int) -> Iterator[str]:
+    """Yield a title and two columns: what is typed, and what it does."""
+    rows = list(rows)
+    yield from ("", f"{title}:")
+    column = min(max(len(typed) for typed, _ in rows), _COLUMN, width // 2) + 4
+    for typed, text in rows:
+        lines = wrap(text, width - column, break_on_hyphens=False, break_long_words=False)
+        if len(typed) > column - 4:
+            yield f"  {typed}"
+        else:
+            yield f"  {typed:{column - 2}}{lines.pop(0)}"
+        yield from (" " * column + line for line in lines)
+
+
+def _row_of_own(argument: Argument) -> tuple[str, str]:
+    default = "required" if argument.required else argument.default_text and f"default: {argument.default_text}"
+    typed = f"{', '.join(argument.spellings)} {argument.metavar}" if argument.spellings else argument.shown
+    return typed, argument.help + (f"  [{default}]" if default else "")
+
+
+def _row(option: Option) -> tuple[str, str]:
+    """Return how an option is typed, and its help with its default."""
+    value = option.value
+    typed = ", ".join(filter(None, (option.short, option.spelling)))
+    if not isinstance(value, Flag):
+        typed += f" {value.metavar or '|'.join(value.words) or 'X'}"
+    elif isinstance(option, Parameter):
+        typed += f" / {option.negation}"
+    text = as_typed(option.help) + (" Repeatable." if value.repeats else "")
+    return typed, text + (f"  [default: {option.default_text}]" if option.default_text else "")
