@@ -346,6 +346,18 @@ SITUATIONS = (
         (f"{_DESKEW} --point-time t:us",),
     ),
     Situation(
+        "times of points on another clock than their stamps",
+        drive(lidar=replace(RINGS, points_clock=37.0)),
+        (
+            ("info {src}", "measured 37 to 37.1 s after the stamp of their cloud, by field timestamp, but clouds come"),
+            ("info {src}", "deskewing moves the points wrongly; --point-time azimuth computes the times of a lidar"),
+            (_DESKEW, "from which its points are 37 s away: their clock is another one; --point-time azimuth"),
+            (f"{_DESKEW} --point-time azimuth", "hint: if it is the first: --point-time azimuth:0.1:ccw:start"),
+        ),
+        ("info {src}", _DESKEW),
+        drive(lidar=replace(RINGS, points_clock=0.0)),
+    ),
+    Situation(
         "times of points in no known unit",
         drive(lidar=replace(RINGS, time_scale=1e-4)),
         ((_DESKEW, "are in no unit that fits"), ("info {src}", "are in no unit that fits")),

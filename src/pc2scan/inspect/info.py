@@ -22,7 +22,7 @@ from pc2scan.model import copied_message
 from pc2scan.pipeline.clocks import Clocks
 from pc2scan.pipeline.cloud_scale import scaled
 from pc2scan.pipeline.items import Span
-from pc2scan.pipeline.point_times import duration_warning, increment_warning
+from pc2scan.pipeline.point_times import increment_warning, time_warnings
 from pc2scan.pipeline.stages.point_time import PointTime
 from pc2scan.pipeline.survey import Survey
 from pc2scan.result import Call, Part, Result
@@ -369,7 +369,7 @@ def info_of(
             if each.mounting is not None
         ]
         warnings += dict.fromkeys(text for each in clouds for text in found.moving_frames(found.facts[each.topic]))
-        warnings += filter(None, (duration_warning(each.facts, PointTime()) for each in lidars))
+        warnings += (text for each in lidars for text in time_warnings(each.facts, PointTime()))
         warnings += (*missing_mounts(lidars), *odometry_doubts(lidars))
         summaries = [each.summary for each in readers]
         calls = proposals(

@@ -10,6 +10,7 @@ from pc2scan.core.percentiles import median
 from pc2scan.core.points import TIME
 from pc2scan.core.timing import IN_SECONDS, TIME_UNITS, fit_sweep, increment_doubt, is_brief, median_interval_ns
 
+from .stages.point_time import BY_AZIMUTH
 from .stages.turn import TURN_CLOUDS, measure_turn, turn_sample
 from .survey import Fact
 
@@ -106,7 +107,7 @@ def time_warnings(facts: TopicFacts, point_time: PointTime) -> Iterator[str]:
         first, last = sorted((abs(low), abs(high)))
         yield (
             f"{topic}: the points are measured {first:.3g} to {last:.3g} s {where} the stamp of their cloud, by field "
-            f"{name}, but {every}: if their clocks differ, deskewing moves the points wrongly"
+            f"{name}, but {every}: if their clocks differ, deskewing moves the points wrongly; {BY_AZIMUTH}"
         )
 
 
@@ -193,8 +194,7 @@ def _duration_doubt(topic: str, clouds: Sequence[PointTimes]) -> str:
     if is_brief(whole, period):
         return (
             f"{topic}: the times of the points, field {name}, are in no unit that fits, as {used} {takes}: deskewing "
-            "hardly moves a point; `point_time=FIELD` names another field, and `point_time=azimuth` computes the times "
-            "of a lidar that turns"
+            f"hardly moves a point; `point_time=FIELD` names another field, and {BY_AZIMUTH}"
         )
     return ""
 

@@ -131,6 +131,8 @@ class Lidar:
         Seconds that log times are off at most.
     time_scale
         Of the times that are written, for those in another unit.
+    points_clock
+        Seconds by which the points' own clock is ahead: they have absolute times then.
     """
 
     topic: str = "/points"
@@ -145,6 +147,7 @@ class Lidar:
     latency: float = 0.002
     jitter: float = 0.0
     time_scale: float = 1.0
+    points_clock: float | None = None
 
     def sweeps(self, seconds: float) -> Iterator[tuple[float, Floats, Floats]]:
         """When each message begins, the times of its rays after that, and their directions (N, 3)."""
@@ -229,19 +232,24 @@ def _scan(lidar: Lidar, stamp_ns: int, distances: Floats) -> bytes:
 
 
 def _cloud(lidar: Lidar, stamp_ns: int, times: Floats, directions: Floats, distances: Floats) -> bytes:
-    points = np.empty(len(times), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("t", "<u4")])
+    # A field with the points' times: its name, kind and PointField's datatype.
+    name, kind, datatype = ("t", "<u4", 6) if lidar.points_clock is None else ("timestamp", "<f8", 8)
+    points = np.empty(len(times), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), (name, kind)])
     with np.errstate(invalid="ignore"):
         for axis, values in zip("xyz", (directions * distances[:, np.newaxis]).T, strict=True):
             points[axis] = np.where(np.isfinite(distances), values, np.nan)
     points["intensity"] = np.where(np.isfinite(distances), 50, 0)
-    points["t"] = np.round(times * 1e9 * lidar.time_scale)
+    if lidar.points_clock is None:
+        points[name] = np.round(times * 1e9 * lidar.time_scale)
+    else:
+        points[name] = stamp_ns / 1e9 + lidar.points_clock + times
     fields = [PointField(name, 4 * place, 7) for place, name in enumerate(("x", "y", "z", "intensity"))]
     return encode_pointcloud2(
         serialization="cdr",
         sequence=0,
         stamp_ns=stamp_ns,
         frame_id=lidar.frame,
-        fields=[*fields, PointField("t", 16, 6)],
+        fields=[*fields, PointField(name, 16, datatype)],
         point_step=points.itemsize,
         data=points.tobytes(),
     )

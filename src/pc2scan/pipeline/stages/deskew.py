@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from pc2scan.core.timing import AZIMUTH, IN_SECONDS, LONGEST, TIME_FIELDS, TIME_
 from pc2scan.errors import DecodeError, TransformError
 from pc2scan.pipeline.conversion import Motion
 
-from .point_time import PointTime
+from .point_time import BY_AZIMUTH, PointTime
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -40,6 +41,8 @@ STAMPS = ("header", "start", "middle", "end")
 
 #: If a cloud takes less with another unit, seconds, a hint names this unit.
 _USUAL = 2.0
+#: Points that are measured this long before or after their stamp, nanoseconds, probably have another clock.
+_OTHER_CLOCK_NS = 1_000_000_000
 #: If the times of all points span less than this, they count as equal, seconds.
 _SHORTEST = 1e-9
 
@@ -330,7 +333,7 @@ class Deskew:
         if math.isnan(rows[2 * int(stamps_ns.searchsorted(sum(measured_ns) // 2)), 0]):
             nodes = np.flatnonzero((stamps_ns >= measured_ns[0]) & (stamps_ns <= measured_ns[1]))
             if np.isnan(rows[2 * nodes[0] : 2 * nodes[-1] + 1]).all():
-                _raise_why(buffer, self._fixed, source, measured_ns[0])
+                _raise_why(buffer, self._fixed, source, measured_ns[0], stamp_ns)
         times = (stamps_ns - stamp_ns) / 1e9
         # A product and a quotient may differ in the last bit: without this, the first and the last points are outside.
         times[0], times[-1] = min(times[0], low), max(times[-1], high)
@@ -351,7 +354,7 @@ class Deskew:
         elif low < -LONGEST or high > LONGEST:
             message = f"its points are {low:.6g} to {high:.6g} s after its stamp by their field {name}"
             hint = "the times of the points and the stamps come from different clocks, or have another unit"
-            hint += f": `point_time={name}:us`"
+            hint += f": `point_time={name}:us`; {BY_AZIMUTH}"
         elif several and high - low < _SHORTEST:
             message = f"its points all have the same time in their field {name}, {low:.6g} s after its stamp"
             hint = "name the field with the times: `point_time=FIELD`; clouds measured at once need no `deskew`"
@@ -361,8 +364,8 @@ class Deskew:
             raise DecodeError(message, stamp_ns=stamp_ns, hint=hint)
 
 
-def _raise_why(buffer: TransformBuffer, fixed: str, source: str, time_ns: int) -> None:
-    """Raise the error of a lookup, without its hint about the tolerance, which does not apply to points."""
+def _raise_why(buffer: TransformBuffer, fixed: str, source: str, time_ns: int, stamp_ns: int) -> None:
+    """Raise the error of a lookup at the time of a point, without its hint about the tolerance of stamps."""
     try:
         buffer.lookup(fixed, source, time_ns)
     except TransformError as err:
@@ -370,6 +373,13 @@ def _raise_why(buffer: TransformBuffer, fixed: str, source: str, time_ns: int) -
             "no point of the cloud was measured while there were transforms; if the clocks differ, `time_offset=auto` "
             "measures by how much"
         )
+        if abs(time_ns - stamp_ns) > _OTHER_CLOCK_NS:
+            with suppress(TransformError):
+                buffer.lookup(fixed, source, stamp_ns)
+                err.hint = (
+                    f"there are transforms at the stamp of the cloud, from which its points are "
+                    f"{abs(time_ns - stamp_ns) / 1e9:.3g} s away: their clock is another one; {BY_AZIMUTH}"
+                )
         raise
 
 

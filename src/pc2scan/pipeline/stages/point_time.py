@@ -23,6 +23,10 @@ if TYPE_CHECKING:
 Times: TypeAlias = "Callable[[tuple[NDArray[np.intp], ...]], NDArray[np.float64]]"
 
 
+#: What to type if the points' own times are of no use.
+BY_AZIMUTH = "`point_time=azimuth` computes the times of a lidar that turns"
+
+
 @dataclass(frozen=True, slots=True)
 class PointTime:
     """The source of the points' times.
