@@ -18,6 +18,7 @@ from support import sampled
 from support.builders import (
     CONTENT,
     POINTS,
+    SECOND,
     T0,
     TF,
     Recording,
@@ -130,16 +131,17 @@ def test_a_topic_without_messages(kind: str, tmp_path: Path) -> None:
 
 
 def test_clouds_that_all_are_skipped(folder: Path) -> None:
-    """Stamps before all transforms: known message by message only."""
+    """Stamps before all transforms: known message by message only. The farthest is shown, whose cure helps all."""
     clouds = [
-        item(POINTS, entry.log_time_ns, lambda g, s: cloud(points_of(s), g, seq=s, stamp_ns=5))
-        for entry in CONTENT.of("/points")
+        item(POINTS, entry.log_time_ns, lambda g, s: cloud(points_of(s), g, stamp_ns=(3 - s) * SECOND), number)
+        for number, entry in enumerate(CONTENT.of("/points"))
     ]
     others = [entry for entry in CONTENT.items if entry.stream.topic != "/points"]
     items = sorted([*others, *clouds], key=lambda entry: entry.log_time_ns)
     write_rosbag1(folder / "early.bag", replace(CONTENT, items=tuple(items)))
     done, report = convert(folder, "--target-frame", "odom", status=1, source="early.bag")
-    assert "error: no message was converted: all were skipped: " in done.stderr
+    assert "error: no message was converted: all were skipped: the transform from" in done.stderr
+    assert "is not known at 1.000000000: " in done.stderr
     assert report["errors"][0]["kind"] == "ResultError"
     assert report["skipped_count"] == 3
     assert [topic["messages_out"] for topic in report["topics"] if topic["action"] == "converted"] == [0]

@@ -511,6 +511,21 @@ SITUATIONS = (
         drive(clock=0.0),
     ),
     Situation(
+        "two lidars whose clocks differ by 37 s",
+        drive(clock=37.0),
+        (
+            (
+                f"{_IN_BASE} --topic /points:=/scan --topic /rear:=/scan",
+                "they are of different clocks hint: --time-offset auto measures by how much the clocks differ",
+            ),
+            (
+                f"{_IN_BASE} --topic /points:=/scan --topic /rear:=/scan --time-offset auto",
+                "/rear /scan 30 30 - joined",
+            ),
+        ),
+        (f"{_IN_BASE} --topic /points:=/scan --topic /rear:=/scan --time-offset auto",),
+    ),
+    Situation(
         "a fixed frame that moves with the robot",
         drive(),
         ((f"{_IN_BASE} --deskew --fixed-frame base_link", "--fixed-frame odom is a frame that does not move"),),

@@ -57,6 +57,9 @@ _TIME_SCALES = {
     18: "GPS time is 18 s ahead of UTC",
 }
 
+#: What to type if clocks differ.
+MEASURES = "`time_offset=auto` measures by how much the clocks differ, and corrects it"
+
 _DAY_NS = 86_400_000_000_000
 
 #: Earlier times do not count from 1970, nanoseconds.

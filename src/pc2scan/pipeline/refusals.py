@@ -181,14 +181,14 @@ def refuse_nothing(report: Report) -> None:
         raise ResultError(
             "no message was converted: there was none to convert", hint="check `topics`, `start` and `end`"
         )
-    reasons = Counter(entry.reason for entry in report.skipped)
-    hints = {entry.reason: entry.hint for entry in report.skipped}
-    ((reason, count),) = reasons.most_common(1) or [("", 0)]
+    if not report.skipped:
+        raise ResultError("no message was converted")
+    reasons = Counter("" if entry.gap_ns else entry.reason for entry in report.skipped)
+    ((common, count),) = reasons.most_common(1)
+    # Of stamps without transforms the farthest: what helps it helps the others, too.
+    shown = max(report.skipped, key=lambda entry: entry.gap_ns if not common else entry.reason == common)
     which = "" if count == read else f", {count:,} of {read:,}"
-    raise ResultError(
-        f"no message was converted: all were skipped{which}: {reason}" if count else "no message was converted",
-        hint=hints.get(reason) or None,
-    )
+    raise ResultError(f"no message was converted: all were skipped{which}: {shown.reason}", hint=shown.hint or None)
 
 
 def refuse_unsatisfied(report: Report, options: ConvertOptions) -> None:

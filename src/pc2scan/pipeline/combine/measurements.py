@@ -10,7 +10,7 @@ from pc2scan.core.percentiles import median_low
 from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import UsageError, name_list
 from pc2scan.messages.clouds import SCANS
-from pc2scan.pipeline.clocks import are_doubtful, logged_early
+from pc2scan.pipeline.clocks import MEASURES, are_doubtful, logged_early
 from pc2scan.pipeline.conversion import Measurements
 
 from .grouping import Grouper
@@ -284,18 +284,17 @@ def _clocks(sources: SourceFacts, windows: Sequence[int] | None) -> list[str]:
         how = f"{abs(behind_ns) / 1e9:.4g} s {'behind' if behind_ns > 0 else 'ahead of'}"
         said = f"the stamps of {topic} are {how} those of {lead}, compared with their log times"
         if _surely_differ(own_ns, lead_ns):
-            wider = math.ceil(abs(behind_ns) / 1e8) / 10
-            still = "" if windows is None else f"; or `window={wider:g}`, if the robot did not move"
             raise UsageError(
                 f"{said}: they are of different clocks",
-                hint=f"convert them to scans of their own: `topics={topic}:=/scan_2`{still}",
+                hint=f"{MEASURES}; or convert them to scans of their own: `topics={topic}:=/scan_2`",
             )
         if logged_early(own_ns, lead_ns):
             which = topic if behind_ns < 0 else lead
             early = f"messages of {which} are logged {-min(own_ns, lead_ns) / 1e9:.3g} s before their stamps"
-            warnings.append(f"{said}: {early}, so their clocks differ, and a scan has what was measured that far apart")
-            continue
-        warnings.append(f"{said}: if their clocks differ, a scan has what was measured that far apart")
+            said += f": {early}, so their clocks differ, and a scan has what was measured that far apart"
+        else:
+            said += ": if their clocks differ, a scan has what was measured that far apart"
+        warnings.append(f"{said}; {MEASURES}")
     return warnings
 
 
