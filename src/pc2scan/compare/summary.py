@@ -127,7 +127,7 @@ def _advice(topics: Sequence[TopicDifference], names: tuple[str, str]) -> Iterat
         yield "hint: no stamp is on both sides; are these of one drive?"
     if any(map(_may_be_libm, topics)):
         yield (
-            "hint: few beams differ; if the two were made with different C libraries, convert again with the other "
+            "hint: returns are one beam over; if the two were made with different C libraries, convert again with the other "
             "`angle_rounding`"
         )
     if only_changes and kinds and kinds <= {"log_time", "seq"}:
@@ -136,11 +136,14 @@ def _advice(topics: Sequence[TopicDifference], names: tuple[str, str]) -> Iterat
 
 
 def _may_be_libm(topic: TopicDifference) -> bool:
-    """Return whether the differences can come of another atan2f: some beams of scans that are otherwise the same."""
+    """Return whether the differences can come of another atan2f: returns that are in a neighbouring beam.
+
+    Where the neighbour has a nearer return, only one beam is changed.
+    """
     ranges = topic.values.get("ranges") if topic.msgtype == LASERSCAN else None
     if ranges is None or topic.changes.keys() - {"log_time", "seq"}:
         return False
-    return ranges.differing <= _FEW * topic.elements
+    return ranges.differing <= _FEW * topic.elements and ranges.changed <= 2 * ranges.shifted
 
 
 def _unpaired_text(unpaired: UnpairedMessages) -> str:

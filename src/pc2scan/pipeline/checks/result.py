@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.core.consumers import CONSUMERS, judge, refusal
 from pc2scan.core.params import ProjectionParams
-from pc2scan.core.rule import REJECTIONS
 from pc2scan.errors import name_list, stamp_text
 from pc2scan.messages.laserscan import decode_laserscan, scan_for_consumers
 from pc2scan.pipeline.parameters import preset_of
@@ -30,8 +29,8 @@ _MAX_WARNED = 5
 #: If a default rejects this share of the points, a warning names it.
 _NOTABLE_SHARE = 0.25
 
-#: If the last limit rejects this share of the points, and so all that the others leave, it is the cause of empty scans.
-_NOTABLE_REST = 0.05
+#: What rejects this share of the points may be the cause of empty scans.
+_NOTABLE_PART = 0.05
 
 #: If a filter that should remove faults alone removes more than this share, a warning names it.
 _MOST_REMOVED = 0.1
@@ -263,11 +262,13 @@ def _surprises(spec: ScanSpec, rejection: Rejection) -> bool:
 
 
 def _blame(topic: TopicReport, spec: ScanSpec, rejections: Mapping[str, Rejection]) -> str:
-    """Return the most frequent reason, and its parameters."""
+    """Return the reasons with their parameters: the most frequent one, or if nothing is left, all that may be it.
+
+    A point is counted for the first reason that rejects it. Without this one, the others may reject it, too.
+    """
     points = topic.points
     explained = Counter[str]()
-    # Filters come before the limits.
-    for name, rejection in sorted(rejections.items(), key=lambda each: each[1] in REJECTIONS):
+    for name, rejection in rejections.items():
         explanation = rejection.by_default[1] if _surprises(spec, rejection) else rejection.explanation
         if name == "height" and topic.advice:
             explanation += f": {topic.advice}"
@@ -277,14 +278,13 @@ def _blame(topic: TopicReport, spec: ScanSpec, rejections: Mapping[str, Rejectio
     if 0 < returns <= sum(beams.values()):
         names = name_list([name for name, number in beams.items() if number])
         return f"all of the {counted(returns, 'beam')} with a return were removed as {names}"
-    explanation, count = explained.most_common(1)[0]
+    (first, most), *others = explained.most_common()
+    if not most:
+        return "all of their beams were removed" if points.used else "the clouds have no points"
+    parts = [f"{most / points.total:.0%} of all points were {first}"]
     if not points.used:
-        # The last limit rejects all that the others leave: it is the cause unless they leave nearly nothing.
-        *_, (last, left) = [(each, number) for each, number in explained.items() if number] or [("", 0)]
-        explanation, count = (last, left) if left >= _NOTABLE_REST * points.total else (explanation, count)
-    if count:
-        return f"{count / points.total:.0%} of all points were {explanation}"
-    return "all of their beams were removed" if points.used else "the clouds have no points"
+        parts += [f"{n / points.total:.0%} {what}" for what, n in others if n >= _NOTABLE_PART * points.total]
+    return "; ".join(parts)
 
 
 def jumping_stamps(result: JoinedResult) -> Iterator[str]:
