@@ -187,6 +187,17 @@ SITUATIONS = (
         hall(),
     ),
     Situation(
+        "a lidar on its side, which its transform does not say",
+        hall(90, 0, mount=(0, 0, 0.6)),
+        (
+            (_IN_BASE, "frame 'base_link' is probably on its side, with +y up: no floor is visible"),
+            (f"{_HALL} {_HEIGHTS} --overwrite", "frame 'lidar' is probably on its side, with +y up"),
+            ("info {src}", "--static-tf 'base_link lidar 0 0 0.6 1.5683 -0.0005 0' --target-frame base_link makes it"),
+        ),
+        (_IN_BASE,),
+        hall(90, 0, mount=(0, 0, 0.6), turned=math.pi / 2),
+    ),
+    Situation(
         "a lidar upside down",
         hall(180, sensor="16 rings"),
         ((f"{_HALL} {_HEIGHTS}", "is upside down"), ("info {src}", "is upside down")),

@@ -371,6 +371,16 @@ def _choose_ground(points: _Points, *, level_needs_proof: bool = False) -> Groun
     return Ground("slanted" if _are_slanted(planes) else "unknown")
 
 
+def floor_at_side(points: _Points) -> Plane | None:
+    """Return the plane that is the ground if the sensor lies on its side; None if there is none.
+
+    It may also be a wall beside a level sensor that sees no floor: only a transform can distinguish them.
+    """
+    planes, view = planes_of(cells_of(points)), _FieldOfView(points)
+    steep = (plane for plane in planes if _STEEPEST < plane.tilt < math.pi - _STEEPEST)
+    return next((plane for plane in steep if not _doubt(plane, planes, view, upside_down=False)), None)
+
+
 def _are_slanted(planes: Sequence[Plane]) -> bool:
     """Whether two planes at right angles, such as floor and wall, are neither level nor upright, and none is level."""
     large = [plane for plane in planes if plane.share >= _LARGE and plane.beyond < _MOST_BEYOND]

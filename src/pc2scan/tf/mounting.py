@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from pc2scan.core.floor import FARTHEST_MEDIAN, JUDGED_CLOUDS, LEVEL, are_enough, are_far
-from pc2scan.core.ground import Ground, common_ground, find_ground
+from pc2scan.core.ground import Ground, common_ground, find_ground, floor_at_side
 from pc2scan.core.percentiles import percentiles
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import TransformError
@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 
 #: Transforms that tilt a sensor by more than this, radians, are reported even if no ground is visible.
 _NOTABLE_TILT = math.radians(10.0)
+
+#: The floor is as far from a sensor as its transform says that it is high, but for this share.
+_NEAR_MOUNT = 0.3
 
 _IDENTITY = Rigid.identity()
 
@@ -152,6 +155,9 @@ def mounting(
         )
         if moved is not None:
             return seen.correct(judged_in, moved, ground, _IDENTITY)._replace(fault=fault)
+        if seen.ground.kind == "unknown" and clouds[0].transform is not None:
+            if lying := _on_its_side(seen, judged_in, clouds[0].transform, _IDENTITY):
+                return lying
         return seen.verdict(fault, heights=suitable_heights(seen.ground, samples, origin_z=origin_z))
     if buffer is not None:
         found = _by_transforms(seen, buffer, stamp_ns)
@@ -216,6 +222,8 @@ def _by_transforms(seen: _Observation, buffer: TransformBuffer, stamp_ns: int) -
         return seen.correct(name, body_from_frame, there, turn) if ground.off else None
     if there.kind == "unknown" and ground.kind in {"tilted", "upside-down", "slanted"}:
         return None
+    if there.kind == ground.kind == "unknown" and (lying := _on_its_side(seen, name, body_from_frame, turn)):
+        return lying
     heights = suitable_heights(there, samples, origin_z=_height(body_from_frame))
     tilt = _tilt(body_from_frame)
     fault = _fault(ground)
@@ -231,6 +239,27 @@ def _by_transforms(seen: _Observation, buffer: TransformBuffer, stamp_ns: int) -
                 seen = seen._replace(ground=there._replace(kind="upside-down", up=(x, y, z)))
         fault = f"{how} according to its transform to {name!r}; expected z up"
     return seen.verdict(fault, name, heights=heights)
+
+
+def _on_its_side(seen: _Observation, target: str, target_from_frame: Rigid, turn: Rigid) -> Mounting | None:
+    """Return the mounting of a sensor that lies on its side, and is level by its transform; None if it does not.
+
+    What would be the floor then is as far away as the transform says that the sensor is high. For ``turn``, see
+    `_Observation.correct`.
+    """
+    height = _height(target_from_frame)
+    if height <= 0 or _tilt(target_from_frame) > LEVEL:
+        return None
+    planes = [floor_at_side(turn.apply(points)) for points in seen.samples]
+    floors = [each for each in planes if each is not None and abs(each.height - height) < _NEAR_MOUNT * height]
+    if 2 * len(floors) < max(len(planes), 2):
+        return None
+    up, beside = floors[0].up, floors[0].height
+    fault = (
+        f"probably on its side, with {_direction(up)} up: no floor is visible below the sensor, and at its side there is "
+        f"a plane as far away ({beside:.2f} m) as its transform says that it is high; expected z up"
+    )
+    return seen.correct(target, target_from_frame, Ground("tilted", up, beside), turn)._replace(fault=fault)
 
 
 def _height(rigid: Rigid) -> float:
