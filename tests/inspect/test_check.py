@@ -214,6 +214,13 @@ CURES: dict[str, tuple[tuple[tuple[str, str], ...], bool, str, str]] = {
         "`odom_frame=robot1/odom`",
     ),
     "no odometry": ((("base_link", "laser"),), True, "no-odometry-frame", "record the robot's odometry on /tf"),
+    "no odometry, but joints": (
+        (("base_link", "laser"), ("base_link", "wheel")),
+        False,
+        "no-odometry-frame",
+        "record the robot's odometry on /tf",
+    ),
+    "no transforms": ((), True, "no-transforms", "`odom_topic` or `trajectory` adds odometry"),
     "another name": (
         (("world", "base_link"), ("base_link", "laser")),
         False,
@@ -229,7 +236,7 @@ def test_each_trouble_with_frames_has_its_own_cure(case: str, tmp_path: Path) ->
     found = only(check(write(tmp_path / "a.mcap", *scans(3), tree=tree, static=static)))
     (about,) = (each for each in found.findings if each.kind == kind)
     assert cure in about.hint
-    assert ("nothing moves in them" in about.text) == (case == "no odometry")
+    assert ("the robot does not move in them" in about.text) == case.startswith("no odometry")
 
 
 def test_transforms_of_another_clock_are_named(tmp_path: Path) -> None:

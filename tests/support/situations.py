@@ -134,6 +134,7 @@ _HALL = "convert {src} -o {out}"
 _FLAT = Lidar(kind="flat", topic="/scan", columns=720)
 _REBIN = "convert {src} -o {out} --rebin --beams 720 --deskew --fixed-frame odom"
 _SWAPPED = ("base_link", "odom")
+_REAR = "hint: --static-tf 'base_link rear X Y Z ROLL PITCH YAW' says where it is mounted (metres, radians)"
 _LEVEL = (
     f"convert {{src}} imu.mcap -o {{out}} --target-frame base_link {_ABOVE} --level --imu /imu "
     "--static-tf 'base_link imu_link 0 0 0.2 0 0 0.2'"
@@ -519,6 +520,16 @@ SITUATIONS = (
         drive(clock=0.03),
         ((f"{_DESKEW} --topic /points:=/scan --topic /rear:=/scan", "/rear was measured 30 ms earlier"),),
         (f"{_DESKEW} --topic /points:=/scan --topic /rear:=/scan",),
+        drive(clock=0.0),
+    ),
+    Situation(
+        "two lidars, one of which has a tree of its own",
+        drive(clock=0.0, names=lambda name: "rear_mount" if name == "rear" else name),
+        tuple(
+            (f"{_IN_BASE} --overwrite --topic /points:=/scan --topic /rear:=/scan{added}", _REAR)
+            for added in ("", " --static-tf 'rear_body rear 0 0 0 0 0 0'")
+        ),
+        (f"{_IN_BASE} --topic /points:=/scan --topic /rear:=/scan",),
         drive(clock=0.0),
     ),
     Situation(

@@ -127,8 +127,8 @@ def _advice(topics: Sequence[TopicDifference], names: tuple[str, str]) -> Iterat
         yield "hint: no stamp is on both sides; are these of one drive?"
     if any(map(_may_be_libm, topics)):
         yield (
-            "hint: returns are one beam over; if the two were made with different C libraries, convert again with the other "
-            "`angle_rounding`"
+            "hint: returns are one beam over; if the two were made with different C libraries, convert again with the "
+            "other `angle_rounding`"
         )
     if only_changes and kinds and kinds <= {"log_time", "seq"}:
         ignored = " ".join(f"`ignore={name}`" for name in sorted(kinds))

@@ -166,6 +166,14 @@ _NEEDS: dict[str, tuple[str, ...]] = {
 }
 
 
+#: What to do about a recording without any transforms.
+NO_TRANSFORMS = (
+    "keep /tf and /tf_static when recording or converting. For scans made from clouds, pc2scan convert `tf_from` reads "
+    "them from another recording, `odom_topic` or `trajectory` adds odometry, `static_tf` with `write_static_tf` the "
+    "mount; cartographer can do without odometry"
+)
+
+
 def _unplaced(consumer: str, placed: ScanTransforms, *, started: bool) -> Verdict | None:
     """Return the verdict on a scan that a consumer ignores because of its transforms; None if it uses the scan."""
     lacking = [role for role in _NEEDS[consumer] if getattr(placed, role) is False]
@@ -176,8 +184,7 @@ def _unplaced(consumer: str, placed: ScanTransforms, *, started: bool) -> Verdic
             f"a scan without a transform to the {' and the '.join(f'{role} frame' for role in lacking)} is dropped",
             placed.missing or f"no transform from {placed.frame_id!r}",
             "transforms at the scan's stamp",
-            placed.cure
-            or "keep /tf and /tf_static when recording or converting; `tf_from` reads them from another recording",
+            placed.cure or NO_TRANSFORMS,
             unplaced=True,
         )
     if consumer == "gmapping" and not started and placed.up is not None and _tilted(placed.up):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
+from pc2scan.core.consumers import NO_TRANSFORMS
 from pc2scan.core.layout import TURN
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.verdicts import ScanTransforms
@@ -51,7 +52,7 @@ def _no_transforms() -> Finding:
         "no-transforms",
         "notice",
         "the recording has no transforms: SLAM and navigation drop scans that they cannot place",
-        "keep /tf and /tf_static when recording or converting; `tf_from` reads them from another recording",
+        NO_TRANSFORMS,
     )
 
 
@@ -154,12 +155,20 @@ class ScanFrames:
             return f"for scans made from clouds: pc2scan convert {mount_text(frame, self._trees)}"
         return self._naming("odometry", self._odom) if self._odom not in self._trees else hint
 
+    @property
+    def _robot_moves(self) -> bool:
+        """Whether the robot moves in a frame; if its own is not known, whether anything moves."""
+        tree = self._trees.get(self._base)
+        if tree is None:
+            return not all(info.static for info in self._buffer.infos)
+        return any(self._buffer.moving_links(root, self._base) for root in self._buffer.trees[tree].roots)
+
     def _naming(self, role: str, name: str) -> str:
         """Return what to do if there is no frame of this name."""
         option = _OPTIONS[role]
         if namesake := named_in_namespace(name, self._trees):
             return f"`{option}={namesake}`"
-        if role == "odometry" and all(info.static for info in self._buffer.infos):
+        if role == "odometry" and not self._robot_moves:
             return (
                 "record the robot's odometry on /tf, or a SLAM that needs none; pc2scan convert `odom_topic=/odom` or "
                 f"`trajectory=poses.tum` writes it to /tf; {_HINT}"
@@ -220,8 +229,8 @@ class ScanFrames:
             if name not in self._trees:
                 there = ", ".join(root for tree in self._buffer.trees for root in tree.roots)
                 text = f"there is no frame {name!r} ({role}) in the transforms; their roots: {there}"
-                if role == "odometry" and all(info.static for info in self._buffer.infos):
-                    text += "; nothing moves in them"
+                if role == "odometry" and not self._robot_moves:
+                    text += "; the robot does not move in them"
                 found.append(Finding(f"no-{role}-frame", level, text, self._naming(role, name)))
         odometry = odometry_of(self._buffer, self._odom, self._base)
         if odometry.fault:

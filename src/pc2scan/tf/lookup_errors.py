@@ -221,10 +221,13 @@ def unconnected_error(
         else f"at this time [{query.target}] leads up to [{target_top}], [{query.source}] to [{source_top}]"
     )
     kind = TransformError if source_tree is target_tree else UnconnectedError
+    advice = "`static_tf`, `urdf`, `odom_topic` or `tf_from` adds what connects them"
+    if not set(BODIES).isdisjoint(target_tree.frames) and set(BODIES).isdisjoint(source_tree.frames):
+        advice = f"{mount_text(query.source, target_tree.frames)}, `urdf` or `tf_from` reads that from elsewhere"
     return kind(
         f"no transforms connect [{query.source}] with [{query.target}]: {where}",
         stamp_ns=query.stamp_ns,
-        hint=f"`static_tf`, `urdf`, `odom_topic` or `tf_from` adds what connects them; {_SEE_TF}",
+        hint=f"{advice}; {_SEE_TF}",
     )
 
 

@@ -155,9 +155,9 @@ def mounting(
         )
         if moved is not None:
             return seen.correct(judged_in, moved, ground, _IDENTITY)._replace(fault=fault)
-        if seen.ground.kind == "unknown" and clouds[0].transform is not None:
-            if lying := _on_its_side(seen, judged_in, clouds[0].transform, _IDENTITY):
-                return lying
+        there = clouds[0].transform
+        if seen.ground.kind == "unknown" and there and (lying := _on_its_side(seen, judged_in, there, _IDENTITY)):
+            return lying
         return seen.verdict(fault, heights=suitable_heights(seen.ground, samples, origin_z=origin_z))
     if buffer is not None:
         found = _by_transforms(seen, buffer, stamp_ns)
@@ -256,8 +256,8 @@ def _on_its_side(seen: _Observation, target: str, target_from_frame: Rigid, turn
         return None
     up, beside = floors[0].up, floors[0].height
     fault = (
-        f"probably on its side, with {_direction(up)} up: no floor is visible below the sensor, and at its side there is "
-        f"a plane as far away ({beside:.2f} m) as its transform says that it is high; expected z up"
+        f"probably on its side, with {_direction(up)} up: no floor is visible below the sensor, and at its side there "
+        f"is a plane as far away ({beside:.2f} m) as its transform says that it is high; expected z up"
     )
     return seen.correct(target, target_from_frame, Ground("tilted", up, beside), turn)._replace(fault=fault)
 
