@@ -41,7 +41,7 @@ _OF_ALL = ConvertOptions.__dataclass_fields__.keys() - {"scans", "frames", "cloc
 OF_FRAMES = {*ConversionFrames.__annotations__, "write_static_tf"} - {"frames"}
 
 #: The options that name files which are read.
-NAMED_FILES = ("params_file", "static_tf_file", "trajectory", "urdf", "scans")
+NAMED_FILES = ("params_file", "static_tf", "trajectory", "urdf", "scans")
 
 
 class ConversionRequest(NamedTuple):
@@ -79,10 +79,10 @@ def frames_of(options: Options) -> FrameOptions:
     if not options.given.keys() & OF_FRAMES:
         return FrameOptions()
     static: tuple[StaticTransform, ...] = ()
-    if options.static_tf_file or options.static_tf:
+    if options.static_tf:
         from .tf.static import added_transforms  # noqa: PLC0415  # few conversions add any
 
-        static = added_transforms(options.static_tf_file, options.static_tf)
+        static = added_transforms(options.static_tf)
     return FrameOptions(
         tf_topics=options.tf_topics,
         tf_from=options.tf_from,
@@ -291,8 +291,13 @@ _IGNORED = "ignored, because it is not a parameter of the projection: "
 
 def named_files(options: Options) -> dict[str, Path]:
     """Return the files that options name and that are read, by option."""
-    named = {name: getattr(options, name) for name in NAMED_FILES}
-    return {f"`{name}`": path for name, path in named.items() if isinstance(path, Path)}
+    found = {}
+    for name in NAMED_FILES:
+        value = getattr(options, name)
+        for number, path in enumerate(value if isinstance(value, tuple) else (value,)):
+            if isinstance(path, Path):
+                found[f"`{name}`" + (f" ({number + 1})" if number else "")] = path
+    return found
 
 
 def _changed_params(options: Options) -> ResolvedParams:

@@ -73,7 +73,7 @@ NAMING = {
     "scans": ("scans.yaml", "scans:\n  /scan:\n    params_file: other.yaml\n", "--scans", "line 2, /scan"),
     **{
         f"dataset: {option}": ("dataset.yaml", f"defaults:\n  {option}: other.yaml\n", "--dataset", "line 2")
-        for option in ("params_file", "static_tf_file", "scans")
+        for option in ("params_file", "static_tf", "scans")
     },
 }
 #: All places of one file, and then those of the next; a dataset file's options are read by other rules.

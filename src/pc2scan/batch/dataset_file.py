@@ -17,7 +17,7 @@ from pc2scan.files.places import missing_hint
 from pc2scan.files.source import open_bytes
 from pc2scan.files.urls import is_url, local_path
 from pc2scan.options.table import dataset_options
-from pc2scan.options.values import Flag, PathName, Texts
+from pc2scan.options.values import Flag, Texts
 from pc2scan.pipeline.parameters import RIVALS, plain_scalar
 from pc2scan.pipeline.redaction import may_quote, redact_file
 from pc2scan.pipeline.yaml_nodes import compose, is_empty, is_mapping, is_scalar
@@ -168,12 +168,10 @@ class _FileReader:
             nodes = node.value if node.id == "sequence" else [node]
             if not nodes or not all(is_scalar(each) and not is_empty(each) for each in nodes):
                 raise self._unexpected(node, name, kind)
-            values = tuple(self._scalar(each, name, kind) for each in nodes)
-            return tuple(map(self._located, values)) if isinstance(kind, PathName) else values
+            return tuple(self._scalar(each, name, kind) for each in nodes)
         if not is_scalar(node) or is_empty(node):
             raise self._unexpected(node, name, kind)
-        value = self._scalar(node, name, kind)
-        return self._located(value) if isinstance(kind, PathName) else value
+        return self._scalar(node, name, kind)
 
     def _scalar(self, node: Any, name: str, kind: Value) -> Any:
         value = str(node.value) if kind.is_text or node.style else plain_scalar(node.value)
@@ -181,7 +179,7 @@ class _FileReader:
             raise self._unexpected(node, name, kind)
         if not kind.admits(value):
             raise self._unexpected(node, name, kind)
-        return value
+        return self._located(value) if isinstance(value, str) and kind.is_path(value) else value
 
     def _located(self, text: str) -> str:
         """Resolve a path that is relative to the dataset file."""
@@ -301,8 +299,11 @@ class Choices:
     def _refuse_to_quote(self, err: UsageError, keywords: Mapping[str, Any], origins: Mapping[str, str]) -> None:
         """Raise another error if one is about a file that the dataset file names, and may quote it."""
         for name in NAMED_FILES:
-            if name in keywords and name not in self._call.keywords and may_quote(err, keywords[name]):
-                raise redact_file(err, keywords[name], origins[name], name) from None
+            if name in keywords and name not in self._call.keywords:
+                value = keywords[name]
+                for path in value if isinstance(value, tuple) else (value,):
+                    if may_quote(err, path):
+                        raise redact_file(err, path, origins[name], name) from None
 
     def _add_origin(
         self, err: UsageError, last: DatasetEntry, keywords: Mapping[str, Any], origins: Mapping[str, str]

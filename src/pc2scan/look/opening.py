@@ -65,7 +65,7 @@ def opening(reader: Reader, options: ConvertOptions) -> Opening:
         if first is None or "min_height" not in first:
             return unchanged
         frame, static = _frame(first)
-        frames = replace(options.frames, static=(*options.frames.static, *added_transforms(None, static)))
+        frames = replace(options.frames, static=(*options.frames.static, *added_transforms(static)))
     except Pc2ScanError:
         # What is wrong may matter for the page, too, which says so then.
         return unchanged

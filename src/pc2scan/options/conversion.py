@@ -210,7 +210,8 @@ class StaticTransforms(TypedDict, total=False):
         Option(
             TransformTexts("TRANSFORM"),
             "Add a transform: 'parent child x y z qx qy qz qw' or 'parent child x y z roll pitch yaw' (m, rad; or "
-            "20cm, 90deg). Replaces the recording's transform to this child.",
+            "20cm, 90deg); or the YAML file with a list of such transforms, *.yaml. Replaces the recording's transform "
+            "to this child.",
             common=True,
         ),
     ]
@@ -280,8 +281,6 @@ class SourceFrame(TypedDict, total=False):
 
 class ConversionFrames(StaticTransforms, TransformSources, SourceFrame, total=False):
     """Frames and transforms of a conversion."""
-
-    static_tf_file: Annotated[Path | None, Option(PathName(), "A YAML list of transforms like those of `static_tf`.")]
 
 
 class RobotMotion(TypedDict, total=False):

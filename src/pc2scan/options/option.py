@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 
     Quantity: TypeAlias = str | float | np.floating[Any] | np.integer[Any]
     Time: TypeAlias = str | float | datetime | timedelta | np.datetime64 | np.timedelta64 | np.number[Any]
-    Transforms: TypeAlias = str | StaticTransform | Iterable[str | StaticTransform]
+    Transforms: TypeAlias = str | PathLike[str] | StaticTransform | Iterable[str | PathLike[str] | StaticTransform]
     Channels: TypeAlias = str | Iterable[str] | UnprojectParams
 else:
     Quantity = str | float
     Time = str | float | datetime | timedelta
-    Transforms = str | Iterable[str]
+    Transforms = str | PathLike[str] | Iterable[str | PathLike[str]]
     Channels = str | Iterable[str]
 
 Path: TypeAlias = str | PathLike[str]

@@ -83,6 +83,10 @@ class Value:
         """Return a value of a parameter, from Python or a file, in its type; None if it has another one."""
         raise NotImplementedError
 
+    def is_path(self, text: str) -> bool:  # noqa: ARG002
+        """Return whether a value of a file is a path, which is relative to this file."""
+        return False
+
     def admits(self, value: object) -> bool:
         """Return whether a value of a YAML or JSON file has the right type."""
         return isinstance(value, str) and (value in self.words or not self.words)
@@ -185,15 +189,20 @@ class Texts(Value):
 
 
 class TransformTexts(Texts):
-    """Transforms as texts; in Python also as `pc2scan.tf.static.StaticTransform`."""
+    """Transforms as texts, and files with some; in Python also as `pc2scan.tf.static.StaticTransform`."""
 
     def read(self, name: str, value: Any) -> Any:
-        """Return texts and objects as a tuple; `pc2scan.tf.static.added_transforms` reads them."""
-        if type(value).__name__ == "StaticTransform":
-            return (value,)
-        if isinstance(value, Iterable) and not isinstance(value, str | bytes):
-            return tuple(value)
-        return super().read(name, value)
+        """Return texts, paths and objects as a tuple; `pc2scan.tf.static.added_transforms` reads them."""
+        several = isinstance(value, Iterable) and not isinstance(value, str | bytes)
+        return tuple(self._read_one(name, each) for each in (value if several else (value,)))
+
+    def _read_one(self, name: str, value: Any) -> Any:
+        is_file = self.is_path(value) if isinstance(value, str) else isinstance(value, PathLike)
+        return path_of(name, value) if is_file else value
+
+    def is_path(self, text: str) -> bool:
+        """Return whether it is the name of a YAML file."""
+        return text.lower().endswith((".yaml", ".yml"))
 
 
 class ChannelNames(Texts):
@@ -221,6 +230,10 @@ class PathName(Value):
     def read(self, name: str, value: Any) -> Any:
         """Return the path."""
         return path_of(name, value)
+
+    def is_path(self, text: str) -> bool:  # noqa: ARG002
+        """Return that it is one."""
+        return True
 
     def admits(self, value: object) -> bool:
         """Return whether it is a text that is not empty."""

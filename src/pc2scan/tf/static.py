@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.core.layout import FULL_TURN
@@ -14,7 +15,6 @@ from .text_files import text_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
-    from pathlib import Path
 
     from pc2scan.core.rigid import Rigid, TransformRow
 
@@ -155,14 +155,19 @@ def _numbers(numbers: Iterable[float]) -> str:
     return " ".join(f"{number:.6g}" for number in numbers)
 
 
-def added_transforms(file: Path | None, given: Iterable[str | StaticTransform]) -> tuple[StaticTransform, ...]:
-    """Return the transforms of a file, and further ones, which are objects or text."""
+def added_transforms(given: Iterable[str | Path | StaticTransform]) -> tuple[StaticTransform, ...]:
+    """Return transforms that are objects, texts, or in files."""
     transforms = list(given)
     for each in transforms:
-        if not isinstance(each, str | StaticTransform):
+        if not isinstance(each, str | Path | StaticTransform):
             raise TypeError(f"static_tf has {each!r}, it must be text, 'parent child x y z roll pitch yaw'")
-    found = [StaticTransform.parse(each) if isinstance(each, str) else each for each in transforms]
-    return (*(() if file is None else load_static_transforms(file)), *found)
+    found: list[StaticTransform] = []
+    for each in transforms:
+        if isinstance(each, Path):
+            found += load_static_transforms(each)
+        else:
+            found.append(StaticTransform.parse(each) if isinstance(each, str) else each)
+    return tuple(found)
 
 
 def load_static_transforms(path: Path) -> tuple[StaticTransform, ...]:
