@@ -155,7 +155,7 @@ class World:
 
     # --- The model ---
 
-    def expected(self, key: str, options: int, *, force: bool, overwrite: bool) -> tuple[str, str]:
+    def expected(self, key: str, options: int, *, again: bool, overwrite: bool) -> tuple[str, str]:
         """The action, and why; of what is refused the error."""
         path = self.root / "in" / key
         if path.is_file() and not path.stat().st_size:
@@ -164,7 +164,7 @@ class World:
         before = dict(self.lines).get(key)
         written = {line.output: line.left for _, line in self.lines if line.left}
         there = files_in(self.out / output)
-        why = "forced" if force else self.why(before, options, path, output, there)
+        why = "asked for" if again else self.why(before, options, path, output, there)
         if why and there and not overwrite:
             # It is as a line has left it; or what is there is not known, since the process died that wrote it.
             died = {line.output for line in dict(self.lines).values() if line.outcome == "died"}
@@ -203,7 +203,7 @@ class World:
         """Run a batch; return the lines of the results that are there now."""
         chance = self.random.random
         options = self.random.choice((0, 0, 0, 0, 1, 2))
-        how = {"force": chance() < 0.1, "overwrite": chance() < 0.3}
+        how = {"again": chance() < 0.1, "overwrite": chance() < 0.3}
         dry_run = chance() < 0.2
         expected = {key: self.expected(key, options, **how) for key in self.keys()}
         before = files_in(self.out)

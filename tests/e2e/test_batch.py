@@ -77,5 +77,5 @@ def test_a_terminal_has_a_bar_and_a_pipe_only_the_lines(drives: Path, tmp_path: 
     on_terminal = shown("batch", drives, "-o", tmp_path / "terminal", *HEIGHTS, columns=120)
     assert "of 3 recordings" in on_terminal
     assert "converted: a.bag -> a_scan.bag" in on_terminal
-    loud = run_batch(drives, "-o", tmp_path / "piped", "--verbose", "--force")
+    loud = run_batch(drives, "-o", tmp_path / "piped", "--verbose", "--again")
     assert len(re.findall(r"/points +/scan", loud.stderr)) == 3

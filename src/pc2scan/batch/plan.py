@@ -128,7 +128,7 @@ def make_plan(
     out: Path,
     forbidden: Callable[[str], Pc2ScanError | None] = lambda _: None,
     present: Callable[[str], Identity],
-    force: bool = False,
+    again: bool = False,
 ) -> BatchPlan:
     """Decide what is done with each recording.
 
@@ -146,7 +146,7 @@ def make_plan(
         Returns why an output may not be written, whatever is there: it is a source, or behind a link.
     present
         Returns the identity of an output in the folder; without files if it does not exist.
-    force
+    again
         Whether everything is converted again.
     """
     outputs = destinations(found, requests)
@@ -166,7 +166,7 @@ def make_plan(
             continue
         there = present(output)
         step = replace(step, owned=history.record(output))
-        why = "forced" if force else _reason(each, request, output, history, there)
+        why = "asked for" if again else _reason(each, request, output, history, there)
         error = None
         if why:
             others = clashes.get(each.key)

@@ -52,7 +52,7 @@ class BatchOptions:
         The dataset file; None for none.
     jobs
         How many recordings are converted at a time; 0: one for each core, as far as the memory is enough.
-    force
+    again
         Whether recordings are converted again whose results are up to date.
     dry_run
         Whether nothing is written; the report then says what would be.
@@ -66,7 +66,7 @@ class BatchOptions:
 
     dataset: Path | None = None
     jobs: int = 0
-    force: bool = False
+    again: bool = False
     dry_run: bool = False
     dask: bool | str = False
     report: Path | None = None
@@ -247,7 +247,7 @@ def _plan(sources: Sequence[str], folder: BatchFolder, choices: Choices, options
         out=folder.path,
         forbidden=partial(_forbidden, folder.path, cache(partial(Inputs, inputs))),
         present=folder.present,
-        force=options.force,
+        again=options.again,
     )
     at_url = isinstance(folder.path, UrlPath) or any(isinstance(path, UrlPath) for each in found for path in each.paths)
     if options.scratch is not None and not at_url:

@@ -118,7 +118,14 @@ class BatchRun(TypedDict, total=False):
             common=True,
         ),
     ]
-    force: Annotated[bool, Option(Flag(), "Convert again what earlier runs have converted.", common=True)]
+    again: Annotated[
+        bool,
+        Option(
+            Flag(),
+            "Convert again what is up to date. Only results that this batch has written are replaced.",
+            common=True,
+        ),
+    ]
     report: Annotated[
         Path | None, Option(PathName(), "Write the summary of all recordings: *.json, *.csv or *.md.", common=True)
     ]
