@@ -10,7 +10,6 @@ import re
 import subprocess
 import sys
 import traceback
-import tracemalloc
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -142,16 +141,7 @@ def test_a_hint_is_in_the_traceback() -> None:
 # --- counts ---
 
 
-def test_more_samples_than_clouds_change_nothing() -> None:
-    few = str(pc2scan.info(HALL, samples=5))
-    peaks = []
-    for samples in (5, 3_000_000):
-        tracemalloc.start()
-        assert str(pc2scan.info(HALL, samples=samples)) == few
-        peaks.append(tracemalloc.get_traced_memory()[1])
-        tracemalloc.stop()
-    assert peaks[1] < peaks[0] + 1_000_000
-    assert str(pc2scan.info(HALL, samples=10**30)) == few
+def test_more_clouds_than_there_are_change_nothing() -> None:
     assert pc2scan.view(HALL, clouds=1000).html == pc2scan.view(HALL, clouds=5).html
 
 

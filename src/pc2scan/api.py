@@ -190,8 +190,6 @@ def info(
 
     Raises
     ------
-    UsageError
-        If ``samples`` is not 1 or more.
     RecordingError
         If a source cannot be read.
     """

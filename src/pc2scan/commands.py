@@ -203,7 +203,6 @@ def info(sources: Sequence[Path], options: Options) -> Info:
 
     return look(
         sources,
-        samples=options.samples,
         described=options.topics,
         target_frame=options.target_frame,
         frames=frames_of(options),

@@ -175,7 +175,7 @@ def test_every_number_of_a_cloud_may_be_the_largest(ros_version: int, tmp_path: 
     recording = Recording((POINTS,), tuple(Item(POINTS, T0 + n, {ros_version: d}) for n, d in enumerate(payloads)))
     made = write_rosbag1 if ros_version == 1 else write_mcap
     source = made(tmp_path / ("a.bag" if ros_version == 1 else "a.mcap"), recording)
-    for command in (("info", "--samples", "400"), ("convert", "--min-height", "-9")):
+    for command in (("info",), ("convert", "--min-height", "-9")):
         done = run_bounded(command[0], source, *command[1:])
         assert done.status in (0, 3), done.stderr
 

@@ -127,7 +127,6 @@ def test_what_only_python_has_is_no_option_of_a_command() -> None:
         ),
         ("convert", {"start": "soon"}, "`start`: 'soon' is not a time"),
         ("view", {"clouds": 1001}, "`clouds` is 1,001, it must be from 1 to 1,000"),
-        ("info", {"samples": 0}, "`samples` is 0, it must be 1 or more"),
         ("diff", {"atol": ["x"]}, "`atol`: 'x' is not a tolerance"),
     ],
 )

@@ -31,7 +31,7 @@ CALLS = {
     'pc2scan.plot("a", "b.png", at=1, overwrite=True)': "",
     'pc2scan.map("a", resolution="5cm", max_range=20, min_height=0.1)': "",
     'pc2scan.check("a", consumers=["nav2"], tf_from="b")': "",
-    'pc2scan.info("a", samples=3, target_frame="base_link")': "",
+    'pc2scan.info("a", target_frame="base_link")': "",
     'pc2scan.tf("a", tf_topics="/tf").lookup("a", "b")': "",
     'pc2scan.repair("a", compression="zstd")': "",
     'pc2scan.diff("a", "b", rtol=1e-5, atol={"ranges": 1e-3}, ignore=["seq"])': "",

@@ -315,14 +315,6 @@ class InfoSamples(TypedDict, total=False):
             offers=("topics", "/PointCloud2", "/LaserScan"),
         ),
     ]
-    samples: Annotated[
-        int,
-        Option(
-            Count(1, metavar="N"),
-            "Number of clouds and scans to read of each topic, spread over the recording.",
-            default=10,
-        ),
-    ]
     target_frame: Annotated[
         str,
         Option(
