@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from pc2scan.files.urls import path_or_url
 from pc2scan.options.call import Options
 
-from .render import LiveWarnings, show, warn
+from .render import LiveWarnings, show
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,8 +22,6 @@ def view(sources: list[Path], destination: str | None, *, options: Options) -> i
     warn = LiveWarnings()
     page = run(sources, path, options, warn=warn)
     show(page, known=warn)
-    if options.open_page:
-        _open(path)
     return page.exit_status
 
 
@@ -33,11 +31,3 @@ def _beside(sources: Sequence[Path]) -> Path:
     # "." and ".." are resolved, because the page has the name of the folder.
     named = first if first.name and first.name != ".." else first.resolve()
     return named.with_name(f"{named.stem if named.is_file() else named.name}_view.html")
-
-
-def _open(path: Path) -> None:
-    """Open a file in the browser; warn if there is none."""
-    import webbrowser
-
-    if not webbrowser.open(path.resolve().as_uri()):
-        warn("no browser was found to open it with")

@@ -181,9 +181,6 @@ class PageClouds(TypedDict, total=False):
 class PageOutput(TypedDict, total=False):
     """The page on the disk; only the command has it."""
 
-    open_page: Annotated[
-        bool, Option(Flag(), "Open the page in the browser.", typed="--open", common=True, command_only=True)
-    ]
     overwrite: Annotated[
         bool,
         Option(
