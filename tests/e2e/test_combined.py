@@ -189,12 +189,13 @@ def test_a_scanner_with_varying_beams_gets_a_constant_number(world: Callable[...
 
 def test_another_topic_may_lead_in_the_command_and_in_python(world: Callable[..., Path], tmp_path: Path) -> None:
     source = world(SMALL_FRONT, SMALL_REAR, seconds=0.8)
-    typed = converted(
-        tmp_path, source, *two_topics(), *MOVED, "--lead", "/rear", "--window", "60ms", "--min-height", "0.1"
-    )
+    rear_first = ("--topic", "/rear:=/scan", "--topic", "/front:=/scan")
+    typed = converted(tmp_path, source, *rear_first, *MOVED, "--window", "60ms", "--min-height", "0.1")
     assert [scan.stamp_ns for scan in typed.scans] == [BEGIN_NS + (37 + 100 * n) * 1_000_000 for n in range(7)]
     assert (typed.topic("/front")["action"], typed.topic("/front")["joined"]["used"]) == ("joined", 7)
-    report = pc2scan.convert(source, tmp_path / "python.mcap", lead="/rear", window=0.06, **BOTH)
+    report = pc2scan.convert(
+        source, tmp_path / "python.mcap", window=0.06, **{**BOTH, "topics": ["/rear:=/scan", "/front:=/scan"]}
+    )
     assert (tmp_path / "python.mcap").read_bytes() == (tmp_path / "out.mcap").read_bytes()
     (front,) = (topic for topic in report.topics if topic.topic == "/front")
     assert front.joined is not None

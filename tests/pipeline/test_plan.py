@@ -23,7 +23,7 @@ BASE: dict[str, Any] = {"params": ProjectionParams(target_frame="base_link")}
 def plan(topics: dict[str, str], requests: str = "", **options: Any) -> Plan:
     connections = [Connection(i, each, KINDS.get(kind, kind), "ros1") for i, (each, kind) in enumerate(topics.items())]
     own = {name: options.pop(name) for name in ("params", "reverse") if name in options}
-    combining = Combining.of(**{name: options.pop(name) for name in ("rebin", "lead") if name in options})
+    combining = Combining.of(**{name: options.pop(name) for name in ("rebin",) if name in options})
     scan = ScanSpec(topics=tuple(map(TopicRequest.parse, requests.split())), combining=combining, **own)
     return make_plan(connections, ConvertOptions(scans=(scan,), **options))
 
@@ -67,10 +67,6 @@ def test_topics_that_share_a_target_become_one_scan() -> None:
         [(("/s",), combination)],
         [(("/d/scan",), None)],
     ]
-    led = plan(topics, "/b:=/s /a:=/s", **BASE, lead="a")
-    assert led.combinations[0].sources == ("/a", "/b")
-    with pytest.raises(TopicError, match="`lead` is /d, which is not one of the scan's topics: /b, /a"):
-        plan(topics, "/b:=/s /a:=/s", **BASE, lead="/d")
     # A glob may name them.
     made = plan({"/l_1": "cloud", "/l_2": "cloud", "/imu": "imu"}, "/l_*:=/s", **BASE)
     assert [each.sources for each in made.combinations] == [("/l_1", "/l_2")]

@@ -350,22 +350,11 @@ class RobotMotion(TypedDict, total=False):
 class CloudCombination(TypedDict, total=False):
     """Scans of several messages."""
 
-    lead: Annotated[
-        str,
-        Option(
-            Text("TOPIC"),
-            "If several topics become one scan (`topics=/a:=/scan` `topics=/b:=/scan`), the topic whose stamps the "
-            "scans have.",
-            default="",
-            default_text="the first",
-            offers=("topics", "/PointCloud2", "/LaserScan"),
-        ),
-    ]
     window: Annotated[
         Period | None,
         Option(
             Duration("S"),
-            "How far the stamps of the other topics may be from those of `lead`.",
+            "How far the stamps of the other topics may be from those of the first one.",
             default_text="half the median period",
         ),
     ]

@@ -72,8 +72,6 @@ class Combining(NamedTuple):
 
     Attributes
     ----------
-    lead
-        The topic whose stamps the scans have; empty: the topic that is named first.
     window_ns
         The largest difference between the stamps of another topic and of the leading one, nanoseconds; None: half the
         median period.
@@ -88,7 +86,6 @@ class Combining(NamedTuple):
         Whether ``accumulate`` was typed as a whole number without a unit, which may be meant as a number of clouds.
     """
 
-    lead: str = ""
     window_ns: int | None = None
     span_ns: int = 0
     count: int = 0  # type: ignore[assignment]  # instead of the tuple's method
@@ -100,7 +97,6 @@ class Combining(NamedTuple):
     def of(
         cls,
         *,
-        lead: str = "",
         window: Period | None = None,
         accumulate: Period | None = None,
         every: Period | None = None,
@@ -129,7 +125,7 @@ class Combining(NamedTuple):
         every_ns = 0 if every is None else nanoseconds_of("every", every)
         window_ns = None if window is None else nanoseconds_of("window", window)
         is_bare = isinstance(accumulate, str) and accumulate.strip().isdecimal()
-        return cls(lead, window_ns, span_ns, count, every_ns, rebin, is_bare)
+        return cls(window_ns, span_ns, count, every_ns, rebin, is_bare)
 
     @property
     def accumulates(self) -> bool:
@@ -314,9 +310,9 @@ class ScanSpec:
 
     def _check_combining(self) -> None:
         asked = self.combining
-        if (asked.lead or asked.window_ns is not None) and not self.may_share:
+        if asked.window_ns is not None and not self.may_share:
             raise UsageError(
-                "`lead` and `window` need several topics that become one scan",
+                "`window` needs several topics that become one scan",
                 hint="such as `topics=/front:=/scan` `topics=/rear:=/scan` `target_frame=base_link`",
             )
         if asked.window_ns is not None and asked.accumulates:

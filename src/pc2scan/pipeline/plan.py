@@ -181,18 +181,8 @@ def _combinations(
                 hint="such as `target_frame=base_link`; `fixed_frame=odom` corrects the robot's motion between their "
                 "stamps",
             )
-        found.append(Combination(spec, tuple(_leading_topics(topics, spec, types)), target))
+        found.append(Combination(spec, tuple(topics), target))
     return found
-
-
-def _leading_topics(topics: Sequence[str], spec: ScanSpec, types: dict[str, set[str]]) -> list[str]:
-    """Return the topics of a scan, beginning with the one that leads."""
-    if not spec.combining.lead:
-        return list(topics)
-    lead = find_topic(spec.combining.lead, types, list(topics), *spec.named_types)
-    if lead not in topics and len(topics) > 1:
-        raise TopicError(f"`lead` is {lead}, which is not one of the scan's topics: {name_list(topics)}")
-    return sorted(topics, key=lambda topic: topic != lead)
 
 
 def _targets(types: dict[str, set[str]], spec: ScanSpec, options: ConvertOptions) -> dict[str, tuple[str, ...]]:

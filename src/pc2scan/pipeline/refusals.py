@@ -175,7 +175,7 @@ def refuse_nothing(report: Report) -> None:
         raise ResultError(
             f"no message was converted: the leading topic has none, so those of "
             f"{name_list([topic.topic for topic in joined])} are in no scan",
-            hint="`lead` chooses another leading topic; or check `topics`, `start` and `end`",
+            hint="name another topic first in `topics`; or check `start` and `end`",
         )
     if not read:
         raise ResultError(

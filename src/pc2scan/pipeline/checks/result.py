@@ -327,7 +327,7 @@ def source_in_no_scan(result: JoinedResult) -> Iterator[str]:
 def messages_in_no_scan(result: JoinedResult) -> Iterator[str]:
     """Yield a warning about many messages in a row that are in no scan."""
     if _are_left_long(*result):
-        yield (f"{_unmatched(*result)}. Scans are made for messages of the leading topic; `lead` chooses another one")
+        yield (f"{_unmatched(*result)}. Scans are made for messages of the leading topic, the first one of `topics`")
 
 
 def _are_left_long(topic: TopicReport, counts: SourceCounts) -> bool:
