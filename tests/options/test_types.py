@@ -29,7 +29,7 @@ CALLS = {
     'pc2scan.export("a", "b.npz", pose_frame="odom", min_height=0.1, format="npz")': "",
     'pc2scan.view("a", clouds=3, at=["1", 2.5], reduce="median").save("page.html")': "",
     'pc2scan.plot("a", "b.png", at=1, overwrite=True)': "",
-    'pc2scan.map("a", resolution="5cm", max_range=20, min_height=0.1)': "",
+    'pc2scan.map("a", resolution="5cm", min_height=0.1)': "",
     'pc2scan.check("a", consumers=["nav2"], tf_from="b")': "",
     'pc2scan.info("a", target_frame="base_link")': "",
     'pc2scan.tf("a", tf_topics="/tf").lookup("a", "b")': "",

@@ -213,7 +213,7 @@ class OccupancyGrid:
         if int(np.abs(cells[:, 2:] - cells[:, :2]).max(axis=1).sum()) > _MOST_CROSSED:
             raise DecodeError(
                 f"the beams of a scan cross more than {_MOST_CROSSED:,} cells",
-                hint="a larger `resolution`, or a `max_range`, makes them fewer",
+                hint="a larger `resolution` makes them fewer",
             )
         columns, rows = cells[:, 0::2], cells[:, 1::2]
         self._grow(int(columns.min()), int(rows.min()), int(columns.max()) + 1, int(rows.max()) + 1)
@@ -263,7 +263,7 @@ class OccupancyGrid:
         return UsageError(
             f"the map would have {width:,} x {height:,} cells of {size:g} m ({width * size:,.0f} x "
             f"{height * size:,.0f} m); at most {self._most:,} cells are possible",
-            hint=f"`resolution={coarser:g}` makes larger cells, `max_range=30` shortens beams, `start` and `end` cut",
+            hint=f"`resolution={coarser:g}` makes larger cells, `start` and `end` cut",
         )
 
     def occupancy(self) -> Occupancy | None:

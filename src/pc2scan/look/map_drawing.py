@@ -83,7 +83,7 @@ class Drawing:
                 scan.ranges,
                 scan.range_min,
                 scan.range_max,
-                longest=min(asked.max_range, LONGEST * asked.resolution),
+                longest=LONGEST * asked.resolution,
             )
             origins, ends = place_beams(beams, self._directions(scan), len(scan.ranges), start, end)
             self.grid.add(origins, ends, beams.hits)
@@ -261,8 +261,6 @@ class MapOptions:
         exist.
     resolution
         The side of a cell, metres.
-    max_range
-        Returns beyond this range mark no cell as occupied; the cells up to it are cleared. Metres.
 
     Raises
     ------
@@ -273,7 +271,6 @@ class MapOptions:
     odom_frame: str = "odom"
     base_frame: str = ""
     resolution: float = 0.05
-    max_range: float = math.inf
 
     @classmethod
     def of(cls, options: Options) -> MapOptions:
@@ -290,7 +287,5 @@ class MapOptions:
                 if _FINEST <= meant <= _COARSEST
                 else None,
             )
-        if not self.max_range > 0:
-            raise UsageError(f"`max_range` is {self.max_range:g} m, it must be greater than 0")
         if not self.odom_frame.removeprefix("/"):
             raise UsageError("`odom_frame` is empty", hint="pc2scan tf shows the frames of a recording")

@@ -213,16 +213,6 @@ class MapDrawing(TypedDict, total=False):
     """A map."""
 
     resolution: Annotated[Quantity, Option(Number("m"), "Side of a cell: 0.05, or 5cm.", default=0.05, common=True)]
-    max_range: Annotated[
-        Quantity,
-        Option(
-            Number("m"),
-            "Returns beyond this range mark no cell as occupied; the cells up to it are cleared.",
-            default=float("inf"),
-            default_text="no limit",
-            common=True,
-        ),
-    ]
     odom_frame: Annotated[
         str,
         Option(
