@@ -34,7 +34,7 @@ def main(folder: Path) -> None:
     pc2scan("plot", ROOT / "fixtures" / "hall.bag", "-o", folder / "plot.png", "--at", "0.2", *heights)
     with TemporaryDirectory() as temporary:
         drive = write_mcap(Path(temporary) / "drive.mcap", drive_recording())
-        pc2scan("map", drive, "--png", folder / "map.png")
+        pc2scan("map", drive, "-o", folder / "map.png")
     moving.main(folder)
     speed.main(folder)
     wrong.main(folder)

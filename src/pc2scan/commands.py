@@ -182,7 +182,6 @@ def map(  # noqa: A001  # the command's name
     drawn = write_map(
         sources,
         destination,
-        options.png,
         conversion.options,
         asked,
         overwrite=options.overwrite,

@@ -145,7 +145,7 @@ def test_other_readers_read_the_map(source: Path, tmp_path: Path) -> None:
 
 def test_the_picture_alone(source: Path, tmp_path: Path) -> None:
     image = pytest.importorskip("PIL.Image")
-    done = run("map", source, "--png", tmp_path / "map.png", "--json")
+    done = run("map", source, "-o", tmp_path / "map.png", "--json")
     assert (done.status, done.stderr) == (0, "")
     assert [path.name for path in tmp_path.iterdir()] == ["map.png"]
     document = json.loads(done.stdout)
@@ -196,11 +196,11 @@ def test_level_and_deskewed_clouds_have_their_place() -> None:
 
 def test_scans_without_a_place_are_counted(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "late.mcap", drive_recording(rate=5.0, beams=91, motion_from=2.0))
-    done = run("map", source, "--png", tmp_path / "map.png")
+    done = run("map", source, "-o", tmp_path / "map.png")
     assert done.status == 3
     assert "skipped: 10 of /scan: their stamps are before the first [base_link] in [odom]" in done.stderr
     assert pc2scan.map(source).scans == {"/scan": 30}
-    failed = run("map", source, "--png", tmp_path / "none.png", "--strict")
+    failed = run("map", source, "-o", tmp_path / "none.png", "--strict")
     assert failed.status == 1
     assert not (tmp_path / "none.png").exists()
 
@@ -271,7 +271,7 @@ def test_a_map_without_end_is_refused(tmp_path: Path) -> None:
         for item in recording.items
     ]
     source = write_mcap(tmp_path / "jump.mcap", Recording(recording.streams, tuple(items)))
-    done = run("map", source, "--png", tmp_path / "map.png")
+    done = run("map", source, "-o", tmp_path / "map.png")
     assert done.status == 2
     assert "at most 67,108,864 cells are possible" in done.stderr
     assert "--resolution" in done.stderr
@@ -282,24 +282,24 @@ def test_a_recording_without_transforms(tmp_path: Path) -> None:
     recording = drive_recording(seconds=1.0, rate=5.0, beams=91)
     scans = tuple(item for item in recording.items if item.stream.topic == "/scan")
     source = write_mcap(tmp_path / "scans.mcap", Recording(recording.streams[:1], scans))
-    done = run("map", source, "--png", tmp_path / "map.png")
+    done = run("map", source, "-o", tmp_path / "map.png")
     assert done.status == 2
     assert "the recording has no transforms" in done.stderr
     assert "--odom-frame laser draws all scans as if the robot stood still" in done.stderr
-    assert run("map", source, "--png", tmp_path / "map.png", "--odom-frame", "laser").status == 0
+    assert run("map", source, "-o", tmp_path / "map.png", "--odom-frame", "laser").status == 0
 
 
 def test_hints_about_frames_lead_somewhere(tmp_path: Path) -> None:
     """Nobody is sent in a circle: what a hint says draws a map, or ends with what is missing."""
     drive = drive_recording(seconds=1.0, rate=5.0, beams=91, odom="robot1/odom")
-    done = run("map", write_mcap(tmp_path / "a.mcap", drive), "--png", tmp_path / "map.png")
+    done = run("map", write_mcap(tmp_path / "a.mcap", drive), "-o", tmp_path / "map.png")
     assert "hint: --odom-frame robot1/odom\n" in done.stderr
     # Two lidars, and no transforms: the second one cannot be placed in the frame of the first.
     front = scans(6, replace(GOOD, frame_id="front"))
     rear = scans(6, replace(GOOD, frame_id="rear"))
     both = [write(tmp_path / f"{name}.mcap", *own, tree=()) for name, own in (("front", front), ("rear", rear))]
     assert run("convert", both[1], "--rebin", "--topic", "/scan:=/rear", "-o", tmp_path / "r.mcap").status == 0
-    done = run("map", both[0], tmp_path / "r.mcap", "--png", tmp_path / "b.png", "--odom-frame", "front")
+    done = run("map", both[0], tmp_path / "r.mcap", "-o", tmp_path / "b.png", "--odom-frame", "front")
     assert "--topic /scan draws what can be placed; --static-tf 'front rear X Y Z ROLL PITCH YAW'" in done.stderr
 
 

@@ -29,7 +29,7 @@ _REFUSED_SUFFIXES = {
         "pc2scan map writes maps with such names; metadata.yaml is written inside a directory: name that directory",
     ),
     **dict.fromkeys((".html", ".htm"), "pc2scan view writes a page"),
-    **dict.fromkeys((".png", ".svg"), "pc2scan plot draws clouds, pc2scan map with `png` scans"),
+    **dict.fromkeys((".png", ".svg"), "pc2scan plot draws clouds, pc2scan map scans"),
     **dict.fromkeys((".csv", ".npz", ".tum", ".clf"), "pc2scan export writes such files"),
     **dict.fromkeys((".pcd", ".bin"), "pc2scan export writes them, into a folder"),
     **dict.fromkeys(

@@ -183,10 +183,10 @@ COMMANDS = {
                 "Recordings with scans, or with clouds, which are converted like with `pc2scan convert`; several are "
                 "merged in time order."
             ),
-            _output("NAME.yaml", "The map for map_server, NAME.yaml and NAME.pgm, and the picture NAME.png."),
+            _output("MAP", "NAME.yaml: the map for map_server, with NAME.pgm, and the picture NAME.png. NAME.png: only that."),
         ),
         (
-            ("pc2scan map scans.mcap --png map.png", "its scans, placed by the odometry"),
+            ("pc2scan map scans.mcap -o map.png", "its scans, placed by the odometry"),
             (
                 "pc2scan map drive.bag -o map.yaml --min-height 0.1 --max-height 1.5",
                 "a map for map_server, made of clouds",

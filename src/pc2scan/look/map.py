@@ -45,7 +45,6 @@ _MAX_CELLS = 64 << 20
 def write_map(
     sources: Sequence[Path],
     destination: Path | None,
-    picture: Path | None,
     options: ConvertOptions,
     asked: MapOptions,
     *,
@@ -59,9 +58,7 @@ def write_map(
     Parameters
     ----------
     destination
-        ``NAME.yaml``: its image and its picture are written beside it. None: only the picture is written.
-    picture
-        The path of the picture. None: beside ``destination``.
+        ``NAME.yaml``: its image and its picture are written beside it. ``NAME.png``: only the picture is written.
     overwrite
         Whether files of these names may be replaced.
     also_read
@@ -72,21 +69,18 @@ def write_map(
     DestinationError, OutputError
         If a file exists, or one cannot be written. Then none is written.
     """
-    paths = map_paths(destination) if destination is not None else []
-    if picture is not None:
-        if picture.suffix.lower() != ".png":
-            png = picture.with_suffix(".png").name if picture.name else "map.png"
-            raise UsageError("is not the name of a PNG file", path=picture, hint=f"`png={png}`")
-        paths = [picture] if destination is None else [paths[0], picture, paths[2]]
-    if not paths:
-        raise UsageError("no file to write is given", hint="name the map, `destination=map.yaml`, or `png=map.png`")
+    if destination is None:
+        raise UsageError(
+            "no file to write is given", hint="`destination=map.yaml`; or `destination=map.png`, the picture"
+        )
+    paths = map_paths(destination)
     refuse_overlap(
         inputs_of(sources, options.frames.tf_from, also_read),
         [OutputPath(path) for path in paths],
     )
     with files_output(paths, overwrite=overwrite) as deliver:
         made = map_of(sources, options, asked, progress=progress, warn=warn)
-        deliver([made.png] if destination is None else contents_of(made, destination))
+        deliver(contents_of(made, destination))
     return made
 
 

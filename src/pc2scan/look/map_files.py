@@ -50,20 +50,26 @@ _MOST_POINTS = 4_000
 
 
 #: Suffixes that are not a part of a map's name.
-_OTHER_SUFFIXES = (".yml", ".pgm", ".png", ".jpg", ".svg", ".pdf", ".html", ".txt", ".csv", ".bag", ".mcap")
+_OTHER_SUFFIXES = (".yml", ".pgm", ".jpg", ".svg", ".pdf", ".html", ".txt", ".csv", ".bag", ".mcap")
 
 
 def map_paths(path: Path) -> list[Path]:
-    """Return the files of a map: image, picture, and the YAML file.
+    """Return the files of a map: image, picture, and the YAML file; of ``NAME.png`` only the picture.
 
     Raises
     ------
     UsageError
-        If the last one has another suffix.
+        If it has another suffix.
     """
+    if path.suffix == ".png":
+        return [path]
     if path.suffix != ".yaml":
         stem = path.stem if path.suffix in _OTHER_SUFFIXES else path.name
-        raise UsageError("is not the name of a map", path=path, hint=f"maps are NAME.yaml: `destination={stem}.yaml`")
+        raise UsageError(
+            "is not the name of a map",
+            path=path,
+            hint=f"maps are NAME.yaml: `destination={stem}.yaml`; a picture is NAME.png",
+        )
     try:
         path.name.encode("utf-8")
     except UnicodeEncodeError as err:

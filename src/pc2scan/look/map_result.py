@@ -97,10 +97,12 @@ class Map(Result):
     def save(self, destination: str | Path, *, overwrite: bool = False) -> Path:
         """Write the map, as map_server reads it: ``NAME.yaml``, ``NAME.pgm``, and the picture ``NAME.png``.
 
+        With a name that ends in ``.png``, only the picture is written.
+
         Raises
         ------
         DestinationError, UsageError
-            If there is such a file, or the name does not end in ``.yaml``.
+            If there is such a file, or the name ends in neither ``.yaml`` nor ``.png``.
         OutputError
             If one cannot be written.
         """
@@ -160,5 +162,7 @@ class Map(Result):
 
 def contents_of(made: Map, path: Path) -> list[bytes]:
     """Return the contents of a map's files, `pc2scan.look.map_files.map_paths`."""
+    if path.suffix == ".png":
+        return [made.png]
     image = image_of(made.cells, made.resolution)
     return [image, made.png, yaml_of(map_paths(path)[0].name, made.resolution, made.origin)]

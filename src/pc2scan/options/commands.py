@@ -239,10 +239,6 @@ class MapDrawing(TypedDict, total=False):
 class MapFiles(TypedDict, total=False):
     """A map on the disk; only the command has it."""
 
-    png: Annotated[
-        Path | None,
-        Option(PathName(), "The picture. Without -o, only this is written.", common=True, command_only=True),
-    ]
     overwrite: Annotated[bool, Option(Flag(), "Replace files of these names.", common=True, command_only=True)]
 
 

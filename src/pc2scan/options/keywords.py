@@ -58,7 +58,6 @@ _OF_RESULTS = {
     "view": {"destination": "`Page.save` writes the page", "overwrite": "`Page.save` has it"},
     "map": {
         "destination": "`Map.save` writes the files",
-        "png": "`Map.save` writes it",
         "overwrite": "`Map.save` has it",
     },
     "tf": {"lookup": "`FrameTree.lookup` returns a transform", "at": "`FrameTree.lookup` has it"},
