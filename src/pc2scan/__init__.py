@@ -79,7 +79,6 @@ if TYPE_CHECKING:
     from .streams.clouds import Clouds as Clouds
     from .streams.scans import Scan as Scan
     from .streams.scans import Scans as Scans
-    from .tf.placing import FrameOptions as FrameOptions
     from .tf.static import StaticTransform as StaticTransform
 
 #: Where each public name is defined.
@@ -92,7 +91,6 @@ _HOMES = {
     "ExcludeBox": "pipeline.stages.regions",
     "ExcludePolygon": "pipeline.stages.regions",
     "ExportReport": "export.report",
-    "FrameOptions": "tf.placing",
     "FrameTree": "inspect.tf",
     "GoldenReport": "golden.result",
     "Info": "inspect.info",
@@ -139,7 +137,6 @@ __all__ = [
     "ExcludeBox",
     "ExcludePolygon",
     "ExportReport",
-    "FrameOptions",
     "FrameTree",
     "GoldenReport",
     "Info",

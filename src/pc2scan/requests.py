@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 _OF_ALL = ConvertOptions.__dataclass_fields__.keys() - {"scans", "frames", "clock"}
 
 #: The options that are attributes of `FrameOptions`.
-OF_FRAMES = {*ConversionFrames.__annotations__, "write_static_tf"} - {"frames"}
+OF_FRAMES = {*ConversionFrames.__annotations__, "write_static_tf"}
 
 #: The options that name files which are read.
 NAMED_FILES = ("params_file", "static_tf", "trajectory", "urdf", "scans")
@@ -68,14 +68,8 @@ def frames_of(options: Options) -> FrameOptions:
     Raises
     ------
     UsageError
-        If a transform cannot be read, or if there are options besides ``frames``, which has all of them.
+        If a transform cannot be read.
     """
-    if options.frames is not None:
-        if options.given.keys() & OF_FRAMES:
-            raise UsageError("give frames, or the arguments about frames one by one, not both")
-        if not isinstance(options.frames, FrameOptions):
-            raise TypeError(f"frames is {type(options.frames).__name__}, it must be FrameOptions")
-        return options.frames
     if not options.given.keys() & OF_FRAMES:
         return FrameOptions()
     static: tuple[StaticTransform, ...] = ()

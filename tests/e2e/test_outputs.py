@@ -15,7 +15,6 @@ import pytest
 
 import pc2scan
 from pc2scan.errors import DestinationError
-from pc2scan.tf.placing import FrameOptions
 from support import ROOT, sampled
 from support.builders import CONTENT, POINTS, T0, Recording, cloud, item, points_of, write_rosbag1, write_rosbag2
 from support.command import COMMAND, environment, run
@@ -174,4 +173,4 @@ def test_the_library_compares_too(tmp_path: Path) -> None:
     source = write_rosbag2(tmp_path / "drive", CONTENT)
     tf = write_rosbag2(tmp_path / "tf", CONTENT)
     with pytest.raises(DestinationError, match="is a file of `tf_from`"):
-        pc2scan.convert(source, tf, frames=FrameOptions(tf_from=(tf,)), overwrite=True)
+        pc2scan.convert(source, tf, tf_from=tf, overwrite=True)

@@ -290,8 +290,8 @@ def test_scans_of_packets_are_those_of_the_packages_points(form: str, tmp_path: 
     own = recorded(tmp_path / "own" / form, VELODYNE, [clouds.velodyne(packets, ros_version)], ros_version)
     points = library_points(packets)
     usual = recorded(tmp_path / "usual" / form, CLOUD, [clouds.structured(points, ros_version)], ros_version)
-    found = scans_of(own, intensity_field="intensity", frames=pc2scan.FrameOptions(source_frame="lidar"))
-    assert found == scans_of(usual, intensity_field="intensity", frames=pc2scan.FrameOptions(source_frame="lidar"))
+    found = scans_of(own, intensity_field="intensity", source_frame="lidar")
+    assert found == scans_of(usual, intensity_field="intensity", source_frame="lidar")
     times = decoded(VELODYNE, clouds.velodyne(packets, ros_version), ros_version).field("time")
     np.testing.assert_allclose(times, points["time"] + (packets[-1][0] - T0) / 1e9, atol=2e-6)
     assert times.min() > -1e-4

@@ -169,9 +169,8 @@ def test_filters_work_in_the_frame_that_they_name(tmp_path: Path, frame: Any) ->
     params = pc2scan.ProjectionParams(
         min_height=-1.0, max_height=2.0, target_frame="map" if frame is Frame.TARGET else ""
     )
-    frames = pc2scan.FrameOptions(static=tuple(static))
     limit = {Frame.SOURCE: 1.5, Frame.TARGET: 0.0, "base": 11.5}[frame]
-    options: dict[str, Any] = {"params": params, "frames": frames, "filters": [Beyond(frame, limit)]}
+    options: dict[str, Any] = {"params": params, "static_tf": static, "filters": [Beyond(frame, limit)]}
     points = pc2scan.convert(source, tmp_path / "b.mcap", **options).topics[0].points
     # Turned by half a turn, the fourth is in front; the third is at -4e-16 or so.
     expected = {"used": 1, "this_side": 4} if frame is Frame.TARGET else {"used": 2, "this_side": 3}

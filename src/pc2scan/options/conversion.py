@@ -3,7 +3,7 @@
 No ``from __future__ import annotations`` here: see `pc2scan.options.table`.
 """
 
-from typing import TYPE_CHECKING, Annotated, Any, TypedDict
+from typing import Annotated, Any, TypedDict
 
 from .option import (
     FRAMES,
@@ -27,7 +27,6 @@ from .values import (
     Duration,
     Filters,
     Flag,
-    Instance,
     Moment,
     Number,
     PathName,
@@ -37,9 +36,6 @@ from .values import (
     Texts,
     TransformTexts,
 )
-
-if TYPE_CHECKING:
-    from pc2scan.tf.placing import FrameOptions
 
 
 class SourceTopics(TypedDict, total=False):
@@ -259,10 +255,6 @@ class TransformSources(TransformInputs, total=False):
     """Where transforms come from."""
 
     tf_from: Annotated[Paths | None, Option(Recordings(), "Read the transforms of this recording too.")]
-    frames: Annotated[
-        "FrameOptions | None",
-        Option(Instance(), "All options about transforms in one object.", panel=PYTHON, typed=""),
-    ]
 
 
 class SourceFrame(TypedDict, total=False):
