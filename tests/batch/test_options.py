@@ -22,7 +22,7 @@ from support.tables import rows
 
 
 def test_formats_are_words_of_the_options() -> None:
-    assert options_of("batch")["export"].value.words == options_of("export")["format"].value.words == tuple(FORMATS)
+    assert options_of("batch")["format"].value.words == options_of("export")["format"].value.words == tuple(FORMATS)
 
 
 # --- What options mean ---
@@ -64,7 +64,7 @@ def test_typed_options_mean_what_keywords_mean(
 ) -> None:
     assert digests.typed(*text.split()) == digests.of(**keywords) != digests.of()
     # For `convert`, too, where it has them.
-    if not keywords.keys() & {"param", "remap", "export"}:
+    if not keywords.keys() & {"param", "remap", "format"}:
         called: list[Any] = []
 
         def converted(*args: Any, **_: Any) -> _Done:
@@ -121,7 +121,7 @@ def test_the_content_of_an_options_file_counts(digests: Digests, tmp_path: Path)
 def test_an_unknown_export_is_named(tmp_path: Path) -> None:
     for name, hint in (("npzz", "did you mean npz?"), ("ply", None)):
         with pytest.raises(UsageError, match=f"`export` is {name!r}, it must be one of npz") as caught:
-            pc2scan.batch(place(tmp_path / name, "a.bag"), tmp_path / "out", export=name)
+            pc2scan.batch(place(tmp_path / name, "a.bag"), tmp_path / "out", format=name)
         assert caught.value.hint == hint
 
 

@@ -227,17 +227,17 @@ def test_objects_of_others_stay(store: Store, drives: Path) -> None:
 def test_exported_folders_are_replaced_if_all_is_known(store: Store, drives: Path, tmp_path: Path) -> None:
     source, out = f"{store.upload(drives)}/a.bag", f"{store.url}/out"
     for name in ("csv", "npz"):
-        batch(source, out, export=name)
-        batch(drives / "a.bag", tmp_path / name, export=name)
+        batch(source, out, format=name)
+        batch(drives / "a.bag", tmp_path / name, format=name)
         assert store.contents("out") == contents(tmp_path / name)
-        assert batch(source, out, export=name).unchanged == 1
+        assert batch(source, out, format=name).unchanged == 1
     store.put("out/a/labels.npz", b"mine")
     before = store.contents("out")
     for overwrite in (False, True):
-        assert "labels.npz" in batch(source, out, export="csv", overwrite=overwrite).outcomes[0].error
+        assert "labels.npz" in batch(source, out, format="csv", overwrite=overwrite).outcomes[0].error
     assert store.contents("out") == before
     store.remove("out/a/labels.npz")
-    assert batch(source, out, export="csv").exit_status == 0
+    assert batch(source, out, format="csv").exit_status == 0
     assert store.contents("out").keys() == {"a/scan.csv", "a/.pc2scan-files.json"}
 
 
@@ -245,9 +245,9 @@ def test_an_exported_folder_of_many_files_is_known(store: Store, drives: Path, m
     """A manifest has one entry for the files of such a folder."""
     monkeypatch.setattr("pc2scan.batch.manifest._MOST", 1)
     source, out = f"{store.upload(drives)}/a.bag", f"{store.url}/out"
-    assert batch(source, out, export="npz").exit_status == 0
+    assert batch(source, out, format="npz").exit_status == 0
     assert store.line("a.bag")["output"]["files"][0][0] == "2 files"
-    assert batch(source, out, export="npz").unchanged == 1
+    assert batch(source, out, format="npz").unchanged == 1
 
 
 def test_a_manifest_that_changed_meanwhile_is_an_error(

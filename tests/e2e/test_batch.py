@@ -45,18 +45,18 @@ def test_reports_have_a_row_for_each_recording(drives: Path, tmp_path: Path) -> 
 def test_each_recording_is_exported_as_by_export(drives: Path, tmp_path: Path) -> None:
     out, alone = tmp_path / "out", tmp_path / "alone"
     poses = ("--pose-frame", "odom", "--base-frame", "base_link")
-    assert run_batch(drives, "-o", out, "--export", "npz", *poses).status == 0
+    assert run_batch(drives, "-o", out, "--format", "npz", *poses).status == 0
     names = {f"{folder}/{name}" for folder in ("a", "b", "robot1/a") for name in ("scan.npz", ".pc2scan-files.json")}
     assert set(contents(out)) == names
     with np.load(out / "a" / "scan.npz") as archive:
         assert archive["ranges"].shape[0] == archive["stamps"].shape[0] == archive["poses"].shape[0] > 0
     assert run("export", drives / "a.bag", "-o", f"{alone}/", "--format", "npz", *poses, *HEIGHTS).status == 0
     assert (alone / "scan.npz").read_bytes() == (out / "a" / "scan.npz").read_bytes()
-    assert "3 unchanged" in run_batch(drives, "-o", out, "--export", "npz", *poses).stderr
+    assert "3 unchanged" in run_batch(drives, "-o", out, "--format", "npz", *poses).stderr
     (out / "a" / "scan.npz").unlink()
-    assert "1 its output is missing" in run_batch(drives, "-o", out, "--export", "npz", *poses).stderr
+    assert "1 its output is missing" in run_batch(drives, "-o", out, "--format", "npz", *poses).stderr
     # Clouds have no heights.
-    clouds = ("batch", drives, "-o", tmp_path / "clouds", "--export", "pcd")
+    clouds = ("batch", drives, "-o", tmp_path / "clouds", "--format", "pcd")
     with in_this_process():
         assert run(*clouds, "--dry-run").status == 0
         assert not (tmp_path / "clouds").exists()

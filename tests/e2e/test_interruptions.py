@@ -184,7 +184,7 @@ FULL_OF_RESULTS: dict[str, tuple[str, ...]] = {
     "bag": ("--keep-clouds",),
     "mcap": ("--keep-clouds", "--to", "mcap", "--compression", "none"),
     "sqlite3": ("--keep-clouds", "--to", "rosbag2", "--storage", "sqlite3"),
-    "npz": ("--export", "npz", "--angle-increment", "0.0004"),
+    "npz": ("--format", "npz", "--angle-increment", "0.0004"),
 }
 
 

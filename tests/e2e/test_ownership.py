@@ -35,23 +35,23 @@ def errors_of(report: Any) -> dict[str, str]:
 
 def test_a_batch_leaves_files_in_its_exported_folders(drives: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    assert batch(drives, out, export="npz", beams=90).exit_status == 0
+    assert batch(drives, out, format="npz", beams=90).exit_status == 0
     (out / "a" / "deep").mkdir()
     for name in ("labels.npz", "deep/mine.npz"):
         (out / "a" / name).write_text(MINE)
     before = contents(out / "a")
-    errors = errors_of(batch(drives, out, export="npz", beams=91))
+    errors = errors_of(batch(drives, out, format="npz", beams=91))
     assert "deep/mine.npz" in errors["a.bag"]
     assert not errors["sub/b.bag"]
     assert contents(out / "a") == before
     # It is converted as soon as they are away.
     shutil.rmtree(out / "a" / "deep")
     (out / "a" / "labels.npz").unlink()
-    assert batch(drives, out, export="npz", beams=91).exit_status == 0
+    assert batch(drives, out, format="npz", beams=91).exit_status == 0
     # As a version wrote them that put no record into folders: the manifest is the record.
     for record in out.rglob(".pc2scan-files.json"):
         record.unlink()
     os.utime(out / "sub" / "b" / "scan.npz", (1, 1))
-    assert errors_of(batch(drives, out, export="csv"))["a.bag"] == ""
+    assert errors_of(batch(drives, out, format="csv"))["a.bag"] == ""
     assert sorted(contents(out / "a")) == [".pc2scan-files.json", "scan.csv"]
     assert sorted(contents(out / "sub")) == ["b/scan.npz"]

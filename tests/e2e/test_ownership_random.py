@@ -81,7 +81,7 @@ RUNS = (
     Run("convert", "folder", {"only_scans": True}, folder="folder"),
     *(Run("export", "logs/", {"format": form}, recorded=True, folder="logs") for form in ("npz", "csv")),
     *(Run("batch", "", {"only_scans": True, **more}, recorded=True) for more in ({}, {"beams": 90}, {"to": "rosbag2"})),
-    *(Run("batch", "", {"export": form}, recorded=True) for form in ("npz", "csv")),
+    *(Run("batch", "", {"format": form}, recorded=True) for form in ("npz", "csv")),
 )
 
 

@@ -25,7 +25,7 @@ CALLS = {
     'pc2scan.scans("a", topics="/points", preset="nav2", deskew=True, fixed_frame="odom")': "",
     'pc2scan.scans("a", "/points", remove="shadows")': "",
     'pc2scan.clouds("a", start=1.5, strict=True)': "",
-    'pc2scan.batch("a/", "b/", min_height=0.1, jobs=2, dask=True, export="npz", pose_frame="odom")': "",
+    'pc2scan.batch("a/", "b/", min_height=0.1, jobs=2, dask=True, format="npz", pose_frame="odom")': "",
     'pc2scan.export("a", "b.npz", pose_frame="odom", min_height=0.1, format="npz")': "",
     'pc2scan.view("a", clouds=3, at=["1", 2.5], reduce="median").save("page.html")': "",
     'pc2scan.plot("a", "b.png", at=1, overwrite=True)': "",

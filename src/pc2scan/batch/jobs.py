@@ -92,10 +92,10 @@ def request_of(keywords: Mapping[str, Any], origins: Mapping[str, str] | None = 
     output = output_of(options, like_source=True)
     conversion = conversion_of(options)
     export = None
-    if options.export is not None:
+    if options.format is not None:
         from pc2scan.export.run import ExportOptions  # noqa: PLC0415  # most batches write recordings
 
-        export = ExportOptions.of(options, conversion.options, options.export)
+        export = ExportOptions.of(options, conversion.options, options.format)
     # Absolute: another process may have another current folder.
     frames = conversion.options.frames
     frames = replace(frames, tf_from=tuple(map(absolute, frames.tf_from)))
@@ -123,19 +123,19 @@ def digest_of(request: Request) -> str:
 
 
 def _check_export(options: Options) -> None:
-    """Raise if an option of exports is given without ``export``, or one of recordings besides it."""
-    name, given = options.export, options.given
+    """Raise if an option of exports is given without ``format``, or one of recordings besides it."""
+    name, given = options.format, options.given
     poses = given.keys() & {"pose_frame", "base_frame"}
     if name is None:
         if poses:
-            raise UsageError(f"`{min(poses)}` goes with `export`", hint="such as `export=npz`")
+            raise UsageError(f"`{min(poses)}` goes with `format`", hint="such as `format=npz`")
         return
     if idle := [f"`{word}`" for word in options_of("convert") if word in given and word in Container.__annotations__]:
-        raise UsageError(f"{', '.join(idle)} would have no effect: `export` writes no recordings")
+        raise UsageError(f"{', '.join(idle)} would have no effect: `format` writes no recordings")
     from pc2scan.export.formats import FORMATS  # noqa: PLC0415  # most batches write recordings
 
     if FORMATS[name].needs_poses and not given.keys() & {"pose_frame", "odom_topic"}:
-        raise UsageError(f"`export={name}` needs poses", hint="give `pose_frame=odom`, or `odom_topic=/odom`")
+        raise UsageError(f"`format={name}` needs poses", hint="give `pose_frame=odom`, or `odom_topic=/odom`")
 
 
 def _canonical(value: Any) -> Any:

@@ -81,7 +81,7 @@ def destinations(found: Sequence[Recording], requests: Mapping[str, Request | No
 
     If two results would have the same name (``drive.bag`` and ``drive.mcap`` with ``--to mcap``), the suffix of each
     source becomes a part of its name: ``drive_bag_scan.mcap``. So it does if a result would be a folder with another
-    result in it (``drive.bag`` and ``drive/x.bag`` with ``--export npz``): ``drive_bag`` and ``drive/x``.
+    result in it (``drive.bag`` and ``drive/x.bag`` with ``--format npz``): ``drive_bag`` and ``drive/x``.
     """
     wanted = {
         each.key: (each, request) for each in found if each.container and (request := requests[each.key]) is not None

@@ -69,19 +69,20 @@ class ExportFormat(TypedDict, total=False):
 class BatchExport(TypedDict, total=False):
     """Results of a batch that are not recordings."""
 
-    export: Annotated[
+    format: Annotated[
         str | None,
         Option(
             Text(words=("npz", "csv", "tum", "carmen", "flaser", "pcd", "kitti")),
             "Write the files of pc2scan export instead of recordings, in a folder for each recording.",
+            short="-f",
         ),
     ]
     pose_frame: Annotated[
         str,
-        Option(Text("FRAME"), "With `export`: the robot's pose in this frame (odom, map) at each stamp.", default=""),
+        Option(Text("FRAME"), "With `format`: the robot's pose in this frame (odom, map) at each stamp.", default=""),
     ]
     base_frame: Annotated[
-        str, Option(Text("FRAME"), "With `export`: the robot's frame, whose pose is written.", default="")
+        str, Option(Text("FRAME"), "With `format`: the robot's frame, whose pose is written.", default="")
     ]
 
 
