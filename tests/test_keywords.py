@@ -75,7 +75,7 @@ NOT_FOR_SCANS = {
         *("report", "dry_run", "scratch"),
     },
     "a loop can check its scans itself": {"fail_on", "min_used"},
-    "clouds are made": {"reverse", "channels", "range_cutoff"},
+    "clouds are made": {"reverse", "channels"},
     "a loop has one output": {"scans"},
     "a loop shows its own progress": {"progress"},
 }

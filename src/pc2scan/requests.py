@@ -263,8 +263,8 @@ def _of_node(
         if moved.tf_topics and not frames.tf_topics:
             frames = replace(frames, tf_topics=moved.tf_topics)
     more = {}
-    if options.given.keys() & {"channels", "range_cutoff"}:
-        more["channels"] = _channels(options.channels, options.range_cutoff)
+    if options.channels:
+        more["channels"] = _channels(options.channels)
     scan = ScanSpec.of(options.given, resolved, topics=tuple(map(TopicRequest.parse, topics)), **more)
     files = named_files(options) | {f"{path.name} (from `params_file`)": path for path in resolved.files}
     clock = clock_of(options) if options.given.keys() & StampCorrection.__annotations__.keys() else None
@@ -344,14 +344,13 @@ def destination_of(destination: PathText | None) -> tuple[Path | None, Path | No
     return path_or_url(text), None
 
 
-def _channels(channels: tuple[str, ...] | UnprojectParams, range_cutoff: float | None) -> UnprojectParams:
-    """Combine the options about the fields of clouds into one object."""
+def _channels(channels: tuple[str, ...] | UnprojectParams) -> UnprojectParams:
+    """Return the fields of clouds that are added."""
     from .core.unproject import UnprojectParams  # noqa: PLC0415
 
     if isinstance(channels, UnprojectParams):
-        return channels if range_cutoff is None else replace(channels, range_cutoff=range_cutoff)
-    wanted = {name: name in channels for name in ("distances", "stamps", "viewpoint")}
-    return UnprojectParams(**wanted, range_cutoff=-1.0 if range_cutoff is None else range_cutoff)
+        return channels
+    return UnprojectParams(**{name: name in channels for name in ("distances", "stamps", "viewpoint")})
 
 
 def selection_of(sources: PathText | Iterable[PathText], topics: tuple[str, ...], options: Options) -> Selection:

@@ -118,7 +118,7 @@ def test_what_only_python_has_is_no_option_of_a_command() -> None:
     [
         ("convert", {"fail_on": "emtpy"}, "`fail_on` is 'emtpy', it must be one of empty, warning"),
         ("convert", {"jobs": -1}, "`jobs` is -1, it must be from 0 to 1,024"),
-        ("convert", {"range_cutoff": "far"}, "`range_cutoff`: 'far' is not a number"),
+        ("map", {"resolution": "far"}, "`resolution`: 'far' is not a number"),
         ("convert", {"min_used": "half"}, "`min_used`: 'half' is not a share"),
         (
             "convert",
@@ -144,9 +144,7 @@ def test_each_tolerance_is_a_number(values: dict[str, object]) -> None:
 @pytest.mark.parametrize(
     ("values", "read"),
     [
-        ({"range_cutoff": "50cm"}, 0.5),
         ({"start": "250us"}, TimeBound(250_000)),
-        ({"range_cutoff": 2}, 2.0),
         ({"min_used": "5%"}, 0.05),
         ({"topics": "/points"}, ("/points",)),
         ({"topics": ["/a", "/b:=/c"]}, ("/a", "/b:=/c")),

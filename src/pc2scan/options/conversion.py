@@ -395,9 +395,6 @@ class CloudContent(Reversal, total=False):
             typed="--channel",
         ),
     ]
-    range_cutoff: Annotated[
-        Quantity | None, Option(Number("m"), "Use only returns closer than this.", default_text="the scan's range_max")
-    ]
 
 
 class OtherTopics(TypedDict, total=False):

@@ -232,7 +232,7 @@ class ScanSpec:
         if self.keep_used:
             object.__setattr__(self, "keep_used", new_topic(self.keep_used, "`keep_used`"))
         if self.channels is not None and not self.reverse:
-            raise UsageError("`channels` and `range_cutoff` need `reverse`")
+            raise UsageError("`channels` needs `reverse`")
         if self.reverse:
             self._check_reverse()
         elif self.echo != "first" and not self.may_combine:
