@@ -69,7 +69,7 @@ def test_a_docstring_lists_the_options_the_common_ones_first(function: str) -> N
 #: Why a keyword of `convert` is none of `scans`, which writes no recording.
 NOT_FOR_SCANS = {
     "a recording is written": {
-        *("destination", "keep", "drop", "keep_clouds", "clouds_as", "only_scans", "no_scans", "keep_used"),
+        *("destination", "keep", "drop", "keep_clouds", "clouds_as", "only_scans", "keep_used"),
         *("write_static_tf", "storage"),
         *("compression", "profile", "to", "overwrite"),
         *("report", "dry_run", "scratch"),

@@ -153,7 +153,7 @@ def conversion_of(options: Options, warn: Warn | None = None) -> ConversionReque
     UsageError
         If an option has a wrong value, or contradicts another one.
     """
-    if options.no_scans:
+    if options.clouds_as != "recorded" and not options.keep_clouds:
         _refuse_scans(options)
     given = options.among(PARAMETERS)
     settings = [Setting(name, value, options.origins.get(name, CALL)) for name, value in given.items()]
@@ -172,8 +172,8 @@ def _refuse_scans(options: Options) -> None:
     about_scans = options_about_scans()
     if idle := [name for name in options.given if name in about_scans]:
         raise UsageError(
-            f"{name_list([f'`{name}`' for name in idle])} would have no effect: `no_scans` makes no scans",
-            hint="`keep` and `drop` choose among topics" if "topics" in idle else None,
+            f"{name_list([f'`{name}`' for name in idle])} would have no effect: `clouds_as` makes no scans",
+            hint="`keep` and `drop` choose among topics" if "topics" in idle else "`keep_clouds=True` makes scans, too",
         )
 
 

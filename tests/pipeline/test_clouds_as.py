@@ -52,7 +52,7 @@ def raw(step: int, ros_version: int) -> bytes:
 
 
 @pytest.mark.parametrize(("source", "target"), [("bag", "bag"), ("bag", "mcap"), ("mcap", "bag"), ("mcap", "mcap")])
-@pytest.mark.parametrize("options", [{"no_scans": True}, {"keep_clouds": True, "min_height": -9.0}])
+@pytest.mark.parametrize("options", [{}, {"keep_clouds": True, "min_height": -9.0}])
 def test_compressed_clouds_are_written_as_they_were(
     source: str, target: str, options: dict[str, Any], tmp_path: Path
 ) -> None:
@@ -71,7 +71,7 @@ def test_compressed_clouds_are_written_as_they_were(
         expected = [builders.unnumbered(data, CLOUD) for data in expected]
     assert [each.data for each in found.of(stream.topic)] == expected
     assert len(found.of("/imu")) == 3
-    assert len(found.of("/scan")) == (0 if "no_scans" in options else 3)
+    assert len(found.of("/scan")) == (3 if options else 0)
 
 
 @pytest.mark.parametrize("form", ["bag", "mcap"])
@@ -79,7 +79,7 @@ def test_compressed_clouds_are_written_as_they_were(
 def test_livox_clouds_get_the_fields_of_the_driver(form: str, jobs: int, tmp_path: Path) -> None:
     ros_version, serialization = (1, "ros1") if form == "bag" else (2, "cdr")
     path = recording(tmp_path / f"a.{form}", LIVOX, livox, ros_version)
-    report = pc2scan.convert(path, no_scans=True, clouds_as="pointcloud2", jobs=jobs)
+    report = pc2scan.convert(path, clouds_as="pointcloud2", jobs=jobs)
     assert Path(report.destination).name == f"a_clouds.{form}"
     found = [each.data for each in opened(Path(report.destination)).of(LIVOX.topic)]
     clouds_of = [as_pointcloud2(decode_livox(livox(step, ros_version), serialization)) for step in range(3)]
@@ -96,7 +96,7 @@ def test_livox_clouds_get_the_fields_of_the_driver(form: str, jobs: int, tmp_pat
 
 def test_points_are_as_late_in_both(tmp_path: Path) -> None:
     path = recording(tmp_path / "a.mcap", LIVOX, livox, 2)
-    report = pc2scan.convert(path, no_scans=True, clouds_as="pointcloud2")
+    report = pc2scan.convert(path, clouds_as="pointcloud2")
     (own, *_), (driver, *_) = pc2scan.clouds(path), pc2scan.clouds(report.destination)
     # float64 has steps of 256 ns at the present time.
     np.testing.assert_allclose(driver["timestamp"] - float(T0), own["offset_time"], atol=256)
@@ -107,7 +107,7 @@ def test_messages_that_cannot_be_decoded_are_skipped_and_named(tmp_path: Path) -
         return livox(step, ros_version)[: -40 if step == 1 else None]
 
     path = recording(tmp_path / "a.mcap", LIVOX, broken, 2)
-    report = pc2scan.convert(path, no_scans=True, clouds_as="pointcloud2")
+    report = pc2scan.convert(path, clouds_as="pointcloud2")
     (topic,) = (topic for topic in report.topics if topic.topic == LIVOX.topic)
     assert (topic.messages_in, topic.messages_out, topic.skipped) == (3, 2, 1)
     assert "message ends after" in report.skipped[0].reason
@@ -116,12 +116,14 @@ def test_messages_that_cannot_be_decoded_are_skipped_and_named(tmp_path: Path) -
 @pytest.mark.parametrize(
     ("options", "error"),
     [
-        ({"clouds_as": "pointcloud2"}, "says how clouds are written, and none are"),
-        ({"clouds_as": "pcd", "no_scans": True}, "clouds_as"),
-        ({"no_scans": True, "min_height": 0.1}, "`min_height` would have no effect: `no_scans` makes no scans"),
-        ({"no_scans": True, "topics": "/livox/lidar"}, "`topics` would have no effect"),
-        ({"no_scans": True, "only_scans": True}, "no effect"),
-        ({"no_scans": True, "reverse": True}, "`reverse` would have no effect"),
+        ({"clouds_as": "pcd"}, "clouds_as"),
+        (
+            {"clouds_as": "pointcloud2", "min_height": 0.1},
+            "`min_height` would have no effect: `clouds_as` makes no scans",
+        ),
+        ({"clouds_as": "pointcloud2", "topics": "/livox/lidar"}, "`topics` would have no effect"),
+        ({"clouds_as": "pointcloud2", "only_scans": True}, "no effect"),
+        ({"clouds_as": "pointcloud2", "reverse": True}, "`reverse` would have no effect"),
     ],
 )
 def test_options_that_contradict_each_other_are_refused(options: dict[str, Any], error: str, tmp_path: Path) -> None:
@@ -133,6 +135,6 @@ def test_options_that_contradict_each_other_are_refused(options: dict[str, Any],
 
 def test_without_clouds_of_other_types_it_has_no_effect(tmp_path: Path) -> None:
     path = recording(tmp_path / "a.mcap", Stream("/points", CLOUD), raw, 2)
-    report = pc2scan.convert(path, no_scans=True, clouds_as="pointcloud2")
+    report = pc2scan.convert(path, clouds_as="pointcloud2")
     assert any("has no effect: there are no clouds of other types" in text for text in report.warnings)
     assert [each.data for each in opened(Path(report.destination)).of("/points")] == [raw(step, 2) for step in range(3)]

@@ -417,16 +417,12 @@ class OtherTopics(TypedDict, total=False):
         str,
         Option(
             Text(words=("recorded", "pointcloud2")),
-            "How clouds are written, with `keep_clouds` or `no_scans`. pointcloud2: those of all types as PointCloud2, "
-            "Livox's with the fields of its driver (x y z intensity tag line timestamp).",
+            "pointcloud2: make no scans, and write the clouds of all types as PointCloud2, Livox's with the fields of "
+            "its driver (x y z intensity tag line timestamp). With `keep_clouds`: scans, too.",
             default="recorded",
         ),
     ]
     only_scans: Annotated[bool, Option(Flag(), "Write only the scans.")]
-    no_scans: Annotated[
-        bool,
-        Option(Flag(), "Make no scans: write all topics, with `clouds_as=pointcloud2` the clouds as PointCloud2."),
-    ]
     keep_used: Annotated[
         str,
         Option(

@@ -518,11 +518,10 @@ class ConvertOptions:
     keep_clouds
         Whether the converted messages are written, too.
     clouds_as
-        How clouds are written that are not converted, or kept: ``recorded``, or ``pointcloud2``.
+        How clouds are written that are not converted, or kept: ``recorded``, or ``pointcloud2``. With the latter, they
+        are written instead of scans if they are not kept.
     only_scans
         Whether only the new messages are written.
-    no_scans
-        Whether nothing is converted to scans; ``scans`` is not used then.
     keep, drop
         Topics or globs that choose among the topics that are not converted. ``drop`` has precedence, and also
         excludes a cloud topic that is not requested by name.
@@ -549,7 +548,6 @@ class ConvertOptions:
     keep_clouds: bool = False
     clouds_as: str = "recorded"
     only_scans: bool = False
-    no_scans: bool = False
     keep: tuple[str, ...] = ()
     drop: tuple[str, ...] = ()
     start: TimeBound | None = None
@@ -565,12 +563,12 @@ class ConvertOptions:
             hint = f"{self.min_used:g} % is {self.min_used / 100:g}" if 1 < self.min_used <= 100 else None
             raise UsageError(f"`min_used` is {self.min_used:g}, it must be a share from 0 to 1", hint=hint)
         if self.only_scans and (self.keep or self.keep_clouds or self.no_scans):
-            raise UsageError("`only_scans` contradicts `keep`, `keep_clouds` and `no_scans`")
-        if self.clouds_as != "recorded" and not (self.keep_clouds or self.no_scans):
-            raise UsageError(
-                f"`clouds_as={self.clouds_as}` says how clouds are written, and none are",
-                hint="`keep_clouds=True` writes them beside their scans, `no_scans=True` without",
-            )
+            raise UsageError("`only_scans` contradicts `keep`, `keep_clouds` and `clouds_as`")
+
+    @property
+    def no_scans(self) -> bool:
+        """Whether clouds are written instead of scans; ``scans`` is not used then."""
+        return self.clouds_as != "recorded" and not self.keep_clouds
 
     @property
     def scan(self) -> ScanSpec:
