@@ -113,7 +113,7 @@ def test_only_written_recordings_have_options_about_them(command: str) -> None:
 
 def test_what_only_python_has_is_no_option_of_a_command() -> None:
     assert {option.name for _, option in all_options() if isinstance(option.value, Instance)} == {
-        *("params", "filters", "frames", "progress")
+        *("params", "filters", "progress")
     }
     assert all(not option.spelling for _, option in all_options() if isinstance(option.value, Instance))
 
