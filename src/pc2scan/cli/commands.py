@@ -183,7 +183,10 @@ COMMANDS = {
                 "Recordings with scans, or with clouds, which are converted like with `pc2scan convert`; several are "
                 "merged in time order."
             ),
-            _output("MAP", "NAME.yaml: the map for map_server, with NAME.pgm, and the picture NAME.png. NAME.png: only that."),
+            _output(
+                "MAP",
+                "NAME.yaml: the map for map_server, with NAME.pgm, and the picture NAME.png. NAME.png: only that.",
+            ),
         ),
         (
             ("pc2scan map scans.mcap -o map.png", "its scans, placed by the odometry"),
