@@ -14,14 +14,12 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
 import pc2scan
 from batch.cluster import cluster
-from pc2scan.batch.cluster import tasks_of
-from pc2scan.batch.jobs import Job
 from pc2scan.errors import UsageError
 from support.batches import HEIGHTS, batch, contents, manifest_of, place, run_batch
 from support.builders import POINTS, T0, Recording, cloud, item, points_of, write_rosbag1
@@ -341,34 +339,3 @@ def test_a_worker_that_dies_spoils_nothing_else_of_its_task(tmp_path: Path, monk
     assert found.pop("killer.bag") == "died"
     assert (len(found), set(found.values())) == (16, {"converted"})
     assert not list(out.glob("*.pc2scan-*"))
-
-
-@pytest.mark.parametrize(
-    ("sizes", "at_a_time", "tasks"),
-    [
-        ([10] * 7, 2, [1] * 7),
-        ([10] * 16, 2, [2] * 8),
-        ([10] * 2000, 2, [16] * 125),
-        ([10] * 100, 20, [1] * 100),
-        ([10] * 100, 0, [16] * 6 + [4]),
-        ([10**9, 10**8, *[10] * 62], 2, [1, 1, *[8] * 7, 6]),
-        ([10**6] * 64, 1, [16] * 4),
-        ([2 * 10**6] * 64, 1, [1] * 64),
-        ([], 2, []),
-    ],
-)
-def test_small_recordings_share_a_task(sizes: list[int], at_a_time: int, tasks: list[int]) -> None:
-    jobs = [job(str(number), size) for number, size in enumerate(sizes)]
-    made = list(tasks_of(jobs, at_a_time))
-    assert [len(task.jobs) for task in made] == tasks
-    assert [each for task in made for each in task.jobs] == jobs
-
-
-def test_recordings_at_urls_have_a_task_each() -> None:
-    jobs = [job(str(number), 10, "s3://bucket/a.bag") for number in range(64)]
-    assert [len(task.jobs) for task in tasks_of(jobs, 1)] == [1] * 64
-
-
-def job(key: str, size: int, source: str = "/data/a.bag") -> Job:
-    request: Any = None
-    return Job(key=key, sources=(source,), destination="/out/a.bag", output="a.bag", request=request, size_bytes=size)

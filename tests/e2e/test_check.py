@@ -14,7 +14,6 @@ from pc2scan.core.consumers import CONSUMERS
 from pc2scan.options.table import options_of
 from support import GOLDEN, ROOT
 from support.command import run
-from support.consumer_rules import mrpt_2_5, mrpt_ros_bridge_3_2
 from support.scan_recordings import GOOD, scans, write
 from support.tables import rows
 
@@ -47,8 +46,6 @@ def test_mrpt_reads_each_beam_of_half_a_circle(angle: str, tmp_path: Path) -> No
     done = run("check", path, "--for", "mrpt", "--json")
     (topic,) = json.loads(done.stdout)["topics"]
     assert (done.status, topic["first"]["beams"]) == (0, 181)
-    for reads in mrpt_2_5, mrpt_ros_bridge_3_2:
-        assert reads(topic["first"]["angle_min"], topic["first"]["angle_max"], 181) == list(range(181))
 
 
 def test_what_upstream_wrote_for_its_defaults_and_its_sample() -> None:

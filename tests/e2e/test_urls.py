@@ -16,17 +16,15 @@ import pytest
 import zstandard
 
 import pc2scan
-from pc2scan.bags import units
 from pc2scan.errors import MissingError, Pc2ScanError, RecordingError
-from pc2scan.files.store import RemotePath
 from support import ROOT
-from support.builders import CONTENT, POINTS, SECOND, T0, Recording, cloud, item, points_of, write_db3, write_rosbag1
+from support.builders import CONTENT, write_db3, write_rosbag1
 from support.command import run, run_process
 from support.stores import memory_store, s3_server
 from support.tables import rows
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
 fsspec = pytest.importorskip("fsspec")
 
@@ -226,62 +224,6 @@ def test_an_upload_that_fails_leaves_nothing(
     with pytest.raises((Pc2ScanError, KeyboardInterrupt)):
         pc2scan.convert(HALL, "memory://out/x", **HEIGHTS)
     assert bucket.find("/out") == []
-
-
-def test_only_ranges_are_read(bucket: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    clouds = [
-        item(
-            POINTS,
-            T0 + number * SECOND,
-            lambda version, n: cloud(points_of(n, 25_000), version, stamp_ns=T0 + n * SECOND),
-            number,
-        )
-        for number in range(100)
-    ]
-    recording = write_rosbag1(tmp_path / "drive.bag", Recording((POINTS,), tuple(clouds)), chunk_size=50_000)
-    # Ahead of what is read, 32 MiB are fetched, lest anybody wait.
-    monkeypatch.setattr(units, "_ANNOUNCED_BYTES", 1 << 18)
-    read: list[int] = []
-    bytes_at: Callable[..., Any] = RemotePath.bytes_at
-
-    def counted(self: RemotePath, start: int, stop: int) -> Any:
-        read.append(stop - start)
-        return bytes_at(self, start, stop)
-
-    monkeypatch.setattr(RemotePath, "bytes_at", counted)
-    monkeypatch.setattr(RemotePath, "download", lambda *_: pytest.fail("downloaded"))
-    bucket.put_file(str(recording), "/bucket/drive.bag")
-    found = pc2scan.info("memory://bucket/drive.bag")
-    assert found.as_dict()["topics"] == pc2scan.info(recording).as_dict()["topics"]
-    assert 0 < sum(read) < recording.stat().st_size * 0.6
-
-
-class FinishedThread(threading.Thread):
-    """A thread that is done before its starter goes on."""
-
-    def start(self) -> None:
-        super().start()
-        self.join()
-
-
-@pytest.mark.parametrize("thread", [threading.Thread, FinishedThread])
-def test_a_conversion_fetches_each_byte_once(
-    thread: type[threading.Thread], bucket: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # Ahead of what is read, 32 MiB are fetched, lest anybody wait.
-    monkeypatch.setattr(units, "_ANNOUNCED_BYTES", 1 << 18)
-    read: list[int] = []
-    bytes_at: Callable[..., Any] = RemotePath.bytes_at
-
-    def counted(self: RemotePath, start: int, stop: int) -> Any:
-        read.append(stop - start)
-        return bytes_at(self, start, stop)
-
-    monkeypatch.setattr(RemotePath, "bytes_at", counted)
-    monkeypatch.setattr("pc2scan.files.transfers.Thread", thread)
-    bucket.put_file(str(FIXTURES / "hall.bag"), "/bucket/drive.bag")
-    pc2scan.convert("memory://bucket/drive.bag", "memory://out/x.bag", **HEIGHTS)
-    assert sum(read) == (FIXTURES / "hall.bag").stat().st_size
 
 
 # --- The command ---

@@ -14,7 +14,6 @@ from pc2scan.core.consumers import judge
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.verdicts import ConsumerScan
 from support.compiling import compiled_once, folder_of_the_run
-from support.consumer_rules import mrpt_2_5
 
 SOURCE = Path(__file__).with_name("mrpt.cpp")
 HEADERS = Path("/usr/include/mrpt")
@@ -53,19 +52,6 @@ def taken(program: Path, sectors: list[Sector]) -> list[list[int]]:
     return [[int(index) for index in line.split()] for line in done.stdout.splitlines()]
 
 
-def test_the_rule_has_the_roundings_of_mrpt_2_5(bridge: Path) -> None:
-    rng = random.Random(1)
-    sectors = []
-    for _ in range(300):
-        half = np.float32(rng.uniform(0.05, 3.14))
-        low, high = (float(np.float32(side * half + rng.randint(-4, 4) * 1e-7)) for side in (-1, 1))
-        sectors.append((low, high, rng.randint(3, 1500)))
-    found = taken(bridge, sectors)
-    assert found == [mrpt_2_5(*sector) for sector in sectors]
-    misread = [indexes != list(range(len(indexes))) for indexes in found]
-    assert 30 < sum(misread) < 270
-
-
 @pytest.mark.slow
 def test_mrpt_2_5_reads_every_beam_of_the_preset(bridge: Path) -> None:
     rng = random.Random(2)
@@ -77,7 +63,6 @@ def test_mrpt_2_5_reads_every_beam_of_the_preset(bridge: Path) -> None:
     assert taken(bridge, sectors) == [list(range(beams)) for _, _, beams in sectors]
 
 
-@pytest.mark.slow
 def test_no_accepted_scan_is_misread_by_mrpt_2_5(bridge: Path) -> None:
     rng = random.Random(3)
     accepted = []

@@ -1,7 +1,7 @@
 """The consumers' rules one scan at a time, in the words and types of their C++: what `judge` has to agree with.
 
 ``f`` is a float, Python's own numbers are doubles. A rule returns what happens to the scan; ``first`` is None for the
-first one.
+first one. MRPT's rule is compared with MRPT itself (``tests/parity/test_mrpt.py``).
 """
 
 from __future__ import annotations
@@ -201,61 +201,6 @@ def nav2(scan: ConsumerScan, _first: ConsumerScan | None, placed: ScanTransforms
     return found if found != "accepted" else added_up(scan)
 
 
-def mrpt(scan: ConsumerScan, _first: ConsumerScan | None, placed: ScanTransforms) -> str:
-    if not transforms(("robot",), placed):
-        return "ignored"
-    if not scan.beams > 2:
-        return "aborts"
-    header = scan.angle_min, scan.angle_max, scan.beams
-    misread = mrpt_off(*header, scan.angle_increment)
-    return worst(max(misread), f(scan.angle_increment).item())
-
-
-@cache
-def mrpt_off(low: float, high: float, n: int, increment: float) -> list[float]:
-    """How far each of MRPT's beams is from the direction of its range, by the worse of two bridges.
-
-    inf where one of them reads outside of the ranges.
-    """
-    step, aperture = float(f(increment)), float(f(high) - f(low))
-    if abs(aperture) < (n - 1) / float(np.finfo(f).max):
-        # (N - 1) / aperture is inf, and 0 * inf is no index.
-        return [math.inf]
-    # CSinCosLookUpTableFor2DScans
-    seen = -0.5 * aperture + np.arange(n) * (aperture / (n - 1))
-    off = np.zeros(n)
-    for indexes in mrpt_2_5(low, high, n), mrpt_ros_bridge_3_2(low, high, n):
-        if not 0 <= min(indexes) <= max(indexes) < n:
-            return [math.inf]
-        between = np.abs(seen - (float(f(low)) + np.array(indexes) * step)) % (2 * math.pi)
-        off = np.maximum(off, np.minimum(between, 2 * math.pi - between))
-    return off.tolist()
-
-
-def wrapped(i_ros: int, n: int) -> int:
-    if i_ros < 0:
-        return i_ros + n
-    return i_ros - n if i_ros >= n else i_ros
-
-
-def mrpt_2_5(low: float, high: float, n: int) -> list[int]:
-    """MRPT 2.5.8: ``const double ang_step = obj.aperture / (N - 1);`` of a float and a size_t is a float."""
-    aperture = f(high) - f(low)
-    ang_step, inv_ang_step = float(aperture / f(n - 1)), float(f(n - 1) / aperture)
-    fov05 = 0.5 * float(aperture)
-    return [wrapped(int(inv_ang_step * (-fov05 - float(f(low)) + ang_step * i)), n) for i in range(n)]
-
-
-def mrpt_ros_bridge_3_2(low: float, high: float, n: int) -> list[int]:
-    """mrpt_ros_bridge 3.2: all numbers are floats."""
-    aperture = f(high) - f(low)
-    ang_step, inv_ang_step = aperture / f(n - 1), f(n - 1) / aperture
-    fov05 = f(0.5) * aperture
-    quotients = inv_ang_step * (-fov05 - f(low) + ang_step * np.arange(n).astype(f))
-    assert quotients.dtype == f
-    return [wrapped(int(quotient), n) for quotient in quotients.tolist()]
-
-
 RULES: dict[str, Callable[[ConsumerScan, ConsumerScan | None, ScanTransforms], str]] = {
-    rule.__name__: rule for rule in (slam_toolbox, cartographer, gmapping, amcl, nav2, mrpt)
+    rule.__name__: rule for rule in (slam_toolbox, cartographer, gmapping, amcl, nav2)
 }
