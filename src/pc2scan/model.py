@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
@@ -341,11 +342,13 @@ class Writer(Protocol):
 
 
 def normalized_type(msgtype: str) -> str:
-    """Spell a ROS type as ROS 2 does.
+    """Spell a ROS type as ROS 2 does; DDS's name of it, too.
 
-    >>> normalized_type("tf/tfMessage"), normalized_type("std_msgs/msg/Header")
+    >>> normalized_type("tf/tfMessage"), normalized_type("std_msgs::msg::dds_::Header_")
     ('tf/msg/tfMessage', 'std_msgs/msg/Header')
     """
+    if found := re.fullmatch(r"(\w+)::msg::dds_::(\w+)_", msgtype):
+        return f"{found[1]}/msg/{found[2]}"
     package, _, name = msgtype.rpartition("/")
     if not package or "/" in package:
         return msgtype

@@ -57,7 +57,7 @@ _KINDS = (
     _Kind(r"lslidar\w*/Ls\w+", "LSLIDAR packets", _with("lslidar_driver")),
     _Kind(r"livox\w*/CustomMsg", "Livox messages", _with("livox_to_pointcloud2")),
     _Kind(
-        r"foxglove(_msgs)?[/.]PointCloud",
+        r"foxglove(_msgs)?[/.](\w*PointCloud|LaserScan)",
         "clouds in Foxglove's schema",
         "record PointCloud2 as well, or write it with a program: mcap's Protobuf and ROS support read and write both",
     ),
@@ -69,6 +69,21 @@ _KINDS = (
         r"/\w*(Radar|Detection|Target|Track|Return)\w*",
         "radar detections",
         "the radar's driver may also have a topic with PointCloud2; record that",
+    ),
+    _Kind(
+        r"sensor_msgs[./](PointCloud2?|LaserScan)",
+        "clouds or scans in an encoding that is not ROS's",
+        "record them with rosbag2, or write them as CDR with a program: mcap's ROS support does",
+    ),
+    _Kind(
+        "sensor_msgs/Range",
+        "single ranges",
+        "navigation reads them as they are (nav2's range_sensor_layer); they make no scan",
+    ),
+    _Kind(
+        r"\w+/Voxel(Map|Grid)\w*|foxglove[/.]VoxelGrid",
+        "maps of voxels",
+        "they are made of a lidar's clouds, whose topic may be PointCloud2; record that",
     ),
     _Kind("octomap_msgs/Octomap(WithPose)?", "OctoMaps", _with("octomap_server")),
     _Kind(
@@ -147,7 +162,7 @@ def instead_of_clouds(connections: Sequence[Connection], reader: Source | None =
 
 def _kinds(connections: Sequence[Connection], images: _Images) -> Iterator[tuple[_Kind, list[str]]]:
     """Yield the kinds that there are, with their topics; three at most."""
-    others = [connection for connection in connections if _type(connection) not in (*CLOUDS, *SCANS)]
+    others = [each for each in connections if each.ros_version is None or each.ros_type not in (*CLOUDS, *SCANS)]
     left = {connection.topic: connection for connection in reversed(others)}
     count = 0
     for kind in _KINDS:
@@ -189,7 +204,7 @@ def without(wanted: str, connections: Sequence[Connection], reader: Source | Non
     if not connections:
         return "the recording has no topics", ""
     missing = f"the recording has no {wanted} topic"
-    scans = sorted({each.topic for each in connections if _type(each) in SCANS})
+    scans = sorted({each.topic for each in connections if each.ros_version is not None and each.ros_type in SCANS})
     if scans and "LaserScan" not in wanted:
         return f"{missing}, but 2D scans: {name_list(scans, _MOST_TOPICS)}", ""
     if scans:

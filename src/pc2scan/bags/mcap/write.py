@@ -166,9 +166,10 @@ class McapWriter:
     def _schema_id(self, connection: Connection) -> int:
         """Write the connection's schema unless it is written already; returns its id, 0 for none."""
         name = connection.msgtype
-        if connection.serialization in ("ros1", "cdr"):
-            name = ros1_type(name) if connection.serialization == "ros1" else normalized_type(name)
         definition = connection.definition
+        # A definition of DDS names its type as DDS does.
+        if connection.serialization in ("ros1", "cdr") and definition.encoding != "omgidl":
+            name = ros1_type(name) if connection.serialization == "ros1" else normalized_type(name)
         # A name without a definition is kept: rosbag2 writes it for types that it cannot find.
         if not name and not definition.encoding:
             return 0
