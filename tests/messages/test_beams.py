@@ -46,3 +46,11 @@ def test_a_scan_that_makes_no_sense_is_an_error_with_its_stamp() -> None:
     with pytest.raises(DecodeError) as caught:
         scan_points(scan(angle_increment=math.nan))
     assert caught.value.stamp_ns == 17
+
+
+def test_what_sicks_lms1xx_have_where_nothing_returns_is_no_point() -> None:
+    ranges = np.array([65.533, 65.0, 65.533, 3.0, 1, 1, 1, 1, 1], np.float32)
+    points, _, rejected = scan_points(scan(ranges=ranges, range_max=80.0))
+    assert points.field("index").tolist() == [1, 3, 4, 5, 6, 7, 8]
+    assert rejected == {"nan": 0, "range": 2}
+    assert ranges[0] == np.float32(65.533)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -15,6 +16,10 @@ if TYPE_CHECKING:
     from pc2scan.core.unproject import UnprojectedScan, UnprojectParams
 
     from .laserscan import LaserScan
+
+
+#: What drivers of SICK's LMS1xx have where nothing returns, whatever their range_max is: metres.
+_NO_RETURN = float32(65.533)
 
 
 class ScanPoints(NamedTuple):
@@ -69,6 +74,8 @@ def scan_points(scan: LaserScan) -> ScanPoints:
     DecodeError
         If its angles are not finite, or it has intensities, but not one for each range.
     """
+    if (missing := scan.ranges == _NO_RETURN).any():
+        scan = replace(scan, ranges=np.where(missing, float32(np.inf), scan.ranges))
     found = unproject_scan(scan)
     fields = {name: np.ascontiguousarray(found.points[name]) for name in found.points.dtype.names or ()}
     with np.errstate(all="ignore"):
