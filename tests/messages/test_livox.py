@@ -100,7 +100,7 @@ def test_scans_are_those_of_the_same_points_as_pointcloud2(name: str, kind: str,
         builders.item(
             Stream("/lidar", kind),
             at,
-            lambda ros, seq, at=at, points=points: livox(points, ros, kind, seq=seq, stamp_ns=at),  # type: ignore[misc]
+            lambda ros, seq, at=at, points=points: livox(points, ros, kind, seq=seq, stamp_ns=at, more=7),  # type: ignore[misc]
         )
         for at, points in steps
     ]
@@ -128,6 +128,7 @@ def test_scans_are_those_of_the_same_points_as_pointcloud2(name: str, kind: str,
             where="reflectivity > 20",
         )
         assert report.topics[0].points.nan > 40
+        assert any("its point_num is 307" in text for text in report.warnings) == (folder == "own")
         scans.append([(each.log_time_ns, each.data) for each in opened(Path(report.destination)).of("/scan")])
     assert len(scans[0]) == 4
     assert scans[0] == scans[1]

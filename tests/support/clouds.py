@@ -167,15 +167,22 @@ def livox_points(step: int, count: int = 300, tags: Sequence[int] = (0,)) -> NDA
 
 
 def livox(
-    points: NDArray[Any], ros_version: int, kind: str = LIVOX[1], *, seq: int = 0, stamp_ns: int = T0, lidar_id: int = 3
+    points: NDArray[Any],
+    ros_version: int,
+    kind: str = LIVOX[1],
+    *,
+    seq: int = 0,
+    stamp_ns: int = T0,
+    lidar_id: int = 3,
+    more: int = 0,
 ) -> bytes:
-    """A CustomMsg; ``point_num`` is wrong."""
+    """A CustomMsg; its ``point_num`` has some ``more`` than there are."""
     store = builders.typestore(ros_version)
     point = store.types[kind.replace("CustomMsg", "CustomPoint")]
     message = store.types[kind](
         header=builders.header(store, ros_version, seq, stamp_ns, "livox_frame"),
         timebase=stamp_ns,
-        point_num=len(points) + 7,
+        point_num=len(points) + more,
         lidar_id=lidar_id,
         rsvd=np.zeros(3, np.uint8),
         points=[point(*each) for each in points.tolist()],

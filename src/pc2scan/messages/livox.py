@@ -120,7 +120,7 @@ def decode_livox(data: Buffer, serialization: str) -> Points:
 
     Notes
     -----
-    ``point_num`` is ignored: some programs that cut clouds do not change it. The array has a length of its own.
+    The length of the array counts, not ``point_num``: some programs that cut clouds do not change it.
     """
     cursor = Cursor(data, serialization)
     sequence, stamp_ns, frame_id = cursor.header()
@@ -147,7 +147,9 @@ def decode_livox(data: Buffer, serialization: str) -> Points:
         replaced = {axis: copied.field(axis) for axis in "xyz"}
         replaced["x"][missing] = np.nan
     further = {"timebase": timebase, "point_num": point_num, "lidar_id": lidar_id, "rsvd": tuple(reserved)}
-    return Points(sequence, stamp_ns, frame_id, LivoxFields(cloud, replaced, further))
+    differs = f"its point_num is {point_num:,}, but it has {count:,} points: a program may have removed some"
+    lossy = differs if point_num != count else ""
+    return Points(sequence, stamp_ns, frame_id, LivoxFields(cloud, replaced, further), lossy=lossy)
 
 
 def _missing(cloud: PointCloud2) -> NDArray[np.intp]:
