@@ -7,9 +7,8 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import python_page
 from mkdocs.structure.files import File
-
-import pc2scan
 
 if TYPE_CHECKING:
     from mkdocs.config.defaults import MkDocsConfig
@@ -31,7 +30,7 @@ PAGES = {
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages that are not under docs."""
     generated = {page: (ROOT / file).read_text("utf-8") for file, page in PAGES.items()}
-    generated["reference/python.md"] = functions()
+    generated["reference/python.md"] = python_page.page()
     for page, text in generated.items():
         files.append(File.generated(config, page, content=text))
     return files
@@ -55,15 +54,3 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, **_: objec
     # Pictures of the README, which have a width.
     markdown = markdown.replace('src="docs/', 'src="')
     return re.sub(r"\]\(([^)\s]+)\)", target, markdown)
-
-
-def functions() -> str:
-    """Return a page with the docstring of every public name."""
-    # Functions first: their names are in lower case.
-    names = sorted((name for name in pc2scan.__all__ if name != "errors"), key=lambda name: (name[0].isupper(), name))
-    parts = ["# Python\n", "[Python](../python.md) is the introduction; these are the docstrings.\n"]
-    for name in names:
-        thing = getattr(pc2scan, name)
-        where = f"{thing.__module__}.{thing.__qualname__}" if hasattr(thing, "__qualname__") else f"pc2scan.{name}"
-        parts.append(f"::: {where}\n")
-    return "\n".join(parts)

@@ -129,11 +129,12 @@ def test_the_command_and_batches_know_a_new_container(tmp_path: Path) -> None:
     words = ("convert", FIXTURES / "hall.mcap", "-o", tmp_path / "y.toy", "--keep-clouds")
     dry = run(*words, "--dry-run")
     assert dry.status == 0, dry.stderr
-    assert "y.toy: toy, about " in dry.stdout
+    assert "y.toy: toy, which can be written" in dry.stdout
     done = run(*words)
     # No player is known.
     assert done.stdout.splitlines()[-1] == f"next: pc2scan check {tmp_path / 'y.toy'}"
-    report = pc2scan.convert(FIXTURES / "hall.mcap", f"{tmp_path}/", to="toy", keep_clouds=True)
+    asked: dict[str, Any] = {"to": "toy", "keep_clouds": True}
+    report = pc2scan.convert(FIXTURES / "hall.mcap", f"{tmp_path}/", **asked)
     assert report.destination == str(tmp_path / "hall_scan.toy")
 
 

@@ -119,7 +119,8 @@ def test_the_content_of_an_options_file_counts(digests: Digests, tmp_path: Path)
 
 
 def test_an_unknown_export_is_named(tmp_path: Path) -> None:
-    for name, hint in (("npzz", "did you mean npz?"), ("ply", None)):
+    wrong: list[tuple[Any, str | None]] = [("npzz", "did you mean npz?"), ("ply", None)]
+    for name, hint in wrong:
         with pytest.raises(UsageError, match=f"`format` is {name!r}, it must be one of npz") as caught:
             pc2scan.batch(place(tmp_path / name, "a.bag"), tmp_path / "out", format=name)
         assert caught.value.hint == hint

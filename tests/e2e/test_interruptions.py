@@ -388,7 +388,7 @@ def test_a_directory_whose_file_is_written_over(name: str, many: Path, output: P
 
 @pytest.mark.parametrize(("compression", "jobs"), sampled(product([None, "zstd"], [1, 2]), 3))
 def test_a_source_that_is_cut_under_its_reader(
-    compression: str | None, jobs: int, large: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    compression: Any, jobs: int, large: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """While its bytes are decompressed or projected."""
     from pc2scan.files import compression as codecs

@@ -177,7 +177,7 @@ def test_clouds_of_one_stamp_are_two_files(tmp_path: Path) -> None:
     ],
 )
 def test_fields_that_a_file_cannot_have_are_refused(
-    form: str, field: int, name: str, error: str, tmp_path: Path
+    form: Any, field: int, name: str, error: str, tmp_path: Path
 ) -> None:
     names = list(NAMES)
     names[field] = name

@@ -54,7 +54,7 @@ def raw(step: int, ros_version: int) -> bytes:
 @pytest.mark.parametrize(("source", "target"), [("bag", "bag"), ("bag", "mcap"), ("mcap", "bag"), ("mcap", "mcap")])
 @pytest.mark.parametrize("options", [{}, {"keep_clouds": True, "min_height": -9.0}])
 def test_compressed_clouds_are_written_as_they_were(
-    source: str, target: str, options: dict[str, Any], tmp_path: Path
+    source: str, target: Any, options: dict[str, Any], tmp_path: Path
 ) -> None:
     stream = Stream("/points/zstd", clouds.COMPRESSED)
     ros = {"bag": 1, "mcap": 2}

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from dataclasses import dataclass
+from numbers import Integral
 from typing import TYPE_CHECKING, ClassVar
 
+from pc2scan.arguments import value_and_type
 from pc2scan.bags.opening import open_recordings
 from pc2scan.errors import TransformError, leading, stamp_text
 from pc2scan.result import Part, Result
@@ -74,9 +76,13 @@ class FrameTree(Result):
         ------
         TransformError
             If a frame is unknown, the two are not connected, or the stamp is outside of what is recorded.
+        TypeError
+            If the stamp is no whole number.
         """
+        if not isinstance(stamp_ns, Integral):
+            raise TypeError(f"stamp_ns is {value_and_type(stamp_ns)}, it must be a whole number of nanoseconds")
         try:
-            return self.buffer.lookup(target, source, stamp_ns)
+            return self.buffer.lookup(target, source, int(stamp_ns))
         except TransformError as err:
             # None means the latest time.
             err.stamp_ns = stamp_ns or None

@@ -4,11 +4,22 @@ No ``from __future__ import annotations`` here: see `pc2scan.options.table`.
 """
 
 from collections.abc import Iterable
-from typing import Annotated, TypedDict
+from typing import Annotated, TypedDict, get_args
 
 from pc2scan.core.presets import PRESETS
 
-from .option import Names, Option, Path, Progress, Quantity, Time, Tolerance
+from .option import (
+    Compression,
+    FileFormat,
+    Names,
+    Option,
+    Path,
+    Progress,
+    Quantity,
+    Storage,
+    Time,
+    Tolerance,
+)
 from .running import MAX_JOBS
 from .values import (
     Count,
@@ -30,9 +41,9 @@ class ExportFormat(TypedDict, total=False):
     """An export."""
 
     format: Annotated[
-        str | None,
+        FileFormat | None,
         Option(
-            Text(words=("npz", "csv", "tum", "carmen", "flaser", "pcd", "kitti")),
+            Text(words=get_args(FileFormat)),
             "For scans: npz (NumPy arrays), csv (one row per scan), carmen (ROBOTLASER1, .log), flaser (FLASER, .clf). "
             "For the trajectory only: tum. For clouds, in a folder: pcd, kitti.",
             default_text="by OUT's suffix",
@@ -70,9 +81,9 @@ class BatchExport(TypedDict, total=False):
     """Results of a batch that are not recordings."""
 
     format: Annotated[
-        str | None,
+        FileFormat | None,
         Option(
-            Text(words=("npz", "csv", "tum", "carmen", "flaser", "pcd", "kitti")),
+            Text(words=get_args(FileFormat)),
             "Write the files of pc2scan export instead of recordings, in a folder for each recording.",
             short="-f",
         ),
@@ -311,10 +322,10 @@ class RepairContainer(TypedDict, total=False):
     """A repair."""
 
     storage: Annotated[
-        str | None, Option(Text(words=("mcap", "sqlite3")), "Storage of a rosbag2 directory.", default_text="SRC's")
+        Storage | None, Option(Text(words=get_args(Storage)), "Storage of a rosbag2 directory.", default_text="SRC's")
     ]
     compression: Annotated[
-        str | None, Option(Text(words=("none", "lz4", "zstd", "bz2")), "Compression of DST.", default_text="SRC's")
+        Compression | None, Option(Text(words=get_args(Compression)), "Compression of DST.", default_text="SRC's")
     ]
 
 

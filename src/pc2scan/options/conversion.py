@@ -3,7 +3,7 @@
 No ``from __future__ import annotations`` here: see `pc2scan.options.table`.
 """
 
-from typing import Annotated, Any, TypedDict
+from typing import Annotated, Any, Literal, TypedDict
 
 from .option import (
     FRAMES,
@@ -84,7 +84,7 @@ class StampCorrection(TypedDict, total=False):
     """Lidars whose clock is not the recording's."""
 
     stamps: Annotated[
-        str,
+        Literal["header", "log"],
         Option(
             Text(words=("header", "log")),
             "The stamps of converted messages: those of their headers, or their log times, for a lidar without a sound "
@@ -161,7 +161,7 @@ class PointSelection(TypedDict, total=False):
         ),
     ]
     ground: Annotated[
-        str,
+        Literal["keep", "remove"],
         Option(
             Text("keep|remove", words=("keep", "remove")),
             "remove: reject points on the ground, which is found in each cloud; it may slope by up to 15 degrees and "
@@ -310,7 +310,7 @@ class RobotMotion(TypedDict, total=False):
         ),
     ]
     stamp: Annotated[
-        str,
+        Literal["header", "start", "middle", "end"],
         Option(
             Text(words=("header", "start", "middle", "end")),
             "The time of a deskewed scan: the cloud's stamp, or the start, middle or end of its points' times.",
@@ -369,7 +369,7 @@ class EchoChoice(TypedDict, total=False):
     """Which of several echoes is used."""
 
     echo: Annotated[
-        str,
+        Literal["first", "last", "strongest"],
         Option(
             Text(words=("first", "last", "strongest")),
             "Which echo of each beam of a MultiEchoLaserScan is used; strongest: the one with the highest intensity.",
@@ -414,7 +414,7 @@ class OtherTopics(TypedDict, total=False):
     ]
     keep_clouds: Annotated[bool, Option(Flag(), "Write the converted clouds too.")]
     clouds_as: Annotated[
-        str,
+        Literal["recorded", "pointcloud2"],
         Option(
             Text(words=("recorded", "pointcloud2")),
             "pointcloud2: make no scans, and write the clouds of all types as PointCloud2, Livox's with the fields of "
@@ -443,7 +443,7 @@ class FailureConditions(TypedDict, total=False):
     """When a run fails."""
 
     fail_on: Annotated[
-        str,
+        Literal["", "empty", "warning"],
         Option(
             Text(words=("empty", "warning")),
             "Fail and write nothing. empty: if a scan has no return; warning: if there is any warning, skipped message "

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from datetime import datetime, timedelta
 from os import PathLike
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from .values import Flag, Value, in_words
 
@@ -33,6 +33,10 @@ Names: TypeAlias = str | Iterable[str]
 Period: TypeAlias = str | float | timedelta
 Tolerance: TypeAlias = float | Mapping[str, float]
 Progress: TypeAlias = Callable[..., object]
+Preset: TypeAlias = Literal["slam_toolbox", "cartographer", "gmapping", "amcl", "nav2", "mrpt"]
+Storage: TypeAlias = Literal["mcap", "sqlite3"]
+Compression: TypeAlias = Literal["none", "lz4", "zstd", "bz2"]
+FileFormat: TypeAlias = Literal["npz", "csv", "tum", "carmen", "flaser", "pcd", "kitti"]
 
 # Sections of the help.
 PARAMS = "Parameters of pointcloud_to_laserscan"

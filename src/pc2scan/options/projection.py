@@ -4,7 +4,7 @@ No ``from __future__ import annotations`` here: see `pc2scan.options.table`.
 """
 
 from collections.abc import Mapping
-from typing import Annotated, Any, TypedDict
+from typing import Annotated, Any, Literal, TypedDict
 
 from pc2scan.core.params import CHOICES, ProjectionParams
 
@@ -18,6 +18,7 @@ from .option import (
     Option,
     Parameter,
     Path,
+    Preset,
     Quantity,
 )
 from .values import Count, Flag, Instance, Number, Outputs, PathName, Reduction, Text, Texts
@@ -86,7 +87,7 @@ class Projection(TypedDict, total=False):
         ),
     ]
     geometry: Annotated[
-        str,
+        Literal["upstream", "centered", "half-open", "symmetric"],
         Parameter(
             Text(words=CHOICES["geometry"]),
             "Angles of beam i. upstream: from angle i to angle i + 1; centered: around angle i; half-open, symmetric: "
@@ -103,7 +104,7 @@ class Projection(TypedDict, total=False):
         ),
     ]
     no_return: Annotated[
-        str,
+        Literal["", "inf", "range-max-plus", "range-max-minus", "nan", "zero"],
         Parameter(
             Text(words=CHOICES["no_return"]),
             "Range of beams without a return. Default: set by `use_inf`.",
@@ -142,7 +143,7 @@ class Projection(TypedDict, total=False):
         ),
     ]
     angle_rounding: Annotated[
-        str,
+        Literal["correct", "glibc-2.40"],
         Parameter(
             Text(words=CHOICES["angle_rounding"]),
             "Which atan2f is reproduced: the correct one of glibc 2.41 and later, or that of 2.31 to 2.40 "
@@ -193,7 +194,7 @@ class ParameterSources(TypedDict, total=False):
         ),
     ]
     preset: Annotated[
-        str | None,
+        Preset | None,
         Option(
             Text("CONSUMER"),
             "Parameters for a consumer of the scans: slam_toolbox, cartographer, gmapping, amcl, nav2, mrpt. "

@@ -3,9 +3,9 @@
 No ``from __future__ import annotations`` here: see `pc2scan.options.table`.
 """
 
-from typing import Annotated, TypedDict
+from typing import Annotated, Literal, TypedDict, get_args
 
-from .option import Option, Path, Progress
+from .option import Compression, Option, Path, Progress, Storage
 from .values import Count, Flag, Function, OpenText, PathName, Text
 
 #: The largest number of threads, or of processes of a batch. More than any machine has cores would only take memory.
@@ -16,7 +16,7 @@ class Container(TypedDict, total=False):
     """The format of the recording that is written."""
 
     to: Annotated[
-        str | None,
+        Literal["bag", "mcap", "rosbag2"] | None,
         Option(
             OpenText(words=("bag", "mcap", "rosbag2")),
             "Format of DST, if its name does not say it.",
@@ -24,18 +24,19 @@ class Container(TypedDict, total=False):
         ),
     ]
     storage: Annotated[
-        str | None, Option(Text(words=("mcap", "sqlite3")), "Storage of a rosbag2 directory.", default_text="mcap")
+        Storage | None, Option(Text(words=get_args(Storage)), "Storage of a rosbag2 directory.", default_text="mcap")
     ]
     compression: Annotated[
-        str | None,
+        Compression | None,
         Option(
-            Text(words=("none", "lz4", "zstd", "bz2")),
+            Text(words=get_args(Compression)),
             "Bags: lz4 (default), none, bz2. MCAP: zstd (default), none, lz4. sqlite3: none (default), zstd. Without "
             "this option, chunks that are copied whole keep their compression.",
         ),
     ]
     profile: Annotated[
-        str | None, Option(Text(words=("ros1", "ros2")), "ROS version of an .mcap file.", default_text="the source's")
+        Literal["ros1", "ros2"] | None,
+        Option(Text(words=("ros1", "ros2")), "ROS version of an .mcap file.", default_text="the source's"),
     ]
 
 

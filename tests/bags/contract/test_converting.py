@@ -223,7 +223,7 @@ def sha(data: bytes) -> str:
     ("name", "compression"),
     sampled([("bag-bz2", "none"), ("mcap-zstd", "lz4"), ("rosbag2-sqlite3-v8", "bz2")], 1),
 )
-def test_ros1_itself_reads_every_message(name: str, compression: str, tmp_path: Path) -> None:
+def test_ros1_itself_reads_every_message(name: str, compression: Any, tmp_path: Path) -> None:
     destination = tmp_path / "out.bag"
     pc2scan.convert(SOURCES[name](tmp_path, CONTENT), destination, params=PARAMS, compression=compression)
     rows, output = ros1_read(destination), opened(destination)
@@ -259,7 +259,7 @@ def test_rosbag_check_has_nothing_to_migrate(name: str, tmp_path: Path) -> None:
     ("name", "compression"),
     [("extras", "lz4"), ("mcap-unchunked", "none"), ("bag-lz4", "lz4"), ("rosbag2-sqlite3-split", "zstd")],
 )
-def test_the_npm_reader_of_mcap_agrees(name: str, compression: str, tmp_path: Path) -> None:
+def test_the_npm_reader_of_mcap_agrees(name: str, compression: Any, tmp_path: Path) -> None:
     if name == "extras":
         form = Mcap(attachments=ATTACHMENTS, metadata=METADATA)
         source = write_mcap(tmp_path / "drive.mcap", CONTENT, form)
@@ -304,7 +304,7 @@ def test_the_npm_reader_of_mcap_finds_damage(tmp_path: Path) -> None:
 
 @needs_npm("@foxglove/rosbag", "@foxglove/wasm-lz4", "@foxglove/wasm-bz2")
 @pytest.mark.parametrize(("name", "compression"), [("bag-none", "none"), ("mcap-zstd", "lz4"), ("bag-none", "bz2")])
-def test_the_npm_reader_of_rosbags_agrees(name: str, compression: str, tmp_path: Path) -> None:
+def test_the_npm_reader_of_rosbags_agrees(name: str, compression: Any, tmp_path: Path) -> None:
     destination = tmp_path / "out.bag"
     pc2scan.convert(SOURCES[name](tmp_path, CONTENT), destination, params=PARAMS, compression=compression)
     found = node(ROOT / "tests" / "e2e" / "rosbag_reader.mjs", destination)
