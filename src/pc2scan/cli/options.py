@@ -6,7 +6,7 @@ import os
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import UsageError
-from pc2scan.files.urls import local_path, path_or_url
+from pc2scan.files.urls import UrlPath, local_path, path_or_url
 from pc2scan.options import values
 from pc2scan.options.call import Options
 from pc2scan.options.option import Parameter
@@ -58,7 +58,7 @@ def _paths(value: Any, shown: str, *, is_output: bool) -> Any:
 
 def _source(text: str, shown: str) -> Path:
     path = path_or_url(local_path(text, shown))
-    if not os.access(path, os.R_OK) and path.exists():
+    if not isinstance(path, UrlPath) and not os.access(path, os.R_OK) and path.exists():
         raise UsageError("permission denied", path=path, hint="ls -l shows who owns it and who may read it")
     return path
 
