@@ -152,7 +152,7 @@ ASKED: dict[str, tuple[Case, dict[str, Any], dict[str, Any]]] = {
     # They are accepted, but every scan is empty.
     "infinite, for amcl": (INFINITE, {"consumers": ["slam_toolbox", "amcl"]}, {"status": 1, "amcl": "accepted"}),
     "stamps back, for all": (BACK, {}, {"status": 1, **FINE}),
-    "stamps back, for all by name": (BACK, {"consumers": sorted({*CONSUMERS} - {"gmapping"})}, {"status": 0}),
+    "stamps back, for all by name": (BACK, {"consumers": sorted({*CONSUMERS} - {"gmapping"})}, {"status": 1}),
     # Half a beam counts only for those that are asked for.
     "half a beam": (CASES["good"], {}, {"status": 0, **FINE}),
     "half a beam for gmapping": (CASES["good"], {"consumers": "gmapping"}, {"status": 1}),

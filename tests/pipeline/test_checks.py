@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 TABLE = Path(__file__).with_name("checks.txt")
 
-#: Checks with cases elsewhere: of cuts and of clouds that move, in `tests/transcripts`; of rebinned scans, in
+#: Checks with cases elsewhere: of cuts, clouds that move and stamps, in `tests/transcripts`; of rebinned scans, in
 #: `tests/e2e/test_combined.py`; of whole results, in `test_report.py` and `tests/e2e`.
 ELSEWHERE = {
     *(
@@ -44,6 +44,7 @@ ELSEWHERE = {
         "clouds_in_another_unit",
         "fixed_frame_of_rebinned",
         "rebinned_beams",
+        "unordered_stamps",
     ),
     *("refused_scans", "lost_topics", "evenly_divided_circle", "range_of_preset", "filters_without_effect"),
 }

@@ -66,6 +66,11 @@ def _one_of_many() -> Recording:
     return Recording((POINTS,), tuple(map(made, range(151))))
 
 
+def _no_stamps() -> Recording:
+    made = (item(POINTS, T0 + step, lambda g, s: cloud(points_of(0), g, seq=s, stamp_ns=0), step) for step in range(3))
+    return Recording((POINTS,), tuple(made))
+
+
 def _short_scan() -> Recording:
     """Two scans, and one whose data is short."""
     stream = Stream("/base_scan", SCAN)
@@ -143,6 +148,7 @@ MADE: dict[str, Callable[[Path], object]] = {
     "no_z.mcap": lambda path: write_mcap(path, NO_Z),
     "short.bag": lambda path: write_rosbag1(path, SHORT),
     "short.mcap": lambda path: write_mcap(path, SHORT),
+    "no_stamps.bag": lambda path: write_rosbag1(path, _no_stamps()),
     "one_of_many.bag": lambda path: write_rosbag1(path, _one_of_many()),
     "other_chatter.mcap": lambda path: write_mcap(path, _last_changed("/chatter", string("hello 3", 2))),
     "raised_point.mcap": lambda path: write_mcap(path, _last_changed("/points", _raised_point())),

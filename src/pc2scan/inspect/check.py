@@ -53,7 +53,9 @@ _UNUSABLE: dict[str, frozenset[str]] = {
         ("angles", "full-circle", "moving-frame", "no-returns", "optical-frame", "parts", "static-unheard"),
         frozenset(CONSUMERS),
     ),
-    **dict.fromkeys(("few-directions", "odometry-direction"), frozenset(CONSUMERS) - {"nav2"}),
+    **dict.fromkeys(
+        ("few-directions", "odometry-direction", "stamps-back", "stamps-zero"), frozenset(CONSUMERS) - {"nav2"}
+    ),
 }
 
 

@@ -34,7 +34,7 @@ from pc2scan.tf.world_frames import find_body_motion
 
 from .cloud_info import CloudInfo, CloudLook
 from .edges import EDGE_NS
-from .proposals import HEADERS, Lidar, ask_facts, missing_mounts, odometry_doubts, proposals
+from .proposals import HEADERS, Lidar, ask_facts, missing_mounts, odometry_doubts, proposals, stamp_faults
 from .sampling import spread_over
 from .scan_info import ScanInfo, ScanLook
 
@@ -517,6 +517,7 @@ def _survey(
     warnings += (each.warning for each in wrong.values())
     warnings += filter(None, (each.unit_warning(moved=moved) for each in facts.values()))
     warnings += filter(None, (increment_warning(each) for each in flat.values()))
+    warnings += (text for each in (*facts.values(), *flat.values()) for text in stamp_faults(each))
     ups = {topic: _up(reading) for topic, reading in readings.items()}
     places = places._replace(buffer=buffer if moved else None)
     return _Surveyed({**facts, **flat}, places, buffer, ups, wrong, warnings, knows_end)

@@ -18,6 +18,7 @@ from pc2scan.pipeline.clocks import are_doubtful
 from pc2scan.pipeline.measurements import ShapeRequest, regular_step, shapes_of
 from pc2scan.pipeline.odometry import odometry_of
 from pc2scan.pipeline.point_times import time_warnings, times_of
+from pc2scan.pipeline.report import StampCounts
 from pc2scan.pipeline.stages.point_time import PointTime
 from pc2scan.pipeline.stages.turn import DIRECTIONS, directions_of
 from pc2scan.pipeline.survey import Fact
@@ -107,6 +108,14 @@ def ask_facts(facts: TopicFacts, end_ns: int | None) -> None:
         facts.ask(fact)
     if end_ns is not None:
         facts.ask_last_headers(end_ns - EDGE_NS, _LAST_HEADERS)
+
+
+def stamp_faults(facts: TopicFacts) -> list[str]:
+    """Return what is wrong with the stamps of the first messages of a topic, and what to do."""
+    stamps = StampCounts()
+    for header in facts.headers:
+        stamps.add(header.stamp_ns, header.log_time_ns)
+    return stamps.faults(facts.topic)
 
 
 def _sparse_points(points: Points, _: RawMessage) -> NDArray[np.float32] | None:
@@ -493,6 +502,8 @@ def _choices(
         yield Choice("target_frame", lidar.target, "the robot's frame" if lidar.target in BODIES else "its z points up")
     if (clock := clocks.get(lidar.topic)) is not None:
         yield Choice("time_offset", clock.time_offset, clock.reason)
+    elif any(stamp_faults(each.facts) for each in group):
+        yield Choice("stamps", "log", "its stamps go back, or are 0")
     yield from _heights(group)
     times = list(_times(group, ups))
     yield from times

@@ -125,7 +125,10 @@ class ScanStamps:
             ("stamps-zero", self._zero, "have", "no stamp (0)"),
         ):
             if tally.count:
-                hint = "SLAM drops or mixes up such scans; look for a second publisher, or a clock that was set"
+                hint = (
+                    "SLAM drops or mixes up such scans: a second publisher, or a clock that was set; pc2scan convert "
+                    "`stamps=log` takes the log times, with `rebin` for scans of a 2D lidar"
+                )
                 text = f"{tally.count:,} of {counted(self._scans, 'scan')} {agreeing(tally.count, verb)} {what}"
                 found.append(finding(kind, "defect", text, hint, tally))
         if self._jumps.count:

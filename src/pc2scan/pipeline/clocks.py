@@ -219,6 +219,13 @@ class Clocks:
         return found
 
 
+def other_clocks(survey: Survey, connections: Iterable[Connection]) -> Iterator[str]:
+    """Yield a warning for each topic of some connections whose clock is not that of the transforms."""
+    clocks = Clocks(survey, survey.topics(connections).values())
+    survey.read()
+    yield from (each.warning for each in clocks.findings().values() if each.other)
+
+
 def offset_text(delay_ns: int, reference_ns: int) -> str:
     """Return the value of ``time_offset`` that corrects a clock, given the delays of its stamps and of others."""
     known = next((s for s in _TIME_SCALES if abs(reference_ns - delay_ns - s * 1_000_000_000) < _OTHER_CLOCK_NS), None)

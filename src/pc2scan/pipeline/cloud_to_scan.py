@@ -175,7 +175,17 @@ class CloudToScan(Conversion):
         motion = None if placed.moving is None else placed.moving.motion
         level = None if placed.place.level is None else placed.place.level.at(stamp_ns)
         used = self._gather_used(placed, beams.projector, transform) if self._keeps_used else None
-        return ConvertedMessage(message, counts, empty, motion, candidate, level=level, used=used, removed=scan.removed)
+        return ConvertedMessage(
+            message,
+            counts,
+            empty,
+            motion,
+            candidate,
+            level=level,
+            used=used,
+            removed=scan.removed,
+            stamp_ns=placed.stamp_ns,
+        )
 
     def _gather_used(
         self, placed: PlacedCloud, projector: Projector, transform: Transform | MovingTransform | None

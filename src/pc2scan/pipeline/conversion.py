@@ -59,6 +59,7 @@ class ConvertedMessage:
     used: Any = None
     removed: Mapping[str, int] | None = None
     size: int = 0
+    stamp_ns: int | None = None
 
 
 class Measurements(NamedTuple):

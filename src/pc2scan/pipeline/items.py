@@ -219,6 +219,8 @@ class Tally:
                     if output.first is None:
                         output.first = result.message
                     entry.count(result)
+                    if result.stamp_ns is not None:
+                        entry.stamps.add(result.stamp_ns, item.log_time_ns)
                 if result.sample is not None:
                     result.sample.clouds.add(result.sample.sample, result.counts)
                     # Several outputs may have one result.

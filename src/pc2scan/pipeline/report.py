@@ -13,7 +13,7 @@ from pc2scan.options.table import PARAMETERS
 from pc2scan.options.values import in_words
 from pc2scan.result import Part, Remark, Result, Skipped, recovery_text, skipped_remarks
 from pc2scan.tables import Table
-from pc2scan.text import count, duration, size
+from pc2scan.text import count, counted, duration, size
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -29,6 +29,53 @@ if TYPE_CHECKING:
 
 #: The text for the frame of scans without a target frame.
 _OWN = "each message's own"
+
+
+#: No clock that is set differs by more from the log times, nanoseconds, unless a driver is slow.
+_EARLY_NS, _LATE_NS = -100_000_000, 500_000_000
+
+
+@dataclass(slots=True)
+class StampCounts:
+    """The stamps of a topic's messages, in the order of the log.
+
+    Attributes
+    ----------
+    back, zero
+        How many are before the one before, and how many are 0.
+    delay_ns
+        The time from the first one to its log time; None without any.
+    """
+
+    back: int = 0
+    zero: int = 0
+    delay_ns: int | None = None
+    _last_ns: int = 0
+
+    def add(self, stamp_ns: int, log_time_ns: int) -> None:
+        """Count the next stamp."""
+        if stamp_ns == 0:
+            self.zero += 1
+            return
+        if self.delay_ns is None:
+            self.delay_ns = log_time_ns - stamp_ns
+        self.back += stamp_ns < self._last_ns
+        self._last_ns = stamp_ns
+
+    @property
+    def is_far(self) -> bool:
+        """Whether the first one is far from its log time: of another clock, or of a driver that is slow."""
+        return self.delay_ns is not None and not _EARLY_NS <= self.delay_ns <= _LATE_NS
+
+    def faults(self, topic: str) -> list[str]:
+        """Return what is wrong with them, and what to do."""
+        found = (self.back, "with a stamp before that of the message before"), (self.zero, "without a stamp (0)")
+        return [
+            f"{topic}: {counted(number, 'message')} {what}: SLAM drops or mixes up such scans; `stamps=log` takes the "
+            "log times"
+            for number, what in found
+            if number
+        ]
 
 
 @dataclass(slots=True)
@@ -74,6 +121,8 @@ class TopicReport:
     no_returns
         The share of points that are outside the heights, and at (0, 0, 0), as drivers write for no return; of the first
         clouds.
+    stamps
+        The stamps of what was converted.
     spec
         The request that the output was made by; None if the topic is not converted.
     """
@@ -102,6 +151,7 @@ class TopicReport:
     lost: bool = False
     advice: str = ""
     no_returns: float = field(default=0.0, compare=False, repr=False)
+    stamps: StampCounts = field(default_factory=StampCounts, compare=False, repr=False)
     spec: ScanSpec | None = field(default=None, compare=False, repr=False)
 
     @property

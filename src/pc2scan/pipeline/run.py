@@ -200,6 +200,18 @@ def _judge(
     report.add(reader.remarks)
     report.damage += [damage for each in (reader, *prepared.others) for damage in each.damage]
     report.add(*result_findings(report, recording.first_scans, target.serialization))
+    # With a fixed frame, an IMU or a corrected clock, clocks were compared before.
+    far = {
+        each.topic
+        for each in report.topics
+        if each.stamps.is_far and each.spec is not None and not (each.spec.fixed_frame or each.spec.imu)
+    }
+    if far and not options.clock:
+        from .clocks import other_clocks  # noqa: PLC0415  # few lidars have a clock of their own
+        from .survey import Survey  # noqa: PLC0415
+
+        doubtful = [route.connection for route in plan.routes if route.tasks and route.connection.topic in far]
+        report.add([*other_clocks(Survey(reader, (), options.frames, prepared.span), doubtful)])
     routes = recording.routes.values()
     report.messages_declared, difference = compare_counts(reader, routes, options, report)
     report.damage += difference

@@ -76,7 +76,7 @@ class ScanToCloud(Conversion):
             nan=rejected.nan,
             range=rejected.infinite + rejected.below_min + rejected.beyond_max,
         )
-        return ConvertedMessage(message, counts, empty=not len(points.points))
+        return ConvertedMessage(message, counts, empty=not len(points.points), stamp_ns=scan.stamp_ns)
 
     def _place(self, scan: LaserScan, points: UnprojectedScan) -> tuple[_CloudHeader, UnprojectedScan]:
         """Return the cloud's header, and the points in its frame."""

@@ -71,6 +71,7 @@ RESULT_NOTES: Checks[ScanSpec] = (result.evenly_divided_circle, result.range_of_
 #: What the counts of a topic show.
 TOPIC: Checks[TopicResult] = (
     result.unconverted_topic,
+    result.unordered_stamps,
     result.scans_without_return,
     result.points_rejected_by_default,
     result.filters_without_effect,

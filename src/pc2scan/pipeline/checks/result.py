@@ -196,6 +196,11 @@ def unconverted_topic(result: TopicResult) -> Iterator[str]:
         yield f"no message of {topic.topic} {why}"
 
 
+def unordered_stamps(result: TopicResult) -> Iterator[str]:
+    """Yield a warning if stamps go back or are 0."""
+    yield from result.topic.stamps.faults(result.topic.topic)
+
+
 def scans_without_return(result: TopicResult) -> Iterator[str]:
     """Yield a warning that names the cause of scans without returns."""
     topic = result.topic

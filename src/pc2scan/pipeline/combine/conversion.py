@@ -414,7 +414,10 @@ class MessagesToScan(Conversion):
         level = None if lead.level is None else lead.level.at(lead.reference_ns)
         used = self._gather_used(message, parts, sources) if self._keeps_used else None
         counts = sum(others, scan.counts)
-        result = ConvertedMessage(message, counts, empty, largest, None, lead.sample, level, shared, used, scan.removed)
+        result = ConvertedMessage(
+            *(message, counts, empty, largest, None, lead.sample, level, shared, used, scan.removed),
+            stamp_ns=lead.reference_ns,
+        )
         return result if self._remove is None else self._remove(result)
 
     def _place(
