@@ -38,6 +38,7 @@ TABLE = Path(__file__).with_name("checks.txt")
 ELSEWHERE = {
     *(
         "cut_without_effect",
+        "log_times_of_centuries",
         "target_that_moves",
         "clouds_in_fixed_frame",
         "returns_at_sensor",

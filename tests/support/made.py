@@ -80,6 +80,12 @@ def _short_scan() -> Recording:
     return Recording((stream,), (*whole, short))
 
 
+def _rolled_over() -> Recording:
+    """A recording whose last log time is negative, so that MCAP's unsigned number is that of the year 2554."""
+    *items, last = SHORT.items
+    return replace(SHORT, items=(*items, replace(last, log_time_ns=2**64 - 5)))
+
+
 def _last_changed(topic: str, data: bytes) -> Recording:
     """The common content with another last message on a topic, in ROS 2."""
     last = CONTENT.of(topic)[-1]
@@ -147,6 +153,7 @@ MADE: dict[str, Callable[[Path], object]] = {
     "no_z.bag": lambda path: write_rosbag1(path, NO_Z),
     "no_z.mcap": lambda path: write_mcap(path, NO_Z),
     "short.bag": lambda path: write_rosbag1(path, SHORT),
+    "rolled_over.mcap": lambda path: write_mcap(path, _rolled_over()),
     "short.mcap": lambda path: write_mcap(path, SHORT),
     "no_stamps.bag": lambda path: write_rosbag1(path, _no_stamps()),
     "one_of_many.bag": lambda path: write_rosbag1(path, _one_of_many()),

@@ -19,6 +19,7 @@ from pc2scan.errors import UsageError, leading
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.imu import IMU
 from pc2scan.model import copied_message
+from pc2scan.pipeline.checks.request import Cut, log_times_of_centuries
 from pc2scan.pipeline.clocks import Clocks
 from pc2scan.pipeline.cloud_scale import scaled
 from pc2scan.pipeline.items import Span
@@ -345,7 +346,7 @@ def info_of(
         clouds = tuple(look.described(found.places, mountings.get(topic)) for topic, look in of_clouds.items())
         of_scans = {topic: look for topic, look in looks.items() if isinstance(look, ScanLook)}
         scans = tuple(look.described(rates[topic]) for topic, look in of_scans.items())
-        warnings = [*found.warnings]
+        warnings = [*log_times_of_centuries(Cut(None, None, reader.summary)), *found.warnings]
         if not any(topic.msgtype in {*CLOUDS, *SCANS} for topic in topics):
             from pc2scan.messages.other_clouds import instead_of_clouds  # noqa: PLC0415  # most recordings have clouds
 

@@ -41,7 +41,7 @@ REQUEST: Checks[OutputRequest] = (
 )
 
 #: What a cut leaves of the recording.
-CUT: Checks[Cut] = (request.cut_without_effect,)
+CUT: Checks[Cut] = (request.cut_without_effect, request.log_times_of_centuries)
 
 #: What each of the first clouds of a topic shows, at once.
 EACH_CLOUD: Checks[CloudFacts] = (

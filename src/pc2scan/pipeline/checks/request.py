@@ -32,6 +32,10 @@ _FARTHEST = 1500.0
 _LONG = 5.0
 
 
+#: No recording takes so long.
+_CENTURY_NS = 100 * 365 * 86_400 * 1_000_000_000
+
+
 class OutputRequest(NamedTuple):
     """The request of one output: all options, and its own."""
 
@@ -218,6 +222,16 @@ def beams_beyond_half_turn(request: OutputRequest) -> Iterator[str]:
         yield (
             f"angle_min is {first:.4g} degrees and angle_max {last:.4g}, but the angles of points are from -180 to "
             f"180: {share:.0%} of the beams never have a return; a full turn is `angle_min=-180deg` `angle_max=180deg`"
+        )
+
+
+def log_times_of_centuries(cut: Cut) -> Iterator[str]:
+    """Yield a warning if log times are so far apart that some of them are wrong."""
+    first_ns, last_ns = cut.recorded.start_ns, cut.recorded.end_ns
+    if first_ns is not None and last_ns is not None and last_ns - first_ns > _CENTURY_NS:
+        yield (
+            f"its log times are from {stamp(first_ns)} to {stamp(last_ns)}, {(last_ns - first_ns) / _CENTURY_NS:.1f} "
+            "centuries: some are wrong, such as one that rolled over; `start` and `end` cut messages off"
         )
 
 
