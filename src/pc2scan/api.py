@@ -7,14 +7,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from . import commands
 from .arguments import names_in
 from .errors import UsageError
 from .files.urls import path_of, paths_in
 from .options.call import Options
 from .options.keywords import takes_options
 from .options.table import options_of
-from .requests import conversion_of, selection_of
+from .requests import OF_FRAMES, conversion_of, frames_of, selection_of
+from .requests import convert as convert_by
+from .requests import repair as repair_by
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -88,7 +89,7 @@ def convert(
     0
     """
     asked = Options("convert", options)
-    return commands.convert(paths_in("sources", sources), destination, asked, progress=asked.progress)
+    return convert_by(paths_in("sources", sources), destination, asked, progress=asked.progress)
 
 
 @takes_options
@@ -128,12 +129,13 @@ def batch(
     >>> result.counts  # doctest: +SKIP
     {'failed': 2, 'converted': 998}
     """
-    from .batch.run import BatchCallbacks  # noqa: PLC0415
+    from .batch.run import BatchCallbacks, BatchOptions, run_batch  # noqa: PLC0415
 
     asked = Options("batch", options)
     watch = BatchCallbacks() if asked.progress is None else BatchCallbacks(progress=asked.progress)
     names = [str(path) for path in paths_in("sources", sources)]
-    return commands.batch(names, path_of("destination", destination), asked, watch)
+    out = path_of("destination", destination)
+    return run_batch(names, out, asked.of_conversions, BatchOptions.of(asked), origins=asked.origins, watch=watch)
 
 
 @takes_options
@@ -167,7 +169,7 @@ def repair(
         If the destination cannot be written.
     """
     asked = Options("repair", options)
-    return commands.repair(path_of("source", source), destination, asked, progress=asked.progress)
+    return repair_by(path_of("source", source), destination, asked, progress=asked.progress)
 
 
 @takes_options
@@ -193,7 +195,16 @@ def info(
     RecordingError
         If a source cannot be read.
     """
-    return commands.info(paths_in("sources", sources), Options("info", options))
+    from .inspect.info import info as describe  # noqa: PLC0415
+
+    asked = Options("info", options)
+    return describe(
+        paths_in("sources", sources),
+        described=asked.topics,
+        frames=frames_of(asked),
+        given=asked.among({*OF_FRAMES, "cloud_scale"}),
+        **asked.among(("target_frame", "cloud_scale")),
+    )
 
 
 @takes_options
@@ -228,7 +239,9 @@ def view(
     >>> import pc2scan
     >>> pc2scan.view("drive.bag", preset="slam_toolbox", min_height=-0.3).save("page.html")  # doctest: +SKIP
     """
-    return commands.view(paths_in("sources", sources), None, Options("view", options))
+    from .look.view import view as show  # noqa: PLC0415
+
+    return show(paths_in("sources", sources), None, Options("view", options))
 
 
 @takes_options
@@ -268,7 +281,9 @@ def plot(
     >>> import pc2scan
     >>> pc2scan.plot("drive.bag", "figure.png", preset="slam_toolbox", min_height=-0.3)  # doctest: +SKIP
     """
-    return commands.plot(paths_in("sources", sources), path_of("destination", destination), Options("plot", options))
+    from .look.plot import plot as draw  # noqa: PLC0415
+
+    return draw(paths_in("sources", sources), path_of("destination", destination), Options("plot", options))
 
 
 @takes_options
@@ -308,8 +323,10 @@ def map(  # noqa: A001  # the command's name
     >>> import pc2scan
     >>> pc2scan.map("drive.bag", min_height=0.1, max_height=1.5).save("map.yaml")  # doctest: +SKIP
     """
+    from .look.map import draw_map  # noqa: PLC0415
+
     asked = Options("map", options)
-    return commands.map(paths_in("sources", sources), None, asked, write=False, progress=asked.progress)
+    return draw_map(paths_in("sources", sources), None, asked, write=False, progress=asked.progress)
 
 
 @takes_options
@@ -337,7 +354,11 @@ def check(
     RecordingError
         If a source cannot be read.
     """
-    return commands.check(paths_in("sources", sources), Options("check", options))
+    from .inspect.check import check as judge  # noqa: PLC0415
+
+    asked = Options("check", options)
+    rules = asked.among(("consumers", "topics", "odom_frame", "base_frame", "echo"))
+    return judge(paths_in("sources", sources), frames=frames_of(asked), **rules)
 
 
 @takes_options
@@ -365,7 +386,9 @@ def tf(
     UsageError
         If several namespaces have transforms and ``tf_topics`` is empty.
     """
-    return commands.tf(paths_in("sources", sources), Options("tf", options))
+    from .inspect.tf import frame_tree  # noqa: PLC0415
+
+    return frame_tree(paths_in("sources", sources), frames_of(Options("tf", options)))
 
 
 @takes_options
@@ -399,13 +422,16 @@ def golden(
     While a case runs, the output of this process is captured, and on SIGTERM temporary files are removed first.
     """
     from .cli.in_process import run_command  # noqa: PLC0415
+    from .golden.check import check_cases  # noqa: PLC0415
+    from .golden.init import make_case  # noqa: PLC0415
 
     path, asked = path_of("folder", folder), Options("golden", options)
     if asked.init is not None:
-        commands.new_case(path, asked, run_command)
+        part = {"start": asked.start, "end": asked.end, "topics": asked.topics, "params": asked.params_file}
+        make_case(path, asked.init, run_command, **part)
     elif asked.given.keys() - {"update"}:
         raise UsageError("`start`, `end`, `topics` and `params_file` have no effect without init=SRC")
-    return commands.golden(path, pattern, asked, run_command)
+    return check_cases(path, pattern, run_command, update=asked.update)
 
 
 @takes_options
@@ -440,7 +466,14 @@ def diff(
     >>> found = pc2scan.diff("expected.bag", "scans.mcap", rtol=1e-5)  # doctest: +SKIP
     >>> assert found.same, found  # doctest: +SKIP
     """
-    return commands.diff(path_of("a", a), None if b is None else path_of("b", b), Options("diff", options))
+    from .compare.diff import TopicPair  # noqa: PLC0415
+    from .compare.diff import diff as compare  # noqa: PLC0415
+    from .compare.rules import Rules  # noqa: PLC0415
+
+    asked = Options("diff", options)
+    pairs = [TopicPair.parse(topic) for topic in asked.topics]
+    other = None if b is None else path_of("b", b)
+    return compare(path_of("a", a), other, topics=pairs, all_topics=asked.all_topics, rules=Rules.of(asked))
 
 
 @takes_options
@@ -489,8 +522,10 @@ def export(
     >>> pc2scan.export("drive.bag", "scans.npz", pose_frame="odom")  # doctest: +SKIP
     >>> pc2scan.export("drive.bag", "scans.csv", preset="slam_toolbox", min_height=-0.3)  # doctest: +SKIP
     """
+    from .export.run import export as write  # noqa: PLC0415
+
     asked = Options("export", options)
-    return commands.export(paths_in("sources", sources), destination, asked, progress=asked.progress)
+    return write(paths_in("sources", sources), destination, asked, progress=asked.progress)
 
 
 @takes_options

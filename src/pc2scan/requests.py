@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from .arguments import refuse_unknown
 from .core.params import ProjectionParams
-from .errors import SeveralNodesError, UsageError, name_list
+from .errors import Pc2ScanError, SeveralNodesError, UsageError, name_list
 from .files.urls import path_of, path_or_url, path_text, paths_in
 from .options.call import CALL, Options
 from .options.conversion import ConversionFrames, StampCorrection
@@ -25,7 +25,9 @@ if TYPE_CHECKING:
 
     from .core.unproject import UnprojectParams
     from .files.urls import PathText
+    from .pipeline.report import Report
     from .pipeline.run_files import OutputOptions
+    from .progress import Progress
     from .streams.stream import Selection
     from .tf.robot_model import RobotModel
     from .tf.sources import PoseTopic
@@ -33,6 +35,9 @@ if TYPE_CHECKING:
     from .tf.trajectory import Trajectory
 
     Warn: TypeAlias = Callable[[str], None]
+
+#: A result that is a dataclass with warnings: a page, a figure, a map.
+_Shown = TypeVar("_Shown", bound="Any")
 
 #: Options that are attributes of a conversion, as they are.
 _OF_ALL = ConvertOptions.__dataclass_fields__.keys() - {"scans", "frames", "clock"}
@@ -136,6 +141,11 @@ def first_output(request: ConversionRequest, verb: str, warn: Warn | None) -> Co
         _pass_on([only], warn)
         request = request._replace(notes=(*request.notes, only))
     return request._replace(options=options.with_scan())
+
+
+def with_notes(result: _Shown, request: ConversionRequest) -> _Shown:
+    """Return a page, figure or map with the notes of its request among its warnings."""
+    return replace(result, warnings=(*request.notes, *result.warnings))
 
 
 def conversion_of(options: Options, warn: Warn | None = None) -> ConversionRequest:
@@ -366,3 +376,48 @@ def selection_of(sources: PathText | Iterable[PathText], topics: tuple[str, ...]
         clock=clock_of(options),
         cloud_scale=options.cloud_scale,
     )
+
+
+def convert(
+    sources: Sequence[Path],
+    destination: PathText | None,
+    options: Options,
+    *,
+    warn: Warn | None = None,
+    progress: Progress | None = None,
+) -> Report:
+    """Convert a recording; see `pc2scan.convert`. A wrong option is in the report's file, too."""
+    path, folder = destination_of(destination)
+    output = output_of(options, folder=folder)
+    try:
+        if options.wrong is not None:
+            raise options.wrong
+        conversion = conversion_of(options, warn)
+    except Pc2ScanError as err:
+        from .pipeline.run import report_failure  # noqa: PLC0415  # with the rest of the pipeline
+        from .result import Failure  # noqa: PLC0415  # only of what failed
+
+        failure = Failure([err], [str(source) for source in sources], str(path or folder or "") or None)
+        report_failure(failure, sources, output, named_files(options))
+        raise
+    from .pipeline.run import run  # noqa: PLC0415  # with the rest of the pipeline
+
+    return run(
+        sources,
+        path,
+        conversion.options,
+        output,
+        also_read=conversion.files,
+        warnings=conversion.notes,
+        progress=progress,
+        warn=warn,
+    )
+
+
+def repair(source: Path, destination: PathText | None, options: Options, *, progress: Progress | None = None) -> Report:
+    """Write what can be recovered of a recording; see `pc2scan.repair`."""
+    from .pipeline.run import run  # noqa: PLC0415  # with the rest of the pipeline
+
+    path, folder = destination_of(destination)
+    asked = ConvertOptions(repair=True)
+    return run([source], path, asked, output_of(options, folder=folder), progress=progress)

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
 def batch(sources: list[str], destination: str, *, options: Options) -> int:
     """Convert every recording of a dataset."""
-    from pc2scan.batch.run import BatchCallbacks
-    from pc2scan.commands import batch as run
+    from pc2scan.batch.run import BatchCallbacks, BatchOptions, run_batch
 
     quiet, verbose = options.quiet, options.verbose
     limit_width()
@@ -36,7 +35,8 @@ def batch(sources: list[str], destination: str, *, options: Options) -> int:
             inform=lambda text: None if quiet else say(as_typed(text), err=True),
         )
         try:
-            report = run(sources, path_or_url(destination), options, watch)
+            out, how = path_or_url(destination), BatchOptions.of(options)
+            report = run_batch(sources, out, options.of_conversions, how, origins=options.origins, watch=watch)
         except KeyboardInterrupt:
             say("hint: run the same command again to continue it", err=True)
             raise

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from pc2scan.inspect.check import check as judge
 from pc2scan.options.call import Options
+from pc2scan.requests import frames_of
 
-from .render import show
+from .render import progress_bar, show
 
 
 def check(sources: list[Path], *, options: Options) -> int:
     """Check whether SLAM and navigation accept scans."""
-    from pc2scan.commands import check as run
-
-    from .render import progress_bar
-
     with progress_bar(enabled=not options.as_json) as progress:
-        result = run(sources, options, progress=progress)
+        rules = options.among(("consumers", "topics", "odom_frame", "base_frame", "echo"))
+        result = judge(sources, frames=frames_of(options), progress=progress, **rules)
     show(result, as_json=options.as_json)
     return result.exit_status

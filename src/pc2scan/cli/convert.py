@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.files.urls import is_url
 from pc2scan.options.call import Options
+from pc2scan.requests import convert as run
 
 from .render import LiveWarnings, progress_bar, say, show
 
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
 
 def convert(sources: list[Path], destination: str | None, *, options: Options) -> int:
     """Convert a recording."""
-    from pc2scan.commands import convert as run
-
     sources, further = _ros_arguments(sources)
     if further:
         options = options.with_further(further)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from pc2scan.export.run import export as run
 from pc2scan.options.call import Options
 
 from .render import LiveWarnings, progress_bar, show
@@ -11,8 +12,6 @@ from .render import LiveWarnings, progress_bar, show
 
 def export(sources: list[Path], destination: str, *, options: Options) -> int:
     """Write scans, the trajectory, or clouds as files."""
-    from pc2scan.commands import export as run
-
     warn = LiveWarnings()
     with progress_bar(enabled=not options.as_json) as progress:
         report = run(sources, destination, options, warn=warn, progress=progress)

@@ -6,9 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import UsageError
+from pc2scan.golden.check import check_cases
+from pc2scan.golden.init import make_case
 from pc2scan.options.call import Options
 
-from .render import say, show, show_parts
+from .in_process import run_command
+from .render import progress_bar, say, show, show_parts
 
 if TYPE_CHECKING:
     from pc2scan.golden.result import CaseResult
@@ -23,15 +26,12 @@ def golden(folder: Path, pattern: str | None, *, options: Options) -> int:
         return 0
     if options.given.keys() & {"start", "end", "topics", "params_file"}:
         raise UsageError("--start, --end, --topic and --params-file need --init", hint="a case has its own")
-    from pc2scan.commands import golden as run
-
-    from .in_process import run_command
 
     def show_case(case: CaseResult) -> None:
         if not options.as_json and not (options.quiet and case.outcome == "passed"):
             show_parts(case.body())
 
-    report = run(folder, pattern or "", options, run_command, each=show_case)
+    report = check_cases(folder, pattern or "", run_command, update=options.update, each=show_case)
     if options.as_json:
         show(report, as_json=True)
     else:
@@ -41,13 +41,9 @@ def golden(folder: Path, pattern: str | None, *, options: Options) -> int:
 
 def _init(folder: Path, options: Options) -> None:
     """Make a case, and list its files."""
-    from pc2scan.commands import new_case
-
-    from .in_process import run_command
-    from .render import progress_bar
-
     with progress_bar(enabled=not options.quiet) as progress:
-        case = new_case(folder, options, run_command, progress=progress)
+        part = {"start": options.start, "end": options.end, "topics": options.topics, "params": options.params_file}
+        case = make_case(folder, options.init, run_command, progress=progress, **part)
     show(case, quiet=options.quiet)
     if not options.quiet:
         say(f"next: look at {case.folder}/expected.txt, commit the folder, and: pc2scan golden {folder}")

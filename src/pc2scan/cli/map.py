@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from pc2scan.files.urls import path_or_url
+from pc2scan.look.map import draw_map
 from pc2scan.options.call import Options
 
 from .render import LiveWarnings, progress_bar, show
@@ -14,11 +15,9 @@ def map(  # noqa: A001  # the function of a command has its name
     sources: list[Path], destination: str | None, *, options: Options
 ) -> int:
     """Draw scans into a map."""
-    from pc2scan.commands import map as run
-
     path = None if destination is None else path_or_url(destination)
     warn = LiveWarnings()
     with progress_bar(enabled=not options.as_json) as progress:
-        result = run(sources, path, options, warn=warn, progress=progress)
+        result = draw_map(sources, path, options, warn=warn, progress=progress)
     show(result, as_json=options.as_json, known=warn)
     return result.exit_status

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pc2scan.files.urls import path_or_url
+from pc2scan.look.plot import plot as run
 from pc2scan.options.call import Options
 
 from .render import LiveWarnings, show
@@ -20,8 +21,6 @@ _WHERE = "MPLCONFIGDIR"
 
 def plot(sources: list[Path], destination: str, *, options: Options) -> int:
     """Draw clouds."""
-    from pc2scan.commands import plot as run
-
     warn = LiveWarnings()
     with _temporary_fonts():
         drawn = run(sources, path_or_url(destination), options, warn=warn)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from pc2scan.options.call import Options
+from pc2scan.requests import repair as run
 
 from .convert import next_command
 from .render import say, show
@@ -12,8 +13,6 @@ from .render import say, show
 
 def repair(source: Path, destination: str | None, *, options: Options) -> int:
     """Write what can be recovered of a damaged recording."""
-    from pc2scan.commands import repair as run
-
     from .render import progress_bar
 
     silent = options.quiet or options.as_json

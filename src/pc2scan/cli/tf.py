@@ -5,20 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 
 from pc2scan.errors import TransformError, UnconnectedError, UsageError, stamp_text
+from pc2scan.inspect.tf import Lookup, frame_tree
 from pc2scan.options.call import Options
 from pc2scan.options.moment import TimeBound
+from pc2scan.requests import frames_of
 
 from .render import show
 
 
 def tf(sources: list[Path], lookup: tuple[str, str] | None, at: str | None, *, options: Options) -> int:
     """Show the frames of a recording."""
-    from pc2scan.commands import tf as run
-    from pc2scan.inspect.tf import Lookup
-
     if at is not None and lookup is None:
         raise UsageError("--at needs --lookup", hint="--lookup base_link lidar --at 1604515190.25")
-    tree = run(sources, options)
+    tree = frame_tree(sources, frames_of(options))
     if lookup is not None:
         stamp_ns = 0 if at is None else _stamp(at)
         try:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pc2scan.files.urls import path_or_url
+from pc2scan.look.view import view as run
 from pc2scan.options.call import Options
 
 from .render import LiveWarnings, show
@@ -16,8 +17,6 @@ if TYPE_CHECKING:
 
 def view(sources: list[Path], destination: str | None, *, options: Options) -> int:
     """Write a page that shows clouds and their scans."""
-    from pc2scan.commands import view as run
-
     path = _beside(sources) if destination is None else path_or_url(destination)
     warn = LiveWarnings()
     page = run(sources, path, options, warn=warn)

@@ -25,6 +25,7 @@ from pc2scan.messages.clouds import CLOUDS, usual_topics
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.pipeline.options import TopicRequest
 from pc2scan.progress import Meter
+from pc2scan.requests import conversion_of, destination_of
 from pc2scan.result import Skipped, tell_early
 from pc2scan.streams.clouds import Clouds
 from pc2scan.streams.scans import Scans
@@ -39,9 +40,11 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.files.records import Record
+    from pc2scan.files.urls import PathText
     from pc2scan.options.call import Options
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.progress import Progress
+    from pc2scan.requests import Warn
 
     from .formats import ExportFormat, TopicWriter
     from .poses import Poses
@@ -108,6 +111,33 @@ class ExportOptions:
             converting=options.makes_scans or conversion.scan.may_combine,
             overwrite=options.overwrite,
         )
+
+
+def export(
+    sources: Sequence[Path],
+    destination: PathText,
+    options: Options,
+    *,
+    warn: Warn | None = None,
+    progress: Progress | None = None,
+) -> ExportReport:
+    """Write scans, trajectories or clouds as files; see `pc2scan.export`."""
+    conversion = conversion_of(options, warn)
+    path, folder = destination_of(destination)
+    place = path if path is not None else folder
+    assert place is not None
+    done = run(
+        sources,
+        place,
+        conversion.options,
+        ExportOptions.of(options, conversion.options, options.format),
+        in_folder=path is None,
+        also_read=conversion.files,
+        progress=progress,
+        warn=warn,
+    )
+    done.warnings += conversion.notes
+    return done
 
 
 def run(

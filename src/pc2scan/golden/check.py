@@ -13,11 +13,11 @@ from pc2scan.errors import OutputError, Pc2ScanError, RecordingError, UsageError
 from pc2scan.files.ownership import OutputPath, refuse_overlap
 from pc2scan.files.text_output import text_output
 
-from .case import EXPECTED_TEXT, SETTINGS, load_case
-from .result import CaseOutcome, CaseResult
+from .case import EXPECTED_TEXT, SETTINGS, case_folders, load_case
+from .result import CaseOutcome, CaseResult, GoldenReport
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from pc2scan.compare.result import Difference
 
@@ -52,6 +52,27 @@ class Command(Protocol):
         UsageError
             If ``chosen`` has any other or an unknown option.
         """
+
+
+def check_cases(
+    folder: Path,
+    pattern: str,
+    command: Command,
+    *,
+    update: bool = False,
+    each: Callable[[CaseResult], object] | None = None,
+) -> GoldenReport:
+    """Check conversions against expected outputs; see `pc2scan.golden`.
+
+    ``each`` is called with the result of each case.
+    """
+    report = GoldenReport(str(folder))
+    for name, case in case_folders(folder, pattern):
+        result = check_case(name, case, command, update=update)
+        report.cases.append(result)
+        if each is not None:
+            each(result)
+    return report
 
 
 def check_case(name: str, folder: Path, command: Command, *, update: bool = False) -> CaseResult:

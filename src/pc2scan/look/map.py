@@ -17,11 +17,12 @@ from pc2scan.messages.clouds import CLOUDS, usual_topics
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.pipeline.options import TopicRequest
 from pc2scan.progress import Meter
+from pc2scan.requests import conversion_of, first_output, with_notes
 from pc2scan.result import tell_early
 from pc2scan.streams.scans import Scans
 from pc2scan.streams.stream import Selection
 
-from .map_drawing import Drawing
+from .map_drawing import Drawing, MapOptions
 from .map_files import map_paths
 from .map_result import contents_of
 from .recording import open_recording
@@ -31,15 +32,43 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.bags.reader import Reader
+    from pc2scan.options.call import Options
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.progress import Progress
+    from pc2scan.requests import Warn
 
-    from .map_drawing import MapOptions
     from .map_result import Map
 
 
 #: Cells of a map: 410 m by 410 m at 5 cm. Two bytes each while scans are drawn.
 _MAX_CELLS = 64 << 20
+
+
+def draw_map(
+    sources: Sequence[Path],
+    destination: Path | None,
+    options: Options,
+    *,
+    write: bool = True,
+    warn: Warn | None = None,
+    progress: Progress | None = None,
+) -> Map:
+    """Draw scans into a map, which is written unless ``write`` is false; see `pc2scan.map`."""
+    conversion = first_output(conversion_of(options, warn), "drawn", warn)
+    asked = MapOptions.of(options)
+    if not write:
+        return with_notes(map_of(sources, conversion.options, asked, progress=progress, warn=warn), conversion)
+    drawn = write_map(
+        sources,
+        destination,
+        conversion.options,
+        asked,
+        overwrite=options.overwrite,
+        also_read=conversion.files,
+        progress=progress,
+        warn=warn,
+    )
+    return with_notes(drawn, conversion)
 
 
 def write_map(

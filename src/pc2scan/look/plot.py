@@ -18,6 +18,7 @@ from pc2scan.errors import NothingToConvertError, UsageError, leading, visible
 from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.text_output import file_output
 from pc2scan.messages.laserscan import LASERSCAN
+from pc2scan.requests import conversion_of, first_output, with_notes
 from pc2scan.result import Part, Result
 from pc2scan.text import size
 
@@ -32,8 +33,10 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.damage import Damage
     from pc2scan.core.params import ProjectionParams
+    from pc2scan.options.call import Options
     from pc2scan.options.moment import TimeBound
     from pc2scan.pipeline.options import ConvertOptions
+    from pc2scan.requests import Warn
 
     from .shots import Shot, Shots
 
@@ -91,7 +94,23 @@ class Plotted(Result):
         yield f"{leading(self.path)}: {size(self.bytes)}"
 
 
-def plot(
+def plot(sources: Sequence[Path], destination: Path, options: Options, *, warn: Warn | None = None) -> Plotted:
+    """Draw clouds; see `pc2scan.plot`."""
+    conversion = first_output(conversion_of(options, warn), "shown", warn)
+    drawn = write_figure(
+        sources,
+        destination,
+        conversion.options,
+        clouds=options.clouds,
+        at=options.at,
+        overwrite=options.overwrite,
+        also_read=conversion.files,
+        warn=warn,
+    )
+    return with_notes(drawn, conversion)
+
+
+def write_figure(
     sources: Sequence[Path],
     destination: Path,
     options: ConvertOptions,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from pc2scan.errors import UsageError, leading
 from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
@@ -11,6 +11,7 @@ from pc2scan.files.text_output import text_output
 from pc2scan.files.urls import path_of
 from pc2scan.inspect.check import check
 from pc2scan.messages.clouds import CLOUDS
+from pc2scan.requests import conversion_of, first_output, with_notes
 from pc2scan.result import Part, Result
 from pc2scan.text import size
 
@@ -27,8 +28,10 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
+    from pc2scan.options.call import Options
     from pc2scan.options.moment import TimeBound
     from pc2scan.pipeline.options import ConvertOptions
+    from pc2scan.requests import Warn
     from pc2scan.tf.buffer import TransformBuffer
 
     from .recording import ShownRecording
@@ -100,6 +103,26 @@ class Page(Result):
         with text_output(path, beginning=BEGINNING, overwrite=overwrite) as deliver:
             deliver(self.html)
         return path
+
+
+def view(sources: Sequence[Path], destination: Path | None, options: Options, *, warn: Warn | None = None) -> Page:
+    """Show a recording as a page, which is written if there is a destination; see `pc2scan.view`."""
+    conversion = first_output(conversion_of(options, warn), "shown", warn)
+    asked: dict[str, Any] = {"clouds": options.clouds, "at": options.at, "preset": options.preset or ""}
+    # The node's heights are part of its parameters, also where a file of these does not have them.
+    asked["proposed"] = not options.given.keys() & {"params", "params_file", "param", "scans"}
+    if destination is None:
+        return with_notes(page_of(sources, conversion.options, **asked, warn=warn), conversion)
+    page = write_page(
+        sources,
+        destination,
+        conversion.options,
+        **asked,
+        overwrite=options.overwrite,
+        also_read=conversion.files,
+        warn=warn,
+    )
+    return with_notes(page, conversion)
 
 
 def write_page(
