@@ -8,13 +8,12 @@ from contextlib import ExitStack
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
 from datetime import datetime, timezone
 from enum import Enum
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from pc2scan.bags.opening import open_recordings
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import NothingToConvertError, OutputError, Pc2ScanError, UsageError
-from pc2scan.files.records import Record
 from pc2scan.files.system import is_full
 from pc2scan.files.urls import UrlPath, absolute, path_or_url
 from pc2scan.options.call import Options
@@ -232,7 +231,7 @@ class Job:
     size_bytes
         The size of all sources together.
     owned
-        What earlier runs wrote into the destination's folder: it may be replaced without ``overwrite``, too.
+        The recorded files of the output: it is replaced without ``overwrite``, too. None if there are none.
     threads
         The number of threads of the conversion.
     dry_run
@@ -251,7 +250,7 @@ class Job:
     output: str
     request: Request
     size_bytes: int = 0
-    owned: Record | None = None
+    owned: frozenset[str] | None = None
     threads: int = 1
     dry_run: bool = False
     shown: bool = False
@@ -259,8 +258,7 @@ class Job:
 
     def retried(self) -> Job:
         """Return the job for another attempt: one that died may have completed the output, which may be replaced."""
-        done = Record({PurePosixPath(self.destination).name: None})
-        return replace(self, owned=done if self.owned is None else self.owned | done)
+        return replace(self, owned=self.owned or frozenset())
 
     def record(self, **found: Any) -> ManifestRecord:
         """Return the line of the manifest, with what was found by the conversion."""

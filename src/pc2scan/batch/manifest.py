@@ -15,7 +15,7 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import DestinationError, UsageError
-from pc2scan.files.records import RECORD, FileState, Record
+from pc2scan.files.records import RECORD
 from pc2scan.files.source import file_beside
 from pc2scan.files.urls import UrlPath
 from pc2scan.version import __version__
@@ -362,12 +362,10 @@ class History:
         """Return the format of a recording that an earlier run has found, by its first path and files; else empty."""
         return self._containers.get((str(path), identity.files), "")
 
-    def record(self, output: str) -> Record | None:
-        """Return what is recorded about the files of an output, relative to its folder; None if nothing is."""
+    def owned(self, output: str) -> frozenset[str] | None:
+        """Return the recorded files of an output, relative to its folder; None if it was never written."""
         if output not in self.outputs:
             return None
         name = PurePosixPath(output).name
-        files: dict[str, FileState | None] = {name: None}
-        for entry in self.left.get(output, Identity()).files:
-            files[name if entry[0] == name else f"{name}/{entry[0]}"] = FileState(*entry[1:])
-        return Record(files, MANIFEST)
+        left = self.left.get(output, Identity())
+        return frozenset(file if file == name else f"{name}/{file}" for file, _, _ in left.files)

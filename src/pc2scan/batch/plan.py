@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from pc2scan.errors import Pc2ScanError
-    from pc2scan.files.records import Record
 
     from .find import Recording
     from .jobs import Request
@@ -45,7 +44,7 @@ class Step:
     output
         The path of the result, relative to the folder of the batch; empty for none.
     owned
-        What is recorded about the files of the output.
+        The files of the output that are recorded; None if it was never written.
     record
         Its last line in the manifest.
     error
@@ -57,7 +56,7 @@ class Step:
     why: str
     request: Request | None
     output: str = ""
-    owned: Record | None = None
+    owned: frozenset[str] | None = None
     record: ManifestRecord | None = None
     error: Pc2ScanError | None = None
 
@@ -165,7 +164,7 @@ def make_plan(
             steps.append(replace(step, action="refuse", why=each.error.message, error=each.error))
             continue
         there = present(output)
-        step = replace(step, owned=history.record(output))
+        step = replace(step, owned=history.owned(output))
         why = "asked for" if again else _reason(each, request, output, history, there)
         error = None
         if why:

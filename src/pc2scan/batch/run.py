@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.errors import DestinationError, DiskFullError, OutputError, UsageError
 from pc2scan.files.ownership import InputPath, Inputs, OutputPath, first_link, inputs_of
-from pc2scan.files.records import Record
 from pc2scan.files.staging import clean_up, note_written
 from pc2scan.files.system import is_full
 from pc2scan.files.text_output import check_text_output, text_output
@@ -408,7 +407,7 @@ class _Batch:
             output=step.output,
             request=step.request,
             size_bytes=step.found.identity.size_bytes,
-            owned=step.owned or Record({}),
+            owned=step.owned,
             dry_run=self._options.dry_run,
             shown=self.watch.shown is not None,
             scratch=None if scratch is None else str(absolute(scratch)),

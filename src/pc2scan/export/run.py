@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from pc2scan.files.records import Record
     from pc2scan.files.urls import PathText
     from pc2scan.options.call import Options
     from pc2scan.pipeline.options import ConvertOptions
@@ -93,14 +92,14 @@ class ExportOptions:
     overwrite
         Whether an existing destination is replaced.
     owned
-        What earlier runs wrote into the destination's folder; it may be replaced without ``overwrite``, too.
+        The files of the destination that a batch has recorded: it is replaced without ``overwrite``, too.
     """
 
     format: str | None = None
     poses: PoseOptions = field(default_factory=PoseOptions)
     converting: bool = False
     overwrite: bool = False
-    owned: Record | None = None
+    owned: frozenset[str] | None = None
 
     @classmethod
     def of(cls, options: Options, conversion: ConvertOptions, name: str | None) -> ExportOptions:

@@ -1,22 +1,15 @@
 """What a run may write, replace and remove: the one rule of ownership, which everything that writes files uses.
 
-A run replaces or removes a path only if one of these is true:
+A file that exists is replaced with ``overwrite``. A folder only if a record in it accounts for every file in it: its
+``metadata.yaml``, or `pc2scan.files.records.RECORD` of an export. What was edited since and would not be written again
+stays, and is named in an error. ``metadata.yaml`` has no sizes, so a file that it names counts as unchanged.
 
-- It writes exactly this path, and may: the user allows it (``overwrite``), or a record of an earlier run names it.
-- A record of an earlier run names the path, and it is still as that run left it.
+The manifest of a batch has names, sizes and times of modification (in a store, versions) of each result's files. A
+result that is as it was recorded is replaced without ``overwrite``, too; one that was edited since stays, and its
+recording has failed (`pc2scan.batch.plan`).
 
-Anything else stays, and is named in a warning or an error. An input of the run is never replaced, removed or hidden,
-by any of its names (`refuse_overlap`). A symbolic link is replaced, never followed.
-
-These are records:
-
-- The manifest of a batch: names, sizes and times of modification (in a store, versions) of each result's files.
-- ``metadata.yaml`` of a rosbag2 directory: the names of its files. It has no sizes, so a file that it names counts as
-  unchanged; the user names such a directory as one recording, and replaces it as one.
-- `pc2scan.files.records.RECORD` in an exported folder: the names, sizes and CRC-32s of its files. Times of modification
-  would differ between two exports of the same messages, and are lost by copying. CRC-32 recognises an edited file and,
-  unlike SHA-256, takes no time beside writing it. It would not stop a forger; but whoever can write the record can
-  remove the files, too.
+An input of the run is never replaced, removed or hidden, by any of its names (`refuse_overlap`). A symbolic link is
+replaced, never followed.
 """
 
 from __future__ import annotations
@@ -35,75 +28,19 @@ from .places import working_names
 from .urls import UrlPath, exists
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
-    from .records import FileState, FolderRecord, Record
+    from .records import FolderRecord
 
 #: Endings of the files that SQLite reads beside a database.
 _LOGS = ("-wal", "-journal", "-shm")
-
-
-class Ruling(NamedTuple):
-    """What happens to existing files, by the rule of ownership.
-
-    Attributes
-    ----------
-    replaced
-        The run writes them, and may replace them.
-    removed
-        The run does not write them; they are as an earlier run left them.
-    refused
-        The run would write them, and may not replace them.
-    kept
-        All others. They stay.
-    """
-
-    replaced: list[str]
-    removed: list[str]
-    refused: list[str]
-    kept: list[str]
-
-
-def ruling(
-    present: Iterable[str],
-    written: Collection[str],
-    record: Record | None,
-    *,
-    overwrite: bool,
-    is_unchanged: Callable[[str, FileState | None], bool],
-) -> Ruling:
-    """Apply the rule of ownership to the files of a folder.
-
-    Parameters
-    ----------
-    present
-        The names of existing files.
-    written
-        The names that the run writes.
-    record
-        What earlier runs wrote.
-    overwrite
-        Whether the user allows to replace what the run writes.
-    is_unchanged
-        Whether a file that the record names is as it was left. Called only where that decides.
-    """
-    files = {} if record is None else record.files
-    found = Ruling([], [], [], [])
-    for name in present:
-        if name in written:
-            (found.replaced if overwrite or name in files else found.refused).append(name)
-        elif name in files and is_unchanged(name, files[name]):
-            found.removed.append(name)
-        else:
-            found.kept.append(name)
-    return found
 
 
 # --- What may be replaced ---
 
 
 def check_existing(
-    dst: Path, *, overwrite: bool, owned: Record | None = None, record_in: FolderRecord | None = None
+    dst: Path, *, overwrite: bool, owned: Collection[str] | None = None, record_in: FolderRecord | None = None
 ) -> None:
     """Raise if there is something at a destination that this run may not replace, as far as that is known beforehand.
 
@@ -114,7 +51,7 @@ def check_existing(
     overwrite
         Whether the user allows to replace it.
     owned
-        What earlier runs wrote into its folder.
+        The files of it that earlier runs have recorded, if it may be replaced without ``overwrite``, too.
     record_in
         Reads the record of what is in a folder. Without it no folder is replaced.
 
@@ -125,7 +62,7 @@ def check_existing(
     """
     if isinstance(dst, UrlPath):
         # What a record names is judged file by file, when the new files are known.
-        if (owned is None or dst.name not in owned.files) and dst.exists():
+        if owned is None and dst.exists():
             if dst.is_dir():
                 raise stored_folder_error(dst)
             if not overwrite:
@@ -133,23 +70,21 @@ def check_existing(
         return
     if not os.path.lexists(dst):
         return
-    if not overwrite and (owned is None or dst.name not in owned.files):
+    if not overwrite and owned is None:
         raise existing_error(dst)
     # A link itself is replaced, not its target; but a link to a device means the device.
     if dst.exists() and not dst.is_file() and not dst.is_dir():
         raise DestinationError("is neither a file nor a directory, and cannot be overwritten", path=dst)
     if not dst.is_symlink() and dst.is_dir():
-        refuse_others(dst, owned, record_in)
+        refuse_others(dst, record_in)
 
 
-def refuse_others(
-    folder: Path, owned: Record | None, record_in: FolderRecord | None, written: Collection[str] | None = None
-) -> None:
+def refuse_others(folder: Path, record_in: FolderRecord | None, written: Collection[str] | None = None) -> None:
     """Raise if a folder that is replaced as a whole has anything that this run may not replace or remove.
 
     Parameters
     ----------
-    folder, owned, record_in
+    folder, record_in
         As for `check_existing`.
     written
         The paths in it that the run writes; None while they are unknown. Then only the names are checked.
@@ -165,9 +100,6 @@ def refuse_others(
     if not present:
         return
     found = "its content is not checked" if record_in is None else record_in(folder)
-    if isinstance(found, str) and owned is not None and owned.below(folder.name).files:
-        # An older version wrote no record into the folder, but the manifest lists its files.
-        found = owned.below(folder.name)
     away = "choose another name, or move it away"
     if isinstance(found, str):
         hint = f"choose another name, or remove it yourself: rm -r {shlex.quote(str(folder))}"
@@ -175,13 +107,7 @@ def refuse_others(
     if unnamed := [name for name in present if name not in found.files]:
         raise _unaccounted_error(folder, f"its {found.name} does not name {name_list(unnamed, 3)}", away)
     if written is not None:
-        kept = ruling(
-            present,
-            written,
-            found,
-            overwrite=True,
-            is_unchanged=lambda name, left: is_unchanged(folder / name, left),
-        ).kept
+        kept = [name for name in present if name not in written and not is_unchanged(folder / name, found.files[name])]
         if kept:
             raise _unaccounted_error(folder, f"{name_list(kept, 3)} was changed after it was written", away)
 

@@ -33,15 +33,14 @@ class FileState(NamedTuple):
     ----------
     size
         In bytes.
-    time
-        The time of modification in nanoseconds, or a version in a store; None if it is not recorded.
     crc
-        The CRC-32 of the content; None if it is not recorded.
+        The CRC-32 of the content. Times of modification would differ between two exports of the same messages, and are
+        lost by copying. CRC-32 recognises an edited file and, unlike SHA-256, takes no time beside writing it. It would
+        not stop a forger; but whoever can write the record can remove the files, too.
     """
 
     size: int
-    time: int | str | None = None
-    crc: int | None = None
+    crc: int
 
 
 class Record(NamedTuple):
@@ -58,17 +57,6 @@ class Record(NamedTuple):
     files: Mapping[str, FileState | None]
     name: str = "record"
 
-    def below(self, folder: str) -> Record:
-        """Return what it says about a folder in this folder."""
-        start = f"{folder}/"
-        return Record(
-            {name.removeprefix(start): left for name, left in self.files.items() if name.startswith(start)}, self.name
-        )
-
-    def __or__(self, other: Record | None) -> Record:
-        """Return both together; of a file that both name, what the other says."""
-        return self if other is None else Record({**self.files, **other.files}, self.name)
-
 
 def is_unchanged(path: Path, left: FileState | None) -> bool:
     """Return whether a file is as it was left, as far as that is recorded."""
@@ -78,15 +66,9 @@ def is_unchanged(path: Path, left: FileState | None) -> bool:
             return stat.S_ISREG(status.st_mode) or stat.S_ISLNK(status.st_mode)
         if not stat.S_ISREG(status.st_mode) or status.st_size != left.size:
             return False
-        return left.time in (None, status.st_mtime_ns) and (left.crc is None or _crc_of(path) == left.crc)
+        return _crc_of(path) == left.crc
     except OSError:
         return False
-
-
-def file_state(path: Path) -> FileState:
-    """Return the size and the time of modification of a file, as a run leaves it."""
-    status = path.lstat()
-    return FileState(status.st_size, status.st_mtime_ns)
 
 
 def _crc_of(path: Path) -> int:
@@ -134,7 +116,7 @@ def read_record(folder: Path) -> Record | str:
         if noted["pc2scan files"] != _RECORD_VERSION:
             return f"its {RECORD} is of another version of pc2scan"
         files: dict[str, FileState | None] = {
-            str(name): FileState(int(size), crc=int(crc)) for name, (size, crc) in noted["files"].items()
+            str(name): FileState(int(size), int(crc)) for name, (size, crc) in noted["files"].items()
         }
     except FileNotFoundError:
         return f"it has no {RECORD}, which lists what an export wrote"

@@ -17,10 +17,10 @@ from .system import REFUSES_LINKS, lock_descriptor, remove, sync_directory
 from .urls import UrlPath
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Collection, Iterator
 
     from .ownership import FileId
-    from .records import FolderRecord, Record
+    from .records import FolderRecord
 
 #: The beginning of the names of a run's internal files.
 _PRIVATE = ".pc2scan-"
@@ -51,7 +51,7 @@ def note_written(dst: Path) -> None:
 
 @contextmanager
 def staged_output(
-    dst: Path, *, overwrite: bool, owned: Record | None = None, record_in: FolderRecord | None = None
+    dst: Path, *, overwrite: bool, owned: Collection[str] | None = None, record_in: FolderRecord | None = None
 ) -> Iterator[Path]:
     """Yield a path to write to, and rename it to the destination at the end.
 
@@ -94,19 +94,19 @@ def staged_output(
         from .records import files_below  # noqa: PLC0415  # few outputs replace a directory
 
         # Other files may have been added since the beginning.
-        refuse_others(dst, owned, record_in, set(files_below(partial)) if partial.is_dir() else ())
+        refuse_others(dst, record_in, set(files_below(partial)) if partial.is_dir() else ())
 
     with temporary_path(dst) as partial:
         check_existing(dst, overwrite=overwrite, owned=owned, record_in=record_in)
         yield partial
-        commit(partial, dst, check_again, overwrite=overwrite or (owned is not None and dst.name in owned.files))
+        commit(partial, dst, check_again, overwrite=overwrite or owned is not None)
 
 
 def check_destination(
     dst: Path,
     *,
     overwrite: bool,
-    owned: Record | None = None,
+    owned: Collection[str] | None = None,
     record_in: FolderRecord | None = None,
     folder: Path | None = None,
 ) -> None:

@@ -14,19 +14,16 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, MissingError, Pc2ScanError, name_list
 
-from .ownership import existing_error, ruling, stored_folder_error
+from .ownership import existing_error, stored_folder_error
 from .places import private_folder
-from .records import FileState, Record, files_below
+from .records import files_below
 from .system import scratch
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Collection, Iterable, Iterator
 
-    from .ownership import Ruling
-    from .store import RangeFile, StoredObject
+    from .store import RangeFile
     from .urls import UrlPath
-
-_UNKNOWN = FileState(-1)
 
 #: Bytes of a request that reads ahead, and threads that do: a connection idles between its requests.
 _AHEAD_BYTES = 4 << 20
@@ -84,7 +81,9 @@ def _fetch_parts(parts: SimpleQueue[tuple[RangeFile, int]], stopped: Event) -> N
 
 
 @contextmanager
-def upload(dst: UrlPath, *, overwrite: bool, owned: Record | None = None) -> Iterator[tuple[Path, Callable[[], None]]]:
+def upload(
+    dst: UrlPath, *, overwrite: bool, owned: Collection[str] | None = None
+) -> Iterator[tuple[Path, Callable[[], None]]]:
     """Yield a local path to write to, and a function that uploads what is there.
 
     Parameters
@@ -111,16 +110,16 @@ def upload(dst: UrlPath, *, overwrite: bool, owned: Record | None = None) -> Ite
         yield partial, lambda: _commit(partial, dst, owned, overwrite=overwrite)
 
 
-def _commit(partial: Path, dst: UrlPath, owned: Record | None, *, overwrite: bool) -> None:
+def _commit(partial: Path, dst: UrlPath, owned: Collection[str] | None, *, overwrite: bool) -> None:
     """Remove what the output replaces, and upload it."""
     new: dict[str, Path] = {dst.name: partial}
     if partial.is_dir():
         new = {f"{dst.name}/{name}": partial / name for name in files_below(partial)}
     present = _present(dst)
-    found = _ruling(dst, present, new, owned, overwrite=overwrite)
+    _refuse_others(dst, present, new, owned, overwrite=overwrite)
     # A recording is complete when its metadata.yaml is there. So this is removed first, and uploaded last. Files are
     # replaced in one step.
-    gone = [name for name in (*found.removed, *found.replaced) if "/" in name]
+    gone = [name for name in present if "/" in name]
     for name in sorted(gone, key=lambda name: (not name.endswith("/metadata.yaml"), name)):
         (dst.parent / name).remote.delete()
     done: list[UrlPath] = []
@@ -137,44 +136,28 @@ def _commit(partial: Path, dst: UrlPath, owned: Record | None, *, overwrite: boo
         raise
 
 
-def _present(dst: UrlPath) -> dict[str, StoredObject]:
+def _present(dst: UrlPath) -> list[str]:
     """Return the files at a destination, by their paths relative to its folder."""
     try:
         if dst.is_dir():
-            return {f"{dst.name}/{path.relative_to(dst).as_posix()}": path.known() for path in dst.below()}
-        return {dst.name: dst.known()}
+            return [f"{dst.name}/{path.relative_to(dst).as_posix()}" for path in dst.below()]
+        dst.known()
     except MissingError:
-        return {}
+        return []
+    return [dst.name]
 
 
-def _ruling(
-    dst: UrlPath,
-    present: dict[str, StoredObject],
-    new: dict[str, Path],
-    owned: Record | None,
-    *,
-    overwrite: bool,
-) -> Ruling:
-    """Return what happens to the files that are there; raise if that is not permitted."""
-    record = owned or Record({})
-    # Of an upload that was killed, only the name is known.
-    overwrite = overwrite or record.files.get(dst.name, _UNKNOWN) is None
-    found = ruling(
-        present,
-        new,
-        record,
-        overwrite=overwrite,
-        is_unchanged=lambda name, left: left is not None and present[name][:2] == (left.size, left.time),
-    )
+def _refuse_others(
+    dst: UrlPath, present: list[str], new: Collection[str], owned: Collection[str] | None, *, overwrite: bool
+) -> None:
+    """Raise if what is there may not be replaced."""
     if owned is None and any("/" in name for name in present):
         raise stored_folder_error(dst)
-    if found.refused or (found.kept and not overwrite and not record.files):
-        raise existing_error(dst.parent / (found.refused or found.kept)[0])
-    if found.kept:
+    if owned is None and present and not overwrite:
+        raise existing_error(dst)
+    if kept := [name for name in present if name not in new and name not in (owned or ())]:
         raise DestinationError(
-            "has something that this batch did not write, or that was changed since, and is not replaced: "
-            + name_list(found.kept, 3),
+            f"has something that this batch did not write, and is not replaced: {name_list(kept, 3)}",
             path=dst,
             hint="move it away, or write to another folder",
         )
-    return found

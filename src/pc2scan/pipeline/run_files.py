@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Mapping, Sequence
     from pathlib import Path
 
-    from pc2scan.files.records import Record
     from pc2scan.tf.placing import FrameOptions
 
     from .report import Report
@@ -36,8 +35,7 @@ class OutputOptions(NamedTuple):
     overwrite
         Whether an existing destination, and an existing file at the report's path, are replaced.
     owned
-        What earlier runs wrote into the destination's folder; it may be replaced without ``overwrite``, too. None: no
-        record says.
+        The files of the destination that a batch has recorded: it is replaced without ``overwrite``, too.
     report
         Path of the report as JSON; None for no file.
     folder
@@ -57,7 +55,7 @@ class OutputOptions(NamedTuple):
     compression: str | None = None
     profile: str | None = None
     overwrite: bool = False
-    owned: Record | None = None
+    owned: frozenset[str] | None = None
     report: Path | None = None
     folder: Path | None = None
     to: str | None = None
