@@ -12,6 +12,7 @@ import pc2scan
 from pc2scan import check
 from pc2scan.core.consumers import CONSUMERS
 from pc2scan.errors import RecordingError, TopicError, UsageError
+from pc2scan.inspect.check import check as check_scans
 from pc2scan.tf.placing import FrameOptions
 from pc2scan.tf.static import StaticTransform
 from support import RECORDINGS, ROOT, needs_shared, sampled
@@ -113,7 +114,7 @@ def test_verdicts_say_which_rule_decides(tmp_path: Path) -> None:
     topic = looked(tmp_path, *scans(3, replace(GOOD, ranges=GOOD.ranges[:7])), tree=())
     assert "len(ranges)" in topic.consumers[0].verdict.rule
     mount = FrameOptions(static=(StaticTransform.parse("base_link laser 0 0 0.3 0 7.6deg 0"),))
-    tilted = only(check(write(tmp_path / "b.mcap", *scans(3), tree=(("odom", "base_link"),)), frames=mount))
+    tilted = only(check_scans(write(tmp_path / "b.mcap", *scans(3), tree=(("odom", "base_link"),)), frames=mount))
     assert "does not start" in tilted.consumers[2].verdict.rule
 
 
@@ -138,7 +139,7 @@ def test_a_frame_that_nearly_matches(tmp_path: Path) -> None:
 def test_a_recording_may_lend_its_transforms(tmp_path: Path) -> None:
     path = write(tmp_path / "a.mcap", *scans(3), tree=())
     lender = write(tmp_path / "b.mcap", *scans(1), tree=(("world", "robot"), ("robot", "laser")))
-    found = check(path, frames=FrameOptions(tf_from=(lender,)))
+    found = check(path, tf_from=lender)
     assert set(kinds(only(found))) == {"no-odometry-frame", "no-robot-frame"}
 
 
