@@ -1,61 +1,23 @@
-"""The command keeps the memory that it frees, on glibc; a host's allocator stays as it is."""
+"""The memory that a conversion, `info` and pages take, however long the recording is."""
 
 from __future__ import annotations
 
-import ctypes
-import gc
 import platform
-import subprocess
-import sys
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
 from benchmarks.clouds import CLOUD_BYTES, FORMS, write_recording, write_two
 from benchmarks.long import Long, measured
-from pc2scan import threads
 from pc2scan.bags.mcap.write import McapWriter
 from pc2scan.bags.rosbag1.write import Rosbag1Writer
-from pc2scan.cli import main
 from pc2scan.model import Connection, Definition
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-#: Page faults of memory that is used and freed again and again. A page is 4 KiB at least: 24 MiB fifty times, or once.
-FAULTS = """
-import resource, sys
-{prepare}
-faults = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-for _ in range(50):
-    parts = [bytearray(b"x") * (12 << 20) for _ in range(2)]
-    del parts
-print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - faults)
-"""
-KEEPS = "from pc2scan.threads import keep_freed_memory\nassert keep_freed_memory()"
-CONVERTS = "import pc2scan; pc2scan.convert(*sys.argv[1:], jobs=2)"
-
-
-def faults(prepare: str, *args: object) -> int:
-    command = [sys.executable, "-c", FAULTS.format(prepare=prepare), *map(str, args)]
-    return int(subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout)
-
-
-on_glibc = pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc is told")
-
-
-@on_glibc
-def test_freed_memory_is_used_again() -> None:
-    assert 3 * faults(KEEPS) < faults("")
-
-
-@on_glibc
-@pytest.mark.slow
-def test_a_hosts_allocator_stays_as_it_is(tmp_path: Path) -> None:
-    source = write_recording(tmp_path, FORMS["ROS 1, lz4"], 10_000_000)
-    assert faults(CONVERTS, source, tmp_path / "scans.mcap") > 0.9 * faults("")
+on_glibc = pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="measured with glibc")
 
 
 @pytest.fixture(scope="module", params=["ROS 1, lz4", "MCAP, none", "MCAP, zstd", "sqlite3", "two lidars"])
@@ -155,27 +117,3 @@ def test_the_index_of_a_recording_takes_little_memory(kind: type[McapWriter | Ro
         peaks.append(measured(("info", source))[0] * 1024)
         source.unlink()
     assert peaks[1] - peaks[0] < 50_000 * 200
-
-
-def test_the_command_keeps_freed_memory(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    calls: list[int] = []
-    monkeypatch.setattr(threads, "keep_freed_memory", lambda: calls.append(1))
-    monkeypatch.setattr(sys, "argv", ["pc2scan", "--version"])
-    monkeypatch.setattr(gc, "set_threshold", lambda _: None)
-    monkeypatch.setattr(gc, "freeze", lambda: None)
-    with pytest.raises(SystemExit):
-        main()
-    assert capsys.readouterr().out.startswith("pc2scan ")
-    assert calls == [1]
-
-
-@pytest.mark.parametrize("missing", ["library", "handle", "glibc", "function"])
-def test_other_c_libraries_are_left_alone(missing: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    def library(_: Any) -> object:
-        if missing in {"library", "handle"}:
-            raise OSError if missing == "library" else TypeError
-        # Without glibc's own function, calling mallopt would raise.
-        return SimpleNamespace(**{"mallopt" if missing == "glibc" else "gnu_get_libc_version": 1})
-
-    monkeypatch.setattr(ctypes, "CDLL", library)
-    assert not threads.keep_freed_memory()

@@ -1,4 +1,4 @@
-"""Runs the work of a conversion on threads, returns results in order within bounds of memory; keeps freed memory."""
+"""Runs the work of a conversion on threads, returns results in order within bounds of memory."""
 
 from __future__ import annotations
 
@@ -18,19 +18,6 @@ if TYPE_CHECKING:
 
 _Result = TypeVar("_Result")
 _Arguments = ParamSpec("_Arguments")
-
-
-#: Parameters of mallopt, from glibc's malloc.h.
-_M_TRIM_THRESHOLD = -1
-_M_TOP_PAD = -2
-_M_MMAP_THRESHOLD = -3
-_M_ARENA_MAX = -8
-
-#: Freed buffers up to this size are kept: most clouds and chunks are smaller. To keep larger ones would fragment the
-#: memory.
-_MMAP_FROM_BYTES = 20 << 20
-_KEPT_BYTES = 64 << 20
-_GROWN_BY_BYTES = 16 << 20
 
 
 def cores() -> int:
@@ -217,33 +204,3 @@ class InOrder(Generic[_Result]):
             if task is not None:
                 task.cancel()
         self._waiting.clear()
-
-
-def keep_freed_memory() -> bool:
-    """Make glibc's malloc keep freed memory for the next cloud.
-
-    This changes the allocator of the whole process. So only the command does it, and never the library, which may run
-    in another program's process. By default malloc returns a buffer of a chunk's size to the system when it is freed,
-    and the system has to provide and clear every page of the next one. All threads share one arena: a buffer that one
-    of them frees is the next one of another.
-
-    Returns
-    -------
-    bool
-        Whether the setting was made; False if the C library is not glibc, which only costs time.
-    """
-    import ctypes  # noqa: PLC0415  # only the command needs it
-
-    try:
-        library = ctypes.CDLL(None)
-        # In other C libraries, the same parameters mean something else.
-        _, mallopt = library.gnu_get_libc_version, library.mallopt
-    except (OSError, TypeError, AttributeError):
-        return False
-    settings = (
-        (_M_MMAP_THRESHOLD, _MMAP_FROM_BYTES),
-        (_M_TRIM_THRESHOLD, _KEPT_BYTES),
-        (_M_TOP_PAD, _GROWN_BY_BYTES),
-        (_M_ARENA_MAX, 1),
-    )
-    return all(mallopt(name, value) == 1 for name, value in settings)

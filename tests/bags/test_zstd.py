@@ -34,7 +34,7 @@ def test_files_are_recognised_by_content_and_unpacked(tmp_path: Path) -> None:
     assert (folder / "b.mcap").read_bytes() == b"content"
 
 
-@pytest.mark.parametrize(("told", "cut_off"), [(True, "full frame"), (False, "frame is cut off")])
+@pytest.mark.parametrize(("told", "cut_off"), [(True, "it ends after"), (False, "frame is cut off")])
 def test_messages_are_unpacked(told: bool, cut_off: str, tmp_path: Path) -> None:
     data = random.Random(1).randbytes(20_000)
     frame = zstandard.ZstdCompressor(write_content_size=told).compress(data)

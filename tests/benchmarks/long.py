@@ -28,7 +28,6 @@ from pc2scan.files.new_file import NewFile
 from pc2scan.messages.definitions import TYPES, definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.model import Connection, Definition
-from pc2scan.threads import keep_freed_memory
 from support.builders import IMU, TF, imu_message, transforms, typestore
 
 if TYPE_CHECKING:
@@ -202,7 +201,6 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, help="where the recordings are written meanwhile")
     asked = parser.parse_args()
     # As the command does: else half of the time of lz4 is spent on pages of memory that malloc gives back.
-    keep_freed_memory()
     with TemporaryDirectory(dir=asked.folder) as folder:
         _print_memory(Path(folder), asked.gb)
 

@@ -49,7 +49,6 @@ from pc2scan.core.project import Projector
 from pc2scan.files.compression import decompress_within
 from pc2scan.messages.livox import decode_livox
 from pc2scan.messages.pointcloud2 import as_pointcloud2, decode_pointcloud2
-from pc2scan.threads import keep_freed_memory
 from support.builders import CLOUD, T0, Item, Mcap, Recording, Stream, write_mcap
 from support.clouds import (
     COMPRESSED,
@@ -85,7 +84,6 @@ def main() -> None:
     parser.add_argument("--small-mcap", metavar="PYTHON", help="beside a Python with small-mcap and its ROS 2 decoder")
     parser.add_argument("--only", choices=(*TABLES, "memory", "small-mcap"), help="one table")
     asked = parser.parse_args()
-    keep_freed_memory()
     # Installed packages have bytecode. Here the first round, which does not count, writes it; without it, every process
     # would first compile pc2scan's sources, which takes 0.15 s.
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)

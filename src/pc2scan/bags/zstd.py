@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.files import compression
-from pc2scan.files.compression import MAX_FILE_RATIO, MAX_UNPACKED, ZSTD_MAGIC, CompressionError, allowed_bytes
+from pc2scan.files.compression import MAX_RATIO, MAX_UNPACKED, ZSTD_MAGIC, CompressionError, allowed_bytes
 from pc2scan.files.source import open_bytes
 from pc2scan.model import own_message
 
@@ -99,7 +99,7 @@ def _decompress_pieces(path: Path, target: Path, broken_at: int | None = None) -
     with open_bytes(path) as packed, target.open("wb") as out:
         complete = True
         decoder = compression.decoder("zstd")
-        allowed = MAX_UNPACKED + MAX_FILE_RATIO * path.stat().st_size
+        allowed = MAX_UNPACKED + MAX_RATIO * path.stat().st_size
         while piece := packed.read(_PIECE if broken_at is None or offset < broken_at else 64):
             begin, offset = offset, offset + len(piece)
             while piece:
@@ -109,7 +109,7 @@ def _decompress_pieces(path: Path, target: Path, broken_at: int | None = None) -
                     return begin, str(err)
                 if allowed < 0:
                     raise RecordingError(
-                        f"unpacks to more than {MAX_FILE_RATIO} times its size, which no recording does", path=path
+                        f"unpacks to more than {MAX_RATIO} times its size, which no recording does", path=path
                     )
                 complete, piece = decoder.eof, decoder.unused_data
                 if complete:
@@ -130,7 +130,9 @@ def decompress_message(data: Buffer, path: Path, topic: str) -> bytes:
     try:
         declared = compression.zstd_content_size(data)
         if 0 < declared <= allowed:
-            return bytes(compression.decompress("zstd", data, declared).data)
+            out = bytearray(declared)
+            compression.decompress("zstd", data, memoryview(out))
+            return bytes(out)
         # Not `decompress`: it needs the declared size.
         decoder = compression.decoder("zstd")
         parts, size, view = [], 0, memoryview(data)

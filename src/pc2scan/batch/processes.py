@@ -27,7 +27,6 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.errors import OutputError, Pc2ScanError
 from pc2scan.files.staging import clean_up
 from pc2scan.files.urls import path_or_url
-from pc2scan.threads import keep_freed_memory
 from pc2scan.version import __version__
 
 from .jobs import Event, Job, convert_one
@@ -327,7 +326,6 @@ def serve_jobs() -> None:
     os.dup2(2, 1)
     try:
         server = _Server(sys.stdin.buffer, answers)
-        keep_freed_memory()
         server.serve()
     except (KeyboardInterrupt, BrokenPipeError):
         # The parent has ended, or has interrupted the conversion.

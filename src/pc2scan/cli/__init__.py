@@ -21,12 +21,9 @@ def main() -> None:
         # No threads for NumPy's linear algebra: nothing here uses them, and to start them takes longer than to convert
         # a small recording.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-        from pc2scan.threads import keep_freed_memory
-
         from .app import run
         from .render import Screen, StdoutError
 
-        keep_freed_memory()
         # A daemon may start a process without these. An output, and what workers inherit, must not get their numbers.
         for name in ("stdin", "stdout", "stderr"):
             if getattr(sys, name) is None:

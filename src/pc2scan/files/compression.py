@@ -5,9 +5,14 @@ Compressed data are untrusted: every function that decompresses takes a limit fo
 
 from __future__ import annotations
 
+import bz2
 import zlib
 from functools import cache
-from typing import IO, TYPE_CHECKING, Any, NamedTuple
+from typing import IO, TYPE_CHECKING, Any
+
+import cramjam
+import lz4.frame
+import zstandard
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -26,8 +31,8 @@ _PIECE = 1 << 11
 #: Size to which any chunk or message may be decompressed, even if it is stored in few bytes.
 MAX_UNPACKED = 32 << 20
 
-#: Limit of the ratio for a file that is compressed as a whole. zstd compresses zeros 30,000 times.
-MAX_FILE_RATIO = 1000
+#: Limit of the ratio, for large chunks and for files that are compressed as a whole.
+MAX_RATIO = 1000
 
 #: zstandard's default.
 _ZSTD_LEVEL = 3
@@ -37,46 +42,43 @@ class CompressionError(ValueError):
     """Data cannot be decompressed; the message is the library's."""
 
 
-class DecompressedData(NamedTuple):
-    """The result of decompressing.
+def allowed_bytes(file_size: int, stored: int | None = None) -> int:
+    """Return the allowed size of decompressed data.
 
-    Attributes
+    Parameters
     ----------
-    data
-        At most one byte more than expected; the additional byte shows that there is more.
-    complete
-        Whether ``data`` is the whole result, and the compressed data end where they should.
+    file_size
+        Size of the file (or message) that holds them, bytes.
+    stored
+        Their compressed size, if it is not the whole file.
     """
-
-    data: Buffer
-    complete: bool
+    return MAX_UNPACKED + min(2 * file_size, 2 * file_size if stored is None else MAX_RATIO * stored)
 
 
-def allowed_bytes(stored: int) -> int:
-    """Return the allowed size of decompressed data, given the size of the file (or message) that holds them."""
-    return MAX_UNPACKED + 2 * stored
-
-
-def decompress(compression: str, data: Buffer, size: int) -> DecompressedData:
-    """Decompress to a known size.
+def decompress(compression: str, data: Buffer, out: memoryview) -> None:
+    """Decompress into memory of exactly the size of the result.
 
     Parameters
     ----------
     compression
-        ``none``, ``bz2``, ``lz4`` or ``zstd``.
+        ``bz2``, ``lz4`` or ``zstd``.
     data
         All of the compressed data.
-    size
-        Expected size of the result, bytes. No more memory is used.
+    out
+        Gets the result. No more memory is used.
 
     Raises
     ------
     CompressionError
-        If the data have another format or are damaged.
-    MemoryError
-        If the result does not fit into memory.
+        If the data have another format, are damaged, or have another size decompressed.
     """
-    return _DECOMPRESS[compression](data, size)
+    try:
+        size = _DECOMPRESS[compression](data, out)
+    except (cramjam.DecompressionError, zstandard.ZstdError, OSError, EOFError, RuntimeError) as err:
+        # What lz4 says of memory that is too small.
+        raise CompressionError(str(err).replace("failed to write whole buffer", "there is more")) from err
+    if size != len(out):
+        raise CompressionError("there is more" if size > len(out) else f"it ends after {size} bytes")
 
 
 def decompress_within(compression: str, data: Buffer, limit: int) -> Buffer:
@@ -152,8 +154,6 @@ def decoder(compression: str) -> Decoder:
 
         bunzip2 = bz2.BZ2Decompressor()
         return Decoder(bunzip2, bunzip2.decompress, OSError)
-    import zstandard  # noqa: PLC0415  (only recordings that need it pay for it)
-
     unzstd = zstandard.ZstdDecompressor().decompressobj()
     return Decoder(unzstd, lambda piece, _: unzstd.decompress(piece), zstandard.ZstdError)
 
@@ -166,8 +166,6 @@ def zstd_content_size(data: Buffer) -> int:
     CompressionError
         If it is not a zstd frame.
     """
-    import zstandard  # noqa: PLC0415  (only recordings that need it pay for it)
-
     try:
         return zstandard.frame_content_size(data)
     except zstandard.ZstdError as err:
@@ -182,55 +180,32 @@ def zstd_head(file: IO[bytes], size: int) -> bytes:
     CompressionError
         If they cannot be decompressed.
     """
-    import zstandard  # noqa: PLC0415  (only recordings that need it pay for it)
-
     try:
         return zstandard.ZstdDecompressor().stream_reader(file).read(size)
     except zstandard.ZstdError as err:
         raise CompressionError(str(err)) from err
 
 
-def _stored(data: Buffer, _size: int) -> DecompressedData:
-    return DecompressedData(data, True)
-
-
-def _from_bz2(data: Buffer, size: int) -> DecompressedData:
-    import bz2  # noqa: PLC0415  # heavy
-
+def _from_bz2(data: Buffer, out: memoryview) -> int:
     bunzip2 = bz2.BZ2Decompressor()
-    try:
-        unpacked = bunzip2.decompress(data, size + 1)
-    except (OSError, RuntimeError, EOFError) as err:
-        raise CompressionError(str(err)) from err
-    return DecompressedData(unpacked, bunzip2.eof and len(unpacked) <= size)
+    unpacked = bunzip2.decompress(data, len(out) + 1)
+    if not bunzip2.eof and len(unpacked) <= len(out):
+        raise EOFError(f"it ends after {len(unpacked)} bytes")
+    out[: len(unpacked)] = unpacked[: len(out)]
+    return len(unpacked)
 
 
-def _from_lz4(data: Buffer, size: int) -> DecompressedData:
-    import lz4.frame  # noqa: PLC0415  (only recordings that need it pay for it)
-
-    # Its class LZ4FrameDecompressor would copy the data.
-    context = lz4.frame.create_decompression_context()
-    try:
-        # LZ4 allocates its limit at once. It expands at most 255 times.
-        most = min(size, 255 * len(data)) + 1
-        unpacked, _, complete = lz4.frame.decompress_chunk(context, data, max_length=most)
-    except (OSError, RuntimeError, EOFError) as err:
-        raise CompressionError(str(err)) from err
-    return DecompressedData(unpacked, complete and len(unpacked) <= size)
+def _from_lz4(data: Buffer, out: memoryview) -> int:
+    size: int = cramjam.lz4.decompress_into(data, out)
+    return size
 
 
-def _from_zstd(data: Buffer, size: int) -> DecompressedData:
-    # The library prefers the size in the frame's header to this limit.
-    declared = zstd_content_size(data)
-    if declared >= 0 and declared != size:
-        raise CompressionError(f"the compressed data declare {declared} bytes")
-    import zstandard  # noqa: PLC0415  (only recordings that need it pay for it)
-
-    try:
-        # A limit of zero would be none.
-        return DecompressedData(zstandard.ZstdDecompressor().decompress(data, max_output_size=max(size, 1)), True)
-    except zstandard.ZstdError as err:
-        raise CompressionError(str(err)) from err
+def _from_zstd(data: Buffer, out: memoryview) -> int:
+    reader = zstandard.ZstdDecompressor().stream_reader(data)
+    done = 0
+    while done < len(out) and (more := reader.readinto(out[done:])):
+        done += more
+    return done + len(reader.read(1))
 
 
 def _zlib_within(data: Buffer, limit: int) -> Buffer:
@@ -261,7 +236,9 @@ def _zstd_within(data: Buffer, limit: int) -> Buffer:
     if size > limit:
         raise CompressionError(f"the compressed data declare {size:,} bytes, at most {limit:,} are allowed")
     if size >= 0:
-        return _from_zstd(data, size).data
+        found = memoryview(bytearray(size))
+        decompress("zstd", data, found)
+        return found
     # Frames without their size, which streaming compressors write.
     pieces, total, unzstd = list[bytes](), 0, decoder("zstd")
     for start in range(0, len(data), _PIECE):
@@ -279,21 +256,15 @@ def _not_compressed(data: Buffer, _level: int | None) -> Buffer:
 
 
 def _to_bz2(data: Buffer, _level: int | None) -> Buffer:
-    import bz2  # noqa: PLC0415  # heavy
-
     return bz2.compress(data)
 
 
 def _to_lz4(data: Buffer, _level: int | None) -> Buffer:
-    import lz4.frame  # noqa: PLC0415  (only recordings that need it pay for it)
-
     packed: bytes = lz4.frame.compress(data)
     return packed
 
 
 def _to_zstd(data: Buffer, level: int | None) -> Buffer:
-    import zstandard  # noqa: PLC0415  (only recordings that need it pay for it)
-
     try:
         return zstandard.ZstdCompressor(level=_ZSTD_LEVEL if level is None else level).compress(data)
     except zstandard.ZstdError as err:
@@ -301,8 +272,7 @@ def _to_zstd(data: Buffer, level: int | None) -> Buffer:
         raise MemoryError(str(err)) from err
 
 
-_DECOMPRESS: dict[str, Callable[[Buffer, int], DecompressedData]] = {
-    "none": _stored,
+_DECOMPRESS: dict[str, Callable[[Buffer, memoryview], int]] = {
     "bz2": _from_bz2,
     "lz4": _from_lz4,
     "zstd": _from_zstd,

@@ -371,6 +371,11 @@ class SourceFile:
             raise self._truncation_error(offset + len(data))
         return data
 
+    def lend(self, size: int) -> BorrowedBytes:
+        """Return writable memory for so many bytes; that of less than 16 MiB is used again."""
+        borrowed = BorrowedBuffer(self._buffers if size < _BORROWED_BYTES.stop else BufferPool(), size)
+        return BorrowedBytes(memoryview(borrowed.buffer)[:size], borrowed)
+
     def borrow(self, offset: int, length: int) -> BorrowedBytes:
         """Read exactly these bytes; many bytes are read into a reused buffer.
 
@@ -390,10 +395,9 @@ class SourceFile:
         if offset + length > self.size:
             raise self._outside(offset, length)
         try:
-            borrowed = BorrowedBuffer(self._buffers, length)
+            view, borrowed = self.lend(length)
         except MemoryError as err:
             raise self._too_large(offset, length) from err
-        view = memoryview(borrowed.buffer)[:length]
         if self._fetch is not None:
             self._fetch(offset, length)
         file, done = self._file(), 0

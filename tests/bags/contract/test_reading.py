@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 import random
-import subprocess
-import sys
 import tracemalloc
 from collections import Counter
 from contextlib import closing
@@ -18,13 +16,11 @@ from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, Qo
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as TheirWriter
 
-import pc2scan.bags
 from pc2scan.bags.opening import open_recording, sniff
 from pc2scan.errors import RecordingError
 from pc2scan.model import Attachment, Definition, Metadata
 from support import sampled
 from support.builders import CONTENT, IDL, SOURCES, Recording, definition, ros_version_of
-from support.command import environment
 from support.containers import FORMATS, KINDS, Row, read, recorded
 from support.mcap_files import LIBRARY_OPTIONS, SAMPLE, library_file
 from support.rosbag1_files import ROS1, SCRIPT, ros1, ros1_missing, string
@@ -353,17 +349,6 @@ def test_a_file_that_shrinks_while_it_is_read_is_an_error(name: str, tmp_path: P
         os.truncate(path if path.is_file() else path / "out_0.mcap", 1_000_000)
         with pytest.raises(RecordingError, match=r"ended at byte 1000000 while it was read"):
             list(messages)
-
-
-def test_importing_loads_no_other_package() -> None:
-    program = "import sys, pc2scan.bags; print(*sys.modules)"
-    heavy = {"rosbags", "mcap", "sqlite3", "bz2", "lz4.frame", "zstandard", "ruamel.yaml"}
-    for modules in ("", ", pc2scan.bags.rosbag1.read, pc2scan.bags.rosbag1.write"):
-        words = [sys.executable, "-c", program.replace("; ", f"{modules}; ")]
-        done = subprocess.run(words, capture_output=True, text=True, check=True, env=environment())
-        assert heavy.isdisjoint(done.stdout.split())
-    for name in pc2scan.bags.__all__:
-        assert hasattr(pc2scan.bags, name)
 
 
 def test_opening_and_counting_read_no_messages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

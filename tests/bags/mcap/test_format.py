@@ -44,15 +44,6 @@ def test_opcodes_are_the_librarys() -> None:
     assert {each.name: int(each) for each in Opcode} == {each.name: int(each) for each in LibrarysOpcode}
 
 
-def test_data_are_views_of_their_chunk(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.mcap", [(0, 1, b"abc"), (0, 2, b"def")])
-    with closing(McapReader(path)) as reader:
-        first, second = (message.data for message in reader.messages())
-    assert isinstance(first, memoryview)
-    assert isinstance(second, memoryview)
-    assert first.obj is second.obj
-
-
 def test_messages_beside_indexed_chunks_are_found(tmp_path: Path) -> None:
     """The specification advises against it, and readers that trust the index lose these messages."""
     data = MAGIC + record(1, bytes(8)) + raw_channel() + raw_message(1, 20, b"stray")

@@ -134,8 +134,9 @@ LONG = PAYLOAD * 100
 @pytest.mark.parametrize("wrong", [-1, 1, 1000])
 def test_a_chunk_of_another_size_is_refused(compression: str, wrong: int, tmp_path: Path) -> None:
     path = simple_bag(tmp_path / "a.bag", PAYLOAD, compression=compression, size=len(PAYLOAD) + wrong)
-    observed = f"more than {len(PAYLOAD) - 1}" if wrong < 0 else str(len(PAYLOAD))
-    assert f"holds {observed} bytes when decompressed, {len(PAYLOAD) + wrong} are declared" in fails(path)
+    observed = "there is more" if wrong < 0 else f"it ends after {len(PAYLOAD)} bytes"
+    said = f"its {compression} data cannot be decompressed to the declared {len(PAYLOAD) + wrong} bytes: {observed}"
+    assert (said if compression != "none" else f"{len(PAYLOAD) + wrong} are declared") in fails(path)
 
 
 @pytest.mark.parametrize(("compression", "packed"), [("bz2", bz2.compress(LONG)), ("lz4", lz4.frame.compress(LONG))])
@@ -143,8 +144,8 @@ def test_compressed_data_that_are_none_are_refused(compression: str, packed: byt
     for size, stored, told in (
         (100, b"not compressed at all", f"its {compression} data cannot be decompressed"),
         (2**32 - 1, b"not compressed at all", f"it declares {2**32 - 1} bytes"),
-        (len(LONG), packed[:-1], "data ends early"),
-        (len(LONG), b"", "data ends early"),
+        (len(LONG), packed[:-1], f"cannot be decompressed to the declared {len(LONG)} bytes"),
+        (len(LONG), b"", f"cannot be decompressed to the declared {len(LONG)} bytes"),
     ):
         path = simple_bag(tmp_path / "a.bag", b"", compression=compression, size=size, stored=stored)
         assert told in fails(path)
@@ -155,7 +156,7 @@ def test_a_decompression_bomb_is_not_let_off(compression: str, tmp_path: Path) -
     path = simple_bag(tmp_path / "a.bag", bytes(50_000_000), compression=compression, size=1000)
     tracemalloc.start()
     try:
-        assert "holds more than 1000 bytes" in fails(path)
+        assert "declared 1000 bytes: there is more" in fails(path)
         assert tracemalloc.get_traced_memory()[1] < 10_000_000
     finally:
         tracemalloc.stop()

@@ -9,6 +9,7 @@ from pc2scan.bags.chunks import Segment
 from pc2scan.bags.formats import and_list
 from pc2scan.bags.units import MAX_LISTED_ITEMS
 from pc2scan.files.compression import ZSTD_MAGIC, CompressionError, allowed_bytes, crc32, decompress
+from pc2scan.files.source import BorrowedBytes
 from pc2scan.model import StoredChunk, own_data
 
 from .records import CHUNK, COMPRESSIONS, MESSAGE, OP_CHUNK, OP_MESSAGE, RECORD, UINT64
@@ -16,7 +17,6 @@ from .records import CHUNK, COMPRESSIONS, MESSAGE, OP_CHUNK, OP_MESSAGE, RECORD,
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-    from pc2scan.files.source import BorrowedBytes
     from pc2scan.model import Buffer, ChunkRule
 
     from .records import RecordFile
@@ -102,7 +102,7 @@ def borrow_payload(file: RecordFile, segment: Segment) -> BorrowedBytes:
     head = segment.offset - segment.record_offset
     record = file.borrow(segment.record_offset, head + segment.length)
     chunk = _check_header(record.data, segment, file)
-    return record._replace(data=decompress_chunk(file, chunk, record.data[head:]))
+    return decompress_chunk(file, chunk, record._replace(data=record.data[head:]))
 
 
 def _check_header(record: memoryview, segment: ChunkSegment, file: RecordFile) -> ChunkSegment:
@@ -113,31 +113,32 @@ def _check_header(record: memoryview, segment: ChunkSegment, file: RecordFile) -
     return chunk
 
 
-def decompress_chunk(file: RecordFile, chunk: ChunkSegment, data: memoryview) -> memoryview:
+def decompress_chunk(file: RecordFile, chunk: ChunkSegment, stored: BorrowedBytes) -> BorrowedBytes:
     """Decompress a chunk's records into exactly the declared size, and compare their CRC; see `payload`."""
     size = chunk.uncompressed_size
     where = f"the chunk at byte {chunk.record_offset}"
-    if size == 0 == len(data):
-        return memoryview(b"")
-    if size > (allowed := allowed_bytes(file.size)):
+    if size == 0 == len(stored.data):
+        return stored
+    if size > (allowed := allowed_bytes(file.size, len(stored.data))):
         raise file.damage(
             f"{where} declares {size} bytes uncompressed, in a file of {file.size} at most {allowed} may be"
         )
     if chunk.compression not in COMPRESSIONS:
         raise file.damage(f"{where} has compression {chunk.compression!r}, known are {and_list(COMPRESSIONS)}")
-    try:
-        unpacked, complete = decompress(chunk.compression, data, size)
-        if not complete:
-            raise CompressionError("there is more" if len(unpacked) > size else f"it ends after {len(unpacked)} bytes")
-    except (MemoryError, OverflowError) as err:
-        raise file.damage(f"{where} declares {size} bytes uncompressed, which do not fit into memory") from err
-    except CompressionError as err:
-        raise file.damage(f"{where} cannot be decompressed to the declared {size} bytes: {err}") from err
-    if len(unpacked) != size:
-        raise file.damage(f"{where} decompresses to {len(unpacked)} bytes, declared are {size}")
-    if chunk.crc and (actual := crc32(unpacked)) != chunk.crc:
+    unpacked = stored
+    if chunk.compression != "none":
+        try:
+            unpacked = file.lend(size)
+            decompress(chunk.compression, stored.data, unpacked.data)
+        except (MemoryError, OverflowError) as err:
+            raise file.damage(f"{where} declares {size} bytes uncompressed, which do not fit into memory") from err
+        except CompressionError as err:
+            raise file.damage(f"{where} cannot be decompressed to the declared {size} bytes: {err}") from err
+    elif len(stored.data) != size:
+        raise file.damage(f"{where} has {len(stored.data)} bytes, declared are {size}")
+    if chunk.crc and (actual := crc32(unpacked.data)) != chunk.crc:
         raise file.damage(f"{where} has CRC {actual:08x}, recorded is {chunk.crc:08x}")
-    return memoryview(unpacked)
+    return unpacked._replace(data=unpacked.data.toreadonly())
 
 
 # --- Chunks that are copied as a whole ---
@@ -160,7 +161,9 @@ def whole_chunk(file: RecordFile, segment: ChunkSegment, rule: ChunkRule) -> Sto
     record = memoryview(file.read(segment.record_offset, head + segment.length + segment.padding))
     chunk = _check_header(record, segment, file)
     stored = record[head : head + segment.length]
-    records = decompress_chunk(file, chunk, stored)
+    # Owned, because the whole chunk, or its messages, are kept.
+    unpacked = decompress_chunk(file, chunk, BorrowedBytes(stored, None))
+    records = memoryview(own_data(unpacked.data))
     index = _index_of(records, segment, rule.declarations)
     if index is None or not index.keys() <= rule.connection_ids:
         return records

@@ -18,6 +18,7 @@ from pc2scan.bags.damage import AnotherRecordingError, DamageLog
 from pc2scan.bags.units import MAX_LISTED_ITEMS, LazyItems, map_items
 from pc2scan.errors import stamp_text
 from pc2scan.files.compression import LZ4_MAGIC
+from pc2scan.files.source import BorrowedBytes
 from pc2scan.model import RawMessage, StoredChunk, Summary, own_data
 from pc2scan.text import counted
 
@@ -219,7 +220,8 @@ class Rosbag1Reader(ChunkedReader):
     ) -> StoredChunk | list[RawMessage] | LazyItems[RawMessage]:
         """Read a chunk as one to copy; or return its messages if it cannot be copied."""
         stored = self._file.read(segment.offset, segment.length)
-        chunk = decompress_chunk(self._file, segment, stored)
+        # Owned, because the messages, or the whole chunk, are kept.
+        chunk = own_data(decompress_chunk(self._file, segment, BorrowedBytes(memoryview(stored), None)).data)
         described: dict[int, bool] = {}
         places: list[int] = []
         messages = self._scan(selection, segment, chunk, described, places)

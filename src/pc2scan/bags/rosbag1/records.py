@@ -196,25 +196,24 @@ class BagFile(SourceFile):
 
 def borrow_payload(file: BagFile, segment: Segment) -> BorrowedBytes:
     """Read and decompress a chunk; see `SourceFile.borrow`."""
-    stored = file.borrow(segment.offset, segment.length)
-    return stored._replace(data=memoryview(decompress_chunk(file, segment, stored.data)))
+    return decompress_chunk(file, segment, file.borrow(segment.offset, segment.length))
 
 
-def decompress_chunk(file: BagFile, segment: Segment, data: Buffer) -> Buffer:
-    """Decompress a chunk's ``data`` to its declared size."""
+def decompress_chunk(file: BagFile, segment: Segment, stored: BorrowedBytes) -> BorrowedBytes:
+    """Decompress a chunk to its declared size; the result is borrowed, too."""
     compression, size = segment.compression, segment.uncompressed_size
-    if size > (allowed := allowed_bytes(file.size)):
+    if size > (allowed := allowed_bytes(file.size, len(stored.data))):
         raise FormatError(f"it declares {size} bytes, in a bag of {file.size} at most {allowed} may be")
+    if compression == "none":
+        if len(stored.data) != size:
+            raise FormatError(f"it holds {len(stored.data)} bytes, {size} are declared")
+        return stored
     try:
-        unpacked, complete = decompress(compression, data, size)
+        unpacked = file.lend(size)
+        decompress(compression, stored.data, unpacked.data)
     except (CompressionError, MemoryError) as err:
-        raise FormatError(f"its {compression} data cannot be decompressed: {err}") from err
-    if not complete and len(unpacked) <= size:
-        raise FormatError(f"its {compression} data ends early, {size} bytes are declared")
-    if len(unpacked) != size:
-        observed = f"more than {size}" if len(unpacked) > size else str(len(unpacked))
-        raise FormatError(f"it holds {observed} bytes when decompressed, {size} are declared")
-    return unpacked
+        raise FormatError(f"its {compression} data cannot be decompressed to the declared {size} bytes: {err}") from err
+    return unpacked._replace(data=unpacked.data.toreadonly())
 
 
 def record_in(data: memoryview, position: int) -> tuple[dict[bytes, bytes], int, int]:

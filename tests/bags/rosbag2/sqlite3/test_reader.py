@@ -171,7 +171,7 @@ CUT_OFF = zstandard.compress(b"hello" * 100)[:-3].hex()
 @pytest.mark.parametrize(
     ("script", "compression", "told"),
     [
-        (f"UPDATE messages SET data = x'{CUT_OFF}'", "none", r"/tf_static: .*full frame"),
+        (f"UPDATE messages SET data = x'{CUT_OFF}'", "none", r"/tf_static: .*it ends after"),
         ("", "zstd", "cannot be decompressed"),
     ],
 )
