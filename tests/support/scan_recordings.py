@@ -53,7 +53,7 @@ def recording(
     ]
     tf = Stream("/tf_static" if static else "/tf", TF, latched=static)
     edges = tuple(tree)
-    for stamp in ([START] if static else [START, START + 1_000_000_000]) if edges else []:
+    for stamp in ([START] if static else range(START, START + 1_000_000_001, STEP)) if edges else []:
         rows = [(parent, child, stamp, (0.1, 0.0, 0.2)) for parent, child in edges]
         items.append(Item(tf, stamp, {ros_version: transforms(rows, ros_version) for ros_version in (1, 2)}))
     used = (*streams, *([tf] if edges else []))

@@ -8,6 +8,7 @@ from os import PathLike
 from typing import TYPE_CHECKING, ClassVar
 
 from pc2scan.bags.damage import mention
+from pc2scan.bags.observers import Observer
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics, unheard
 from pc2scan.core.consumers import CONSUMERS
@@ -15,7 +16,7 @@ from pc2scan.core.verdicts import OUTCOMES, Outcome
 from pc2scan.errors import DecodeError, TopicError, UsageError, leading, stamp_text
 from pc2scan.files.urls import path_or_url
 from pc2scan.messages.clouds import CLOUDS, SCANS
-from pc2scan.model import StoredChunk, own_message
+from pc2scan.model import StoredChunk, copied_message, own_message
 from pc2scan.pipeline.clocks import Clocks
 from pc2scan.pipeline.engine import schedule
 from pc2scan.pipeline.items import Span
@@ -24,8 +25,10 @@ from pc2scan.progress import Meter
 from pc2scan.result import Part, Result
 from pc2scan.text import counted
 from pc2scan.tf.placing import FrameOptions
+from pc2scan.tf.reading import tf_connections
 from pc2scan.tf.robot_model import NO_MODEL
 
+from .arrivals import Arrivals
 from .findings import Finding
 from .scan_frames import ScanFrames, mounting_findings
 from .scan_topic import ScanTopic
@@ -53,6 +56,7 @@ _UNUSABLE: dict[str, frozenset[str]] = {
         ("angles", "full-circle", "moving-frame", "no-returns", "optical-frame", "parts", "static-unheard"),
         frozenset(CONSUMERS),
     ),
+    "transforms-late": frozenset({"slam_toolbox"}),
     **dict.fromkeys(
         ("few-directions", "odometry-direction", "stamps-back", "stamps-zero"), frozenset(CONSUMERS) - {"nav2"}
     ),
@@ -329,6 +333,9 @@ def check(
         wanted = [each for group in chosen.values() for each in group]
         clocks = Clocks(survey, survey.topics(wanted).values())
         reading = survey.ask_transforms((odom_frame, base_frame), use=False)
+        arrivals = Arrivals()
+        moving = [each for each in tf_connections(reader.connections, known.tf_topics) if not each.is_static]
+        survey.observers.append(Observer(moving, copied_message, keep=arrivals.add))
         meter = None
         if progress is not None:
             meter = Meter(progress)
@@ -337,7 +344,7 @@ def check(
         transforms = reading.finish()
         buffer = transforms.buffer
         wrong = {name: clock for name, clock in clocks.findings().items() if clock.other}
-        places = {name: ScanFrames(buffer, odom_frame, base_frame, wrong.get(name)) for name in chosen}
+        places = {name: ScanFrames(buffer, odom_frame, base_frame, wrong.get(name), arrivals) for name in chosen}
         found = _check_topics(reader, chosen, places, meter, echo)
         unheard_ones = [Finding("static-unheard", "defect", *each) for each in unheard(reader.connections)]
         found = _with_mountings(found, clouds, buffer, unheard_ones)
@@ -390,7 +397,7 @@ def _check_topics(
         except DecodeError as err:
             scans.add_undecodable(message.log_time_ns, err.message)
             continue
-        scans.add(scan, message.log_time_ns, places.add(scan.frame_id, scan.stamp_ns))
+        scans.add(scan, message.log_time_ns, places.add(scan.frame_id, scan.stamp_ns, message.log_time_ns))
     if meter is not None:
         meter.finish()
     return [_topic_check(name, scans, places) for name, (scans, places) in topics.items()]

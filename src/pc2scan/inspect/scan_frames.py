@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.survey import TopicFacts
     from pc2scan.tf.buffer import TransformBuffer
 
+    from .arrivals import Arrivals
     from .findings import Level
 
 #: A sensor is tilted if the cosine between its z axis and the robot's is below 1 by this much: 2.6 degrees.
@@ -86,10 +87,17 @@ class ScanFrames:
         The robot's body; empty for the first of `BODIES` that exists.
     clock
         What is wrong with the clock of the scans, compared with that of the transforms; None if nothing is.
+    arrivals
+        When the transforms were logged; None: scans do not wait for them.
     """
 
     def __init__(
-        self, buffer: TransformBuffer, odom_frame: str, base_frame: str = "", clock: ClockFinding | None = None
+        self,
+        buffer: TransformBuffer,
+        odom_frame: str,
+        base_frame: str = "",
+        clock: ClockFinding | None = None,
+        arrivals: Arrivals | None = None,
     ) -> None:
         self._buffer = buffer
         known = set(buffer.frames)
@@ -106,15 +114,25 @@ class ScanFrames:
         self._first_poses: dict[str, _Pose] = {}
         self._named = bool(base_frame)
         self._clock = clock
+        self._arrivals = arrivals
+        #: The frames that move between a scan's and the odometry's.
+        self._moving: dict[str, list[str]] = {}
+        #: The last scan: its stamp, and when its transform was known.
+        self._waiting = (0, 0)
+        self._late = Tally()
 
-    def add(self, frame_id: str, stamp_ns: int) -> ScanTransforms:
-        """Look up one scan's transforms."""
+    def add(self, frame_id: str, stamp_ns: int, log_time_ns: int = 0) -> ScanTransforms:
+        """Look up one scan's transforms; scans are added in the order of their log times."""
         frame = frame_id.removeprefix("/")
+        earlier_ns, known_ns = self._waiting
+        if known_ns > log_time_ns > 0:
+            self._late.add(earlier_ns)
         self._scans[frame] = self._scans.get(frame, 0) + 1
         odometry, missing, hint = self._moved(frame, self._odom, stamp_ns)
         if odometry is None and self._joined(frame, self._odom):
             self._missing.setdefault(frame, Tally()).add(stamp_ns)
             self._reasons.setdefault(frame, (missing, hint))
+        self._waiting = stamp_ns, 0 if odometry is None else self._known_ns(frame, stamp_ns)
         robot, why, how = self._moved(frame, self._base, stamp_ns)
         known: bool | None = robot is not None
         if robot is None and self._trees and self._base not in self._trees and not self._named:
@@ -137,6 +155,15 @@ class ScanFrames:
             missing=missing or why,
             cure="" if odometry is not None and known is not False else self._cure(frame, hint or how),
         )
+
+    def _known_ns(self, frame: str, stamp_ns: int) -> int:
+        """Return the log time from which on a frame's transform to the odometry was known at a stamp; 0: always."""
+        if self._arrivals is None:
+            return 0
+        if frame not in self._moving:
+            links = self._buffer.moving_links(self._odom, frame)
+            self._moving[frame] = [self._buffer.frames[link.child] for link in links]
+        return self._arrivals.known_ns(self._moving[frame], stamp_ns)
 
     def _cure(self, frame: str, hint: str) -> str:
         """Return what gives scans the transforms that they lack; empty if only recording them does.
@@ -239,6 +266,15 @@ class ScanFrames:
             # An empty name is reported with the scans themselves.
             if frame:
                 found += self._frame_findings(frame, scans, interval_ns)
+        scans = sum(self._scans.values())
+        if self._late.count and not few_unplaced(self._late.count, scans, interval_ns):
+            text = (
+                f"{self._late.count:,} of {counted(scans, 'scan')} have their transform to {self._odom!r} logged only "
+                "after the next scan: a message filter with a queue of one, as slam_toolbox has, drops them"
+            )
+            hint = "publish the transforms sooner, or give slam_toolbox a larger scan_queue_size"
+            level = "defect" if 2 * self._late.count >= scans else "notice"
+            found.append(finding("transforms-late", level, text, hint, self._late))
         optical = self._optical_findings()
         found += optical
         if self._tilted.count and not optical:
