@@ -81,7 +81,7 @@ def test_a_worker_is_killed_and_everything_is_converted(drives: Path, tmp_path: 
         for child in psutil.Process(process.pid).children():
             with suppress(psutil.Error):
                 below = [word for grandchild in child.children() for word in grandchild.cmdline()]
-                if any("pc2scan.datasets.processes" in word for word in below):
+                if any("pc2scan.batch.processes" in word for word in below):
                     killed = child.pid
                     os.kill(killed, signal.SIGKILL)
                     break

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
 import pytest
-from pc2scan.datasets.jobs import Event, convert_one
 
 import pc2scan
+from pc2scan.batch.jobs import Event, convert_one
 from pc2scan.errors import OutputError
 from pc2scan.text import size
 from support import sampled
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from pc2scan.datasets.summary import Outcome
+    from pc2scan.batch.summary import Outcome
 
 #: Contents of a source by name; none of them has the length of another, but for those of one length.
 CONTENTS = {
@@ -317,7 +317,7 @@ def test_a_result_whose_beginning_nobody_heard_of_is_known(tmp_path: Path) -> No
         raise KeyboardInterrupt
         yield
 
-    with patch("pc2scan.datasets.run.run_jobs", execute), pytest.raises(KeyboardInterrupt):
+    with patch("pc2scan.batch.run.run_jobs", execute), pytest.raises(KeyboardInterrupt):
         pc2scan.batch(drives, out, **KEYWORDS)
     assert manifest_of(out) == {}
     assert len(list(out.glob("*_scan.bag"))) == 1
@@ -335,7 +335,7 @@ def test_a_result_whose_line_cannot_be_written_is_known(tmp_path: Path) -> None:
         yield Event("done", jobs[0].key, done)
 
     with (
-        patch("pc2scan.datasets.run.run_jobs", execute),
+        patch("pc2scan.batch.run.run_jobs", execute),
         pytest.raises(OutputError, match="the manifest cannot be written"),
     ):
         pc2scan.batch(drives, out, **KEYWORDS)

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from pc2scan.datasets.manifest import Identity, identity_of
 
 import pc2scan
+from pc2scan.batch.manifest import Identity, identity_of
 from support.batches import batch, manifest_of, place
 from support.builders import CONTENT, SECOND, Item, Recording, write_mcap, write_rosbag1
 from support.tables import rows

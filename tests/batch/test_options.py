@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from pc2scan.datasets.dataset_file import DatasetEntry
-from pc2scan.datasets.jobs import digest_of, request_of
-from pc2scan.exports.formats import FORMATS
 
 import pc2scan
+from pc2scan.batch.dataset_file import DatasetEntry
+from pc2scan.batch.jobs import digest_of, request_of
 from pc2scan.errors import UsageError
+from pc2scan.export.formats import FORMATS
 from pc2scan.options.table import options_of
 from support import ROOT
 from support.batches import in_this_process, manifest_of, place

@@ -17,10 +17,10 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from pc2scan.datasets.processes import available_bytes, receive, send, workers_for
 
 import pc2scan
 from batch.datasets import make_dataset
+from pc2scan.batch.processes import available_bytes, receive, send, workers_for
 from pc2scan.errors import DestinationError, Pc2ScanError
 from support import sampled
 from support.batches import HEIGHTS, KEYWORDS, batch, contents, manifest_of, place
@@ -268,7 +268,7 @@ def test_filters_that_cannot_be_sent_are_refused(tmp_path: Path, monkeypatch: py
 
 def test_a_worker_of_another_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source = place(tmp_path, "a.bag")
-    monkeypatch.setattr("pc2scan.datasets.processes.__version__", "0.0.1")
+    monkeypatch.setattr("pc2scan.batch.processes.__version__", "0.0.1")
     with pytest.raises(Pc2ScanError, match=r"a worker process has pc2scan .*, this is 0\.0\.1"):
         pc2scan.batch(source, tmp_path / "out", jobs=1, min_height=-0.3)
 
@@ -277,7 +277,7 @@ def test_a_bug_is_the_result_of_its_recording(tmp_path: Path, monkeypatch: pytes
     def fails(*_: object, **__: object) -> None:
         raise ZeroDivisionError("oh")
 
-    monkeypatch.setattr("pc2scan.datasets.jobs.run", fails)
+    monkeypatch.setattr("pc2scan.batch.jobs.run", fails)
     (outcome,) = batch(place(tmp_path / "in", "a.bag"), tmp_path / "out").outcomes
     assert (outcome.outcome, outcome.exit_status, outcome.error) == ("failed", 1, "ZeroDivisionError: oh")
     assert "in fails" in manifest_of(tmp_path / "out")["a.bag"]["error"]["traceback"]

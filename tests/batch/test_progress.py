@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
 import pytest
-from pc2scan.datasets.jobs import Event, convert_one
 
 import pc2scan
+from pc2scan.batch.jobs import Event, convert_one
 from support.batches import KEYWORDS, place
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def test_a_recording_that_is_tried_again_begins_again(tmp_path: Path) -> None:
         for job in (first, second):
             yield Event("done", job.key, convert_one(job))
 
-    with patch("pc2scan.datasets.run.run_jobs", execute):
+    with patch("pc2scan.batch.run.run_jobs", execute):
         pc2scan.batch(drives, tmp_path / "out", jobs=1, progress=seen.append, **KEYWORDS)
     size = (drives / "a.bag").stat().st_size
     assert {step.bytes_total for step in seen} == {2 * size}

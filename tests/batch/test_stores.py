@@ -14,12 +14,12 @@ from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from pc2scan.datasets.run import BatchCallbacks, BatchOptions
-from pc2scan.datasets.run import run_batch as run_batch_in_process
 
 import pc2scan
 from batch.cluster import cluster
-from pc2scan.datasets import folder as batch_folder
+from pc2scan.batch import folder as batch_folder
+from pc2scan.batch.run import BatchCallbacks, BatchOptions
+from pc2scan.batch.run import run_batch as run_batch_in_process
 from pc2scan.errors import DestinationError, MissingError, RecordingError, UsageError
 from pc2scan.files.store import _open_files
 from pc2scan.files.urls import path_or_url
@@ -243,7 +243,7 @@ def test_exported_folders_are_replaced_if_all_is_known(store: Store, drives: Pat
 
 def test_an_exported_folder_of_many_files_is_known(store: Store, drives: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A manifest has one entry for the files of such a folder."""
-    monkeypatch.setattr("pc2scan.datasets.manifest._MOST", 1)
+    monkeypatch.setattr("pc2scan.batch.manifest._MOST", 1)
     source, out = f"{store.upload(drives)}/a.bag", f"{store.url}/out"
     assert batch(source, out, format="npz").exit_status == 0
     assert store.line("a.bag")["output"]["files"][0][0] == "2 files"

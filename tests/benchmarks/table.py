@@ -25,8 +25,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import lz4.frame
 import numpy as np
 import zstandard
-from pc2scan.datasets.processes import run_jobs
-from pc2scan.datasets.run import BatchOptions, run_batch
 
 import pc2scan
 from benchmarks.clouds import (
@@ -44,6 +42,8 @@ from benchmarks.clouds import (
 from benchmarks.work import LAYOUTS, convert_two, deskewing_tasks, params_of, straightforward
 from pc2scan.bags.mcap.read import McapReader
 from pc2scan.bags.rosbag1.read import Rosbag1Reader
+from pc2scan.batch.processes import run_jobs
+from pc2scan.batch.run import BatchOptions, run_batch
 from pc2scan.core.kernel import COMPILED
 from pc2scan.core.project import Projector
 from pc2scan.files.compression import decompress_within
@@ -66,7 +66,7 @@ from support.worlds.drives import drive_recording
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Sequence
 
-    from pc2scan.datasets.jobs import Event, Job
+    from pc2scan.batch.jobs import Event, Job
 
 HEIGHTS = ("--min-height", "-0.5", "--max-height", "1")
 PARAMS = pc2scan.ProjectionParams(min_height=-0.5, max_height=1.0)

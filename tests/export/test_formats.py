@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from pc2scan.exports.formats import FORMATS
-from pc2scan.exports.run import file_names
-
+from pc2scan.export.formats import FORMATS
+from pc2scan.export.run import file_names
 from pc2scan.options.table import options_of
 
 

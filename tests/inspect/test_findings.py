@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from pc2scan.transforms.placing import FrameOptions
-from pc2scan.transforms.static import StaticTransform
 
 import pc2scan
 from pc2scan.core.consumers import CONSUMERS
+from pc2scan.tf.placing import FrameOptions
+from pc2scan.tf.static import StaticTransform
 from support.scan_recordings import GOOD, START, STEP, scans, write
 
 if TYPE_CHECKING:

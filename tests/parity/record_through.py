@@ -1,4 +1,4 @@
-"""Record tf2's answers for ``tests/transforms/test_through.py``: ``python tests/parity/record_through.py ORACLE``."""
+"""Record tf2's answers for ``tests/tf/test_through.py``: ``python tests/parity/record_through.py ORACLE``."""
 
 from __future__ import annotations
 

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from pc2scan.transforms.placing import Placer
 
 import pc2scan
 from fuzz import angles
@@ -27,6 +26,7 @@ from pc2scan.errors import TransformError
 from pc2scan.messages.laserscan import encode_laserscan
 from pc2scan.messages.pointcloud2 import decode_pointcloud2
 from pc2scan.pipeline.scan_to_cloud import ScanToCloud
+from pc2scan.tf.placing import Placer
 from support import ROOT
 from support.conversions import serialized_by
 from tf.through import assert_close, found, random_drive, random_throughs

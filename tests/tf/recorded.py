@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from pc2scan.transforms.placing import FrameOptions, Placer
-from pc2scan.transforms.reading import read_transforms
-
 from pc2scan.messages.tfmessage import encode_transforms
 from pc2scan.model import Connection
+from pc2scan.tf.placing import FrameOptions, Placer
+from pc2scan.tf.reading import read_transforms
 from support.memory_reader import MemoryReader
 
 __all__ = ["connection", "frames", "made", "row"]

@@ -6,14 +6,13 @@ import math
 from typing import TYPE_CHECKING
 
 import pytest
-from pc2scan.transforms.builder import TransformBuilder
 
 from pc2scan.errors import TransformError
+from pc2scan.tf.builder import TransformBuilder
 
 if TYPE_CHECKING:
-    from pc2scan.transforms.buffer import TransformBuffer
-
     from pc2scan.core.rigid import TransformRow
+    from pc2scan.tf.buffer import TransformBuffer
 
 __all__ = ["EPOCH", "SECOND", "at", "built", "refusal", "row", "x_of"]
 

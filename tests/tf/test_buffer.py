@@ -1,4 +1,4 @@
-"""The transform buffer's rules, against a lookup in a dict; tests/transforms/test_tf2_agreement.py holds them to tf2 itself."""
+"""The transform buffer's rules, against a lookup in a dict; tests/tf/test_tf2_agreement.py holds them to tf2 itself."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pc2scan.transforms.builder import TransformBuilder
 
 from pc2scan.core.rigid import Rigid, interpolate, interpolate_poses
 from pc2scan.errors import RecordingError, TransformError
+from pc2scan.tf.builder import TransformBuilder
 from tf.small_buffers import EPOCH, SECOND, at, built, refusal, row, x_of
 
 if TYPE_CHECKING:

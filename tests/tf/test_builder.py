@@ -11,17 +11,16 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from pc2scan.transforms.builder import TransformBuilder
 
-from pc2scan.transforms import builder
+from pc2scan.tf import builder
+from pc2scan.tf.builder import TransformBuilder
 from tf.small_buffers import EPOCH, at, row, x_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from pc2scan.transforms.buffer import TransformBuffer
-
     from pc2scan.core.rigid import TransformRow
+    from pc2scan.tf.buffer import TransformBuffer
 
 #: Transforms in the order of their arrival, and whether they are static.
 Arrivals = list[tuple["TransformRow", bool]]

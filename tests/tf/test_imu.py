@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from pc2scan.transforms.imu import ImuRequest, read_up
 
 from pc2scan.errors import TopicError, UsageError
 from pc2scan.model import Connection
+from pc2scan.tf.imu import ImuRequest, read_up
 from support import sampled
 from support.builders import imu_message
 from support.memory_reader import MemoryReader
@@ -18,7 +18,8 @@ from support.worlds.inertial import Simulated, errors, simulated
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-    from pc2scan.transforms.imu import UpEstimate
+
+    from pc2scan.tf.imu import UpEstimate
 
 EPOCH = 1_700_000_000_000_000_000
 LEVEL = (0.0, 0.0, 0.0, 1.0)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
-from pc2scan.transforms.lookup_errors import MAX_NAMES
 
+from pc2scan.tf.lookup_errors import MAX_NAMES
 from tf.small_buffers import at, built, refusal, row
 
 if TYPE_CHECKING:
-    from pc2scan.transforms.buffer import TransformBuffer
+    from pc2scan.tf.buffer import TransformBuffer
 
 LOOP = built(static=[row(*pair, 0) for pair in (("a", "b"), ("b", "c"), ("c", "a"), ("c", "d"))])
 #: At no time is there another parent.

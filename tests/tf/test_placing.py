@@ -1,9 +1,9 @@
 from __future__ import annotations
 
 import pytest
-from pc2scan.transforms.placing import FrameOptions, Placement, Placer
 
 from pc2scan.errors import TransformError
+from pc2scan.tf.placing import FrameOptions, Placement, Placer
 from tf.recorded import frames, made, row
 
 

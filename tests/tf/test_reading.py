@@ -1,11 +1,11 @@
 from __future__ import annotations
 
 import pytest
-from pc2scan.transforms.placing import FrameOptions
-from pc2scan.transforms.reading import tf_connections
-from pc2scan.transforms.static import StaticTransform
 
 from pc2scan.errors import UsageError
+from pc2scan.tf.placing import FrameOptions
+from pc2scan.tf.reading import tf_connections
+from pc2scan.tf.static import StaticTransform
 from tf.recorded import connection, frames, made, row
 
 

@@ -7,9 +7,9 @@ import struct
 from typing import TYPE_CHECKING
 
 import pytest
-from pc2scan.transforms.builder import MAX_REJECTIONS
-from pc2scan.transforms.lookup_errors import RejectedTransforms
 
+from pc2scan.tf.builder import MAX_REJECTIONS
+from pc2scan.tf.lookup_errors import RejectedTransforms
 from tf.small_buffers import at, built, refusal, row, x_of
 
 if TYPE_CHECKING:

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
-    from pc2scan.transforms.buffer import TransformBuffer
 
     from pc2scan.core.rigid import TransformRow
+    from pc2scan.tf.buffer import TransformBuffer
     from tf.trees import Rows
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from pc2scan.transforms.summary import FrameInfo, Tree
-
+from pc2scan.tf.summary import FrameInfo, Tree
 from tf.small_buffers import SECOND, at, built, row
 
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pc2scan.transforms.placing import Placer
-from pc2scan.transforms.up_sources import UpByFrame, UpByImu
 
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import TransformError
+from pc2scan.tf.placing import Placer
+from pc2scan.tf.up_sources import UpByFrame, UpByImu
 from tf.trees import EPOCH, SECOND, built, row
 
 TILTED = Rigid.from_rpy(0.2, -0.1, 1.3, (4.0, 5.0, 0.0))

@@ -13,8 +13,8 @@ from tf.trees import EPOCH, SECOND, random_pose, row
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-    from pc2scan.transforms.buffer import TransformBuffer
 
+    from pc2scan.tf.buffer import TransformBuffer
     from tf.trees import Rows
 
 __all__ = [

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-from pc2scan.transforms.builder import TransformBuilder
+
+from pc2scan.tf.builder import TransformBuilder
 
 if TYPE_CHECKING:
-    from pc2scan.transforms.buffer import TransformBuffer
-
     from pc2scan.core.rigid import TransformRow
+    from pc2scan.tf.buffer import TransformBuffer
 
 __all__ = [
     "EPOCH",

@@ -91,7 +91,7 @@ def dask_setup(_worker: Any) -> None:
 def run_jobs_on_dask(
     jobs: Sequence[Job], *, address: str, workers: int, cores: int, lock: int | None = None
 ) -> Generator[Event]:
-    """Run jobs on the Dask cluster whose scheduler has this address; see `pc2scan.datasets.jobs.Executor`.
+    """Run jobs on the Dask cluster whose scheduler has this address; see `pc2scan.batch.jobs.Executor`.
 
     With an empty address, a cluster is started on this machine, and closed at the end.
     """

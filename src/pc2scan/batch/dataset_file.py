@@ -48,7 +48,7 @@ class DatasetEntry:
     patterns
         Globs; empty for the defaults, which match everything.
     keywords
-        Options by name, as `pc2scan.datasets.jobs.request_of` reads them.
+        Options by name, as `pc2scan.batch.jobs.request_of` reads them.
     origins
         Where each option comes from.
     skip

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Sequence
 
     from pc2scan.bags.damage import Damage
-    from pc2scan.exports.report import ExportReport
-    from pc2scan.exports.run import ExportOptions
+    from pc2scan.export.report import ExportReport
+    from pc2scan.export.run import ExportOptions
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.report import Report
     from pc2scan.pipeline.run_files import OutputOptions
@@ -92,7 +92,7 @@ def request_of(keywords: Mapping[str, Any], origins: Mapping[str, str] | None = 
     conversion = conversion_of(options)
     export = None
     if options.format is not None:
-        from pc2scan.exports.run import ExportOptions  # noqa: PLC0415  # most batches write recordings
+        from pc2scan.export.run import ExportOptions  # noqa: PLC0415  # most batches write recordings
 
         export = ExportOptions.of(options, conversion.options, options.format)
     # Absolute: another process may have another current folder.
@@ -131,7 +131,7 @@ def _check_export(options: Options) -> None:
         return
     if idle := [f"`{word}`" for word in options_of("convert") if word in given and word in Container.__annotations__]:
         raise UsageError(f"{', '.join(idle)} would have no effect: `format` writes no recordings")
-    from pc2scan.exports.formats import FORMATS  # noqa: PLC0415  # most batches write recordings
+    from pc2scan.export.formats import FORMATS  # noqa: PLC0415  # most batches write recordings
 
     if FORMATS[name].needs_poses and not given.keys() & {"pose_frame", "odom_topic"}:
         raise UsageError(f"`format={name}` needs poses", hint="give `pose_frame=odom`, or `odom_topic=/odom`")
@@ -357,7 +357,7 @@ def _run_job(
             warnings=request.notes if options.fail_on == "warning" else (),
             progress=progress,
         )
-    from pc2scan.exports.run import run as export  # noqa: PLC0415  # most batches write recordings
+    from pc2scan.export.run import run as export  # noqa: PLC0415  # most batches write recordings
 
     form = replace(request.export, overwrite=request.output.overwrite, owned=job.owned)
     return export(sources, destination, options, form, in_folder=True, also_read=request.files, progress=progress)
@@ -365,7 +365,7 @@ def _run_job(
 
 def _inspect_export(job: Job, sources: list[Path]) -> ExportReport:
     """Open a recording whose scans or clouds would be exported without conversion, and report what would be read."""
-    from pc2scan.exports.report import ExportReport  # noqa: PLC0415  # most batches write recordings
+    from pc2scan.export.report import ExportReport  # noqa: PLC0415  # most batches write recordings
 
     assert job.request.export is not None
     form = str(job.request.export.format)

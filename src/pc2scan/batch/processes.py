@@ -176,7 +176,7 @@ def run_jobs(
     lock: int | None = None,
     pool: Pool | None = None,
 ) -> Generator[Event]:
-    """Run jobs in worker processes; see `pc2scan.datasets.jobs.Executor`.
+    """Run jobs in worker processes; see `pc2scan.batch.jobs.Executor`.
 
     The last recordings get the threads of idle workers. A recording whose process died is tried ``retries`` times more,
     by a single thread. The workers of a ``pool`` that is given stay for the next jobs if all of these are done.

@@ -143,11 +143,11 @@ def run_batch(
     Parameters
     ----------
     sources
-        See `pc2scan.datasets.find.find`.
+        See `pc2scan.batch.find.find`.
     out
         The folder that is written into.
     keywords
-        Options of the conversions, as `pc2scan.datasets.jobs.request_of` reads them.
+        Options of the conversions, as `pc2scan.batch.jobs.request_of` reads them.
     options
         How the batch runs; they do not affect the outputs.
     origins

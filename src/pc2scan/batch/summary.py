@@ -117,7 +117,7 @@ class Outcome:
     why
         The reason.
     outcome
-        As in a `pc2scan.datasets.manifest.ManifestRecord`; or ``skipped``.
+        As in a `pc2scan.batch.manifest.ManifestRecord`; or ``skipped``.
     exit_status
         The exit status that `pc2scan convert` would have had.
     output

@@ -1,6 +1,6 @@
 """Poses of the robot at the stamps of messages, from the transforms of a recording.
 
-Poses are interpolated by tf2's rules (see `pc2scan.transforms.buffer`) and never extrapolated.
+Poses are interpolated by tf2's rules (see `pc2scan.tf.buffer`) and never extrapolated.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import TransformError, UsageError, name_list
 from pc2scan.pipeline.odometry import odometry_of
-from pc2scan.transforms.reading import read_transforms
+from pc2scan.tf.reading import read_transforms
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.core.rigid import Rigid
     from pc2scan.progress import Meter
-    from pc2scan.transforms.buffer import TransformBuffer
-    from pc2scan.transforms.placing import FrameOptions
-    from pc2scan.transforms.sources import Attachment
+    from pc2scan.tf.buffer import TransformBuffer
+    from pc2scan.tf.placing import FrameOptions
+    from pc2scan.tf.sources import Attachment
 
 #: Usual names of the robot's frame, the best one first.
 _BASES = ("base_link", "base_footprint")

@@ -84,7 +84,7 @@ class ExportOptions:
     Attributes
     ----------
     format
-        A name in `pc2scan.exports.formats.FORMATS`; None for the format of the destination's suffix.
+        A name in `pc2scan.export.formats.FORMATS`; None for the format of the destination's suffix.
     poses
         The poses to write with the messages.
     converting

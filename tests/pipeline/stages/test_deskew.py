@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pc2scan.transforms.builder import TransformBuilder
-from pc2scan.transforms.placing import Placer
 
 from pc2scan.core.points import TIME, Points
 from pc2scan.core.rigid import Pose, Rigid
@@ -17,6 +15,8 @@ from pc2scan.errors import DecodeError, TransformError
 from pc2scan.pipeline.stages.deskew import Deskew, MovingCloud
 from pc2scan.pipeline.stages.point_time import PointTime
 from pc2scan.pipeline.stages.regions import ExcludeBox
+from pc2scan.tf.builder import TransformBuilder
+from pc2scan.tf.placing import Placer
 from support.tables import rows
 from tf.through import lookup_through
 

@@ -1,6 +1,6 @@
 """Looks up one transform at many times, between which the transforms of points are interpolated.
 
-The rules are those of `pc2scan.transforms.buffer`; results differ from its in the last bits of float64.
+The rules are those of `pc2scan.tf.buffer`; results differ from its in the last bits of float64.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ class UpByFrame:
     fixed_frame
         The frame.
     buffer, tolerance_ns
-        See `pc2scan.transforms.placing.Placer`.
+        See `pc2scan.tf.placing.Placer`.
     """
 
     fixed_frame: str
@@ -66,7 +66,7 @@ class UpByImu:
     directions
         (N, 3) directions of up in the IMU's frame.
     buffer, tolerance_ns
-        See `pc2scan.transforms.placing.Placer`.
+        See `pc2scan.tf.placing.Placer`.
     """
 
     topic: str

@@ -47,7 +47,7 @@ class BodyMotion(NamedTuple):
 def find_body_motion(buffer: TransformBuffer, world: str, source: str) -> BodyMotion | None:
     """Return what carries ``source`` through ``world``; None if nothing does.
 
-    >>> from pc2scan.transforms.builder import TransformBuilder
+    >>> from pc2scan.tf.builder import TransformBuilder
     >>> builder = TransformBuilder()
     >>> builder.add([("base_link", "lidar", 0, 0, 0, 1, 0, 0, 0, 1)], static=True)
     >>> for stamp_ns, x in (1, 0.0), (2, 3.5):
