@@ -59,6 +59,15 @@ def _is_part(short: str, long: str) -> bool:
     return len(short) >= 3 and (long.endswith(f"/{short}") or long.startswith(f"{short}/") or f"/{short}/" in long)
 
 
+def height_text(value: float) -> str:
+    """Return a height in metres, to a centimetre.
+
+    >>> height_text(-0.003), height_text(2.5)
+    ('0.00', '2.50')
+    """
+    return f"{round(value, 2) + 0.0:.2f}"
+
+
 def count(number: int) -> str:
     """Format a count; zero is a dash."""
     return f"{number:,}" if number else "-"

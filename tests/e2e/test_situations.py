@@ -61,7 +61,8 @@ def test_no_false_alarm_on_real_recordings(source: Path, tmp_path: Path) -> None
     told = [line for line in shown.stderr.splitlines() if "warning" in line and "18,333 days ahead" not in line]
     assert (shown.status, told) == (0, [])
     lines = [line.split("#")[0] for line in shown.stdout.splitlines() if line.strip().startswith("pc2scan convert")]
-    assert lines
+    # Where a 2D lidar was recorded, points of landmarks are not its.
+    assert lines or source.name == "jarvis_two_lasers.bag"
     for number, line in enumerate(lines):
         _, _, _, *words = shlex.split(line)
         words = [word for word in words if word != source.name]

@@ -523,6 +523,13 @@ SITUATIONS = (
         drive(clock=0.0),
     ),
     Situation(
+        "no transforms for SLAM",
+        hall(),
+        (("info {src}", "need odometry and the lidar's mount, and the recording has no transforms: --trajectory"),),
+        ("info {src}",),
+        drive(),
+    ),
+    Situation(
         "two lidars, one of which has a tree of its own",
         drive(clock=0.0, names=lambda name: "rear_mount" if name == "rear" else name),
         tuple(

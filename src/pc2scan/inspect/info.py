@@ -16,8 +16,10 @@ from pc2scan.bags.topics import find_topics
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import UsageError, leading
-from pc2scan.messages.clouds import CLOUDS, SCANS
+from pc2scan.messages.clouds import CLOUDS, SCANS, usual_topics
 from pc2scan.messages.imu import IMU
+from pc2scan.messages.poses import POSES
+from pc2scan.messages.tfmessage import TF_TYPES
 from pc2scan.model import copied_message
 from pc2scan.pipeline.checks.request import Cut, log_times_of_centuries
 from pc2scan.pipeline.clocks import Clocks
@@ -28,7 +30,7 @@ from pc2scan.pipeline.stages.point_time import PointTime
 from pc2scan.pipeline.survey import Survey
 from pc2scan.result import Call, Part, Result
 from pc2scan.tables import Table
-from pc2scan.text import count, counted, size, stamp
+from pc2scan.text import count, counted, height_text, size, stamp
 from pc2scan.tf.placing import FrameOptions, Placer
 from pc2scan.tf.summary import BODIES
 from pc2scan.tf.world_frames import find_body_motion
@@ -148,6 +150,8 @@ class Info(Result):
         The topics, and what is known about those with clouds, scans, and an IMU's messages.
     proposals
         Conversions that suit the clouds.
+    lacking
+        What SLAM and navigation need besides the scans, and the recording does not have; empty if nothing is missing.
     warnings
         Which transforms cannot be used if a target frame was given, and clouds that are not level.
     damage
@@ -170,6 +174,7 @@ class Info(Result):
     proposals: tuple[Call, ...] = field(default=())
     damage: tuple[Damage, ...] = field(default=())
     warnings: tuple[str, ...] = field(default=())
+    lacking: str = ""
 
     @property
     def duration_ns(self) -> int:
@@ -225,6 +230,9 @@ class Info(Result):
                 yield "options, and why:" if len(self.proposals) == 1 else f"options for {_topics_of(call)}, and why:"
                 yield from _reasons(call)
             yield ""
+            if self.lacking:
+                yield self.lacking
+                yield ""
             yield "ready to convert:"
             yield from self.proposals
 
@@ -239,7 +247,7 @@ def _reasons(call: Call) -> Iterator[str]:
     for name, reason in call.reasons.items():
         value = call.options[name]
         for each in value if isinstance(value, tuple) else (value,):
-            shown = f"{each:g}" if isinstance(each, float) else shlex.quote(str(each))
+            shown = f"{each:.15g}" if isinstance(each, float) else shlex.quote(str(each))
             yield f"  `{name}={shown}`: {reason}"
 
 
@@ -249,10 +257,9 @@ def _ground_text(mounting: Mounting) -> str:
     if heights is None or heights.floor is None:
         return "no floor found; the heights are those of most points"
     frame = mounting.target_frame or mounting.judged_in
-    ceiling = "" if heights.ceiling is None else f", ceiling at {heights.ceiling:.2f} m"
-    floor = round(heights.floor, 2) + 0.0
+    ceiling = "" if heights.ceiling is None else f", ceiling at {height_text(heights.ceiling)} m"
     sensor = "" if ground.height is None else f"; the sensor is {ground.height:.2f} m above the floor"
-    return f"floor at z = {floor:.2f} m in frame {frame!r}{ceiling}{sensor}"
+    return f"floor at z = {height_text(heights.floor)} m in frame {frame!r}{ceiling}{sensor}"
 
 
 def info(
@@ -373,8 +380,11 @@ def info_of(
         warnings += (text for each in lidars for text in time_warnings(each.facts, PointTime()))
         warnings += (*missing_mounts(lidars), *odometry_doubts(lidars))
         summaries = [each.summary for each in readers]
+        # Landmarks and the like are no lidar's, if there is one.
+        types = {topic.topic: [topic.msgtype] for topic in topics if topic.messages}
+        usual = set() if described else set(usual_topics(types, (*CLOUDS, *SCANS)))
         calls = proposals(
-            lidars,
+            [each for each in lidars if described or each.topic in usual],
             [str(each.path) for each in readers],
             given or {},
             {topic: up for topic, up in found.ups.items() if not isinstance(up, UsageError)},
@@ -395,7 +405,25 @@ def info_of(
             tuple(calls),
             tuple(reader.damage),
             tuple(warnings),
+            ""
+            if asked.adds_poses or asked.tf_from
+            else _lacking([each for each in reader.connections if counts[each.id]]),
         )
+
+
+def _lacking(connections: Sequence[Connection]) -> str:
+    """Return what SLAM and navigation need that no messages give; empty if nothing is missing."""
+    given = {each.ros_type: each.topic for each in connections if not each.is_static}
+    if not given.keys().isdisjoint(TF_TYPES):
+        return ""
+    poses = next((topic for kind, topic in given.items() if kind in POSES), "")
+    cure = f"`odom_topic={poses}`" if poses else "`trajectory`, `odom_topic` or `tf_from`"
+    if any(each.ros_type in TF_TYPES for each in connections):
+        return f"SLAM and navigation also need odometry on /tf, which the recording does not have: {cure} adds it"
+    return (
+        "SLAM and navigation also need odometry and the lidar's mount, and the recording has no transforms: "
+        f"{cure} adds odometry, `static_tf` the mount"
+    )
 
 
 class _Surveyed(NamedTuple):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from operator import or_
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -23,6 +23,7 @@ from pc2scan.pipeline.stages.point_time import PointTime
 from pc2scan.pipeline.stages.turn import DIRECTIONS, directions_of
 from pc2scan.pipeline.survey import Fact
 from pc2scan.result import Call
+from pc2scan.text import height_text
 from pc2scan.tf.motion import sensor_motion, spread_of_up
 from pc2scan.tf.mounting import sensor_exclusion
 from pc2scan.tf.static import StaticTransform
@@ -77,6 +78,9 @@ _STEP = math.tau / DIRECTIONS
 _FILLED = 0.6
 _ENOUGH = 0.9
 _MOST_CLOUDS = 10
+
+#: Floors of several lidars that differ by less are one, metres.
+_ONE_FLOOR = 0.05
 
 #: Cells of the robot's own body, metres; how far from its frame they are at most; in how many clouds, and what share of
 #: them, the same cells have returns.
@@ -427,7 +431,7 @@ def proposals(
     has_scans
         Whether the recording has a topic /scan.
     """
-    groups = list(_groups([each for each in lidars if each.mounting.heights is not None]))
+    groups = list(_groups([_with_common_heights(each, lidars) for each in lidars if each.mounting.heights is not None]))
     for group in groups:
         choices = list(_choices(group, given, ups, clocks, names_topics=names_topics, has_scans=has_scans))
         options: dict[str, Any] = {}
@@ -435,6 +439,17 @@ def proposals(
             options["destination"] = destination(group[0].topic)
         options |= {each.name: each.value for each in choices}
         yield Call("convert", tuple(sources), options, {each.name: each.reason for each in choices if each.reason})
+
+
+def _with_common_heights(lidar: Lidar, lidars: Sequence[Lidar]) -> Lidar:
+    """Return a lidar with the heights of all that see the same floor in the same frame."""
+    own = lidar.mounting.heights
+    if own is None or own.floor is None or not lidar.target:
+        return lidar
+    heights = [each.mounting.heights for each in lidars if each.target == lidar.target and each.mounting.heights]
+    same = [each for each in heights if each.floor is not None and abs(each.floor - own.floor) < _ONE_FLOOR]
+    common = own._replace(low=max(each.low for each in same), high=max(each.high for each in same))
+    return replace(lidar, mounting=lidar.mounting._replace(heights=common))
 
 
 def _groups(lidars: Sequence[Lidar]) -> Iterator[list[Lidar]]:
@@ -531,9 +546,11 @@ def _heights(group: Sequence[Lidar]) -> Iterator[Choice]:
     low, high = max(each.low for each in heights), max(each.high for each in heights)
     floors = [each.floor for each in heights if each.floor is not None]
     if floors:
-        yield Choice("min_height", float(f"{low:g}"), f"above the floor at z = {max(floors) + 0.0:.2f} m")
+        yield Choice("min_height", float(f"{low:g}"), f"above the floor at z = {height_text(max(floors))} m")
         ceilings = [each.ceiling for each in heights if each.ceiling is not None]
-        under = f"below the ceiling at z = {min(ceilings):.2f} m" if ceilings else "of objects that stand on it"
+        under = (
+            f"below the ceiling at z = {height_text(min(ceilings))} m" if ceilings else "of objects that stand on it"
+        )
         yield Choice("max_height", float(f"{high:g}"), under)
     else:
         yield Choice("min_height", float(f"{low:g}"), "no floor is visible: the heights of most points")

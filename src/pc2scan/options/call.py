@@ -150,4 +150,4 @@ def _option_words(spelling: str, value: Any) -> Iterator[str]:
         for each in value:
             yield from _option_words(spelling, each)
     else:
-        yield from (spelling, f"{value:g}" if isinstance(value, float) else str(value))
+        yield from (spelling, f"{value:.15g}" if isinstance(value, float) else str(value))

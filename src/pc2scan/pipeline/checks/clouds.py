@@ -17,7 +17,7 @@ from pc2scan.core.floor import FARTHEST_MEDIAN, FEWEST_POINTS, tolerances
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.rule import PointCounts
 from pc2scan.pipeline.parameters import preset_of
-from pc2scan.text import agreeing, counted
+from pc2scan.text import agreeing, counted, height_text
 
 from .request import says_unlimited
 
@@ -348,8 +348,8 @@ def swapped_transform(clouds: CloudFacts) -> Iterator[str]:
     inverse = static_text(static.child, static.parent, static)
     yield (
         f"`static_tf` from {static.parent} to {static.child} puts the sensor {below:.2f} m below {static.child}, "
-        f"and the floor at z = {-below - floor.height:.2f} m; the parent comes first: `static_tf='{inverse}'` puts "
-        f"the floor at z = {below - floor.height + 0.0:.2f} m"
+        f"and the floor at z = {height_text(-below - floor.height)} m; the parent comes first: `static_tf='{inverse}'` "
+        f"puts the floor at z = {height_text(below - floor.height)} m"
     )
 
 
@@ -427,9 +427,10 @@ def floor_within_heights(clouds: CloudFacts) -> Iterator[str]:
     if any(heights_in_millimetres(clouds)):
         return
     below = f"min_height is {_limit(params.min_height, 'm')}"
+    at = height_text(sample.origin[2] - floor.height)
     yield (
-        f"{clouds.topic}: the floor is within the heights: it is at z = {sample.origin[2] - floor.height:.2f} m in "
-        f"{sample.judged_in!r}, and {below}; {clouds.floor_share:.0%} of the beams with a return end on it"
+        f"{clouds.topic}: the floor is within the heights: it is at z = {at} m in {sample.judged_in!r}, and {below}; "
+        f"{clouds.floor_share:.0%} of the beams with a return end on it"
         + (f"; without it: {clouds.advice}" if clouds.advice else "")
     )
 
