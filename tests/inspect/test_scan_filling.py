@@ -36,7 +36,8 @@ def expected(content: list[set[int]], beams: int) -> bool:
     steps = []
     for last, filled in pairwise(content):
         (other, other_size), (first, size) = sector(last, beams), sector(filled, beams)
-        if 2 * len(last & filled) < min(len(last), len(filled)) and 2 * max(size, other_size) < beams:
+        fewest = min(len(last), len(filled))
+        if fewest >= 4 and 2 * len(last & filled) < fewest and 2 * max(size, other_size) < beams:
             steps.append(cmath.rect(1, (first - other) / beams * 2 * math.pi))
     return len(steps) > (len(content) - 1) / 2 and abs(sum(steps)) > 0.5 * len(steps)
 
@@ -74,3 +75,7 @@ def test_two_lidars_on_one_topic_are_looked_at_apart() -> None:
 def test_scans_in_very_many_frames_are_read_in_bounded_memory() -> None:
     assert kinds([{number % 360} for number in range(5000)], 360, frames=5000) == {"few-directions"}
     assert kinds([*({0} for _ in range(999)), set(range(360))], 360, frames=1000) == set()
+
+
+def test_two_posts_that_a_turning_robot_sees_are_no_part_of_a_turn() -> None:
+    assert kinds([{30 * n % 360, (30 * n + 5) % 360} for n in range(20)], 360) == set()

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 #: than this share of them in directions in which the scan before it has returns.
 _PART = 0.5
 
+#: Fewer returns than these, as of two posts in a field while the robot turns, are no part of a turn.
+_FEWEST_RETURNS = 4
+
 #: How constant the steps from part to part are: the length of the mean of the steps as directions. It is 1 for a lidar
 #: that turns, and near 0 for single returns in directions by chance, such as of dust.
 _STEADY = 0.5
@@ -63,7 +66,9 @@ class ScanFilling:
         if self._few:
             ever = self._ever.setdefault(frame_id, returns)
             self._ever[frame_id] = ever | returns if len(ever) == len(returns) else returns
-        if last is not None and len(last) == len(returns):
+        if scan.returns < _FEWEST_RETURNS:
+            self._last[frame_id] = None
+        elif last is not None and len(last) == len(returns):
             self._add_pair(last, returns, stamp_ns)
 
     def _add_pair(self, last: NDArray[np.bool_], returns: NDArray[np.bool_], stamp_ns: int) -> None:
