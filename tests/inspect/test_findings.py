@@ -47,7 +47,7 @@ ANGLES: tuple[dict[str, Any], ...] = ({"angle_min": math.nan}, {"angle_increment
 
 def mounted(transform: str) -> dict[str, Any]:
     """Asks with a transform of the laser on the robot."""
-    return {"frames": FrameOptions(static=(StaticTransform.parse(transform),))}
+    return {"static_tf": transform}
 
 
 EMPTY = np.full(9, math.inf, np.float32)

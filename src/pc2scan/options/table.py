@@ -149,7 +149,7 @@ class Map(MapDrawing, SourceTopics, _Scans, SeveralOutputs, ThreadCount, RunProg
     """``map``."""
 
 
-class Check(CheckRules, EchoChoice, TransformSources, total=False):
+class Check(CheckRules, EchoChoice, StaticTransforms, TransformSources, total=False):
     """``check``."""
 
 
