@@ -11,6 +11,7 @@ from .arguments import names_in
 from .errors import UsageError
 from .files.urls import path_of, paths_in
 from .options.call import Options
+from .options.effects import refuse_idle
 from .options.keywords import takes_options
 from .options.table import options_of
 from .requests import OF_FRAMES, conversion_of, frames_of, selection_of
@@ -429,8 +430,7 @@ def golden(
     if asked.init is not None:
         part = {"start": asked.start, "end": asked.end, "topics": asked.topics, "params": asked.params_file}
         make_case(path, asked.init, run_command, **part)
-    elif asked.given.keys() - {"update"}:
-        raise UsageError("`start`, `end`, `topics` and `params_file` have no effect without init=SRC")
+    refuse_idle(asked.given, "golden")
     return check_cases(path, pattern, run_command, update=asked.update)
 
 

@@ -13,8 +13,9 @@ from .errors import Pc2ScanError, SeveralNodesError, UsageError, name_list
 from .files.urls import path_of, path_or_url, path_text, paths_in
 from .options.call import CALL, Options
 from .options.conversion import ConversionFrames, StampCorrection
+from .options.effects import refuse_idle
 from .options.table import PARAMETERS, options_about_scans
-from .pipeline.options import ConvertOptions, ScanSpec, StampOptions, TopicRequest
+from .pipeline.options import TRAJECTORY, ConvertOptions, ScanSpec, StampOptions, TopicRequest
 from .pipeline.param_sources import resolve_sources
 from .pipeline.parameters import ResolvedParams, Setting, refuse_degrees
 from .tf.placing import FrameOptions
@@ -75,6 +76,7 @@ def frames_of(options: Options) -> FrameOptions:
     UsageError
         If a transform cannot be read.
     """
+    refuse_idle(options.given, options.command)
     if not options.given.keys() & OF_FRAMES:
         return FrameOptions()
     static: tuple[StaticTransform, ...] = ()
@@ -106,8 +108,6 @@ def _odometry(texts: tuple[str, ...]) -> tuple[PoseTopic, ...]:
 def _trajectory(options: Options) -> Trajectory | None:
     """Return the poses of a file that are used as transforms."""
     if options.trajectory is None:
-        if options.trajectory_frames:
-            raise UsageError("`trajectory_frames` needs `trajectory`")
         return None
     from .tf.trajectory import frames_of_trajectory, load_trajectory  # noqa: PLC0415  # few conversions add poses
 
@@ -121,7 +121,10 @@ def clock_of(options: Options) -> StampOptions | None:
     """Return how stamps are corrected; None if they are not."""
     if options.stamps == "header" and not options.time_offset:
         return None
-    return StampOptions.of(options.stamps, options.time_offset)
+    clock = StampOptions.of(options.stamps, options.time_offset)
+    if TRAJECTORY in clock.by_topic and options.trajectory is None:
+        raise UsageError(f"`time_offset={TRAJECTORY}=S` has no effect without `trajectory`")
+    return clock
 
 
 def _model(path: Path | None) -> RobotModel | None:

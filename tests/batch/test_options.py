@@ -129,8 +129,8 @@ def test_an_unknown_export_is_named(tmp_path: Path) -> None:
 # --- Dataset files; what is wrong in one is in `transcripts/dataset_files.txt` ---
 
 
-@pytest.mark.parametrize("text", ["", "# nothing\n", "defaults:\nrecordings:\n", "{}", "recordings: []\n"])
-def test_a_dataset_file_may_be_empty(text: str, digests: Digests, tmp_path: Path) -> None:
+@pytest.mark.parametrize("text", ["defaults:\nrecordings:\n", "recordings: []\n"])
+def test_a_dataset_file_may_have_empty_sections(text: str, digests: Digests, tmp_path: Path) -> None:
     (tmp_path / "dataset.yaml").write_text(text)
     assert digests.of(dataset=tmp_path / "dataset.yaml") == digests.of()
 

@@ -61,7 +61,7 @@ def test_the_text_is_the_same_wherever_it_is_made(tmp_path: Path, monkeypatch: p
 def test_a_case_is_made_from_python(tmp_path: Path) -> None:
     report = pc2scan.golden(tmp_path / "case", init=HALL, topics="/points", end=0.2)
     assert [case.outcome for case in report.cases] == ["passed"]
-    with pytest.raises(pc2scan.Pc2ScanError, match="have no effect without init"):
+    with pytest.raises(pc2scan.Pc2ScanError, match="has no effect without `init`"):
         pc2scan.golden(tmp_path / "case", start=1)
 
 

@@ -204,8 +204,6 @@ def test_a_filter_that_cannot_be_is_an_error(tmp_path: Path) -> None:
         Changed.name = name
         with pytest.raises(UsageError, match="cannot be the name of its count"):
             ScanSpec(filters=(Changed(2),))
-    with pytest.raises(UsageError, match="`reverse` converts scans"):
-        ScanSpec(filters=(EveryNth(2),), reverse=True)
     source = recorded(tmp_path / "a.mcap", POINTCLOUD2, [cloud()])
     Changed.name, Changed.fields = "thinned", ("reflectivity",)
     with pytest.raises(ParameterError, match="`thinned` needs the field 'reflectivity', which the clouds"):

@@ -115,7 +115,7 @@ class _FileReader:
 
     def read(self, root: Any) -> DatasetFile:
         if root is None or is_empty(root):
-            return DatasetFile(self._path)
+            raise UsageError("is empty", path=self._path, hint="it has `defaults:`, `recordings:`, or both")
         entries: list[DatasetEntry] = []
         sections = dict(self._pairs(root, "the file", _SECTIONS))
         if (defaults := sections.get("defaults")) is not None and not is_empty(defaults):

@@ -122,12 +122,9 @@ def digest_of(request: Request) -> str:
 
 
 def _check_export(options: Options) -> None:
-    """Raise if an option of exports is given without ``format``, or one of recordings besides it."""
+    """Raise if an option of recordings is given besides ``format``."""
     name, given = options.format, options.given
-    poses = given.keys() & {"pose_frame", "base_frame"}
     if name is None:
-        if poses:
-            raise UsageError(f"`{min(poses)}` goes with `format`", hint="such as `format=npz`")
         return
     if idle := [f"`{word}`" for word in options_of("convert") if word in given and word in Container.__annotations__]:
         raise UsageError(f"{', '.join(idle)} would have no effect: `format` writes no recordings")

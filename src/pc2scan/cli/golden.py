@@ -9,6 +9,7 @@ from pc2scan.errors import UsageError
 from pc2scan.golden.check import check_cases
 from pc2scan.golden.init import make_case
 from pc2scan.options.call import Options
+from pc2scan.options.effects import refuse_idle
 
 from .in_process import run_command
 from .render import progress_bar, say, show, show_parts
@@ -24,8 +25,7 @@ def golden(folder: Path, pattern: str | None, *, options: Options) -> int:
             raise UsageError("--init makes one case, and cannot be combined with -k, --update or --json")
         _init(folder, options)
         return 0
-    if options.given.keys() & {"start", "end", "topics", "params_file"}:
-        raise UsageError("--start, --end, --topic and --params-file need --init", hint="a case has its own")
+    refuse_idle(options.given, "golden")
 
     def show_case(case: CaseResult) -> None:
         if not options.as_json and not (options.quiet and case.outcome == "passed"):

@@ -130,4 +130,8 @@ def format_of(name: str | None, destination: Path) -> ExportFormat:
     if name not in FORMATS:
         near = did_you_mean(name, FORMATS) or None
         raise UsageError(f"`format` is {name!r}, it must be one of {', '.join(FORMATS)}", hint=near)
-    return FORMATS[name]
+    found, suffix = FORMATS[name], destination.suffix.lower()
+    others = [each.name for each in FORMATS.values() if each.suffix == suffix and each.suffix != found.suffix]
+    if others and not found.folder:
+        raise UsageError(f"`format` is {name}, but this is the name of {others[0]}", path=destination)
+    return found

@@ -44,10 +44,6 @@ class PoseOptions:
     base_frame: str = ""
     odom_topic: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
-        if self.base_frame and not self.is_requested:
-            raise UsageError("`base_frame` needs `pose_frame` or `odom_topic`")
-
     @property
     def is_requested(self) -> bool:
         """Whether poses are requested."""

@@ -98,7 +98,7 @@ class Projection(TypedDict, total=False):
     beams: Annotated[
         int | str,
         Parameter(
-            Count(words=("auto",)),
+            Count(2, words=("auto",)),
             "Number of beams in the sector, instead of `angle_increment`. auto: the lidar's own resolution.",
             panel=SLAM,
         ),
@@ -117,7 +117,7 @@ class Projection(TypedDict, total=False):
         Parameter(
             Reduction(words=CHOICES["reduce"]),
             "What a beam's range is made of: its closest or farthest return, their mean or median, the closest "
-            "surface, or with kth=2 the second closest; beams with fewer returns count as beams without a return.",
+            "surface, or with kth=2 the second closest return.",
             panel=SLAM,
             common=True,
         ),

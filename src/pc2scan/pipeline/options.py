@@ -15,6 +15,7 @@ from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.options.conversion import CloudCombination, PointSelection
+from pc2scan.options.effects import refuse_idle
 from pc2scan.options.values import nanoseconds_of
 from pc2scan.tf.placing import FrameOptions
 
@@ -215,6 +216,7 @@ class ScanSpec:
         **more
             Attributes that are no options.
         """
+        refuse_idle({*values, "reverse"} if found.reverse else values)
         read = {name: values[name] for name in cls.__dataclass_fields__ if name in values and name not in _MADE}
         if values.keys() & CloudCombination.__annotations__.keys():
             read["combining"] = Combining.of(**values)
@@ -231,8 +233,6 @@ class ScanSpec:
     def __post_init__(self) -> None:
         if self.keep_used:
             object.__setattr__(self, "keep_used", new_topic(self.keep_used, "`keep_used`"))
-        if self.channels is not None and not self.reverse:
-            raise UsageError("`channels` needs `reverse`")
         if self.reverse:
             self._check_reverse()
         elif self.echo != "first" and not self.may_combine:
@@ -240,17 +240,9 @@ class ScanSpec:
         for name in (each.name for each in self.filters):
             if name in PointCounts().as_dict() or not name.isidentifier():
                 raise UsageError(f"a filter is named {name!r}, which cannot be the name of its count")
-        if self.level or self.imu:
+        if self.level:
             self._check_levelling()
-        if (self.reverse or not self.deskew) and (self.point_time or self.stamp != "header"):
-            raise UsageError("`point_time` and `stamp` need `deskew` of clouds")
-        if self.point_time and self.combining.rebin:
-            raise UsageError(
-                "`point_time` is about points of clouds, but `rebin` converts scans, whose beams have the times of "
-                "their time_increment",
-                hint="remove `point_time`; `deskew` and `stamp` work with `rebin`",
-            )
-        if self.fixed_frame and (self.reverse or not (self.deskew or self.level or self.may_combine)):
+        if self.fixed_frame and not (self.deskew or self.level or self.may_combine):
             raise UsageError(
                 "`fixed_frame` needs `deskew` or `level` of clouds, `accumulate`, or topics that become one scan"
             )
@@ -260,26 +252,14 @@ class ScanSpec:
             self._check_combining()
 
     def _check_reverse(self) -> None:
-        """Raise if an option is about scans of clouds."""
-        if self.keep_used:
-            raise UsageError("`keep_used` keeps points of clouds, but `reverse` converts scans")
-        if self.remove:
-            raise UsageError("`remove` removes beams of scans that are made of clouds, but `reverse` makes clouds")
-        if self.filters:
-            raise UsageError("filters select points of clouds, but `reverse` converts scans")
-        if self.level:
-            raise UsageError("`level` makes scans level, but `reverse` makes clouds")
+        """Raise if the beams of scans cannot be moved."""
         if self.deskew and not self.params.target_frame:
             raise UsageError(
                 "`deskew` needs a `target_frame` that does not move with the sensor",
                 hint="such as `target_frame=odom`",
             )
-        if self.combining.accumulates or self.combining.rebin:
-            raise UsageError("`accumulate`, `every` and `rebin` make scans, but `reverse` makes clouds")
 
     def _check_levelling(self) -> None:
-        if not self.level:
-            raise UsageError("`imu` needs `level`")
         if self.imu:
             from pc2scan.tf.imu import ImuRequest  # noqa: PLC0415  # only where scans are level
 
@@ -314,10 +294,6 @@ class ScanSpec:
             raise UsageError(
                 "`window` needs several topics that become one scan",
                 hint="such as `topics=/front:=/scan` `topics=/rear:=/scan` `target_frame=base_link`",
-            )
-        if asked.window_ns is not None and asked.accumulates:
-            raise UsageError(
-                "`window` has no effect with `accumulate` and `every`, which use all messages of an interval"
             )
         if self.may_combine and self.params.time_increment != 0:
             raise UsageError(
@@ -562,8 +538,9 @@ class ConvertOptions:
         if not 0 <= self.min_used <= 1:
             hint = f"{self.min_used:g} % is {self.min_used / 100:g}" if 1 < self.min_used <= 100 else None
             raise UsageError(f"`min_used` is {self.min_used:g}, it must be a share from 0 to 1", hint=hint)
-        if self.only_scans and (self.keep or self.keep_clouds or self.no_scans):
-            raise UsageError("`only_scans` contradicts `keep`, `keep_clouds` and `clouds_as`")
+        named = {request.source for spec in self.scans for request in spec.topics}
+        if twice := [topic for topic in self.drop if topic in named]:
+            raise UsageError(f"`drop={twice[0]}` has no effect on a topic that `topics` converts")
 
     @property
     def no_scans(self) -> bool:

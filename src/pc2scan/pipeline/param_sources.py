@@ -50,13 +50,6 @@ def resolve_sources(
     UsageError
         If a parameter, the file or the preset is not valid, or the file is for the other direction.
     """
-    if node is not None and file is None:
-        raise UsageError(
-            "`node` chooses a section of a parameter file, but no file is given",
-            hint=f"`params_file=FILE` `node={node}`",
-        )
-    if launch_args and file is None:
-        raise UsageError("`launch_args` needs a launch file, and none is given", hint="`params_file=FILE`")
     # Modules are imported only if needed: a conversion of a small recording spends most of its time on imports.
     found = list(settings)
     ignored: tuple[str, ...] = ()

@@ -80,6 +80,7 @@ def unused_transforms(request: OutputRequest) -> Iterator[str]:
         name
         for name, is_given in (
             ("static_tf", frames.static and not frames.write_static),
+            ("urdf", frames.model is not None and not frames.write_static),
             ("tf_from", frames.tf_from),
             ("tf_topics", frames.tf_topics),
             ("transform_tolerance", "transform_tolerance" in request.given),
