@@ -12,8 +12,6 @@ import pytest
 
 import pc2scan
 from pc2scan.core.consumers import CONSUMERS
-from pc2scan.tf.placing import FrameOptions
-from pc2scan.tf.static import StaticTransform
 from support.scan_recordings import GOOD, START, STEP, scans, write
 
 if TYPE_CHECKING:
