@@ -293,8 +293,9 @@ class Count(Value):
         if isinstance(value, str):
             return value if value in self.words else None
         # Where 0 is no value, it is the default of a parameter: none is given.
-        is_number = isinstance(value, int) and not isinstance(value, bool) and (value != 0 or self.low == 0)
-        return value if is_number else None
+        if isinstance(value, int) and not isinstance(value, bool) and (value != 0 or self.low == 0):
+            return value
+        return None
 
     def admits(self, value: object) -> bool:
         """Return whether it is a whole number, or one of the words."""
