@@ -53,17 +53,17 @@ if TYPE_CHECKING:
     from .api import scans as scans
     from .api import tf as tf
     from .api import view as view
-    from .batch.summary import BatchReport as BatchReport
+    from .compare.golden.result import GoldenReport as GoldenReport
     from .compare.result import Difference as Difference
     from .core.params import ProjectionParams as ProjectionParams
     from .core.project import ProjectedScan as ProjectedScan
     from .core.project import project as project
     from .core.rule import PointCounts as PointCounts
     from .core.unproject import UnprojectParams as UnprojectParams
+    from .datasets.summary import BatchReport as BatchReport
     from .errors import Pc2ScanError as Pc2ScanError
     from .errors import RecordingWarning as RecordingWarning
-    from .export.report import ExportReport as ExportReport
-    from .golden.result import GoldenReport as GoldenReport
+    from .exports.report import ExportReport as ExportReport
     from .inspect.check import Check as Check
     from .inspect.info import Info as Info
     from .inspect.tf import FrameTree as FrameTree
@@ -79,20 +79,20 @@ if TYPE_CHECKING:
     from .streams.clouds import Clouds as Clouds
     from .streams.scans import Scan as Scan
     from .streams.scans import Scans as Scans
-    from .tf.static import StaticTransform as StaticTransform
+    from .transforms.static import StaticTransform as StaticTransform
 
 #: Where each public name is defined.
 _HOMES = {
-    "BatchReport": "batch.summary",
+    "BatchReport": "datasets.summary",
     "Check": "inspect.check",
     "Cloud": "streams.clouds",
     "Clouds": "streams.clouds",
     "Difference": "compare.result",
     "ExcludeBox": "pipeline.stages.regions",
     "ExcludePolygon": "pipeline.stages.regions",
-    "ExportReport": "export.report",
+    "ExportReport": "exports.report",
     "FrameTree": "inspect.tf",
-    "GoldenReport": "golden.result",
+    "GoldenReport": "compare.golden.result",
     "Info": "inspect.info",
     "Map": "look.map_result",
     "MinHeightSlope": "pipeline.stages.ground",
@@ -106,25 +106,24 @@ _HOMES = {
     "Report": "pipeline.report",
     "Scan": "streams.scans",
     "Scans": "streams.scans",
-    "StaticTransform": "tf.static",
+    "StaticTransform": "transforms.static",
     "UnprojectParams": "core.unproject",
     "Where": "pipeline.stages.where",
-    # Packages that are called like the functions of their names.
-    "batch": "batch",
+    "batch": "api",
     "check": "api",
     "clouds": "api",
     "convert": "api",
     "diff": "api",
     "errors": "errors",
-    "export": "export",
-    "golden": "golden",
+    "export": "api",
+    "golden": "api",
     "info": "api",
     "map": "api",
     "plot": "api",
     "project": "core.project",
     "repair": "api",
     "scans": "api",
-    "tf": "tf",
+    "tf": "api",
     "view": "api",
 }
 

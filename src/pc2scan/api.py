@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
     from typing_extensions import Unpack
 
-    from .batch.summary import BatchReport
+    from .compare.golden.result import GoldenReport
     from .compare.result import Difference
-    from .export.report import ExportReport
+    from .datasets.summary import BatchReport
+    from .exports.report import ExportReport
     from .files.urls import PathText
-    from .golden.result import GoldenReport
     from .inspect.check import Check
     from .inspect.info import Info
     from .inspect.tf import FrameTree
@@ -130,7 +130,7 @@ def batch(
     >>> result.counts  # doctest: +SKIP
     {'failed': 2, 'converted': 998}
     """
-    from .batch.run import BatchCallbacks, BatchOptions, run_batch  # noqa: PLC0415
+    from .datasets.run import BatchCallbacks, BatchOptions, run_batch  # noqa: PLC0415
 
     asked = Options("batch", options)
     watch = BatchCallbacks() if asked.progress is None else BatchCallbacks(progress=asked.progress)
@@ -423,8 +423,8 @@ def golden(
     While a case runs, the output of this process is captured, and on SIGTERM temporary files are removed first.
     """
     from .cli.in_process import run_command  # noqa: PLC0415
-    from .golden.check import check_cases  # noqa: PLC0415
-    from .golden.init import make_case  # noqa: PLC0415
+    from .compare.golden.check import check_cases  # noqa: PLC0415
+    from .compare.golden.init import make_case  # noqa: PLC0415
 
     path, asked = path_of("folder", folder), Options("golden", options)
     if asked.init is not None:
@@ -522,7 +522,7 @@ def export(
     >>> pc2scan.export("drive.bag", "scans.npz", pose_frame="odom")  # doctest: +SKIP
     >>> pc2scan.export("drive.bag", "scans.csv", preset="slam_toolbox", min_height=-0.3)  # doctest: +SKIP
     """
-    from .export.run import export as write  # noqa: PLC0415
+    from .exports.run import export as write  # noqa: PLC0415
 
     asked = Options("export", options)
     return write(paths_in("sources", sources), destination, asked, progress=asked.progress)

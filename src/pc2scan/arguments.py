@@ -1,18 +1,14 @@
-"""Calls of the public functions: names in any of their usual forms, misspelt keywords, callable packages."""
+"""Calls of the public functions: names in any of their usual forms, misspelt keywords."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from importlib import import_module
-from types import ModuleType
 from typing import TYPE_CHECKING
 
 from .text import nearest
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from inspect import Signature
-    from typing import Any
 
 #: Maximum number of characters of a value in an error message.
 _LONGEST = 80
@@ -57,33 +53,3 @@ def refuse_unknown(
         synonym = (synonyms or {}).get(word)
         meant = synonym if synonym in candidates else nearest(word, candidates)
         raise TypeError(f"{function}() has no argument {name!r}{f'; did you mean {meant!r}?' if meant else ''}")
-
-
-# --- packages with the name of a public function ---
-#
-# ``pc2scan.tf`` and ``pc2scan.golden`` are packages. Python sets them as attributes of ``pc2scan`` when anything in
-# them is imported, so a function of that name would be there or not depending on what was imported before.
-
-
-class CallablePackage(ModuleType):
-    """A package that is called like the function of its name in ``pc2scan.api``; its ``__init__`` makes it one."""
-
-    def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        """Call the function."""
-        return _function(self)(*args, **kwargs)
-
-    @property
-    def __signature__(self) -> Signature:
-        from inspect import signature  # noqa: PLC0415  # only who looks at signatures pays for it
-
-        return signature(_function(self))
-
-    @property
-    def __doc__(self) -> str | None:  # type: ignore[override]  # what help() shows
-        doc: str | None = _function(self).__doc__
-        return doc
-
-
-def _function(package: ModuleType) -> Any:
-    parent, _, name = package.__name__.rpartition(".")
-    return getattr(import_module(f"{parent}.api"), name)

@@ -18,7 +18,7 @@ from .options.table import PARAMETERS, options_about_scans
 from .pipeline.options import TRAJECTORY, ConvertOptions, ScanSpec, StampOptions, TopicRequest
 from .pipeline.param_sources import resolve_sources
 from .pipeline.parameters import ResolvedParams, Setting, refuse_degrees
-from .tf.placing import FrameOptions
+from .transforms.placing import FrameOptions
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -30,10 +30,10 @@ if TYPE_CHECKING:
     from .pipeline.run_files import OutputOptions
     from .progress import Progress
     from .streams.stream import Selection
-    from .tf.robot_model import RobotModel
-    from .tf.sources import PoseTopic
-    from .tf.static import StaticTransform
-    from .tf.trajectory import Trajectory
+    from .transforms.robot_model import RobotModel
+    from .transforms.sources import PoseTopic
+    from .transforms.static import StaticTransform
+    from .transforms.trajectory import Trajectory
 
     Warn: TypeAlias = Callable[[str], None]
 
@@ -81,7 +81,7 @@ def frames_of(options: Options) -> FrameOptions:
         return FrameOptions()
     static: tuple[StaticTransform, ...] = ()
     if options.static_tf:
-        from .tf.static import added_transforms  # noqa: PLC0415  # few conversions add any
+        from .transforms.static import added_transforms  # noqa: PLC0415  # few conversions add any
 
         static = added_transforms(options.static_tf)
     return FrameOptions(
@@ -100,7 +100,7 @@ def _odometry(texts: tuple[str, ...]) -> tuple[PoseTopic, ...]:
     """Return the topics whose poses are used as transforms."""
     if not texts:
         return ()
-    from .tf.sources import PoseTopic  # noqa: PLC0415  # few conversions add poses
+    from .transforms.sources import PoseTopic  # noqa: PLC0415  # few conversions add poses
 
     return tuple(map(PoseTopic.parse, texts))
 
@@ -109,7 +109,7 @@ def _trajectory(options: Options) -> Trajectory | None:
     """Return the poses of a file that are used as transforms."""
     if options.trajectory is None:
         return None
-    from .tf.trajectory import frames_of_trajectory, load_trajectory  # noqa: PLC0415  # few conversions add poses
+    from .transforms.trajectory import frames_of_trajectory, load_trajectory  # noqa: PLC0415  # few conversions add poses
 
     frames = frames_of_trajectory(options.trajectory_frames)
     found = load_trajectory(options.trajectory, frames)
@@ -131,7 +131,7 @@ def _model(path: Path | None) -> RobotModel | None:
     """Return the robot's model in a file."""
     if path is None:
         return None
-    from .tf.robot_model import model_in_file  # noqa: PLC0415  # few conversions have one
+    from .transforms.robot_model import model_in_file  # noqa: PLC0415  # few conversions have one
 
     return model_in_file(path)
 

@@ -42,10 +42,10 @@ from benchmarks.clouds import (
 from benchmarks.work import LAYOUTS, convert_two, deskewing_tasks, params_of, straightforward
 from pc2scan.bags.mcap.read import McapReader
 from pc2scan.bags.rosbag1.read import Rosbag1Reader
-from pc2scan.batch.processes import run_jobs
-from pc2scan.batch.run import BatchOptions, run_batch
 from pc2scan.core.kernel import COMPILED
 from pc2scan.core.project import Projector
+from pc2scan.datasets.processes import run_jobs
+from pc2scan.datasets.run import BatchOptions, run_batch
 from pc2scan.files.compression import decompress_within
 from pc2scan.messages.livox import decode_livox
 from pc2scan.messages.pointcloud2 import as_pointcloud2, decode_pointcloud2
@@ -66,7 +66,7 @@ from support.worlds.drives import drive_recording
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Sequence
 
-    from pc2scan.batch.jobs import Event, Job
+    from pc2scan.datasets.jobs import Event, Job
 
 HEIGHTS = ("--min-height", "-0.5", "--max-height", "1")
 PARAMS = pc2scan.ProjectionParams(min_height=-0.5, max_height=1.0)

@@ -15,8 +15,8 @@ from pc2scan.core.project import Projector
 from pc2scan.core.rigid import Rigid
 from pc2scan.pipeline.stages.deskew import Deskew
 from pc2scan.pipeline.stages.point_time import PointTime
-from pc2scan.tf.builder import TransformBuilder
-from pc2scan.tf.placing import Placer
+from pc2scan.transforms.builder import TransformBuilder
+from pc2scan.transforms.placing import Placer
 
 if TYPE_CHECKING:
     from collections.abc import Callable

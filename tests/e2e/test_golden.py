@@ -13,10 +13,10 @@ import pytest
 from ruamel.yaml import YAML
 
 import pc2scan
+from pc2scan.compare.golden.case import load_case
 from pc2scan.compare.rules import Rules
 from pc2scan.compare.scan_text import render_messages
 from pc2scan.core import kernel, plain
-from pc2scan.golden.case import load_case
 from pc2scan.model import Connection, RawMessage
 from support import GOLDEN, ROOT, sampled
 from support.builders import CLOUD, SCAN, deserialized, serialized, typestore

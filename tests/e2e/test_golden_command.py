@@ -69,7 +69,7 @@ def test_a_case_is_made_from_python(tmp_path: Path) -> None:
 def test_a_large_case_is_warned_of(less: int, told: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert run("golden", tmp_path / "small", "--init", HALL).stderr == ""
     size = (tmp_path / "small" / "input.bag").stat().st_size
-    monkeypatch.setattr("pc2scan.golden.init._LARGE_BYTES", size - less)
+    monkeypatch.setattr("pc2scan.compare.golden.init._LARGE_BYTES", size - less)
     said = run("golden", tmp_path / "case", "--init", HALL).stderr
     assert ("input.bag has 0 MB: shorten it (--start, --end), or use Git LFS" in said) == told
 

@@ -21,7 +21,7 @@ UNASKED = """\
 import sys
 def test_nothing_is_loaded():
     assert 'pc2scan.pytest_plugin' in sys.modules
-    heavy = {'numpy', 'rosbags', 'mcap', 'typer', 'ruamel', 'pc2scan.cli', 'pc2scan.golden'}
+    heavy = {'numpy', 'rosbags', 'mcap', 'typer', 'ruamel', 'pc2scan.cli', 'pc2scan.compare'}
     assert not heavy & sys.modules.keys()
 """
 TESTS = """\

@@ -15,9 +15,9 @@ import pytest
 from ruamel.yaml import YAML
 
 from pc2scan import pytest_plugin
+from pc2scan.compare.golden.case import KEYS
 from pc2scan.compare.rules import GEOMETRY, IGNORABLE
 from pc2scan.core.presets import PRESETS
-from pc2scan.golden.case import KEYS
 from pc2scan.options.table import PARAMETERS, output_options
 from support import ROOT
 from support.builders import T0, Item, Recording, Stream, write_rosbag1

@@ -53,7 +53,7 @@ def _cloud(data: bytes, kind: str = "") -> None:
     from pc2scan import ProjectionParams
     from pc2scan.pipeline.cloud_to_scan import CloudToScan
     from pc2scan.pipeline.conversion import steps_of
-    from pc2scan.tf.placing import Placer
+    from pc2scan.transforms.placing import Placer
 
     content, serialization = _serialization(data)
     conversion = CloudToScan(ProjectionParams(min_height=-9.0), Placer())
@@ -85,7 +85,7 @@ def _scan(data: bytes) -> None:
 
 def _transforms(data: bytes) -> None:
     from pc2scan.messages.tfmessage import decode_transforms, encode_transforms
-    from pc2scan.tf.builder import TransformBuilder
+    from pc2scan.transforms.builder import TransformBuilder
 
     rows = decode_transforms(*_serialization(data))
     builder = TransformBuilder()
@@ -97,7 +97,7 @@ def _transforms(data: bytes) -> None:
 
 def _imu(data: bytes) -> None:
     """Some messages of one length each after the other, and what they tell of up."""
-    from pc2scan.tf.imu import ImuRequest, read_up
+    from pc2scan.transforms.imu import ImuRequest, read_up
 
     content, serialization = _serialization(data)
     kind = "sensor_msgs/Imu" if serialization == "ros1" else "sensor_msgs/msg/Imu"
@@ -114,8 +114,8 @@ def _poses(data: bytes) -> None:
     """A pose of each type, and the transform that it becomes."""
     from pc2scan.messages.poses import POSES, decode_pose
     from pc2scan.messages.tfmessage import encode_transforms
-    from pc2scan.tf.builder import TransformBuilder
-    from pc2scan.tf.sources import PoseReading, PoseTopic
+    from pc2scan.transforms.builder import TransformBuilder
+    from pc2scan.transforms.sources import PoseReading, PoseTopic
 
     content, serialization = _serialization(data)
     for kind in POSES:
@@ -147,13 +147,13 @@ def _stamps(data: bytes) -> None:
 
 
 def _model(data: bytes) -> None:
-    from pc2scan.tf.robot_model import parse_model
+    from pc2scan.transforms.robot_model import parse_model
 
     parse_model(data.decode("utf-8", "surrogateescape"), "/robot_description")
 
 
 def _trajectory(data: bytes) -> None:
-    from pc2scan.tf.trajectory import load_trajectory
+    from pc2scan.transforms.trajectory import load_trajectory
 
     _file("a.tum", data, lambda path: _ignored(load_trajectory(path, ("odom", "base_link"))))
 

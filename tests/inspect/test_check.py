@@ -13,8 +13,8 @@ from pc2scan import check
 from pc2scan.core.consumers import CONSUMERS
 from pc2scan.errors import RecordingError, TopicError, UsageError
 from pc2scan.inspect.check import check as check_scans
-from pc2scan.tf.placing import FrameOptions
-from pc2scan.tf.static import StaticTransform
+from pc2scan.transforms.placing import FrameOptions
+from pc2scan.transforms.static import StaticTransform
 from support import RECORDINGS, ROOT, needs_shared, sampled
 from support.builders import IMU, Recording, Stream, imu_message, item, write_mcap, write_rosbag1, write_rosbag2
 from support.scan_recordings import GOOD, START, STEP, recording, scans, write

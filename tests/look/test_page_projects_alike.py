@@ -10,8 +10,8 @@ import pytest
 
 from look.browser import needs_chromium
 from pc2scan.bags.opening import open_recording
+from pc2scan.compare.golden.case import case_folders, load_case
 from pc2scan.core.params import ProjectionParams
-from pc2scan.golden.case import case_folders, load_case
 from pc2scan.look.view import write_page as view
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
 from pc2scan.pipeline.options import ConvertOptions, ScanSpec, TopicRequest

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pytest
 
-from export.driving import ODOMETRY_TYPE, START, by_odometry, odometry
+from exports.driving import ODOMETRY_TYPE, START, by_odometry, odometry
 from pc2scan.errors import DecodeError
 from pc2scan.messages.imu import decode_imu
 from pc2scan.messages.laserscan import decode_laserscan

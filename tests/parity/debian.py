@@ -12,13 +12,13 @@ import numpy as np
 from pc2scan.core.rigid import Rigid
 from pc2scan.messages.laserscan import LaserScan
 from support.compiling import compiled_once
-from tf.trees import EPOCH, SECOND, row
+from transforms.trees import EPOCH, SECOND, row
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tf.through import Through
-    from tf.trees import Rows
+    from transforms.through import Through
+    from transforms.trees import Rows
 
 SOURCE = Path(__file__).with_name("oracle.cpp")
 PACKAGES = {

@@ -1,4 +1,4 @@
-"""Record tf2's answers for ``tests/tf/test_through.py``: ``python tests/parity/record_through.py ORACLE``."""
+"""Record tf2's answers for ``tests/transforms/test_through.py``: ``python tests/parity/record_through.py ORACLE``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from parity.debian import ask, pose_in, through_command
-from tf.through import random_drive, random_throughs, save
+from transforms.through import random_drive, random_throughs, save
 
 if __name__ == "__main__":
     rng = np.random.default_rng(6000)

@@ -26,19 +26,19 @@ from pc2scan.errors import TransformError
 from pc2scan.messages.laserscan import encode_laserscan
 from pc2scan.messages.pointcloud2 import decode_pointcloud2
 from pc2scan.pipeline.scan_to_cloud import ScanToCloud
-from pc2scan.tf.placing import Placer
+from pc2scan.transforms.placing import Placer
 from support import ROOT
 from support.conversions import serialized_by
-from tf.through import assert_close, found, random_drive, random_throughs
-from tf.trees import SECOND, built, changing_tree, random_pose, random_questions, random_tree
+from transforms.through import assert_close, found, random_drive, random_throughs
+from transforms.trees import SECOND, built, changing_tree, random_pose, random_questions, random_tree
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
-    from tf.through import Through
-    from tf.trees import Question, Rows
+    from transforms.through import Through
+    from transforms.trees import Question, Rows
 
 __all__ = ["Row", "against_debian", "lookups", "rows", "text"]
 

@@ -18,15 +18,15 @@ from pc2scan.errors import MessageError
 from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import decode_pointcloud2
 from pc2scan.pipeline.scan_to_cloud import ScanToCloud
-from pc2scan.tf.placing import Placer
+from pc2scan.transforms.placing import Placer
 from support.compiling import folder_of_the_run
 from support.conversions import serialized_by
-from tf.trees import EPOCH, SECOND, built, row
+from transforms.trees import EPOCH, SECOND, built, row
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from tf.trees import Rows
+    from transforms.trees import Rows
 
 
 # In the quick run, tests/tf asks tf2 by its Python bindings, and has recorded answers of the others.

@@ -24,7 +24,7 @@ from pc2scan.pipeline.combine.counts import Jump, Run, SourceCounts
 from pc2scan.pipeline.options import ScanSpec
 from pc2scan.pipeline.report import Report, TopicReport
 from pc2scan.requests import conversion_of
-from pc2scan.tf.builder import TransformBuilder
+from pc2scan.transforms.builder import TransformBuilder
 from support.tables import rows
 from support.worlds.mounted import PLACES, cloud, mounted, write_clouds
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 import pc2scan
-from export.driving import PATTERN, STAMPS, drive
+from exports.driving import PATTERN, STAMPS, drive
 from pc2scan.errors import ParameterError, UsageError
 from pc2scan.pipeline.options import Combining
 from support.builders import write_mcap

@@ -16,8 +16,8 @@ from pc2scan.messages.pointcloud2 import PointCloud2, decode_pointcloud2
 from pc2scan.pipeline.cloud_to_scan import CloudToScan
 from pc2scan.pipeline.conversion import Conversion, ConvertedMessage, Measurements
 from pc2scan.pipeline.scan_to_cloud import ScanToCloud
-from pc2scan.tf.builder import TransformBuilder
-from pc2scan.tf.placing import Placer
+from pc2scan.transforms.builder import TransformBuilder
+from pc2scan.transforms.placing import Placer
 from support import builders
 from support.conversions import serialized_by
 from support.tables import rows

@@ -17,8 +17,8 @@ from pc2scan.pipeline.items import Span
 from pc2scan.pipeline.measurements import ask_measurements, measure
 from pc2scan.pipeline.options import ScanSpec
 from pc2scan.pipeline.survey import Fact, Survey
-from pc2scan.tf.builder import TransformBuilder
-from pc2scan.tf.placing import FrameOptions, Placer
+from pc2scan.transforms.builder import TransformBuilder
+from pc2scan.transforms.placing import FrameOptions, Placer
 from support.builders import CLOUD, SECOND, T0, Item, Recording, Stream, cloud, item, write_mcap
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ import pytest
 import pc2scan
 from pc2scan.core.rigid import Rigid
 from pc2scan.pipeline.odometry import Odometry, odometry_of
-from pc2scan.tf.builder import TransformBuilder
+from pc2scan.transforms.builder import TransformBuilder
 from support import sampled
 from support.worlds.moving import Drive, Lidar
 from support.worlds.weaving import REAR, RINGS, Fault, Weaving, write_weaving

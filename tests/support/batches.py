@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
 import pc2scan
-from pc2scan.batch.jobs import Event, convert_one
+from pc2scan.datasets.jobs import Event, convert_one
 from support.builders import CONTENT, write_db3, write_mcap, write_rosbag1, write_rosbag2
 from support.command import Finished, run
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator, Sequence
 
-    from pc2scan.batch.jobs import Job
-    from pc2scan.batch.summary import BatchReport
+    from pc2scan.datasets.jobs import Job
+    from pc2scan.datasets.summary import BatchReport
 
 __all__ = ["HEIGHTS", "KEYWORDS", "batch", "contents", "in_this_process", "manifest_of", "place", "run_batch"]
 
@@ -45,7 +45,7 @@ def in_this_process() -> Iterator[list[str]]:
     Yields the keys of the jobs that were begun: of a recording that is converted in pieces there are several.
     """
     jobs: list[str] = []
-    with patch("pc2scan.batch.run.run_jobs", partial(_execute, jobs=jobs)):
+    with patch("pc2scan.datasets.run.run_jobs", partial(_execute, jobs=jobs)):
         yield jobs
 
 

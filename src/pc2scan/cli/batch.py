@@ -14,14 +14,14 @@ from .render import as_typed, limit_width, progress_bar, say, show, warn
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from pc2scan.batch.plan import BatchPlan
-    from pc2scan.batch.run import BatchProgress
-    from pc2scan.batch.summary import Outcome
+    from pc2scan.datasets.plan import BatchPlan
+    from pc2scan.datasets.run import BatchProgress
+    from pc2scan.datasets.summary import Outcome
 
 
 def batch(sources: list[str], destination: str, *, options: Options) -> int:
     """Convert every recording of a dataset."""
-    from pc2scan.batch.run import BatchCallbacks, BatchOptions, run_batch
+    from pc2scan.datasets.run import BatchCallbacks, BatchOptions, run_batch
 
     quiet, verbose = options.quiet, options.verbose
     limit_width()

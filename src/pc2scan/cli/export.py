@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pc2scan.export.run import export as run
+from pc2scan.exports.run import export as run
 from pc2scan.options.call import Options
 
 from .render import LiveWarnings, progress_bar, show

@@ -7,8 +7,8 @@ from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from typing import TYPE_CHECKING
 
+from pc2scan.compare.golden.check import CommandResult
 from pc2scan.errors import UsageError
-from pc2scan.golden.check import CommandResult
 from pc2scan.options.option import CALL_ONLY
 from pc2scan.options.table import options_of
 
@@ -23,7 +23,7 @@ _PLACE = {"to"}
 
 
 def run_command(arguments: Sequence[str], chosen: Sequence[str] = ()) -> CommandResult:
-    """Run ``pc2scan`` with arguments, and return what it prints. See `pc2scan.golden.check.Command`.
+    """Run ``pc2scan`` with arguments, and return what it prints. See `pc2scan.compare.golden.check.Command`.
 
     Raises
     ------

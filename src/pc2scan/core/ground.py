@@ -19,7 +19,7 @@ not up: the frame is slanted.
 
 Two cases cannot be distinguished by a cloud: a low ceiling of a hall whose floor is not visible is the mirror image of
 open ground, and a lidar that hangs upside down just below a ceiling is that of a lidar just above the floor. Transforms
-can distinguish them; see `pc2scan.tf.mounting`.
+can distinguish them; see `pc2scan.transforms.mounting`.
 """
 
 from __future__ import annotations

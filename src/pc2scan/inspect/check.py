@@ -24,9 +24,9 @@ from pc2scan.pipeline.survey import Survey
 from pc2scan.progress import Meter
 from pc2scan.result import Part, Result
 from pc2scan.text import counted
-from pc2scan.tf.placing import FrameOptions
-from pc2scan.tf.reading import tf_connections
-from pc2scan.tf.robot_model import NO_MODEL
+from pc2scan.transforms.placing import FrameOptions
+from pc2scan.transforms.reading import tf_connections
+from pc2scan.transforms.robot_model import NO_MODEL
 
 from .arrivals import Arrivals
 from .findings import Finding
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Connection
     from pc2scan.pipeline.survey import TopicFacts
     from pc2scan.progress import Progress
-    from pc2scan.tf.buffer import TransformBuffer
+    from pc2scan.transforms.buffer import TransformBuffer
 
 
 #: How many frames are shown as text.

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from pc2scan.core.points import Points
     from pc2scan.model import RawMessage
     from pc2scan.result import Part
-    from pc2scan.tf.mounting import Mounting
-    from pc2scan.tf.placing import Placer
+    from pc2scan.transforms.mounting import Mounting
+    from pc2scan.transforms.placing import Placer
 
 #: The width of the largest bar of the histogram of heights, and how many bars it has.
 _BAR = 40

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from pc2scan.pipeline.survey import Header
-    from pc2scan.tf.buffer import TransformBuffer
+    from pc2scan.transforms.buffer import TransformBuffer
 
 #: All transforms of so much time at both edges are known, nanoseconds.
 EDGE_NS = 1_000_000_000

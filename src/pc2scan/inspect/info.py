@@ -31,9 +31,9 @@ from pc2scan.pipeline.survey import Survey
 from pc2scan.result import Call, Part, Result
 from pc2scan.tables import Table
 from pc2scan.text import count, counted, height_text, size, stamp
-from pc2scan.tf.placing import FrameOptions, Placer
-from pc2scan.tf.summary import BODIES
-from pc2scan.tf.world_frames import find_body_motion
+from pc2scan.transforms.placing import FrameOptions, Placer
+from pc2scan.transforms.summary import BODIES
+from pc2scan.transforms.world_frames import find_body_motion
 
 from .cloud_info import CloudInfo, CloudLook
 from .edges import EDGE_NS
@@ -50,9 +50,9 @@ if TYPE_CHECKING:
     from pc2scan.model import Connection, Summary
     from pc2scan.pipeline.clocks import ClockFinding
     from pc2scan.pipeline.survey import TopicFacts
-    from pc2scan.tf.buffer import TransformBuffer
-    from pc2scan.tf.imu import ImuReading, UpEstimate
-    from pc2scan.tf.mounting import Mounting
+    from pc2scan.transforms.buffer import TransformBuffer
+    from pc2scan.transforms.imu import ImuReading, UpEstimate
+    from pc2scan.transforms.mounting import Mounting
 
 #: How many of the first messages of an IMU are read.
 _MAX_IMU = 1_000

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.bags.opening import open_recordings
 from pc2scan.messages.tfmessage import decode_transforms
-from pc2scan.tf.reading import tf_connections
+from pc2scan.transforms.reading import tf_connections
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

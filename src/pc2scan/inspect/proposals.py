@@ -24,10 +24,10 @@ from pc2scan.pipeline.stages.turn import DIRECTIONS, directions_of
 from pc2scan.pipeline.survey import Fact
 from pc2scan.result import Call
 from pc2scan.text import height_text
-from pc2scan.tf.motion import sensor_motion, spread_of_up
-from pc2scan.tf.mounting import sensor_exclusion
-from pc2scan.tf.static import StaticTransform
-from pc2scan.tf.summary import BODIES, WORLDS
+from pc2scan.transforms.motion import sensor_motion, spread_of_up
+from pc2scan.transforms.mounting import sensor_exclusion
+from pc2scan.transforms.static import StaticTransform
+from pc2scan.transforms.summary import BODIES, WORLDS
 
 from .edges import EDGE_NS, EdgeClouds, edge_cuts
 
@@ -40,10 +40,10 @@ if TYPE_CHECKING:
     from pc2scan.model import RawMessage
     from pc2scan.pipeline.clocks import ClockFinding
     from pc2scan.pipeline.survey import TopicFacts
-    from pc2scan.tf.buffer import TransformBuffer
-    from pc2scan.tf.imu import UpEstimate
-    from pc2scan.tf.motion import SensorMotion
-    from pc2scan.tf.mounting import Mounting
+    from pc2scan.transforms.buffer import TransformBuffer
+    from pc2scan.transforms.imu import UpEstimate
+    from pc2scan.transforms.motion import SensorMotion
+    from pc2scan.transforms.mounting import Mounting
 
 #: The preset whose scans all consumers accept.
 _PRESET = "slam_toolbox"

@@ -12,10 +12,10 @@ from pc2scan.core.verdicts import ScanTransforms
 from pc2scan.errors import TransformError
 from pc2scan.pipeline.odometry import odometry_of
 from pc2scan.text import counted, nearest
-from pc2scan.tf.lookup_errors import mount_text, named_in_namespace
-from pc2scan.tf.placing import Placer
-from pc2scan.tf.summary import BODIES
-from pc2scan.tf.world_frames import find_body_motion
+from pc2scan.transforms.lookup_errors import mount_text, named_in_namespace
+from pc2scan.transforms.placing import Placer
+from pc2scan.transforms.summary import BODIES
+from pc2scan.transforms.world_frames import find_body_motion
 
 from .findings import Finding, Tally, few_unplaced, finding
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from pc2scan.pipeline.clocks import ClockFinding
     from pc2scan.pipeline.survey import TopicFacts
-    from pc2scan.tf.buffer import TransformBuffer
+    from pc2scan.transforms.buffer import TransformBuffer
 
     from .arrivals import Arrivals
     from .findings import Level

@@ -13,8 +13,8 @@ from pc2scan.errors import TransformError, leading, stamp_text
 from pc2scan.result import Part, Result
 from pc2scan.tables import Table
 from pc2scan.text import count
-from pc2scan.tf.placing import FrameOptions
-from pc2scan.tf.reading import read_transforms
+from pc2scan.transforms.placing import FrameOptions
+from pc2scan.transforms.reading import read_transforms
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.damage import Damage
     from pc2scan.core.rigid import Rigid
-    from pc2scan.tf.buffer import TransformBuffer
-    from pc2scan.tf.summary import FrameInfo, Tree
+    from pc2scan.transforms.buffer import TransformBuffer
+    from pc2scan.transforms.summary import FrameInfo, Tree
 
 #: Maximum indentation of the drawing, because a chain may have a million frames, and maximum number of its lines.
 _MAX_DEPTH = 60

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pc2scan.options.moment import TimeBound
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.stages.beam_filters import BeamFilter
-    from pc2scan.tf.buffer import TransformBuffer
+    from pc2scan.transforms.buffer import TransformBuffer
 
     from .opening import Opening
     from .shots import Shot, Shots

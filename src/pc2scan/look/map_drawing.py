@@ -22,9 +22,9 @@ from pc2scan.pipeline.frame_checks import frame_that_stays
 from pc2scan.pipeline.odometry import odometry_of
 from pc2scan.result import Skipped
 from pc2scan.text import counted, did_you_mean
-from pc2scan.tf.lookup_errors import mount_text, named_in_namespace
-from pc2scan.tf.summary import BODIES
-from pc2scan.tf.world_frames import find_body_motion
+from pc2scan.transforms.lookup_errors import mount_text, named_in_namespace
+from pc2scan.transforms.summary import BODIES
+from pc2scan.transforms.world_frames import find_body_motion
 
 from .map_result import Map
 
@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from pc2scan.options.call import Options
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.streams.scans import Scan
-    from pc2scan.tf.buffer import TransformBuffer
-    from pc2scan.tf.placing import LevelTransform
+    from pc2scan.transforms.buffer import TransformBuffer
+    from pc2scan.transforms.placing import LevelTransform
 
 #: A scan is tilted if the cosine between its z axis and the map's is below this: 5 degrees.
 _LEVEL = math.cos(math.radians(5))

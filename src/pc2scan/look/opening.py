@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import Pc2ScanError
 from pc2scan.inspect.info import info_of
-from pc2scan.tf.static import added_transforms
+from pc2scan.transforms.static import added_transforms
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -14,7 +14,7 @@ from pc2scan.inspect.sampling import sampled
 from pc2scan.pipeline.cloud_scale import scaled
 from pc2scan.pipeline.preparation import prepare, span_of
 from pc2scan.pipeline.refusals import refuse_outside
-from pc2scan.tf.reading import read_transforms
+from pc2scan.transforms.reading import read_transforms
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.plan import Plan
     from pc2scan.pipeline.preparation import Preparation
     from pc2scan.progress import Meter
-    from pc2scan.tf.reading import FoundTransforms
+    from pc2scan.transforms.reading import FoundTransforms
 
 #: Earlier stamps are shown in seconds, not as a date: stamps of simulations begin at 0.
 _FIRST_DATE_NS = 100_000_000 * 1_000_000_000

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pc2scan.inspect.check import Check
     from pc2scan.model import Connection, RawMessage
     from pc2scan.pipeline.options import ConvertOptions
-    from pc2scan.tf.buffer import TransformBuffer
+    from pc2scan.transforms.buffer import TransformBuffer
 
 #: The pose of a scan that is shown in its own frame.
 _HERE = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0]

@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.checks.clouds import KnownTransforms
     from pc2scan.pipeline.options import ConvertOptions, ScanSpec
     from pc2scan.pipeline.stages.placement import PlacedCloud
-    from pc2scan.tf.buffer import TransformBuffer
-    from pc2scan.tf.placing import Placement, Placer
+    from pc2scan.transforms.buffer import TransformBuffer
+    from pc2scan.transforms.placing import Placement, Placer
 
     from .recording import ShownRecording
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from pc2scan.options.moment import TimeBound
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.requests import Warn
-    from pc2scan.tf.buffer import TransformBuffer
+    from pc2scan.transforms.buffer import TransformBuffer
 
     from .recording import ShownRecording
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from pc2scan.core.unproject import UnprojectParams
-    from pc2scan.tf.static import StaticTransform
+    from pc2scan.transforms.static import StaticTransform
 
     Quantity: TypeAlias = str | float | np.floating[Any] | np.integer[Any]
     Time: TypeAlias = str | float | datetime | timedelta | np.datetime64 | np.timedelta64 | np.number[Any]

@@ -189,10 +189,10 @@ class Texts(Value):
 
 
 class TransformTexts(Texts):
-    """Transforms as texts, and files with some; in Python also as `pc2scan.tf.static.StaticTransform`."""
+    """Transforms as texts, and files with some; in Python also as `pc2scan.transforms.static.StaticTransform`."""
 
     def read(self, name: str, value: Any) -> Any:
-        """Return texts, paths and objects as a tuple; `pc2scan.tf.static.added_transforms` reads them."""
+        """Return texts, paths and objects as a tuple; `pc2scan.transforms.static.added_transforms` reads them."""
         several = isinstance(value, Iterable) and not isinstance(value, str | bytes)
         return tuple(self._read_one(name, each) for each in (value if several else (value,)))
 

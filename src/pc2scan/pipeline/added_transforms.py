@@ -18,7 +18,7 @@ from pc2scan.messages.poses import decode_pose
 from pc2scan.messages.tfmessage import decode_transforms, encode_transforms
 from pc2scan.model import MAX_ROSBAG2_NS as LAST_NS
 from pc2scan.model import StoredChunk
-from pc2scan.tf.reading import tf_connections
+from pc2scan.transforms.reading import tf_connections
 
 from .conversion import ConvertedMessage
 from .items import Output
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.core.rigid import Pose, TransformRow
     from pc2scan.model import Buffer, Connection, Writer
-    from pc2scan.tf.placing import FrameOptions
-    from pc2scan.tf.sources import AddedPoses, Attachment, PoseReading
+    from pc2scan.transforms.placing import FrameOptions
+    from pc2scan.transforms.sources import AddedPoses, Attachment, PoseReading
 
     from .declarations import RecordingTopics
     from .items import Item, OpenRoute, Span

@@ -15,7 +15,7 @@ from pc2scan.messages.poses import POSES
 from pc2scan.messages.stamps import STAMPED, stamp_in
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
 from pc2scan.text import counted, stamp
-from pc2scan.tf.reading import tf_connections
+from pc2scan.transforms.reading import tf_connections
 
 from .options import TRAJECTORY
 from .stages.point_time import PointTime
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, RawMessage
-    from pc2scan.tf.placing import FrameOptions
-    from pc2scan.tf.trajectory import Trajectory
+    from pc2scan.transforms.placing import FrameOptions
+    from pc2scan.transforms.trajectory import Trajectory
 
     from .items import Span
     from .options import ScanSpec

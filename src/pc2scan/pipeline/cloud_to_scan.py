@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pc2scan.core.project import ProjectedScan, Transform
     from pc2scan.messages.used_points import UsedPoints
     from pc2scan.model import Buffer
-    from pc2scan.tf.placing import Placer
+    from pc2scan.transforms.placing import Placer
 
     from .conversion import Step
     from .first_clouds import TopicClouds

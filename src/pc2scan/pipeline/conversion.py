@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pc2scan.core.params import ProjectionParams
     from pc2scan.core.rule import PointCounts
     from pc2scan.model import Buffer
-    from pc2scan.tf.placing import LevelTransform
+    from pc2scan.transforms.placing import LevelTransform
 
     from .combine.rebinning import Rebinning
 

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
     from pc2scan.core.points import Points
     from pc2scan.core.rule import PointCounts
-    from pc2scan.tf.buffer import TransformBuffer
-    from pc2scan.tf.placing import Placement
+    from pc2scan.transforms.buffer import TransformBuffer
+    from pc2scan.transforms.placing import Placement
 
     from .odometry import Surroundings
     from .options import ScanSpec

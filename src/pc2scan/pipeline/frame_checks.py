@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import ParameterError, UsageError, name_list
 from pc2scan.text import did_you_mean, nearest
-from pc2scan.tf.lookup_errors import frames_text
-from pc2scan.tf.static import static_text
-from pc2scan.tf.summary import BODIES, WORLDS
-from pc2scan.tf.world_frames import find_body_motion
+from pc2scan.transforms.lookup_errors import frames_text
+from pc2scan.transforms.static import static_text
+from pc2scan.transforms.summary import BODIES, WORLDS
+from pc2scan.transforms.world_frames import find_body_motion
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from pc2scan.tf.buffer import TransformBuffer
-    from pc2scan.tf.placing import FrameOptions
-    from pc2scan.tf.static import StaticTransform
+    from pc2scan.transforms.buffer import TransformBuffer
+    from pc2scan.transforms.placing import FrameOptions
+    from pc2scan.transforms.static import StaticTransform
 
     from .options import ScanSpec
     from .plan import Plan

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.tfmessage import encode_transforms
 from pc2scan.model import NEW_ID, TF_QOS, Connection
-from pc2scan.tf.reading import tf_connections
-from pc2scan.tf.up_sources import UpByFrame, UpByImu
+from pc2scan.transforms.reading import tf_connections
+from pc2scan.transforms.up_sources import UpByFrame, UpByImu
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from pc2scan.bags.destinations import Destination
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Writer
-    from pc2scan.tf.buffer import TransformBuffer
-    from pc2scan.tf.imu import ImuRequest, UpEstimate
-    from pc2scan.tf.placing import FrameOptions, LevelTransform
-    from pc2scan.tf.up_sources import UpSource
+    from pc2scan.transforms.buffer import TransformBuffer
+    from pc2scan.transforms.imu import ImuRequest, UpEstimate
+    from pc2scan.transforms.placing import FrameOptions, LevelTransform
+    from pc2scan.transforms.up_sources import UpSource
 
     from .options import ScanSpec
     from .report import TopicReport

@@ -18,7 +18,7 @@ from pc2scan.core.resolution import RING_FIELDS, azimuth_step
 from pc2scan.core.timing import TIME_FIELDS, beam_times, fit_sweep, is_brief, median_interval_ns, time_field
 from pc2scan.errors import MessageError, ParameterError, stamp_text
 from pc2scan.text import did_you_mean
-from pc2scan.tf.placing import Placer
+from pc2scan.transforms.placing import Placer
 
 from .conversion import Measurements
 from .survey import Fact

@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pc2scan.core.points import Points
-    from pc2scan.tf.buffer import TransformBuffer
-    from pc2scan.tf.history import FrameHistory
-    from pc2scan.tf.up_sources import UpSource
+    from pc2scan.transforms.buffer import TransformBuffer
+    from pc2scan.transforms.history import FrameHistory
+    from pc2scan.transforms.up_sources import UpSource
 
     from .options import ScanSpec
     from .stages.point_time import Times
@@ -243,7 +243,7 @@ def tilt_warnings(spec: ScanSpec, odometry: Odometry, up: UpSource) -> Iterator[
 
     ``up`` makes the scans level.
     """
-    from pc2scan.tf.up_sources import UpByImu  # noqa: PLC0415  # few scans are level
+    from pc2scan.transforms.up_sources import UpByImu  # noqa: PLC0415  # few scans are level
 
     if not (spec.deskew and odometry.links and isinstance(up, UpByImu)):
         return

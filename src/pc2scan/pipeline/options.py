@@ -17,7 +17,7 @@ from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.options.conversion import CloudCombination, PointSelection
 from pc2scan.options.effects import refuse_idle
 from pc2scan.options.values import nanoseconds_of
-from pc2scan.tf.placing import FrameOptions
+from pc2scan.transforms.placing import FrameOptions
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable, Mapping
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pc2scan.core.unproject import UnprojectParams
     from pc2scan.options.moment import TimeBound
     from pc2scan.options.option import Period
-    from pc2scan.tf.imu import ImuRequest
+    from pc2scan.transforms.imu import ImuRequest
 
     from .parameters import ResolvedParams
     from .stages.beam_filters import BeamFilter
@@ -261,7 +261,7 @@ class ScanSpec:
 
     def _check_levelling(self) -> None:
         if self.imu:
-            from pc2scan.tf.imu import ImuRequest  # noqa: PLC0415  # only where scans are level
+            from pc2scan.transforms.imu import ImuRequest  # noqa: PLC0415  # only where scans are level
 
             object.__setattr__(self, "imu_request", ImuRequest.parse(self.imu))
         elif not self.fixed_frame:

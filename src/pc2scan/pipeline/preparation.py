@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.errors import Pc2ScanError, UsageError
 from pc2scan.messages.tfmessage import TF_TYPES
-from pc2scan.tf.placing import Placer
+from pc2scan.transforms.placing import Placer
 
 from .first_clouds import FirstClouds
 from .items import Span, Tally
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from pc2scan.bags.observers import Observer
     from pc2scan.bags.reader import Reader
     from pc2scan.progress import Meter
-    from pc2scan.tf.buffer import TransformBuffer
-    from pc2scan.tf.placing import FrameOptions
-    from pc2scan.tf.reading import FoundTransforms
+    from pc2scan.transforms.buffer import TransformBuffer
+    from pc2scan.transforms.placing import FrameOptions
+    from pc2scan.transforms.reading import FoundTransforms
 
     from .clocks import Delays
     from .combine.measurements import SourceFacts
@@ -360,7 +360,7 @@ class _OutputFacts:
 
 def _robot_transforms(reader: Reader, options: ConvertOptions, span: Span) -> TransformBuffer | None:
     """Read the transforms between the robot's frames, while the recording is converted."""
-    from pc2scan.tf.reading import read_robot_transforms  # noqa: PLC0415  # only where the first clouds leave a doubt
+    from pc2scan.transforms.reading import read_robot_transforms  # noqa: PLC0415  # only where the first clouds leave a doubt
 
     frames = options.frames
     given = frames.static or frames.model or frames.tf_from

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.destinations import Destination
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Buffer, Writer
-    from pc2scan.tf.static import StaticTransform
+    from pc2scan.transforms.static import StaticTransform
 
     from .added_transforms import TrajectoryWriter
     from .combine.combiner import Combiner

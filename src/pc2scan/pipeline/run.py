@@ -31,8 +31,8 @@ from pc2scan.files.staging import check_destination, staged_output
 from pc2scan.files.urls import UrlPath, exists
 from pc2scan.progress import Meter
 from pc2scan.result import tell_early
-from pc2scan.tf.placing import FrameOptions
 from pc2scan.threads import Threads, cores
+from pc2scan.transforms.placing import FrameOptions
 
 from .checks import request_warnings, result_findings
 from .engine import items_of

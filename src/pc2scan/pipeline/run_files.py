@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Mapping, Sequence
     from pathlib import Path
 
-    from pc2scan.tf.placing import FrameOptions
+    from pc2scan.transforms.placing import FrameOptions
 
     from .report import Report
 

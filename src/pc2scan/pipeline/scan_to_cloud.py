@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from pc2scan.model import Buffer
-    from pc2scan.tf.placing import Placer
+    from pc2scan.transforms.placing import Placer
 
     from .conversion import Step
 

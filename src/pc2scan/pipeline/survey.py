@@ -16,7 +16,7 @@ from pc2scan.core.floor import CloudSample, are_enough
 from pc2scan.core.layout import TURN
 from pc2scan.errors import TransformError
 from pc2scan.messages.clouds import CLOUDS, SCANS
-from pc2scan.tf.reading import RobotTransforms, TransformReading
+from pc2scan.transforms.reading import RobotTransforms, TransformReading
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Sequence
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from pc2scan.core.points import Points
     from pc2scan.model import Connection, RawMessage
     from pc2scan.progress import Meter
-    from pc2scan.tf.buffer import TransformBuffer
-    from pc2scan.tf.imu import ImuReading
-    from pc2scan.tf.mounting import Mounting
-    from pc2scan.tf.placing import FrameOptions, Placer
+    from pc2scan.transforms.buffer import TransformBuffer
+    from pc2scan.transforms.imu import ImuReading
+    from pc2scan.transforms.mounting import Mounting
+    from pc2scan.transforms.placing import FrameOptions, Placer
 
     from .items import Span
 
@@ -213,7 +213,7 @@ class TopicFacts:
         clouds = self.samples(placer, moved=moved)
         if not clouds:
             return None
-        from pc2scan.tf.mounting import mounting  # noqa: PLC0415  # slow to import
+        from pc2scan.transforms.mounting import mounting  # noqa: PLC0415  # slow to import
 
         return mounting(self.topic, placer.source_frame or clouds[0].frame_id, clouds, buffer)
 
@@ -222,7 +222,7 @@ class TopicFacts:
         first = next(iter(self.found(_samples(moved=moved))), None)
         if first is None:
             return ""
-        from pc2scan.tf.mounting import unit_warning  # noqa: PLC0415  # slow to import
+        from pc2scan.transforms.mounting import unit_warning  # noqa: PLC0415  # slow to import
 
         return unit_warning(self.topic, first)
 
@@ -328,7 +328,7 @@ class Survey:
             If there is no such topic.
         """
         if topic not in self._imus:
-            from pc2scan.tf.imu import ImuReading  # noqa: PLC0415  # few recordings have one
+            from pc2scan.transforms.imu import ImuReading  # noqa: PLC0415  # few recordings have one
 
             self._imus[topic] = ImuReading([self.reader, *self.others], topic, most)
         return self._imus[topic]

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pc2scan.cli.in_process import run_command
+from pc2scan.compare.golden.case import is_case
+from pc2scan.compare.golden.check import check_case
 from pc2scan.errors import visible
-from pc2scan.golden.case import is_case
-from pc2scan.golden.check import check_case
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from pc2scan.golden.result import CaseResult
+    from pc2scan.compare.golden.result import CaseResult
 
 
 def check(folder: Path, *, update: bool) -> CaseResult:

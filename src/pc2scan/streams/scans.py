@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.first_clouds import FirstClouds
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.progress import Meter
-    from pc2scan.tf.buffer import TransformBuffer
+    from pc2scan.transforms.buffer import TransformBuffer
 
     from .stream import Selection
 

@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.items import Span
     from pc2scan.progress import Meter
     from pc2scan.result import Skipped
-    from pc2scan.tf.placing import LevelTransform
+    from pc2scan.transforms.placing import LevelTransform
 
 
 def import_pandas() -> Any:

@@ -25,8 +25,8 @@ from pc2scan.pipeline.options import Combining, ScanSpec, TopicRequest
 from pc2scan.pipeline.stages.ground import MinHeightSlope
 from pc2scan.pipeline.stages.regions import ExcludeBox
 from pc2scan.pipeline.stages.where import Where
-from pc2scan.tf.builder import TransformBuilder
-from pc2scan.tf.placing import Placer
+from pc2scan.transforms.builder import TransformBuilder
+from pc2scan.transforms.placing import Placer
 
 T0 = 1_700_000_000_000_000_000
 MOUNTS = {

@@ -15,10 +15,10 @@ from pc2scan.errors import DecodeError, TransformError
 from pc2scan.pipeline.stages.deskew import Deskew, MovingCloud
 from pc2scan.pipeline.stages.point_time import PointTime
 from pc2scan.pipeline.stages.regions import ExcludeBox
-from pc2scan.tf.builder import TransformBuilder
-from pc2scan.tf.placing import Placer
+from pc2scan.transforms.builder import TransformBuilder
+from pc2scan.transforms.placing import Placer
 from support.tables import rows
-from tf.through import lookup_through
+from transforms.through import lookup_through
 
 TABLES = Path(__file__).with_name("times.txt")
 SECOND = 1_000_000_000

@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 
     from pc2scan.core.floor import CloudSample
     from pc2scan.pipeline.options import ScanSpec
-    from pc2scan.tf.buffer import TransformBuffer
-    from pc2scan.tf.mounting import Mounting
-    from pc2scan.tf.static import StaticTransform
+    from pc2scan.transforms.buffer import TransformBuffer
+    from pc2scan.transforms.mounting import Mounting
+    from pc2scan.transforms.static import StaticTransform
 
 #: A scan with fewer points than this share of its beams counts as empty. The share of the cloud's points is no measure:
 #: outdoors most points are ground, which scans reject.
@@ -141,7 +141,7 @@ class CloudFacts:
     @property
     def are_upside_down(self) -> bool:
         """Whether clouds that stay in their own frame are upside down by the robot's transforms."""
-        from pc2scan.tf.mounting import is_upside_down  # noqa: PLC0415  # only where the floor may be a ceiling
+        from pc2scan.transforms.mounting import is_upside_down  # noqa: PLC0415  # only where the floor may be a ceiling
 
         first, own = self.samples[0], self.source.removeprefix("/")
         if first.judged_in.removeprefix("/") != own or self.robot is None:
@@ -217,7 +217,7 @@ class CloudFacts:
     @cached_property
     def mounting(self) -> Mounting:
         """How the sensor is mounted, as `info` sees it: with the robot's transforms."""
-        from pc2scan.tf.mounting import mounting  # noqa: PLC0415  # only where there may be a warning
+        from pc2scan.transforms.mounting import mounting  # noqa: PLC0415  # only where there may be a warning
 
         return mounting(self.topic, self.source, self.samples, self.robot)
 
@@ -258,7 +258,7 @@ def target_that_moves(clouds: CloudFacts) -> Iterator[str]:
     target, buffer = clouds.spec.params.target_frame, clouds.transforms.buffer
     if not target or buffer is None or len(clouds.samples) > 1 or buffer.is_rigid(target, clouds.source):
         return
-    from pc2scan.tf.world_frames import find_body_motion  # noqa: PLC0415  # a lidar is usually rigid on its robot
+    from pc2scan.transforms.world_frames import find_body_motion  # noqa: PLC0415  # a lidar is usually rigid on its robot
 
     moving = find_body_motion(buffer, target, clouds.source)
     if moving is not None:
@@ -278,7 +278,7 @@ def clouds_in_fixed_frame(clouds: CloudFacts) -> Iterator[str]:
     frame = clouds.source.removeprefix("/")
     if clouds.spec.params.target_frame or frame not in _FIXED:
         return
-    from pc2scan.tf.summary import BODIES  # noqa: PLC0415  # few clouds are in such a frame
+    from pc2scan.transforms.summary import BODIES  # noqa: PLC0415  # few clouds are in such a frame
 
     buffer = clouds.transforms.read()
     bodies = [body for body in BODIES if buffer is not None and body in buffer.frames]
@@ -305,7 +305,7 @@ def _said_to_be_fixed(clouds: CloudFacts) -> str:
     buffer = known.buffer or known.read()
     if buffer is None or not own:
         return ""
-    from pc2scan.tf.world_frames import find_body_motion  # noqa: PLC0415  # few conversions give a frame
+    from pc2scan.transforms.world_frames import find_body_motion  # noqa: PLC0415  # few conversions give a frame
 
     moving = find_body_motion(buffer, source, own)
     return "" if moving is None else f"{clouds.topic}: {moving.of_source(source, own)}"
@@ -343,7 +343,7 @@ def swapped_transform(clouds: CloudFacts) -> Iterator[str]:
     static = next((each for each in clouds.transforms.static if each.child.removeprefix("/") == target), None)
     if floor is None or static is None or below < _BELOW or abs(below - floor.height) > _NEAR_FLOOR * floor.height:
         return
-    from pc2scan.tf.static import static_text  # noqa: PLC0415  # loaded by now
+    from pc2scan.transforms.static import static_text  # noqa: PLC0415  # loaded by now
 
     inverse = static_text(static.child, static.parent, static)
     yield (
@@ -361,7 +361,7 @@ def lossy_clouds(clouds: CloudFacts) -> Iterator[str]:
 
 def clouds_in_another_unit(clouds: CloudFacts) -> Iterator[str]:
     """Yield a warning if the points are so far away that they are in another unit."""
-    from pc2scan.tf.mounting import unit_warning  # noqa: PLC0415  # only where there may be a warning
+    from pc2scan.transforms.mounting import unit_warning  # noqa: PLC0415  # only where there may be a warning
 
     if text := unit_warning(clouds.topic, clouds.samples[0]):
         yield text
@@ -461,7 +461,7 @@ def _clouds(count: int) -> str:
 
 
 def _without_sensor(frame: str, target: str) -> str:
-    from pc2scan.tf.mounting import sensor_exclusion  # noqa: PLC0415  # only where there is a warning
+    from pc2scan.transforms.mounting import sensor_exclusion  # noqa: PLC0415  # only where there is a warning
 
     option, value = sensor_exclusion(frame, target)
     return f"`{option}={shlex.quote(value)}`"

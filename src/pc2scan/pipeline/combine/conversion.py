@@ -26,7 +26,7 @@ from pc2scan.messages.laserscan import LASERSCAN, LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.pipeline.cloud_to_scan import Beams
 from pc2scan.pipeline.conversion import Conversion, ConvertedMessage, Motion
-from pc2scan.tf.placing import Placement
+from pc2scan.transforms.placing import Placement
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.stages.deskew import Deskew, Track
     from pc2scan.pipeline.stages.filters import Filter
     from pc2scan.pipeline.stages.selection import SelectStage
-    from pc2scan.tf.placing import LevelFrame, Placer
+    from pc2scan.transforms.placing import LevelFrame, Placer
 
     from .grouping import Grouper
     from .rebinning import Rebinning

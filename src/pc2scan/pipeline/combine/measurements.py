@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.items import Span
     from pc2scan.pipeline.plan import Combination
     from pc2scan.pipeline.survey import Header, TopicFacts
-    from pc2scan.tf.placing import Placer
+    from pc2scan.transforms.placing import Placer
 
     from .conversion import Contribution
     from .rules import Rule

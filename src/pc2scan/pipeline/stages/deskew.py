@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pc2scan.core.rigid import Rigid
-    from pc2scan.tf.buffer import TransformBuffer
-    from pc2scan.tf.placing import Placer
+    from pc2scan.transforms.buffer import TransformBuffer
+    from pc2scan.transforms.placing import Placer
 
     from .point_time import FieldTimes, Times
     from .turn import Turn

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from pc2scan.core.moving import MovingTransform
     from pc2scan.core.points import Points
     from pc2scan.core.rigid import Rigid
-    from pc2scan.tf.placing import Placement, Placer
+    from pc2scan.transforms.placing import Placement, Placer
 
     from .deskew import Deskew, MovingCloud
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from pc2scan.core.rule import within
 from pc2scan.errors import UsageError
-from pc2scan.tf.static import number_in
+from pc2scan.transforms.static import number_in
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -1,0 +1,377 @@
+"""Converts one recording of a batch, in any process: a job becomes a line of the manifest, errors included."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
+from datetime import datetime, timezone
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+from pc2scan.bags.opening import open_recordings
+from pc2scan.core.params import ProjectionParams
+from pc2scan.errors import NothingToConvertError, OutputError, Pc2ScanError, UsageError
+from pc2scan.files.system import is_full
+from pc2scan.files.urls import UrlPath, absolute, path_or_url
+from pc2scan.options.call import Options
+from pc2scan.options.running import Container
+from pc2scan.options.table import conversion_options, options_of
+from pc2scan.pipeline.run import run
+from pc2scan.requests import conversion_of, output_of
+from pc2scan.result import json_value
+
+from .manifest import NO_CLOUDS, Identity, ManifestRecord, identity_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Generator, Sequence
+
+    from pc2scan.bags.damage import Damage
+    from pc2scan.exports.report import ExportReport
+    from pc2scan.exports.run import ExportOptions
+    from pc2scan.pipeline.options import ConvertOptions
+    from pc2scan.pipeline.report import Report
+    from pc2scan.pipeline.run_files import OutputOptions
+
+#: Outcomes by the exit status of `pc2scan convert`; that of all others is ``failed``.
+_OUTCOMES = {0: "converted", 3: "incomplete", 4: "empty"}
+
+#: Attributes that do not affect the output: where options come from.
+_PLACES = frozenset({"origins", "place"})
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A conversion as it was requested, checked. The recording and its destination are not part of it.
+
+    Attributes
+    ----------
+    options, output
+        As `pc2scan.pipeline.run.run` takes them.
+    files
+        The files that options name and that were read, by option.
+    notes
+        Warnings about the options.
+    export
+        How scans or clouds are exported; None if they are written to a recording instead.
+    digest
+        See `digest_of`.
+    """
+
+    options: ConvertOptions
+    output: OutputOptions
+    files: Mapping[str, Path]
+    notes: tuple[str, ...] = ()
+    export: ExportOptions | None = None
+    digest: str = ""
+
+
+def request_of(keywords: Mapping[str, Any], origins: Mapping[str, str] | None = None) -> Request:
+    """Read the options of a conversion.
+
+    Parameters
+    ----------
+    keywords
+        Options by name: those of `pc2scan.options.table.conversion_options`.
+    origins
+        Where options come from, for errors and reports.
+
+    Raises
+    ------
+    UsageError
+        If an option is unknown, has a wrong value, or contradicts another one.
+    """
+    known = conversion_options()
+    if unknown := keywords.keys() - known.keys():
+        raise UsageError(f"`{min(unknown)}` is not an option of a conversion")
+    options = Options("batch", keywords, origins, known=known)
+    _check_export(options)
+    output = output_of(options, like_source=True)
+    conversion = conversion_of(options)
+    export = None
+    if options.format is not None:
+        from pc2scan.exports.run import ExportOptions  # noqa: PLC0415  # most batches write recordings
+
+        export = ExportOptions.of(options, conversion.options, options.format)
+    # Absolute: another process may have another current folder.
+    frames = conversion.options.frames
+    frames = replace(frames, tf_from=tuple(map(absolute, frames.tf_from)))
+    files = {name: absolute(path) for name, path in conversion.files.items()}
+    request = Request(replace(conversion.options, frames=frames), output, files, conversion.notes, export)
+    return replace(request, digest=digest_of(request))
+
+
+def digest_of(request: Request) -> str:
+    """Return a digest of everything that affects the output.
+
+    Recordings that transforms are taken from count with their sizes and times of modification.
+    """
+    import hashlib  # noqa: PLC0415  # only batches need it
+    import json  # noqa: PLC0415
+
+    names = ("storage", "compression", "profile")
+    output = {name: getattr(request.output, name) for name in names}
+    if request.export is not None:
+        output["export"] = _canonical(replace(request.export, overwrite=False))
+    options = replace(request.options, jobs=0)
+    others = [identity_of([path]).as_json() for path in options.frames.tf_from]
+    whole = json_value({"options": _canonical(options), "output": output, "tf_from": others})
+    return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def _check_export(options: Options) -> None:
+    """Raise if an option of recordings is given besides ``format``."""
+    name, given = options.format, options.given
+    if name is None:
+        return
+    if idle := [f"`{word}`" for word in options_of("convert") if word in given and word in Container.__annotations__]:
+        raise UsageError(f"{', '.join(idle)} would have no effect: `format` writes no recordings")
+    from pc2scan.exports.formats import FORMATS  # noqa: PLC0415  # most batches write recordings
+
+    if FORMATS[name].needs_poses and not given.keys() & {"pose_frame", "odom_topic"}:
+        raise UsageError(f"`format={name}` needs poses", hint="give `pose_frame=odom`, or `odom_topic=/odom`")
+
+
+def _canonical(value: Any) -> Any:
+    """Return options as JSON's types. Equal options give equal results in every process."""
+    if isinstance(value, ProjectionParams):
+        # The queue's size bounds what is held in memory. It does not affect the output.
+        value = replace(value, queue_size=0)
+    if is_dataclass(value) and not isinstance(value, type):
+        # Only attributes that are not the default, so that an option that is added later changes no earlier digest.
+        shown = [each for each in fields(value) if each.repr and each.name not in _PLACES]
+        given = {each.name: _canonical(getattr(value, each.name)) for each in shown}
+        given = {each.name: given[each.name] for each in shown if given[each.name] != _canonical(_default_of(each))}
+        return {"": type(value).__name__, **given}
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, Mapping):
+        return {str(key): _canonical(part) for key, part in value.items()}
+    if isinstance(value, tuple | list | set | frozenset):
+        return [_canonical(part) for part in value]
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    return str(value) if isinstance(value, Path) else repr(value)
+
+
+def _default_of(attribute: Field[Any]) -> Any:
+    return attribute.default if attribute.default_factory is MISSING else attribute.default_factory()
+
+
+# --- Jobs ---
+
+
+class Event(NamedTuple):
+    """What happens while jobs run.
+
+    Attributes
+    ----------
+    what
+        ``begun``; ``progress``: ``value`` is the work that is done, and the work in all; ``died``: the process that
+        converted the recording has died, it is tried again, and ``value`` says why; ``done``: ``value`` is the line of
+        the manifest; ``workers``: ``value`` is how many recordings are converted at a time, if the executor decides it;
+        ``told``: ``value`` is information for the user, such as the address of a dashboard; ``idle``: nothing.
+    key
+        The name of the recording; empty if it is about none.
+    value
+        See ``what``.
+    """
+
+    what: str
+    key: str = ""
+    value: Any = None
+
+
+class Executor(Protocol):
+    """Runs jobs, and yields events, ``done`` once for each job.
+
+    Closing the generator interrupts the jobs and removes their unfinished outputs.
+    """
+
+    def __call__(self, jobs: Sequence[Job], *, workers: int, cores: int, lock: int | None) -> Generator[Event]:
+        """Run jobs.
+
+        Parameters
+        ----------
+        jobs
+            In the order in which they begin.
+        workers
+            How many recordings are converted at a time.
+        cores
+            The number of threads of all conversions together.
+        lock
+            The file descriptor of a lock that the processes on this machine hold until they end.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Job:
+    """A recording to be converted, with everything that another process needs for it.
+
+    Attributes
+    ----------
+    key
+        Its name in the dataset.
+    sources, destination
+        Absolute paths, or URLs.
+    container
+        The name of the source's format.
+    output
+        The path of the result, relative to the folder of the batch.
+    request
+        The conversion that is requested.
+    size_bytes
+        The size of all sources together.
+    owned
+        The recorded files of the output: it is replaced without ``overwrite``, too. None if there are none.
+    threads
+        The number of threads of the conversion.
+    dry_run
+        Whether nothing is written.
+    shown
+        Whether the line has the report as text.
+    scratch
+        The folder for local copies of what is at URLs; None: the system's folder for temporary files.
+    """
+
+    key: str
+    # Not in the repr: URLs may contain secrets, and a cluster writes jobs into its logs.
+    sources: tuple[str, ...] = field(repr=False)
+    destination: str = field(repr=False)
+    container: str = ""
+    output: str
+    request: Request
+    size_bytes: int = 0
+    owned: frozenset[str] | None = None
+    threads: int = 1
+    dry_run: bool = False
+    shown: bool = False
+    scratch: str | None = None
+
+    def retried(self) -> Job:
+        """Return the job for another attempt: one that died may have completed the output, which may be replaced."""
+        return replace(self, owned=self.owned or frozenset())
+
+    def record(self, **found: Any) -> ManifestRecord:
+        """Return the line of the manifest, with what was found by the conversion."""
+        sources = tuple(str(path_or_url(source)) for source in self.sources)
+        known = {"container": self.container, "options": self.request.digest, "output": self.output}
+        return ManifestRecord(key=self.key, sources=sources, **(known | found))
+
+    def failure(self, error: Pc2ScanError, /, **found: Any) -> ManifestRecord:
+        """Return the line of a recording that cannot be converted, with what is known of it."""
+        known = {"outcome": "failed", "exit_status": error.exit_status, "error": error.as_dict()}
+        return self.record(**(known | found))
+
+    def death(self, why: str, *, attempts: int, seconds: float) -> ManifestRecord:
+        """Return the line of a recording whose process died."""
+        error = Pc2ScanError(why)
+        try:
+            identity = identity_of(map(path_or_url, self.sources))
+        except Pc2ScanError:
+            identity = Identity()
+        return self.failure(
+            error,
+            identity=identity,
+            outcome="died",
+            error=error.as_dict() | {"kind": "ProcessDied"},
+            started=_utc_now(),
+            seconds=seconds,
+            attempts=attempts,
+        )
+
+
+def _utc_now() -> str:
+    """Return the time as the manifest has it: in UTC, with milliseconds."""
+    return datetime.now(timezone.utc).isoformat(timespec="milliseconds")
+
+
+def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = None) -> ManifestRecord:
+    """Convert a recording, and return its line of the manifest. Errors do not raise; they are part of the line.
+
+    Parameters
+    ----------
+    progress
+        See `pc2scan.convert`.
+    """
+    began = time.monotonic()
+    sources, destination = [path_or_url(path) for path in job.sources], path_or_url(job.destination)
+    known: dict[str, Any] = {"identity": Identity(), "started": _utc_now()}
+    try:
+        known["identity"] = identity_of(sources)
+        done = _run_job(job, sources, destination, progress)
+        report, status = done.as_dict(), done.exit_status
+        record = job.record(
+            outcome=_OUTCOMES.get(status, "failed"),
+            exit_status=status,
+            output_identity=Identity() if job.dry_run else identity_of([destination]),
+            report=report,
+            text=str(done) if job.shown else "",
+            **known,
+        )
+    except NothingToConvertError as err:
+        # Datasets have recordings of other kinds, too. A damaged one may have lost its clouds.
+        if not _damage_of(job, sources):
+            known |= {"outcome": NO_CLOUDS, "exit_status": 0}
+        record = job.failure(err, **known)
+    except Pc2ScanError as err:
+        # What is uploaded stays on no disk of this machine; and the next recording may fit where this one did not.
+        full = isinstance(err, OutputError) and not isinstance(destination, UrlPath) and is_full(err)
+        record = job.failure(err, disk_is_full=full, **known)
+    except Exception as err:  # noqa: BLE001  # one recording must not end the others; the manifest has the traceback
+        import traceback  # noqa: PLC0415  # a bug, or memory that is not there
+
+        kind, text = type(err).__name__, "".join(traceback.format_exception(err))
+        error = Pc2ScanError(f"{kind}: {err}" if str(err) else kind)
+        record = job.failure(error, error=error.as_dict() | {"kind": kind, "traceback": text}, **known)
+    return replace(record, seconds=round(time.monotonic() - began, 3))
+
+
+def _run_job(
+    job: Job, sources: list[Path], destination: Path, progress: Callable[[int, int, int], None] | None
+) -> Report | ExportReport:
+    """Convert or export; raises the errors of that."""
+    request = job.request
+    options = replace(request.options, jobs=job.threads)
+    if job.dry_run and request.export is not None and not request.export.converting:
+        return _inspect_export(job, sources)
+    if request.export is None or job.dry_run:
+        # An export that converts clouds would do what the conversion would.
+        scratch = None if job.scratch is None else Path(job.scratch)
+        output = request.output._replace(owned=job.owned, dry_run=job.dry_run, scratch=scratch)
+        return run(
+            sources,
+            destination,
+            options,
+            output,
+            also_read=request.files,
+            # The batch says them once; here they count if they are errors.
+            warnings=request.notes if options.fail_on == "warning" else (),
+            progress=progress,
+        )
+    from pc2scan.exports.run import run as export  # noqa: PLC0415  # most batches write recordings
+
+    form = replace(request.export, overwrite=request.output.overwrite, owned=job.owned)
+    return export(sources, destination, options, form, in_folder=True, also_read=request.files, progress=progress)
+
+
+def _inspect_export(job: Job, sources: list[Path]) -> ExportReport:
+    """Open a recording whose scans or clouds would be exported without conversion, and report what would be read."""
+    from pc2scan.exports.report import ExportReport  # noqa: PLC0415  # most batches write recordings
+
+    assert job.request.export is not None
+    form = str(job.request.export.format)
+    return ExportReport(list(job.sources), job.destination, form, damage=_damage_of(job, sources))
+
+
+def _damage_of(job: Job, sources: list[Path]) -> tuple[Damage, ...]:
+    """Open a recording, and return the damage that is found by that."""
+    options = job.request.options
+    with ExitStack() as stack:
+        readers = open_recordings(sources, stack, strict=options.strict)
+        return tuple(place for reader in readers for place in reader.damage)

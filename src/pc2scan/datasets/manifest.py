@@ -1,0 +1,371 @@
+"""What a batch remembers: the files of sources and results, and a line of JSON for each recording that was converted.
+
+A line is synced to the disk before its recording counts as done. If a recording has several lines, the last one counts.
+A last line without a line end was written by a run that was killed at that moment; it is ignored.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import PurePosixPath
+from typing import TYPE_CHECKING, Any
+
+from pc2scan.errors import DestinationError, UsageError
+from pc2scan.files.records import RECORD
+from pc2scan.files.source import file_beside
+from pc2scan.files.urls import UrlPath
+from pc2scan.version import __version__
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+#: The outcome of a recording without a topic of the types to convert. It is no failure.
+NO_CLOUDS = "no clouds"
+
+#: The name of the manifest in the folder of a batch.
+MANIFEST = "manifest.jsonl"
+
+#: Each line of a manifest begins with this. A file of the same name without it is refused.
+_BEGINNING = '{"pc2scan": "'
+
+#: Identities list up to this many files of a folder one by one; more are summed up.
+_MOST = 100
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """The files of a recording: the name, size and time of modification (ns) of each; no files if it does not exist.
+
+    A file in a store has its version there, such as an ETag, instead of a time.
+    """
+
+    files: tuple[tuple[str, int, int | str], ...] = ()
+
+    @property
+    def size_bytes(self) -> int:
+        """Return the total size of the files."""
+        return sum(size for _, size, _ in self.files)
+
+    def has_sizes_of(self, other: Identity) -> bool:
+        """Whether the files have the same sizes; their names and times may differ."""
+        return [size for _, size, _ in self.files] == [size for _, size, _ in other.files]
+
+    def as_json(self) -> list[list[Any]]:
+        """Return it as JSON's types."""
+        return [list(file) for file in self.files]
+
+    @classmethod
+    def from_json(cls, files: Iterable[Sequence[Any]]) -> Identity:
+        """Read what `as_json` returned."""
+        return cls(
+            tuple((str(name), int(size), time if isinstance(time, str) else int(time)) for name, size, time in files)
+        )
+
+
+def identity_of(paths: Iterable[Path]) -> Identity:
+    """Return the identity of a recording: of a file, of the files in a folder, or of several files."""
+    found = []
+    for path in paths:
+        if isinstance(path, UrlPath):
+            found += _stored_files(path)
+            continue
+        try:
+            # os.path is faster than Path, which matters for thousands of recordings.
+            found += _files_in(path) if os.path.isdir(path) else _file_and_logs(path)  # noqa: PTH112
+        except OSError:
+            continue
+    return Identity(tuple(found))
+
+
+def _file_and_logs(path: Path) -> list[tuple[str, int, int | str]]:
+    """Return the entries of a file and of the logs beside a database: a running recorder may write only to the logs."""
+    logs = filter(None, (file_beside(path, suffix) for suffix in ("-wal", "-journal")))
+    states = [(path.name, os.stat(path)), *((log.name, log.stat()) for log in logs)]  # noqa: PTH116
+    return [(name, state.st_size, state.st_mtime_ns) for name, state in states if state.st_size or name == path.name]
+
+
+def _stored_files(path: UrlPath) -> list[tuple[str, int, int | str]]:
+    """Return the entries of a file at a URL, or of the files in a folder; none if it does not exist."""
+    if not path.is_dir():
+        return [(path.name, *path.known()[:2])] if path.exists() else []
+    return _summed_up(sorted((below.relative_to(path).as_posix(), *below.known()[:2]) for below in path.below()))
+
+
+def identity_among(stored: Mapping[str, UrlPath], output: str) -> Identity:
+    """Return the identity of an output (a file or a folder) from a listing of the folder in a store."""
+    if output in stored:
+        return identity_of([stored[output]])
+    below = f"{output}/"
+    files = [(key[len(below) :], *found.known()[:2]) for key, found in stored.items() if key.startswith(below)]
+    return Identity(tuple(_summed_up(sorted(files))))
+
+
+def _files_in(folder: Path) -> list[tuple[str, int, int | str]]:
+    """Return the files in a folder and its subfolders; very many (one for each cloud) are summed up in one entry."""
+    found: list[tuple[str, int, int | str]] = []
+    for place, folders, names in os.walk(folder):
+        folders.sort()
+        below = os.path.relpath(place, folder)
+        # Not -shm: programs that only read a database create and change that file.
+        # Nor the record of an export, which says nothing that its files do not.
+        for name in sorted(name for name in names if not name.endswith("-shm") and name != RECORD):
+            # Broken links are ignored.
+            with suppress(OSError):
+                path = os.path.join(place, name)  # noqa: PTH118
+                state = os.stat(path)  # noqa: PTH116
+                found.append((os.path.normpath(os.path.join(below, name)), state.st_size, state.st_mtime_ns))  # noqa: PTH118
+    return _summed_up(found)
+
+
+def _summed_up(found: list[tuple[str, int, int | str]]) -> list[tuple[str, int, int | str]]:
+    """Return the files of a folder; very many as one entry."""
+    if len(found) <= _MOST:
+        return found
+    times = [time for _, _, time in found]
+    last = max((time for time in times if isinstance(time, int)), default=0)
+    if any(isinstance(time, str) for time in times):
+        import hashlib  # noqa: PLC0415  # few recordings have so many files
+
+        return [
+            (f"{len(found)} files", sum(size for _, size, _ in found), hashlib.sha256(repr(times).encode()).hexdigest())
+        ]
+    return [(f"{len(found)} files", sum(size for _, size, _ in found), last)]
+
+
+# --- Lines ---
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ManifestRecord:
+    """The result of one recording: a line of the manifest.
+
+    Attributes
+    ----------
+    key
+        Its name in the dataset.
+    sources
+        Its paths, absolute.
+    identity
+        The identity of the source when it was read.
+    container
+        The name of the source's format; empty if it is not a recording.
+    options
+        The digest of the request: see `pc2scan.datasets.jobs.Request`.
+    version
+        The version of pc2scan that converted it.
+    outcome
+        ``converted``, ``incomplete`` (messages skipped, or a damaged source), ``empty`` (no scan has a return),
+        ``no clouds`` (nor other topics of the types to convert), ``failed``, or ``died`` (the process that converted it
+        ended unexpectedly).
+    exit_status
+        The exit status that `pc2scan convert` would have had; 0 for ``no clouds``.
+    error
+        Why there is no result: ``class``, ``message``, ``place``, ``hint``, ``exit_status``; None if there is one.
+    output
+        The path of the result, relative to the folder of the batch; if the conversion failed, where an earlier result
+        may be. Empty if nothing was ever written.
+    output_identity
+        The identity of the result; without files if there is none.
+    started
+        When the conversion began, ISO 8601.
+    seconds
+        How long it took.
+    attempts
+        How often the conversion was tried.
+    report
+        The report of the conversion, as ``convert --report`` writes it; None if it failed.
+    text
+        The report as tables, if they are shown; not part of the line.
+    disk_is_full
+        Whether it failed because the disk of the results has no room; not part of the line.
+    """
+
+    key: str
+    sources: tuple[str, ...]
+    identity: Identity
+    container: str = ""
+    options: str
+    version: str = __version__
+    outcome: str
+    exit_status: int
+    error: Mapping[str, Any] | None = None
+    output: str = ""
+    output_identity: Identity = field(default_factory=Identity)
+    started: str = ""
+    seconds: float = 0.0
+    attempts: int = 1
+    report: Mapping[str, Any] | None = None
+    text: str = ""
+    disk_is_full: bool = False
+
+    @property
+    def is_written(self) -> bool:
+        """Whether there is a result."""
+        return bool(self.output_identity.files)
+
+    @property
+    def has_nothing(self) -> bool:
+        """Whether the recording has nothing to convert."""
+        return self.outcome == NO_CLOUDS
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the line as JSON's types."""
+        return {
+            "pc2scan": self.version,
+            "key": self.key,
+            "outcome": self.outcome,
+            "exit_status": self.exit_status,
+            "source": {
+                "paths": list(self.sources),
+                "container": self.container or None,
+                "bytes": self.identity.size_bytes,
+                "files": self.identity.as_json(),
+            },
+            "options": self.options,
+            "output": None
+            if not self.output
+            else {
+                "path": self.output,
+                "bytes": self.output_identity.size_bytes,
+                "files": self.output_identity.as_json(),
+            },
+            "started": self.started,
+            "seconds": round(self.seconds, 3),
+            "attempts": self.attempts,
+            "error": None if self.error is None else dict(self.error),
+            "report": None if self.report is None else dict(self.report),
+        }
+
+    @classmethod
+    def from_dict(cls, line: Mapping[str, Any]) -> ManifestRecord:
+        """Read what `as_dict` returned."""
+        source, output = line["source"], line["output"] or {}
+        refuse_outside(str(output.get("path", "")))
+        return cls(
+            key=str(line["key"]),
+            sources=tuple(map(str, source["paths"])),
+            identity=Identity.from_json(source["files"]),
+            container=source["container"] or "",
+            options=str(line["options"]),
+            version=str(line["pc2scan"]),
+            outcome=str(line["outcome"]),
+            exit_status=int(line["exit_status"]),
+            error=line["error"],
+            output=str(output.get("path", "")),
+            output_identity=Identity.from_json(output.get("files", ())),
+            started=str(line["started"]),
+            seconds=float(line["seconds"]),
+            attempts=int(line["attempts"]),
+            report=line["report"],
+        )
+
+
+def refuse_outside(output: str) -> None:
+    """Raise if a path leads out of the folder of the batch: a run may replace or remove the outputs that are noted."""
+    place = PurePosixPath(output)
+    if place.is_absolute() or ".." in place.parts:
+        raise ValueError(f"{output} is not below the folder of the batch")
+
+
+def records_in(data: bytes, path: Path) -> Iterator[ManifestRecord]:
+    """Yield the lines of a manifest.
+
+    Raises
+    ------
+    DestinationError
+        If it is not a manifest.
+    UsageError
+        If a line other than the last cannot be read; the message names it.
+    """
+    if data and not data.startswith(_BEGINNING.encode()[: len(data)]):
+        raise DestinationError("is not a manifest of pc2scan batch", path=path, hint="write into another folder")
+    # What follows the last line end was being written when a run was killed.
+    for number, line in enumerate(data.split(b"\n")[:-1], start=1):
+        try:
+            yield ManifestRecord.from_dict(json.loads(line))
+        except (ValueError, LookupError, TypeError, AttributeError) as err:
+            raise UsageError(
+                f"line {number} is not a line of a manifest ({type(err).__name__}: {err})",
+                path=path,
+                hint="remove the line, and the output that it names: that recording is converted again",
+            ) from err
+
+
+@dataclass(frozen=True)
+class History:
+    """What earlier runs have recorded.
+
+    Attributes
+    ----------
+    records
+        The manifest, by key.
+    unfinished
+        Outputs that a killed run was going to write, and did not record; relative to the folder of the batch.
+    left
+        How the files of the outputs were left when they were last written, by output. The last line of a recording
+        that could not be converted again does not say it.
+    """
+
+    records: Mapping[str, ManifestRecord]
+    unfinished: frozenset[str] = frozenset()
+    left: Mapping[str, Identity] = field(default_factory=dict)
+
+    @classmethod
+    def read(cls, lines: Iterable[ManifestRecord], noted: frozenset[str], noted_after: int = 0) -> History:
+        """Return the history that a manifest tells, and the note of outputs that a run made after so many lines."""
+        records: dict[str, ManifestRecord] = {}
+        left: dict[str, Identity] = {}
+        recorded = set()
+        for number, line in enumerate(lines):
+            records[line.key] = line
+            if line.is_written:
+                left[line.output] = line.output_identity
+            if number >= noted_after:
+                recorded.add(line.output)
+        return cls(records, noted - recorded, left)
+
+    @cached_property
+    def outputs(self) -> frozenset[str]:
+        """The outputs that were written by earlier runs, or may be."""
+        return self._unknown.union(self.left)
+
+    @cached_property
+    def _unknown(self) -> frozenset[str]:
+        """The outputs of which it is not known what a run left: it was killed, or the process died that wrote it."""
+        return self.unfinished | {
+            each.output for each in self.records.values() if each.output and each.outcome == "died"
+        }
+
+    def may_replace(self, output: str, there: Identity) -> bool:
+        """Whether an output that is there may be replaced: no one else has written or edited it."""
+        return not there.files or output in self._unknown or there == self.left.get(output)
+
+    @cached_property
+    def _containers(self) -> dict[tuple[str, Any], str]:
+        """The formats of recordings and their parts, by path and files."""
+        containers: dict[tuple[str, Any], str] = {}
+        for record in self.records.values():
+            if not record.container:
+                continue
+            containers[record.sources[0], record.identity.files] = record.container
+            if len(record.sources) == len(record.identity.files) > 1:
+                for path, file in zip(record.sources, record.identity.files, strict=True):
+                    containers[path, (file,)] = record.container
+        return containers
+
+    def container_of(self, path: Path, identity: Identity) -> str:
+        """Return the format of a recording that an earlier run has found, by its first path and files; else empty."""
+        return self._containers.get((str(path), identity.files), "")
+
+    def owned(self, output: str) -> frozenset[str] | None:
+        """Return the recorded files of an output, relative to its folder; None if it was never written."""
+        if output not in self.outputs:
+            return None
+        name = PurePosixPath(output).name
+        left = self.left.get(output, Identity())
+        return frozenset(file if file == name else f"{name}/{file}" for file, _, _ in left.files)

@@ -1,0 +1,449 @@
+"""The report of a batch: the structure from which tables, report files and the exit status are made."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+from pc2scan.errors import leading, visible
+from pc2scan.result import BEGINNING, Part, Result
+from pc2scan.tables import Table, csv_cell
+from pc2scan.text import count, counted, duration, size
+from pc2scan.version import __version__
+
+from .manifest import NO_CLOUDS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from .manifest import ManifestRecord
+    from .plan import Step
+
+#: Outcomes from bad to good. Recordings are shown in this order.
+_ORDER = ("died", "failed", "empty", "incomplete", NO_CLOUDS, "converted", "skipped")
+
+#: Outcomes that make the exit status 1, and 3.
+_BAD, _ODD = frozenset({"died", "failed"}), frozenset({"empty", "incomplete"})
+
+#: Maximum number of recordings that are listed one by one. Of more, what is said of them is listed instead.
+_MAX_SHOWN = 30
+
+#: What is said of recordings of earlier runs whose files do not exist any more.
+_GONE = "no longer there"
+
+#: How many recordings are named as examples, and the length of their names together.
+_EXAMPLES, _LONGEST = 3, 60
+
+#: What differs between texts that say the same of different recordings: quoted names, topics, numbers.
+_VARIABLE = re.compile(r"'[^']*'|(?<![\w.])/[\w./-]+|-?\d[\d,.]*(?:e[+-]?\d+)?")
+
+#: Columns of the report's table.
+_COLUMNS = (
+    ("recording", "key"),
+    ("output", "output"),
+    ("outcome", "outcome"),
+    ("status", "exit_status"),
+    ("action", "action"),
+    ("scans", "scans"),
+    ("empty", "empty_scans"),
+    ("skipped", "skipped"),
+    ("damaged", "damaged"),
+    ("warnings", "warnings"),
+    ("bytes_read", "bytes_read"),
+    ("bytes_written", "bytes_written"),
+    ("seconds", "seconds"),
+    ("attempts", "attempts"),
+    ("why", "why"),
+    ("error", "error"),
+    ("before", "before"),
+    ("remarks", "remark_text"),
+)
+
+#: The first bytes of reports, by suffix. Only a file that begins with them is replaced by another report.
+BEGINNINGS = {
+    ".json": BEGINNING,
+    # The first columns, which also earlier versions have written.
+    ".csv": (",".join(heading for heading, _ in _COLUMNS[:4])).encode(),
+    ".md": b"# Batch of pc2scan",
+}
+
+
+class Group(NamedTuple):
+    """Recordings of which the same is said, with other names or numbers.
+
+    Attributes
+    ----------
+    kind
+        ``warning``, ``damaged``, ``skipped``, or the outcome of which it is the reason.
+    text
+        What is said of the first of them.
+    recordings
+        Their names in the dataset.
+    """
+
+    kind: str
+    text: str
+    recordings: tuple[str, ...]
+
+
+class Change(NamedTuple):
+    """Recordings of which the same has changed since the last run.
+
+    Attributes
+    ----------
+    what
+        ``new``; ``no longer there``; or the outcomes, such as ``converted, failed before``.
+    recordings
+        Their names in the dataset.
+    """
+
+    what: str
+    recordings: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """The outcome of one recording.
+
+    Attributes
+    ----------
+    key
+        Its name in the dataset.
+    action
+        ``convert``, ``keep`` (done by an earlier run), ``refuse`` or ``skip``.
+    why
+        The reason.
+    outcome
+        As in a `pc2scan.datasets.manifest.ManifestRecord`; or ``skipped``.
+    exit_status
+        The exit status that `pc2scan convert` would have had.
+    output
+        The path of the result, relative to the folder of the batch; empty for none.
+    scans, empty_scans
+        Messages that were converted, and how many of them have no return.
+    skipped
+        The number of messages that are missing in the result.
+    warning_texts
+        The warnings.
+    damage
+        What is damaged in the source.
+    bytes_read, bytes_written, seconds, attempts
+        As the conversion reports them.
+    error, hint
+        Why it failed, or has nothing to convert, and what helps; empty if there is a result.
+    before
+        The outcome of the last run that began this recording; empty if there was none.
+    """
+
+    key: str
+    action: str
+    why: str
+    outcome: str
+    exit_status: int = 0
+    output: str = ""
+    scans: int = 0
+    empty_scans: int = 0
+    skipped: int = 0
+    damage: tuple[str, ...] = ()
+    warning_texts: tuple[str, ...] = ()
+    bytes_read: int = 0
+    bytes_written: int = 0
+    seconds: float = 0.0
+    attempts: int = 0
+    error: str = ""
+    hint: str = ""
+    before: str = ""
+
+    @classmethod
+    def of(cls, step: Step, record: ManifestRecord | None) -> Outcome:
+        """Return the outcome of a step of the plan, given its line of the manifest."""
+        if step.action == "skip":
+            return cls(key=step.found.key, action="skip", why=step.why, outcome="skipped")
+        assert record is not None  # all others have ended
+        report: Mapping[str, Any] = record.report or {}
+        error: Mapping[str, Any] = record.error or {}
+        topics = report.get("topics", ())
+        if report.get("kind") == "export":
+            scans, empty = sum(topic["written"] for topic in topics), 0
+        else:
+            converted = [topic for topic in topics if topic["action"] == "converted"]
+            scans, empty = (sum(topic[name] for topic in converted) for name in ("messages_out", "empty_scans"))
+        return cls(
+            key=step.found.key,
+            action=step.action,
+            why=step.why,
+            outcome=record.outcome,
+            exit_status=record.exit_status,
+            output=record.output if record.report is not None else "",
+            scans=scans,
+            empty_scans=empty,
+            skipped=report.get("skipped_count", 0),
+            damage=tuple(place["what"] for place in report.get("damage", ())),
+            warning_texts=tuple(map(str, report.get("warnings", ()))),
+            bytes_read=record.identity.size_bytes,
+            bytes_written=report.get("bytes_written", record.output_identity.size_bytes),
+            seconds=record.seconds,
+            attempts=record.attempts,
+            error=str(error.get("message", "")),
+            hint=str(error.get("hint") or ""),
+            before="" if step.record is None else step.record.outcome,
+        )
+
+    @property
+    def warnings(self) -> int:
+        """How many warnings there are."""
+        return len(self.warning_texts)
+
+    @property
+    def damaged(self) -> int:
+        """How many places of the source are damaged."""
+        return len(self.damage)
+
+    @property
+    def rank(self) -> tuple[int, bool, bool]:
+        """The sorting key that puts bad outcomes first."""
+        return _ORDER.index(self.outcome), not self.empty_scans, not self.warnings
+
+    @property
+    def remark(self) -> str:
+        """A short text on what is special: skipped messages, damage, warnings."""
+        if self.error:
+            return self.error if self.outcome != NO_CLOUDS else ""
+        numbers = ((self.skipped, "skipped"), (self.damaged, "damaged"))
+        told = [f"{number:,} {what}" for number, what in numbers if number]
+        return ", ".join([*told, counted(self.warnings, "warning")] if self.warnings else told)
+
+    def remarks(self) -> Iterator[tuple[str, str]]:
+        """Yield what is said of it: of which kind (see `Group`), and the text."""
+        if self.error:
+            yield self.outcome, f"{self.error} ({self.hint})" if self.hint else self.error
+        if self.skipped:
+            yield "skipped", counted(self.skipped, "message")
+        yield from (("damaged", text) for text in self.damage)
+        yield from (("warning", text) for text in self.warning_texts)
+
+    @property
+    def remark_text(self) -> str:
+        """What is said of it besides the error, as one text."""
+        return "; ".join(f"{kind}: {text}" for kind, text in self.remarks() if kind != self.outcome)
+
+
+def groups_of(outcomes: Iterable[Outcome]) -> list[Group]:
+    """Return what is said of several recordings, the worst first, then what is said of most."""
+    found: dict[tuple[str, str], tuple[str, dict[str, None]]] = {}
+    for each in outcomes:
+        for kind, text in each.remarks():
+            _, keys = found.setdefault((kind, _VARIABLE.sub("#", text)), (text, {}))
+            keys[each.key] = None
+    kinds = [*_ORDER, "skipped", "damaged", "warning"]
+    groups = [Group(kind, text, tuple(keys)) for (kind, _), (text, keys) in found.items()]
+    return sorted(groups, key=lambda group: (kinds.index(group.kind), -len(group.recordings)))
+
+
+def changes_of(outcomes: Iterable[Outcome], gone: Sequence[str]) -> list[Change]:
+    """Return what has changed since the last run; nothing if there was none. ``gone`` do not exist any more."""
+    begun = sorted((each for each in outcomes if each.action != "skip"), key=lambda each: each.rank)
+    if not gone and not any(each.before for each in begun):
+        return []
+    found: dict[str, list[str]] = {}
+    for each in begun:
+        if each.before != each.outcome:
+            what = f"{each.outcome}, {each.before} before" if each.before else "new"
+            found.setdefault(what, []).append(each.key)
+    if gone:
+        found[_GONE] = list(gone)
+    return [Change(what, tuple(keys)) for what, keys in found.items()]
+
+
+def _examples(names: Sequence[str]) -> str:
+    """Return some names, and how many more there are."""
+    shown = [names[0]]
+    for name in names[1:_EXAMPLES]:
+        if len(", ".join((*shown, name))) > _LONGEST:
+            break
+        shown.append(name)
+    more = len(names) - len(shown)
+    return ", ".join(shown) + (f" and {more:,} more" if more else "")
+
+
+@dataclass(slots=True, repr=False)
+class BatchReport(Result):
+    """The report of a batch.
+
+    Attributes
+    ----------
+    destination
+        The folder of the results.
+    outcomes
+        One for each recording, in the order of their names.
+    dry_run
+        Whether it was a dry run, which converts only the first clouds.
+    seconds
+        The duration of the run.
+    workers
+        How many recordings were converted at a time; 0 if there were none.
+    warnings
+        Warnings.
+    gone
+        Recordings of earlier runs whose files do not exist any more. Their results stay.
+    """
+
+    kind: ClassVar[str] = "batch"
+    json_names: ClassVar[tuple[str, ...]] = (
+        *("destination", "dry_run", "counts", "unchanged", "workers", "seconds"),
+        *("changes", "groups", "recordings"),
+    )
+
+    destination: Path | str
+    outcomes: list[Outcome] = field(default_factory=list)
+    dry_run: bool = False
+    seconds: float = 0.0
+    workers: int = 0
+    warnings: list[str] = field(default_factory=list)
+    gone: tuple[str, ...] = ()
+
+    @property
+    def exit_status(self) -> int:
+        """0 if every recording is converted; 3 if some are incomplete or empty; 1 if any failed."""
+        found = {outcome.outcome for outcome in self.outcomes}
+        return 1 if found & _BAD else 3 if found & _ODD else 0
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many recordings have each outcome, the bad ones first."""
+        counted = Counter(outcome.outcome for outcome in self.outcomes)
+        return {name: counted[name] for name in _ORDER if counted[name]}
+
+    @property
+    def unchanged(self) -> int:
+        """How many recordings had been converted before."""
+        return sum(outcome.action == "keep" for outcome in self.outcomes)
+
+    @property
+    def groups(self) -> list[Group]:
+        """What is said of several recordings, the worst first, then what is said of most."""
+        return groups_of(self._ordered())
+
+    @property
+    def changes(self) -> list[Change]:
+        """What has changed since the last run; empty for the first one."""
+        return changes_of(self.outcomes, self.gone)
+
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{number:,} {name}" for name, number in self.counts.items())
+        return f"<BatchReport on {str(self.destination)!r}: {counts or 'nothing'}, exit status {self.exit_status}>"
+
+    @property
+    def recordings(self) -> list[dict[str, Any]]:
+        """The rows of the report's table, bad outcomes first."""
+        return [{heading: getattr(each, name) for heading, name in _COLUMNS} for each in self._ordered()]
+
+    def _ordered(self) -> list[Outcome]:
+        return sorted(self.outcomes, key=lambda outcome: outcome.rank)
+
+    def body(self, *, verbose: bool = False) -> Iterator[Part]:
+        """Yield the recordings, bad outcomes first, what is said of several, and the total.
+
+        Of more than thirty recordings, those that need attention are only listed by what is said of them;
+        ``verbose``: all recordings.
+        """
+        if self.dry_run:
+            yield "dry run, nothing is written"
+        listed = self._ordered() if verbose or len(self.outcomes) <= _MAX_SHOWN else []
+        if listed:
+            yield _table_of(listed)
+            yield ""
+        # Errors are in the table already.
+        groups = [group for group in self.groups if not listed or group.kind not in _ORDER]
+        if groups:
+            yield _table_of_groups(groups)
+            yield ""
+        yield from self.total()
+
+    def total(self) -> Iterator[str]:
+        """Yield the numbers of recordings, scans and bytes."""
+        counts = ", ".join(f"{number:,} {name}" for name, number in self.counts.items())
+        would = "would be: " if self.dry_run else ""
+        yield f"{counted(len(self.outcomes), 'recording')}{f': {would}{counts}' if counts else ''}" + (
+            f"; {self.unchanged:,} unchanged since an earlier run" if self.unchanged else ""
+        )
+        done = [each for each in self.outcomes if each.action == "convert"]
+        read, written = sum(each.bytes_read for each in done), sum(each.bytes_written for each in done)
+        scans, empty = sum(each.scans for each in self.outcomes), sum(each.empty_scans for each in self.outcomes)
+        if self.dry_run:
+            if done:
+                yield f"{len(done):,} to convert: {size(read)}"
+            return
+        yield f"{counted(scans, 'scan')}, {empty:,} without a return"
+        if done:
+            results = sum(each.outcome in ("empty", "incomplete", "converted") for each in done)
+            yield (
+                f"{self.destination}: {counted(results, 'result')} written now, {size(written)} from {size(read)} in "
+                f"{duration(self.seconds)}, {self.workers} at a time"
+            )
+        else:
+            yield f"{leading(str(self.destination))}: nothing to do ({duration(self.seconds)})"
+        for change in self.changes:
+            since = "of earlier runs" if change.what == _GONE else "since the last run"
+            yield f"{since}, {len(change.recordings):,} {change.what}: {_examples(change.recordings)}"
+
+
+def _table_of(outcomes: Iterable[Outcome]) -> Table:
+    rows = [
+        (
+            each.key,
+            each.outcome,
+            count(each.scans),
+            count(each.empty_scans),
+            size(each.bytes_written) if each.bytes_written else "-",
+            each.why if each.action != "refuse" else "",
+            each.remark,
+        )
+        for each in outcomes
+    ]
+    headings = ("recording", "outcome", "scans", "empty", "written", "why", "remark")
+    return Table(headings, rows, left=("recording", "outcome", "why", "remark"))
+
+
+def _table_of_groups(groups: Iterable[Group]) -> Table:
+    rows = [(f"{len(each.recordings):,}", each.kind, each.text, _examples(each.recordings)) for each in groups]
+    return Table(("recordings", "what", "text", "such as"), rows, left=("what", "text", "such as"))
+
+
+def report_text(report: BatchReport, suffix: str) -> str:
+    """Return a report as the text of a file; ``suffix`` is a key of `BEGINNINGS`."""
+    if suffix == ".json":
+        return report.as_json()
+    rows = [list(line.values()) for line in report.recordings]
+    headings = [heading for heading, _ in _COLUMNS]
+    if suffix == ".csv":
+        cells = [[csv_cell(cell) if isinstance(cell, str) else str(cell) for cell in row] for row in rows]
+        return "".join(f"{','.join(line)}\n" for line in (headings, *cells))
+    return "\n".join(_markdown(report, headings, rows)) + "\n"
+
+
+def _markdown(report: BatchReport, headings: Sequence[str], rows: Sequence[Sequence[Any]]) -> Iterator[str]:
+    yield f"{BEGINNINGS['.md'].decode()} {__version__}"
+    yield ""
+    yield from (f"{visible(line)}\n" for line in report.total())
+    if groups := report.groups:
+        table = _table_of_groups(groups)
+        yield from _markdown_table(table.columns, table.rows)
+        yield ""
+    yield from _markdown_table(headings, rows)
+
+
+def _markdown_table(headings: Sequence[str], rows: Iterable[Sequence[Any]]) -> Iterator[str]:
+    yield f"| {' | '.join(headings)} |"
+    yield f"|{'---|' * len(headings)}"
+    for row in rows:
+        yield f"| {' | '.join(_cell(str(cell)) for cell in row)} |"
+
+
+def _cell(text: str) -> str:
+    # Names come from recordings and folders. Escaped, they cannot be taken for markup. Options are code.
+    parts = re.split(r"(`[\w=./:-]+`)", visible(text, None))
+    return "".join(part if n % 2 else re.sub(r"[\\`*_{}\[\]<>#|~]", r"\\\g<0>", part) for n, part in enumerate(parts))

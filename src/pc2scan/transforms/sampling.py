@@ -1,0 +1,135 @@
+"""Looks up one transform at many times, between which the transforms of points are interpolated.
+
+The rules are those of `pc2scan.transforms.buffer`; results differ from its in the last bits of float64.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from pc2scan.core import kernel
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    from .chain import Chain
+    from .history import FrameHistory
+
+    Needed = Callable[[NDArray[np.int64], NDArray[np.float64]], int]
+
+#: The stamps of a static link.
+_ALWAYS = np.empty(0, np.int64)
+
+
+class _Links(NamedTuple):
+    """What of a chain an interval needs: the links from both frames up to the common ancestor, and those above it."""
+
+    source: tuple[FrameHistory, ...]
+    target: tuple[FrameHistory, ...]
+    above: tuple[FrameHistory, ...]
+
+
+def sample_chain(
+    chain: Chain | None, begin_ns: int, end_ns: int, step_ns: int, needed_ns: Needed
+) -> tuple[NDArray[np.int64], NDArray[np.float64], int]:
+    """Look up a chain at many times in an interval; see `TransformBuffer.rows`.
+
+    Parameters
+    ----------
+    chain
+        Whose frames have the same parents in the whole interval. None: there is no transform in it.
+    end_ns
+        The interval may be a single time, which has one row.
+    """
+    links = None
+    if chain is not None:
+        sides = (chain.source_side.links, chain.target_side.links, chain.above)
+        links = _Links(*(tuple([link.during(begin_ns, end_ns) for link in side]) for side in sides))
+    if links is None or begin_ns == end_ns:
+        times = np.array([begin_ns, begin_ns + (end_ns - begin_ns) // 2, end_ns][: 3 if begin_ns < end_ns else 1])
+        return times[::2], np.full((times.size, 12), np.nan) if links is None else rows_of(links, times), 0
+    times, gap_ns = _node_times(links, begin_ns, end_ns, step_ns)
+    found = rows_of(links, times)
+    needed = needed_ns(times[::2], found)
+    if needed < step_ns:
+        times, gap_ns = _node_times(links, begin_ns, end_ns, needed)
+        found = rows_of(links, times)
+    return times[::2], found, gap_ns
+
+
+def join_samples(
+    parts: Sequence[tuple[NDArray[np.int64], NDArray[np.float64], int]],
+) -> tuple[NDArray[np.int64], NDArray[np.float64], int]:
+    """Return several intervals as one, each of which begins a nanosecond after the one before; see `sample_chain`."""
+    rows: list[NDArray[np.float64]] = []
+    for _, found, _ in parts:
+        # The middle between the last time and the next one is the last time.
+        rows += [rows[-1][-1:], found] if rows else [found]
+    return np.concatenate([stamps for stamps, _, _ in parts]), np.concatenate(rows), max(gap for _, _, gap in parts)
+
+
+def _node_times(links: _Links, begin_ns: int, end_ns: int, step_ns: int) -> tuple[NDArray[np.int64], int]:
+    """Return the times at which a chain is looked up, nanoseconds, and its longest gap; see `kernel.nodes`.
+
+    Samples of each link are among them: there the motion may change.
+    """
+    stamps = tuple([link.stamps_ns for link in (*links.source, *links.target) if not link.static])
+    times, gap_ns = kernel.nodes(stamps, begin_ns, end_ns, step_ns)
+    return np.frombuffer(times, np.int64), gap_ns
+
+
+def rows_of(links: _Links, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return ``target_from_source`` at (N,) stamps.
+
+    Returns
+    -------
+    (N, 12) float64
+        The rows of the rotation, then the translation; NaN where a frame is not known.
+    """
+    rows = _rows_to_ancestor(links.source, stamps_ns)
+    if not links.target:
+        return rows
+    target = _rows_to_ancestor(links.target, stamps_ns)
+    back = target[:, :9].reshape(-1, 3, 3).transpose(0, 2, 1)
+    origin = np.einsum("nij,nj->ni", back, rows[:, 9:] - target[:, 9:])
+    # As in `follow`. The inverse of the target's walk scales, and what both walks have in common scales before.
+    for link in links.target:
+        origin *= _squared_lengths(link, stamps_ns)[:, np.newaxis]
+    if links.source:
+        known = np.ones(stamps_ns.size, np.bool_)
+        for link in links.above:
+            squared = _squared_lengths(link, stamps_ns)
+            known &= ~np.isnan(squared)
+            origin[known] *= np.square(squared[known])[:, np.newaxis]
+    return np.concatenate([(back @ rows[:, :9].reshape(-1, 3, 3)).reshape(-1, 9), origin], axis=1)
+
+
+def _rows_to_ancestor(links: Iterable[FrameHistory], stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the transforms from a frame up to the common ancestor."""
+    rows = np.zeros((stamps_ns.size, 12))
+    rows[:, 0:9:4] = 1.0
+    for link in links:
+        if link.static:
+            kernel.follow(stamps_ns, _ALWAYS, link.poses[-1:], rows)
+        else:
+            kernel.follow(stamps_ns, link.stamps_ns, link.poses, rows)
+    return rows
+
+
+def _squared_lengths(link: FrameHistory, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the squared lengths of a link's quaternions, (N,); NaN where it is not known."""
+    samples, poses = _ALWAYS, link.poses[-1:]
+    if not link.static:
+        begin, end = link.stamps_ns.searchsorted(stamps_ns[[0, -1]]).tolist()
+        needed = slice(max(begin - 1, 0), end + 1)
+        samples, poses = link.stamps_ns[needed], link.poses[needed]
+    # They are how much a rotation scales.
+    rows = np.zeros((stamps_ns.size, 12))
+    rows[:, 9] = 1.0
+    kernel.follow(stamps_ns, samples, poses * [0, 0, 0, 1, 1, 1, 1], rows)
+    lengths: NDArray[np.float64] = np.linalg.norm(rows[:, 9:], axis=1)
+    return lengths

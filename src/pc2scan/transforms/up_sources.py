@@ -1,0 +1,130 @@
+"""The direction of up in a frame at a stamp: by a frame whose z axis points up, or by an IMU."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+from pc2scan.core.gravity import LONGEST_GAP_NS, Up, up_in
+from pc2scan.errors import TransformError, stamp_text
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from .buffer import TransformBuffer
+
+#: Stamps that differ by more seconds than this are assumed to come from different clocks.
+_ANOTHER_CLOCK = 3600
+
+
+class UpSource(Protocol):
+    """A source of the direction of up."""
+
+    def __call__(self, frame: str, stamp_ns: int) -> Up:
+        """Return the direction of up in a frame at a stamp.
+
+        Raises
+        ------
+        TransformError
+            If the direction is unknown.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class UpByFrame:
+    """Up as the z axis of a frame that does not move.
+
+    Attributes
+    ----------
+    fixed_frame
+        The frame.
+    buffer, tolerance_ns
+        See `pc2scan.transforms.placing.Placer`.
+    """
+
+    fixed_frame: str
+    buffer: TransformBuffer
+    tolerance_ns: int = 0
+
+    def __call__(self, frame: str, stamp_ns: int) -> Up:
+        """Return up; see `UpSource`."""
+        return up_in(self.buffer.lookup(self.fixed_frame, frame, stamp_ns, self.tolerance_ns).quaternion.tolist())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UpByImu:
+    """Up as measured by an IMU, in its frame, at the stamps of its messages.
+
+    Attributes
+    ----------
+    topic, imu_frame
+        Topic and frame of the IMU.
+    stamps_ns
+        (N,) increasing, N > 0.
+    directions
+        (N, 3) directions of up in the IMU's frame.
+    buffer, tolerance_ns
+        See `pc2scan.transforms.placing.Placer`.
+    """
+
+    topic: str
+    imu_frame: str
+    stamps_ns: NDArray[np.int64]
+    directions: NDArray[np.float64]
+    buffer: TransformBuffer
+    tolerance_ns: int = 0
+
+    def __call__(self, frame: str, stamp_ns: int) -> Up:
+        """Return up, interpolated linearly between two messages; see `UpSource`."""
+        up: NDArray[np.float64] = self._up_of_imu(stamp_ns)
+        if frame.removeprefix("/") == self.imu_frame.removeprefix("/"):
+            x, y, z = up.tolist()
+        else:
+            try:
+                moved = self.buffer.lookup(frame, self.imu_frame, stamp_ns, self.tolerance_ns)
+            except TransformError as err:
+                err.message = f"the IMU of {self.topic}: {err.message}"
+                err.hint = (
+                    f"say how it is mounted: `static_tf='{frame} {self.imu_frame} 0 0 0 ROLL PITCH YAW'`; "
+                    f"`imu={self.topic}:FRAME` corrects its frame"
+                )
+                raise
+            x, y, z = (moved.matrix @ up).tolist()
+        return (x, y, z)
+
+    def _up_of_imu(self, stamp_ns: int) -> NDArray[np.float64]:
+        """Return up in the IMU's frame, not of unit length."""
+        stamps = self.stamps_ns
+        newer = int(stamps.searchsorted(stamp_ns))
+        older = newer if newer < len(stamps) and stamps[newer] == stamp_ns else newer - 1
+        if older < 0 or newer == len(stamps):
+            older = newer = min(newer, len(stamps) - 1)
+            outside_ns = abs(stamp_ns - int(stamps[newer]))
+            if outside_ns > self.tolerance_ns:
+                raise self._outside_error(stamp_ns, outside_ns)
+        begin_ns, end_ns = int(stamps[older]), int(stamps[newer])
+        if end_ns - begin_ns > LONGEST_GAP_NS:
+            raise TransformError(
+                f"the direction of up is not known at {stamp_text(stamp_ns)}: {self.topic} has no messages between "
+                f"{stamp_text(begin_ns)} and {stamp_text(end_ns)}, gaps up to {LONGEST_GAP_NS / 1e9:g} s are allowed",
+                stamp_ns=stamp_ns,
+                hint="`fixed_frame` levels by transforms instead",
+            )
+        ratio = (stamp_ns - begin_ns) / max(end_ns - begin_ns, 1) if newer > older else 0.0
+        between: NDArray[np.float64] = (1 - ratio) * self.directions[older] + ratio * self.directions[newer]
+        # There is no direction between two opposite ones.
+        return between if between.any() else self.directions[older]
+
+    def _outside_error(self, stamp_ns: int, outside_ns: int) -> TransformError:
+        first, last = (stamp_text(int(self.stamps_ns[place])) for place in (0, -1))
+        hint = f"a transform_tolerance of at least {stamp_text(outside_ns)} s would use the nearest message"
+        if outside_ns > _ANOTHER_CLOCK * 1_000_000_000:
+            hint = "the IMU's stamps are from another clock; `fixed_frame` levels by transforms instead"
+        return TransformError(
+            f"the direction of up is not known at {stamp_text(stamp_ns)}: {self.topic} has messages from {first} "
+            f"to {last}, the tolerance is {stamp_text(self.tolerance_ns)} s",
+            stamp_ns=stamp_ns,
+            hint=hint,
+        )

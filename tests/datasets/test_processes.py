@@ -1,0 +1,328 @@
+"""Batches in processes of their own: whole datasets, killed and continued, interrupted, and workers that die."""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+import pc2scan
+from datasets.datasets import make_dataset
+from pc2scan.datasets.processes import available_bytes, receive, send, workers_for
+from pc2scan.errors import DestinationError, Pc2ScanError
+from support import sampled
+from support.batches import HEIGHTS, KEYWORDS, batch, contents, manifest_of, place
+from support.command import COMMAND, INTERRUPTED, environment, run
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+NOTE = ".pc2scan-begun.json"
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals and locks of POSIX")
+
+
+def start(*words: str | Path, **pipes: Any) -> subprocess.Popen[bytes]:
+    command = [*COMMAND, "batch", *map(str, words)]
+    return subprocess.Popen(command, env=environment(), start_new_session=True, **pipes)
+
+
+def test_processes_convert_as_this_process_does(tmp_path: Path) -> None:
+    place(tmp_path / "in", "a.bag", "b.mcap", "r/cut.bag")
+    cut = tmp_path / "in" / "r" / "cut.bag"
+    cut.write_bytes(cut.read_bytes()[:-4000])
+    seen: list[Any] = []
+    report = pc2scan.batch(tmp_path / "in", tmp_path / "there", jobs=2, progress=seen.append, **KEYWORDS)
+    here = batch(tmp_path / "in", tmp_path / "here")
+    assert contents(tmp_path / "there") == contents(tmp_path / "here")
+    found = [{each.key: (each.outcome, each.output, each.scans) for each in made.outcomes} for made in (report, here)]
+    assert found[0] == found[1]
+    assert [each.key for each in report.outcomes] == ["a.bag", "b.mcap", "r/cut.bag"]
+    assert (report.exit_status, report.counts) == (3, {"incomplete": 1, "converted": 2})
+    assert "1 incomplete, 2 converted" in str(report)
+    assert seen[-1].recordings_done == seen[-1].recordings_total == 3
+    assert seen[-1].bytes_done == seen[-1].bytes_total
+    assert all(0 <= each.bytes_done <= each.bytes_total for each in seen)
+
+
+@pytest.mark.parametrize(("count", "kills"), sampled([(42, 1), (200, 5)], 1))
+def test_a_dataset_is_continued_after_kills(count: int, kills: int, tmp_path: Path) -> None:
+    folder, clean, killed = tmp_path / "recordings", tmp_path / "clean", tmp_path / "killed"
+    expected = make_dataset(folder, count)
+    before = contents(folder)
+    assert batch(folder, clean).exit_status == 1
+    assert {key: line["outcome"] for key, line in manifest_of(clean).items()} == expected
+    written = {line["output"]["path"] for line in manifest_of(clean).values() if line["report"]}
+    assert len(written) == sum(outcome in ("converted", "incomplete") for outcome in expected.values())
+    choice = random.Random(16)
+    missing = kills
+    while missing or len(manifest_of(killed)) == len(expected):
+        goal = len(manifest_of(killed)) + choice.randrange(1, 30 if count == 200 else 10)
+        process = start(folder, "-o", killed, *HEIGHTS, "--quiet", stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+        while process.poll() is None and len(manifest_of(killed)) < goal:
+            time.sleep(0.003)
+        time.sleep(choice.uniform(0, 0.05))
+        if process.poll() is not None:
+            # The machine was too busy to see how far the run was: once more from the beginning.
+            assert process.returncode == 1
+            shutil.rmtree(killed)
+            missing = kills
+            continue
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        missing = max(0, missing - 1)
+    assert 0 < len(manifest_of(killed)) < len(expected)
+    assert batch(folder, killed).exit_status == 1
+    assert {key: line["outcome"] for key, line in manifest_of(killed).items()} == expected
+    assert contents(killed) == contents(clean)
+    # Empty folders neither.
+    assert {path.relative_to(killed) for path in killed.rglob("*")} == {
+        path.relative_to(clean) for path in clean.rglob("*")
+    }
+    assert contents(folder) == before
+    # What failed is tried again; nothing else.
+    assert batch(folder, killed).unchanged == len(expected) - list(expected.values()).count("failed")
+    assert contents(killed) == contents(clean)
+
+
+def test_nothing_is_opened_that_is_known(tmp_path: Path) -> None:
+    """A run without anything to do takes a second for a thousand recordings: none of them is read."""
+    drives, out = place(tmp_path / "drives", "a.bag", "b.mcap", "c", "drive_0.bag", "drive_1.bag"), tmp_path / "out"
+    batch(drives, out)
+    code = (
+        "import sys\n"
+        "opened = []\n"
+        "sys.addaudithook(lambda event, args: opened.append(str(args[0])) if event == 'open' else None)\n"
+        "import pc2scan\n"
+        f"report = pc2scan.batch({str(drives)!r}, {str(out)!r}, min_height=-2, max_height=2)\n"
+        f"print([path for path in opened if path.startswith({str(drives)!r})])\n"
+        "print(report.unchanged, [name for name in ('rosbags', 'mcap', 'zstandard', 'lz4') if name in sys.modules])\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=environment(), timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == ["[]", "5 []"]
+
+
+# --- Interruptions ---
+
+
+def workers_of(process: subprocess.Popen[bytes]) -> list[int]:
+    children = subprocess.run(
+        ["ps", "-o", "pid=", "--ppid", str(process.pid)], capture_output=True, text=True, check=False
+    )
+    return [int(pid) for pid in children.stdout.split()]
+
+
+@pytest.fixture
+def running(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
+    """A batch of two long conversions, of a great many beams, when both have begun to write."""
+    drives, out = place(tmp_path / "drives", "a.bag", "b.bag"), tmp_path / "out"
+    slow = (*HEIGHTS, "--angle-increment", "0.000002", "--compression", "bz2")
+    process = start(drives, "-o", out, *slow, "--jobs", "2", stderr=subprocess.PIPE, stdout=subprocess.PIPE)
+    deadline = time.monotonic() + 60
+    while len(list(out.glob("*.pc2scan-partial"))) < 2:
+        assert time.monotonic() < deadline
+        assert process.poll() is None
+        time.sleep(0.01)
+    with process:
+        yield process, out
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+
+
+def is_running(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+def wait_for_the_end(pids: Sequence[int]) -> None:
+    assert len(pids) == 2
+    deadline = time.monotonic() + 60
+    while any(map(is_running, pids)):
+        assert time.monotonic() < deadline, "a worker is still there"
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize("number", sampled([signal.SIGINT, signal.SIGTERM, signal.SIGHUP], 1))
+def test_an_interruption_leaves_nothing_half(running: tuple[subprocess.Popen[bytes], Path], number: int) -> None:
+    process, out = running
+    workers = workers_of(process)
+    # A terminal that is closed tells its workers, too.
+    for pid in workers if number == signal.SIGHUP else ():
+        os.kill(pid, number)
+    process.send_signal(number)
+    _, stderr = process.communicate(timeout=60)
+    assert process.returncode == 128 + number
+    assert b"Traceback" not in stderr
+    assert (b"nothing was written" in stderr, b"the same command again" in stderr) == (True, number == signal.SIGINT)
+    wait_for_the_end(workers)
+    assert not out.exists()
+
+
+def test_an_interruption_removes_what_killed_workers_left(running: tuple[subprocess.Popen[bytes], Path]) -> None:
+    process, out = running
+    # It hears of both at once: of its workers' deaths, and of the interruption.
+    process.send_signal(signal.SIGSTOP)
+    workers = workers_of(process)
+    for pid in workers:
+        os.kill(pid, signal.SIGKILL)
+    wait_for_the_end(workers)
+    assert len(list(out.glob("*.pc2scan-partial"))) == 2
+    process.send_signal(signal.SIGINT)
+    process.send_signal(signal.SIGCONT)
+    process.communicate(timeout=60)
+    assert process.returncode in INTERRUPTED
+    assert not out.exists()
+
+
+def test_one_run_writes_at_a_time_until_its_workers_end(
+    running: tuple[subprocess.Popen[bytes], Path], tmp_path: Path
+) -> None:
+    process, out = running
+    workers = workers_of(process)
+    with pytest.raises(DestinationError, match="another batch is writing into this folder"):
+        batch(tmp_path / "drives", out)
+    process.kill()
+    process.wait()
+    # Another run waits for the workers, and finds everything in order.
+    assert batch(tmp_path / "drives", out).exit_status == 0
+    wait_for_the_end(workers)
+    assert sorted(path.name for path in out.iterdir()) == ["a_scan.bag", "b_scan.bag", "manifest.jsonl"]
+
+
+#: A module that each worker loads: it is killed when its output is complete, just before the last renaming.
+KILLED = """
+import os
+import signal
+import sys
+
+def kill(event, arguments):
+    if event in ("os.link", "os.rename") and str(arguments[0]).endswith(".pc2scan-partial"):
+        with open({deaths!r}, "a") as file:
+            file.write(os.path.basename(arguments[0]) + "\\n")
+        os.stat(arguments[0])
+        os.kill(os.getpid(), signal.SIGKILL)
+
+sys.addaudithook(kill)
+"""
+
+
+def test_a_worker_that_dies_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Both workers, so that each recording is tried again; then those that try again, so that it is given up.
+    drives, out, deaths = place(tmp_path / "drives", "a.bag", "b.bag"), tmp_path / "out", tmp_path / "deaths"
+    site = tmp_path / "site"
+    site.mkdir()
+    (site / "sitecustomize.py").write_text(KILLED.format(deaths=str(deaths)))
+    paths = [str(site), environment().get("PYTHONPATH", "")]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, paths)))
+    done = run("batch", drives, "-o", out, *HEIGHTS, "--jobs", "2")
+    assert done.status == 1, done.stderr
+    assert sorted(deaths.read_text().split()) == [f"{name}_scan.bag.pc2scan-partial" for name in "aabb"]
+    assert "was killed by SIGKILL, perhaps because memory ran out; it is tried again" in done.stderr
+    lines = manifest_of(out)
+    assert {(line["outcome"], line["attempts"]) for line in lines.values()} == {("died", 2)}
+    assert "2 died" in done.stdout
+    assert [path.name for path in out.iterdir()] == ["manifest.jsonl"]
+
+
+# --- Jobs and results ---
+
+
+@dataclass(frozen=True)
+class OfThisTest:
+    """A filter that no other process can import."""
+
+    name = "of_this_test"
+    explanation = "nothing"
+    fields = ()
+    frame = "odom"
+
+
+def test_filters_that_cannot_be_sent_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    place(tmp_path, "a.bag")
+    module = ModuleType("only_here")
+    module.OfThisTest = OfThisTest  # type: ignore[attr-defined]
+    monkeypatch.setattr(OfThisTest, "__module__", "only_here")
+    monkeypatch.setitem(sys.modules, "only_here", module)
+    for kind in (OfThisTest, type("Local", (OfThisTest,), {})):
+        with pytest.raises(Pc2ScanError, match="cannot be sent to another process") as raised:
+            pc2scan.batch(tmp_path / "a.bag", tmp_path / "out", jobs=1, filters=[kind()])
+        assert "that can be imported" in (raised.value.hint or "")
+
+
+def test_a_worker_of_another_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = place(tmp_path, "a.bag")
+    monkeypatch.setattr("pc2scan.datasets.processes.__version__", "0.0.1")
+    with pytest.raises(Pc2ScanError, match=r"a worker process has pc2scan .*, this is 0\.0\.1"):
+        pc2scan.batch(source, tmp_path / "out", jobs=1, min_height=-0.3)
+
+
+def test_a_bug_is_the_result_of_its_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("oh")
+
+    monkeypatch.setattr("pc2scan.datasets.jobs.run", fails)
+    (outcome,) = batch(place(tmp_path / "in", "a.bag"), tmp_path / "out").outcomes
+    assert (outcome.outcome, outcome.exit_status, outcome.error) == ("failed", 1, "ZeroDivisionError: oh")
+    assert "in fails" in manifest_of(tmp_path / "out")["a.bag"]["error"]["traceback"]
+
+
+def test_messages_of_workers_are_read_whole_or_not_at_all() -> None:
+    stream = io.BytesIO()
+    send(stream, {"a": 1})
+    send(stream, None)
+    whole = stream.getvalue()
+    stream.seek(0)
+    assert (receive(stream), receive(stream)) == ({"a": 1}, None)
+    for cut in (0, 5, 9, len(whole) - 1):
+        short = io.BytesIO(whole[:cut])
+        with pytest.raises(EOFError):
+            receive(short), receive(short)
+
+
+def test_cores_and_memory_bound_the_number_of_workers() -> None:
+    for (jobs, memory), workers in {
+        (1000, 64_000_000_000): 8,
+        (3, 64_000_000_000): 3,
+        (1000, 1_000_000_000): 3,
+        (1000, 10): 1,
+        (1000, None): 8,
+        (0, None): 1,
+    }.items():
+        assert workers_for(jobs, 8, memory) == workers
+    found = available_bytes()
+    assert found is None or found > 1_000_000
+
+
+def test_a_note_that_cannot_be_removed_is_no_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    place(tmp_path / "in", "a.bag")
+    unlink = Path.unlink
+
+    def failing(path: Path, missing_ok: bool = False) -> None:
+        if path.name == NOTE:
+            raise OSError(errno.EIO, "Input/output error")
+        unlink(path, missing_ok)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "unlink", failing)
+        assert batch(tmp_path / "in", tmp_path / "out").exit_status == 0
+    assert (tmp_path / "out" / NOTE).exists()
+    # The next run finds everything in order, and removes it.
+    assert [each.action for each in batch(tmp_path / "in", tmp_path / "out").outcomes] == ["keep"]
+    assert not (tmp_path / "out" / NOTE).exists()

@@ -1,0 +1,290 @@
+"""The transform buffer's rules, against a lookup in a dict; test_tf2_agreement.py holds them to tf2 itself."""
+
+from __future__ import annotations
+
+import math
+import pickle
+from bisect import bisect_right
+from dataclasses import FrozenInstanceError
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pc2scan.core.rigid import Rigid, interpolate, interpolate_poses
+from pc2scan.errors import RecordingError, TransformError
+from pc2scan.transforms.builder import TransformBuilder
+from transforms.small_buffers import EPOCH, SECOND, at, built, refusal, row, x_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pc2scan.core.rigid import TransformRow
+
+# Any transforms.
+
+
+class Sample(NamedTuple):
+    """A transform of a frame."""
+
+    parent: str
+    parent_from_child: Rigid
+
+
+class Reference:
+    """What is known of each frame, in dicts: of equal stamps the first, of fixed transforms the last."""
+
+    def __init__(self, rows: list[tuple[TransformRow, bool]]) -> None:
+        self.fixed: dict[str, bool] = {}
+        self.samples: dict[str, dict[int, Sample]] = {}
+        for (parent, child, stamp_ns, *pose), static in rows:
+            x, y, z, i, j, k, w = pose
+            sample = Sample(parent, Rigid.from_pose((x, y, z, i, j, k, w)))
+            # What comes first decides whether a frame is static.
+            if self.fixed.setdefault(child, static):
+                self.samples[child] = {0: sample}
+            else:
+                self.samples.setdefault(child, {}).setdefault(stamp_ns, sample)
+
+    def at(self, frame: str, stamp_ns: int, tolerance_ns: int) -> Sample | None:
+        samples = self.samples.get(frame, {})
+        known = sorted(samples)
+        if not known or self.fixed[frame]:
+            return samples.get(0)
+        clamped = min(max(stamp_ns, known[0]), known[-1])
+        if abs(stamp_ns - clamped) > tolerance_ns:
+            return None
+        place = bisect_right(known, clamped)
+        older = samples[known[place - 1]]
+        newer = samples[known[min(place, len(known) - 1)]]
+        if older.parent != newer.parent or older is newer:
+            return older
+        ratio = (clamped - known[place - 1]) / (known[place] - known[place - 1])
+        return Sample(older.parent, interpolate(older.parent_from_child, newer.parent_from_child, ratio))
+
+    def upwards(self, frame: str, stamp_ns: int, tolerance_ns: int) -> Iterator[tuple[str, Rigid]]:
+        """The frames above a frame, with the transforms to them."""
+        found = Rigid.identity()
+        yield frame, found
+        while sample := self.at(frame, stamp_ns, tolerance_ns):
+            frame, found = sample.parent, sample.parent_from_child.compose(found)
+            yield frame, found
+
+    def lookup(self, target: str, source: str, stamp_ns: int, tolerance_ns: int) -> Rigid | None:
+        # A tolerance changes nothing that is known without it.
+        for tolerance in (0, tolerance_ns):
+            above = dict(self.upwards(target, stamp_ns, tolerance))
+            for frame, found in self.upwards(source, stamp_ns, tolerance):
+                if frame in above:
+                    return above[frame].inverse().compose(found)
+        return None
+
+
+@st.composite
+def transforms(draw: st.DrawFn) -> list[tuple[TransformRow, bool]]:
+    """Of frames that have one of those before them as a parent, so that there are no loops."""
+    frames = "abcde"
+    rows = []
+    for number in range(draw(st.integers(1, 25))):
+        child = draw(st.integers(1, 4))
+        parent = draw(st.sampled_from([frames[child - 1], frames[child - 1], *frames[:child]]))
+        static = draw(st.booleans()) and child % 2 == 0
+        rows.append((row(parent, frames[child], draw(st.integers(1, 12)), x=number, yaw=0.3 * number), static))
+    return rows
+
+
+@given(
+    transforms(),
+    st.lists(
+        st.tuples(st.sampled_from("abcde"), st.sampled_from("abcde"), st.integers(0, 52), st.integers(0, 3)),
+        min_size=1,
+        max_size=10,
+    ),
+)
+def test_lookups_are_those_of_the_reference(
+    rows: list[tuple[TransformRow, bool]], questions: list[tuple[str, str, int, int]]
+) -> None:
+    builder = TransformBuilder()
+    for entry, static in rows:
+        builder.add([entry], static=static)
+    buffer, reference = builder.build(), Reference(rows)
+    for target, source, quarter, tolerance in questions:
+        question = target, source, at(quarter / 4), tolerance * SECOND
+        expected = reference.lookup(*question)
+        if expected is None:
+            refusal(buffer, *question)
+            continue
+        found = buffer.lookup(*question)
+        np.testing.assert_allclose(found.translation, expected.translation, atol=1e-9)
+        np.testing.assert_allclose(found.matrix, expected.matrix, atol=1e-9)
+
+
+# Rules, one by one.
+
+
+def test_how_long_it_interpolates() -> None:
+    moving = [row("odom", "base", second, x=second) for second in (10, 12, 13)]
+    buffer = built([*moving, row("base", "arm", 10, x=0), row("base", "arm", 12.5, x=0)])
+    found = [buffer.between_ns("odom", "base", at(second), SECOND) for second in (9.5, 10, 11, 12, 12.4, 13, 13.5)]
+    assert found == [0, 0, 2 * SECOND, 0, SECOND, 0, 0]
+    assert buffer.between_ns("arm", "odom", at(12.4)) == 2.5 * SECOND
+    assert buffer.between_ns("odom", "base", 0) == buffer.between_ns("odom", "odom", at(11)) == 0
+    with pytest.raises(TransformError):
+        buffer.between_ns("odom", "base", at(9.5))
+
+
+def test_the_ratio_is_that_of_seconds_in_float64() -> None:
+    # 1e-9 times 3 is not 3e-9: what tf2 returns, in tests/parity too.
+    buffer = built([row("odom", "base", 0, x=0), ("odom", "base", EPOCH + 7, 1.0, 0, 0, 0, 0, 0, 1)])
+    assert x_of(buffer, "odom", "base", EPOCH + 3) == (1e-9 * 3) / (1e-9 * 7) != 3 / 7
+    far = built([row("odom", "base", 0, x=0), row("odom", "base", 1, x=1e9)])
+    assert x_of(far, "odom", "base", at(0.5) + 1) == pytest.approx(500_000_001, abs=1e-3)
+
+
+def test_the_first_and_the_last_sample_are_given_as_they_are() -> None:
+    rows = [row("odom", "base", second, x=0.1 * second, yaw=0.3 * second) for second in range(5)]
+    buffer = built(rows)
+    for entry in (rows[0], rows[-1]):
+        assert buffer.lookup("odom", "base", entry[2]).pose == entry[3:]
+    # Those between them with the ratio 0, which tf2's slerp may round away from them.
+    for entry, after in pairwise(rows[1:]):
+        found = buffer.lookup("odom", "base", entry[2]).pose
+        assert found == interpolate_poses(entry[3:], after[3:], 0.0)
+        assert found == pytest.approx(entry[3:], rel=1e-15)
+
+
+def test_static_holds_at_any_time_and_the_last_one_counts() -> None:
+    buffer = built(static=[row("a", "b", 50, x=1), row("c", "b", 40, x=2)])
+    assert [x_of(buffer, "c", "b", stamp_ns) for stamp_ns in (1, at(0), at(99))] == [2, 2, 2]
+    # As in tf2 the parent of the overwritten one is known, but connected to nothing.
+    assert "no transforms connect" in refusal(buffer, "a", "b", at(0)).message
+
+
+def test_one_leading_slash_is_stripped_everywhere() -> None:
+    buffer = built([row("/odom", "//base", 0, x=3)])
+    assert buffer.frames == ("odom", "/base")
+    assert x_of(buffer, "/odom", "//base", at(0)) == 3
+    # Equal names are the identity, known or not.
+    assert built().lookup("any", "/any", 0).pose == Rigid.identity().pose
+
+
+def test_a_new_parent_holds_from_its_first_sample_on() -> None:
+    buffer = built([row("a", "b", 1, x=1), row("c", "b", 3, x=5), row("c", "b", 5, x=7), row("c", "b", 5, x=9)])
+    assert (x_of(buffer, "a", "b", at(2.9)), x_of(buffer, "c", "b", at(3)), x_of(buffer, "c", "b", at(4))) == (1, 5, 6)
+    assert "at this time [a] leads up to [a], [b] to [c]" in refusal(buffer, "a", "b", at(3)).message
+    (info,) = buffer.infos
+    assert (info.transforms, info.received) == (3, 4)
+
+
+def test_a_rejected_transform_does_not_decide_whether_a_frame_is_static() -> None:
+    builder = TransformBuilder()
+    builder.add([row("a", "b", 1, x=math.nan)], static=False)
+    builder.add([row("a", "b", 3, x=3)], static=True)
+    builder.add([row("a", "b", 2, x=2)], static=False)
+    assert x_of(builder.build(), "a", "b", at(9)) == 2
+
+
+def test_a_stamp_of_zero_asks_for_the_latest_common_time() -> None:
+    buffer = built(
+        [row("map", "odom", second, x=10 * second) for second in range(4)]
+        + [row("odom", "base", second / 2, x=second / 2) for second in range(12)],
+        [row("base", "lidar", 99, x=100)],
+    )
+    assert [x_of(buffer, target, "lidar", 0) for target in ("map", "odom", "base")] == [133, 105.5, 100]
+
+
+def test_negative_stamps_are_times_like_others() -> None:
+    buffer = built([("a", "b", stamp_ns, *Rigid.identity().pose) for stamp_ns in (-5, 5)])
+    assert x_of(buffer, "a", "b", -5) == 0
+    assert "from -0.000000005 to 0.000000005" in refusal(buffer, "a", "b", -6).message
+
+
+@pytest.mark.parametrize(("second", "gap"), [(2.8 + 0.1, 0.1), (1.2 - 0.1, 0.1), (3.5, 0.7), (0.5, 0.7)])
+def test_a_nanosecond_more_than_the_tolerance_is_refused(second: float, gap: float) -> None:
+    buffer = built(
+        [row("odom", "base", second, x=second) for second in (1, 2, 3)]
+        + [row("base", "lidar", second, x=10 * second) for second in (1.2, 2.8)]
+    )
+    tolerance_ns = round(gap * SECOND)
+    # Each frame of the chain is clamped for itself.
+    expected = min(max(second, 1), 3) + 10 * min(max(second, 1.2), 2.8)
+    assert x_of(buffer, "odom", "lidar", at(second), tolerance_ns) == pytest.approx(expected)
+    message = refusal(buffer, "odom", "lidar", at(second), tolerance_ns - 1).message
+    assert f"the time is {gap:.9f} s too {'late' if second > 2 else 'early'}" in message
+
+
+def test_a_tolerance_changes_nothing_that_is_known_without_it() -> None:
+    # b hangs below a until 1, a below b from 2 on: with a tolerance both ends would be known at 1.
+    buffer = built([row("a", "b", 0, x=1), row("a", "b", 1, x=1), row("b", "a", 2, x=2), row("b", "a", 3, x=2)])
+    assert x_of(buffer, "a", "b", at(1), SECOND) == 1
+    assert x_of(buffer, "a", "b", at(2), SECOND) == -2
+
+
+# The buffer and its builder.
+
+
+def test_the_history_of_a_frame() -> None:
+    buffer = built([row("a", "b", second, x=second) for second in (2, 1)], [row("b", "c", 0)])
+    history = buffer.history("/b")
+    assert history is not None
+    assert history.stamps_ns.tolist() == [at(1), at(2)]
+    assert history.translations.tolist() == [[1, 0, 0], [2, 0, 0]]
+    assert history.quaternions.tolist() == [[0, 0, 0, 1]] * 2
+    assert [buffer.frames[parent] for parent in history.parents] == ["a", "a"]
+    assert history.stamps_ns.dtype == np.int64
+    assert history.parents.dtype == np.int32
+    assert buffer.history("a") is buffer.history("unknown") is None
+    with pytest.raises(FrozenInstanceError):
+        buffer.frames = ()  # type: ignore[misc]
+    for values in (history.stamps_ns, history.poses, history.parents):
+        with pytest.raises(ValueError, match="read-only"):
+            values[0] = 0
+
+
+def test_a_buffer_travels_to_other_processes() -> None:
+    buffer = built([row("a", "b", 0, x=1), row("a", "b", 2, x=3)])
+    assert x_of(buffer, "a", "b", at(1)) == 2
+    assert x_of(pickle.loads(pickle.dumps(buffer)), "a", "b", at(1)) == 2
+
+
+@pytest.mark.parametrize(
+    ("rows", "static", "told"),
+    [
+        ((row(f"f{n}", f"f{n + 1}", 0) for n in range(100_000)), True, "more than 100,000 frames"),
+        ((row(f"f{n % 500}", f"g{n // 500}", n) for n in range(200_001)), False, "200,000 pairs"),
+    ],
+    ids=["frames", "pairs"],
+)
+def test_more_than_a_robot_has_is_refused(rows: Iterator[TransformRow], static: bool, told: str) -> None:
+    with pytest.raises(RecordingError, match=told):
+        TransformBuilder().add(rows, static=static)
+
+
+@pytest.mark.parametrize(
+    ("depth", "norm"),
+    [(18_000, 1.0049), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((80_000, 1.0049), (80_000, 0.9951)))],
+)
+def test_rotations_that_grow_beyond_all_bounds_are_no_crash(depth: int, norm: float) -> None:
+    # tf2 never normalises: of thousands of frames, each a little off, comes what no float32 or float64 holds.
+    builder = TransformBuilder()
+    builder.add((row(f"f{n}", f"f{n + 1}", 0, x=1, yaw=0.1, norm=norm) for n in range(depth)), static=True)
+    buffer = builder.build()
+    for names in (("f0", f"f{depth}"), (f"f{depth}", "f0")):
+        found = buffer.lookup(*names, at(5))
+        found.as_float32()
+        assert len(found.rpy) == 3
+        assert found.apply(np.ones((2, 3), np.float32)).shape == (2, 3)
+
+
+@pytest.mark.parametrize("depth", [5000, pytest.param(99_999, marks=pytest.mark.slow)])
+def test_a_very_deep_chain_neither_recurses_nor_stops(depth: int) -> None:
+    builder = TransformBuilder()
+    builder.add((row(f"f{n}", f"f{n + 1}", 0, x=1) for n in range(depth)), static=True)
+    buffer = builder.build()
+    assert x_of(buffer, "f0", f"f{depth}", at(5)) == depth
+    assert x_of(buffer, f"f{depth}", "f0", at(5)) == -depth
+    (tree,) = buffer.trees
+    assert (tree.roots, len(tree.frames)) == (("f0",), depth + 1)

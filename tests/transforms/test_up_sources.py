@@ -1,0 +1,91 @@
+"""Which way is up: by a frame, and by an IMU's messages; and level placements."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pc2scan.core.rigid import Rigid
+from pc2scan.errors import TransformError
+from pc2scan.transforms.placing import Placer
+from pc2scan.transforms.up_sources import UpByFrame, UpByImu
+from transforms.trees import EPOCH, SECOND, built, row
+
+TILTED = Rigid.from_rpy(0.2, -0.1, 1.3, (4.0, 5.0, 0.0))
+MOUNT = Rigid.from_rpy(0.0, 0.0, math.pi / 2, (0.5, 0.0, 1.0))
+
+
+def frames(target: str = "base") -> Placer:
+    rows = [
+        (row("odom", "base", EPOCH, Rigid.identity().pose), False),
+        (row("odom", "base", EPOCH + SECOND, TILTED.pose), False),
+        (row("base", "lidar", 0, MOUNT.pose), True),
+        (row("base", "imu", 0, Rigid.from_rpy(math.pi, 0, 0).pose), True),
+    ]
+    buffer = built(rows)
+    return Placer(target, "", buffer, 0, UpByFrame("odom", buffer))
+
+
+def by_imu(up: tuple[float, float, float] = (0.0, 0.6, -0.8), frame: str = "imu", tolerance_ns: int = 0) -> UpByImu:
+    stamps = EPOCH + np.array([0, 100, 200, 1000], np.int64) * 1_000_000
+    ups = np.array([up, up, (0.0, 0.0, -1.0), up])
+    buffer = frames().buffer
+    assert buffer is not None
+    return UpByImu("/imu", frame, stamps, ups, buffer, tolerance_ns)
+
+
+@pytest.mark.parametrize("frame", ["base", "/base"])
+def test_points_are_in_the_level_frame_of_the_target_frame(frame: str) -> None:
+    known = frames(frame)
+    place = known.place("lidar", EPOCH + SECOND)
+    assert place.frame_id == f"{frame}_stabilized"
+    assert place.target_from_source is not None
+    assert place.level is not None
+    point = np.array([[1.0, 2.0, 3.0]])
+    in_odom = TILTED.compose(MOUNT).apply(point)
+    # The level frame has the position and the yaw of base.
+    expected = Rigid.from_rpy(0, 0, 1.3, TILTED.translation).inverse().apply(in_odom)
+    np.testing.assert_allclose(place.target_from_source.apply(point), expected, atol=1e-12)
+    # And is connected with it.
+    np.testing.assert_allclose(place.level.frame_from_level.apply(expected), MOUNT.apply(point), atol=1e-12)
+    assert place.level.tilt == pytest.approx(math.acos(math.cos(0.2) * math.cos(0.1)))
+
+
+def test_without_a_target_frame_it_is_the_frame_of_the_message() -> None:
+    known = frames()._replace(target_frame="")
+    place = known.place("lidar", EPOCH + SECOND)
+    assert place.frame_id == "lidar_stabilized"
+    assert place.level is not None
+    assert place.level.frame == "lidar"
+    assert known._replace(source_frame="base").place("lidar", EPOCH).frame_id == "base_stabilized"
+
+
+def test_up_by_an_imu_is_turned_to_the_frame_and_interpolated() -> None:
+    up = by_imu()
+    # The IMU is mounted upside down.
+    np.testing.assert_allclose(up("base", EPOCH), (0, -0.6, 0.8), atol=1e-12)
+    np.testing.assert_allclose(up("base", EPOCH + 50_000_000), (0, -0.6, 0.8), atol=1e-12)
+    np.testing.assert_allclose(up("base", EPOCH + 150_000_000), (0, -0.3, 0.9), atol=1e-12)
+    np.testing.assert_allclose(up("imu", EPOCH + 200_000_000), (0, 0, -1), atol=1e-12)
+    np.testing.assert_allclose(up("/imu", EPOCH + SECOND), (0, 0.6, -0.8), atol=1e-12)
+
+
+def test_outside_of_the_imu_and_in_its_gaps_nothing_is_known() -> None:
+    up = by_imu(tolerance_ns=10_000_000)
+    assert up("imu", EPOCH - 10_000_000) == (0.0, 0.6, -0.8)
+    with pytest.raises(TransformError, match="has messages from") as early:
+        up("imu", EPOCH - 10_000_001)
+    assert "transform_tolerance of at least 0.010000001 s" in (early.value.hint or "")
+    with pytest.raises(TransformError, match="has messages from") as other:
+        up("imu", 5)
+    assert "another clock" in (other.value.hint or "")
+    with pytest.raises(TransformError, match="no messages between"):
+        up("imu", EPOCH + 500_000_000)
+
+
+def test_between_two_opposite_directions_is_the_older_one() -> None:
+    up = replace(by_imu(), directions=np.array([(0.0, 0.0, 1.0), (0.0, 0.0, -1.0)] * 2))
+    assert up("imu", EPOCH + 50_000_000) == (0, 0, 1)
