@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from enum import Enum
 from itertools import islice
 from typing import TYPE_CHECKING
@@ -43,6 +44,16 @@ def nearest(asked: str, known: Iterable[str]) -> str | None:
         ends = {name.rpartition("/")[2]: name for name in names}
         close = [ends[end] for end in difflib.get_close_matches(wanted.rpartition("/")[2], ends, n=1)]
     return names[close[0]] if close else None
+
+
+def shell_word(word: str) -> str:
+    """Return a word as a shell reads it: in double quotes where these serve, because cmd.exe knows no others.
+
+    >>> print(shell_word("scan.bag"), shell_word("base_link lidar 0 0 1 0 0 0"), shell_word("$HOME a"))
+    scan.bag "base_link lidar 0 0 1 0 0 0" '$HOME a'
+    """
+    quoted = shlex.quote(word)
+    return quoted if quoted == word or set(word) & set('"$`\\!%\n\r') else f'"{word}"'
 
 
 def did_you_mean(asked: str, known: Iterable[str]) -> str:

@@ -19,6 +19,7 @@ from pc2scan.core.rigid import Rigid
 from pc2scan.pipeline.options import ConvertOptions, ScanSpec
 from pc2scan.pipeline.run import run as convert
 from pc2scan.pipeline.run_files import OutputOptions
+from pc2scan.text import shell_word
 from support import RECORDINGS, ROOT, needs_shared, sampled
 from support.command import run
 from support.outputs import opened
@@ -98,10 +99,10 @@ def test_info_says_what_makes_a_frame_level(case: str, recorded: Callable[..., P
     assert done.status == 0
     assert told in done.stderr
     if own:
-        assert "--static-tf 'base_link lidar 0.2 0.1 0.6 0.3" in done.stderr
+        assert '--static-tf "base_link lidar 0.2 0.1 0.6 0.3' in done.stderr
     else:
         assert f"warning: /points: {told}" in done.stderr
-        assert "--static-tf 'lidar_level lidar 0 0 " in done.stderr
+        assert '--static-tf "lidar_level lidar 0 0 ' in done.stderr
         assert "--target-frame lidar_level makes it level, with the floor at z = 0 m" in done.stderr
     command = ready(done.stdout)
     converted = run(*command, "-o", tmp_path / "out.mcap")
@@ -201,7 +202,7 @@ def test_real_recordings_get_heights_of_their_own(
 
 WIDE = ("--min-height", "-5", "--max-height", "5")
 BASE = ["--target-frame", "base_link"]
-HEIGHTS, LEVEL = "below the sensor: (.*)", "(--static-tf '.*) makes it level"
+HEIGHTS, LEVEL = "below the sensor: (.*)", '(--static-tf ".*) makes it level'
 Advice = tuple[dict[str, Any], Sequence[str], str, list[str], Sequence[str]]
 
 #: How the sensor is mounted; options; what is said, with the advice in brackets, and how that
@@ -252,7 +253,7 @@ def test_a_target_frame_that_is_not_level_is_judged(recorded: Callable[..., Path
     wrong = ("--static-tf", "base_link lidar 0 0 0.5 0 0 0", "--target-frame", "base_link")
     done = run("convert", recorded(15, -10), "-o", tmp_path / "d.mcap", *wrong, *WIDE)
     assert "frame 'base_link' is " in done.stderr
-    assert "--static-tf 'base_link lidar 0 0 0.5 " in done.stderr
+    assert '--static-tf "base_link lidar 0 0 0.5 ' in done.stderr
 
 
 @pytest.mark.parametrize("sensor", sampled(SENSORS, 2))
@@ -331,7 +332,7 @@ def test_points_at_the_sensor(tf: Sequence[Any], tmp_path: Path) -> None:
     proposed = run(*ready(shown), "-o", tmp_path / "d.mcap")
     assert (proposed.status, proposed.stderr) == (0, "")
     # In the lidar's own frame the preset does.
-    assert not tf or shlex.join(words) in shown
+    assert not tf or " ".join(map(shell_word, words)) in shown
 
 
 def test_the_warning_comes_after_the_first_clouds(tmp_path: Path) -> None:
@@ -370,7 +371,7 @@ def test_check_finds_scans_in_a_frame_that_is_not_level(recorded: Callable[..., 
     assert run("convert", recorded(20), "-o", tmp_path / "b.mcap", *common, "-0.3").status == 0
     done = run("check", tmp_path / "b.mcap")
     assert "defect: the scan's frame 'lidar' is tilted by 20." in done.stdout
-    assert "pc2scan convert with --static-tf 'lidar_level lidar 0 0 0." in done.stdout
+    assert 'pc2scan convert with --static-tf "lidar_level lidar 0 0 0.' in done.stdout
     frames = ("--static-tf", "lidar_level lidar 0 0 0.6 0.349 0 0", "--target-frame", "lidar_level")
     done = run("convert", recorded(20), "-o", tmp_path / "c.mcap", *common, "0.1", *frames, "--write-static-tf")
     assert done.status == 0
@@ -395,7 +396,7 @@ def test_a_transform_that_tilts_a_level_lidar_is_reported(
     assert found is not None, done.stderr
     up = transform("", "", (roll, pitch, 0), (0, 0, 0))
     assert float(found[1]) == pytest.approx(math.degrees(2 * math.asin(math.hypot(up[6], up[7]))), abs=0.6)
-    cure, *_ = re.findall("--static-tf '([^']+)'", done.stderr)
+    cure, *_ = re.findall('--static-tf "([^"]+)"', done.stderr)
     *_, cured_roll, cured_pitch, yaw = map(float, cure.split()[2:])
     assert (cured_roll, cured_pitch, yaw) == pytest.approx((0, 0, math.radians(25)), abs=math.radians(0.6))
 

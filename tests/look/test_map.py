@@ -300,7 +300,7 @@ def test_hints_about_frames_lead_somewhere(tmp_path: Path) -> None:
     both = [write(tmp_path / f"{name}.mcap", *own, tree=()) for name, own in (("front", front), ("rear", rear))]
     assert run("convert", both[1], "--rebin", "--topic", "/scan:=/rear", "-o", tmp_path / "r.mcap").status == 0
     done = run("map", both[0], tmp_path / "r.mcap", "-o", tmp_path / "b.png", "--odom-frame", "front")
-    assert "--topic /scan draws what can be placed; --static-tf 'front rear X Y Z ROLL PITCH YAW'" in done.stderr
+    assert '--topic /scan draws what can be placed; --static-tf "front rear X Y Z ROLL PITCH YAW"' in done.stderr
 
 
 def test_notebooks_show_the_picture(source: Path) -> None:

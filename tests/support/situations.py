@@ -134,10 +134,10 @@ _HALL = "convert {src} -o {out}"
 _FLAT = Lidar(kind="flat", topic="/scan", columns=720)
 _REBIN = "convert {src} -o {out} --rebin --beams 720 --deskew --fixed-frame odom"
 _SWAPPED = ("base_link", "odom")
-_REAR = "hint: --static-tf 'base_link rear X Y Z ROLL PITCH YAW' says where it is mounted (metres, radians)"
+_REAR = 'hint: --static-tf "base_link rear X Y Z ROLL PITCH YAW" says where it is mounted (metres, radians)'
 _LEVEL = (
     f"convert {{src}} imu.mcap -o {{out}} --target-frame base_link {_ABOVE} --level --imu /imu "
-    "--static-tf 'base_link imu_link 0 0 0.2 0 0 0.2'"
+    '--static-tf "base_link imu_link 0 0 0.2 0 0 0.2"'
 )
 
 
@@ -193,7 +193,7 @@ SITUATIONS = (
         (
             (_IN_BASE, "frame 'base_link' is probably on its side, with +y up: no floor is visible"),
             (f"{_HALL} {_HEIGHTS} --overwrite", "frame 'lidar' is probably on its side, with +y up"),
-            ("info {src}", "--static-tf 'base_link lidar 0 0 0.6 1.5683 -0.0005 0' --target-frame base_link makes it"),
+            ("info {src}", '--static-tf "base_link lidar 0 0 0.6 1.5683 -0.0005 0" --target-frame base_link makes it'),
         ),
         (_IN_BASE,),
         hall(90, 0, mount=(0, 0, 0.6), turned=math.pi / 2),
@@ -262,7 +262,7 @@ SITUATIONS = (
         hall(frame="lidar_front"),
         (
             (_typed(0), "has no effect: the clouds are in lidar_front"),
-            (_typed(0), "did you mean --static-tf 'base_link lidar_front 0 0 0.6 0 0 0'?"),
+            (_typed(0), 'did you mean --static-tf "base_link lidar_front 0 0 0.6 0 0 0"?'),
         ),
         (_typed(0),),
         hall(),
@@ -602,7 +602,7 @@ SITUATIONS = (
             (f"{_HALL} {_HEIGHTS} --preset slam_toolbox --range-max 20 --drop /tf_static", ""),
             (
                 "check {out} --for slam_toolbox",
-                "cure for scans made from clouds: pc2scan convert --static-tf 'base_link l",
+                'cure for scans made from clouds: pc2scan convert --static-tf "base_link l',
             ),
         ),
         (f"{_HALL} {_HEIGHTS} --preset slam_toolbox --range-max 20", "check {out} --for slam_toolbox"),

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pc2scan.files.urls import is_url
 from pc2scan.options.call import Options
 from pc2scan.requests import convert as run
+from pc2scan.text import shell_word
 
 from .render import LiveWarnings, progress_bar, say, show
 
@@ -71,4 +71,4 @@ def next_command(report: Report) -> str:
 
 
 def _quoted(path: str) -> str:
-    return shlex.quote(f"./{path}" if path.startswith("-") else path)
+    return shell_word(f"./{path}" if path.startswith("-") else path)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import re
-import shlex
 import signal
 from difflib import get_close_matches
 from typing import TYPE_CHECKING
@@ -14,7 +13,7 @@ from pc2scan.errors import DamageError, Pc2ScanError, UsageError
 from pc2scan.options.keywords import meant_by
 from pc2scan.options.table import GROUPS, instead_of, options_of
 from pc2scan.options.values import Flag
-from pc2scan.text import did_you_mean
+from pc2scan.text import did_you_mean, shell_word
 
 from .commands import COMMANDS
 from .render import as_typed, say, show_error
@@ -114,7 +113,7 @@ def _no_command(typed: Sequence[str]) -> UsageError:
     name = typed[0]
     hint = did_you_mean(name, COMMANDS) or "pc2scan --help shows what it takes"
     if os.path.lexists(name):
-        hint = f"the command comes first: pc2scan info {shlex.quote(name)}"
+        hint = f"the command comes first: pc2scan info {shell_word(name)}"
     elif name in _FLAGS:
         hint = " ".join(("pc2scan", *(word for word in typed[1:2] if word in COMMANDS), f"--{name}"))
     return UsageError(f"no such command {name!r}", hint=hint)
@@ -137,7 +136,7 @@ def _mistyped(err: Pc2ScanError, words: Sequence[str]) -> str:
         begin = words.index("--static-tf") + 1
         count = next((n for n in (9, 8) if _is_transform(words[begin : begin + n])), 0)
         if count:
-            return f"it is one argument, in quotes: --static-tf '{' '.join(words[begin : begin + count])}'"
+            return f"it is one argument, in quotes: --static-tf {shell_word(' '.join(words[begin : begin + count]))}"
     return ""
 
 
@@ -148,7 +147,7 @@ def _meant_as_output(words: Sequence[str]) -> str:
         return ""
     # The word before is a source, no option that has a value.
     is_new = os.path.lexists(words[-2]) and not os.path.lexists(last)
-    return f"did you mean -o {shlex.quote(last)}?" if is_new else ""
+    return f"did you mean -o {shell_word(last)}?" if is_new else ""
 
 
 def _meant_as_option(words: Sequence[str], missing: str = "") -> str:
@@ -165,10 +164,10 @@ def _meant_as_option(words: Sequence[str], missing: str = "") -> str:
         end = at + 1 if isinstance(option.value, Flag) else at + 2
         if end > len(words) and _meant_as_output(words):
             continue
-        value = shlex.join(words[at + 1 : end]) or option.value.metavar or "|".join(option.value.words)
+        value = " ".join(map(shell_word, words[at + 1 : end])) or option.value.metavar or "|".join(option.value.words)
         others = [*words[1:at], *words[end:]]
         place = [] if any(not other.startswith("-") for other in others) else [_PLACES.get(words[0], "SRC")]
-        before = shlex.join(["pc2scan", words[0], *place, *others, option.spelling])
+        before = " ".join(map(shell_word, ["pc2scan", words[0], *place, *others, option.spelling]))
         return f"did you mean {before}{' ' if value else ''}{value}?"
     return ""
 

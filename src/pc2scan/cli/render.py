@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 import re
-import shlex
 import sys
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TextIO
@@ -22,6 +21,7 @@ from pc2scan.options.call import call_words
 from pc2scan.options.table import spelling_of
 from pc2scan.result import Call
 from pc2scan.tables import Table
+from pc2scan.text import shell_word
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterable, Iterator
@@ -112,7 +112,10 @@ def _spelled(named: re.Match[str]) -> str:
     option = spelling_of(name)
     if option is None:
         return named[0]
-    return option if value in (None, "True") else f"{option} {value}"
+    if value in (None, "True"):
+        return option
+    plain = re.fullmatch("'([^']*)'", value)
+    return f"{option} {shell_word(plain[1]) if plain else value}"
 
 
 def print_json(document: object) -> None:
@@ -170,7 +173,8 @@ def show_parts(parts: Iterable[Part]) -> None:
             for line in shown.lines(getattr(sys.stdout, "width", None), ascii_only=_ascii_only()):
                 say(line)
         elif isinstance(part, Call):
-            say(f"  {shlex.join(call_words(part))}")
+            words = map(shell_word, call_words(part))
+            say(f"  {' '.join(words)}")
         else:
             say(as_typed(str(part)))
 
