@@ -183,6 +183,8 @@ def own_data(data: Buffer) -> Buffer:
 
 def own_message(message: RawMessage) -> RawMessage:
     """Return a message whose data may be kept."""
+    if type(message.data) is bytes:
+        return message
     data = own_data(message.data)
     return message if data is message.data else message._replace(data=data)
 

@@ -358,6 +358,9 @@ def merge_by_time(
                 current.items = split
                 del split
             items, position = current.items, current.position
+            if isinstance(items, list) and (limit is None or (items[-1].log_time_ns, place) < limit):
+                yield from islice(items, position, None)
+                position = len(items)
             while position < len(items) and (limit is None or (items[position].log_time_ns, place) < limit):
                 yield items[position]
                 position += 1

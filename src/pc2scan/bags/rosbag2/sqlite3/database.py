@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 ERROR = 1
 CORRUPT = 11
 FULL = 13
+TOOBIG = 18
 NOTADB = 26
 IOERR_SHORT_READ = 522
 
@@ -56,8 +57,8 @@ def code_of(error: sqlite3.Error) -> int:
 #: Allowed defaults of columns, neither long nor computed: a default is the value of every row that does not store one.
 _SHORT_DEFAULT = re.compile(r"[+-]?\w{1,20}|'[^']{0,40}'|\"[^\"]{0,40}\"")
 
-#: SQLite's codes for a damaged database; ERROR is that of a damaged schema.
-_DAMAGE_CODES = (CORRUPT, NOTADB, ERROR, IOERR_SHORT_READ)
+#: SQLite's codes for a damaged database; ERROR is that of a damaged schema, TOOBIG of a damaged length.
+_DAMAGE_CODES = (CORRUPT, NOTADB, ERROR, TOOBIG, IOERR_SHORT_READ)
 
 #: If a name in the schema is not UTF-8, Python cannot decode the error message; if a length is wrong, SQLite may run
 #: out of memory.
@@ -115,6 +116,8 @@ class Database:
     ----------
     path, size
         The file, and its size in bytes.
+    most_bytes
+        Limit of the size of all values together.
 
     Raises
     ------
@@ -138,8 +141,7 @@ class Database:
         try:
             self.size = path.stat().st_size
             self._logs = side_logs(path)
-            #: Limit of the size of all values together, bytes.
-            self._most = 1_000_000 + self.size + sum(log.file.size for log in self._logs)
+            self.most_bytes = 1_000_000 + self.size + sum(log.file.size for log in self._logs)
             self._note_logs()
         except OSError as err:
             self.close()
@@ -169,7 +171,7 @@ class Database:
             path = self._local_copy()
         self._file = path.absolute()
         self._state = state_of(self._file)
-        self._opened = keep_open(_open(self._file, self._most))
+        self._opened = keep_open(_open(self._file, self.most_bytes))
 
     def _database(self) -> _Opened:
         """Return the open database; it is opened again if it was closed for other files."""
@@ -179,7 +181,7 @@ class Database:
                 raise RecordingError("is closed", path=self.path)
             if state_of(self._file) != self._state:
                 raise changed_while_read(self.path)
-            opened = _open(self._file, self._most)
+            opened = _open(self._file, self.most_bytes)
             self._opened = keep_open(opened)
         return opened
 
@@ -251,12 +253,16 @@ class Database:
 
     def bounded_rows(self, rows: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
         """Yield rows as they are, up to the size of the file: rows that share pages may have any number of values."""
-        left = self._most
+        left = self.most_bytes
         for row in rows:
             left -= sum(len(value) for value in row if isinstance(value, str | bytes))
             if left < 0:
-                raise RecordingError("has more values than the bytes of its file can hold", path=self.path)
+                raise self.too_many_values()
             yield row
+
+    def too_many_values(self) -> RecordingError:
+        """Return the error for values that are together longer than the file."""
+        return RecordingError("has more values than the bytes of its file can hold", path=self.path)
 
     def columns(self, table: str) -> set[str]:
         """Return the names of a table's columns; none if there is no such table."""

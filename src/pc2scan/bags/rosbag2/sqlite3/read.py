@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from itertools import chain, islice
-from typing import TYPE_CHECKING
+from itertools import chain, islice, repeat
+from operator import itemgetter
+from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags import zstd
 from pc2scan.bags.damage import DamageLog
@@ -18,7 +19,7 @@ from .database import SQLITE_ERRORS, Database
 from .index import SOUND, message_row, read_tables, shown_value
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
     from pathlib import Path
 
     from pc2scan.bags.formats import ReadOptions
@@ -27,23 +28,34 @@ if TYPE_CHECKING:
 
 #: Limits of a unit's bytes and rows. Loading less takes less time than handing it to another thread.
 _UNIT_BYTES = 1 << 19
-_UNIT_ROWS = 1024
+_UNIT_ROWS = 256
 _WORTH_A_THREAD = 1 << 20
+
+_DATA = itemgetter(3)
+
+
+#: Topic, log time, id and data of a message.
+Row = tuple[int, int, int, bytes]
+
+#: Without the constructor, which takes longer than reading a small row.
+_make_message: Callable[[Iterable[object]], RawMessage] = partial(tuple.__new__, RawMessage)
 
 
 @dataclass(slots=True)
 class _Rows:
     """Loads rows that have been read: the first time from memory, which is then released, later from the file."""
 
-    rows: list[RawMessage]
+    rows: list[Row]
     count: int
-    read_again: Callable[[], Iterator[tuple[tuple[int, int], RawMessage]]]
+    read_again: Callable[[], Iterator[tuple[list[Row], int]]]
+    known: Mapping[int, Connection]
 
     def __call__(self, callback: Callable[[RawMessage], Item], *, whole: bool) -> list[Item]:  # noqa: ARG002
-        rows, self.rows = self.rows, []
-        if not rows:
-            rows = [message for _, message in islice(self.read_again(), self.count)]
-        return list(map(callback, rows))
+        rows = self.rows or list(islice(chain.from_iterable(rows for rows, _ in self.read_again()), self.count))
+        topics, times, _, data = zip(*rows, strict=True)
+        rows.clear()
+        fields = zip(map(self.known.__getitem__, topics), times, data, times, repeat(0), strict=False)
+        return list(map(callback, map(_make_message, fields)))
 
 
 def open_reader(path: Path, options: ReadOptions) -> Sqlite3Reader:
@@ -114,80 +126,74 @@ class Sqlite3Reader(Reader):
         Rows are read while the units are iterated over, by the thread that does so: a database is read in order. A unit
         that is loaded again, which also happens on that thread, reads its rows again.
         """
-        wanted = partial(self._messages, connections, start_ns, stop_ns)
-        rows: list[RawMessage] = []
-        size = number = 0
+        wanted = None if connections is None else {connection.id for connection in connections}
+        known = {own.id: own for own in self.connections if wanted is None or own.id in wanted}
+        read = partial(self._batches, known, start_ns, stop_ns)
         before: tuple[int, int] | None = None
+        for number, (rows, size) in enumerate(read()):
+            load = _Rows(rows, len(rows), partial(read, before), known)
+            before = rows[-1][1:3]
+            yield Unit(rows[0][1], (number,), size, load, is_quick=size < _WORTH_A_THREAD, is_in_memory=True)
 
-        def unit() -> Unit:
-            rest = _Rows(rows, len(rows), partial(wanted, before))
-            return Unit(
-                rows[0].log_time_ns,
-                (number,),
-                size,
-                rest,
-                is_quick=size < _WORTH_A_THREAD,
-                is_in_memory=True,
-            )
-
-        for key, message in wanted():
-            rows.append(message)
-            size += len(message.data)
-            if size >= _UNIT_BYTES or len(rows) == _UNIT_ROWS:
-                yield unit()
-                rows, size, number, before = [], 0, number + 1, key
-            del message
-        if rows:
-            yield unit()
-
-    def _messages(
+    def _batches(
         self,
-        connections: Collection[Connection] | None,
+        known: Mapping[int, Connection],
         start_ns: int | None,
         stop_ns: int | None,
         after: tuple[int, int] | None = None,
-    ) -> Iterator[tuple[tuple[int, int], RawMessage]]:
-        """Yield messages after ``after`` by log time, equal log times in the order of writing, in bounded memory.
+    ) -> Iterator[tuple[list[Row], int]]:
+        """Yield some rows at a time, with the bytes of their data.
 
-        The key that stands before each is its log time and the row's id.
+        They are in the order of log time, equal log times in the order of writing. Only those after ``after``, a log
+        time and an id.
         """
-        wanted = None if connections is None else {connection.id for connection in connections}
-        known = {own.id: own for own in self.connections if wanted is None or own.id in wanted}
         expected = sum(own.message_count or 0 for own in known.values())
+        left = self._database.most_bytes
         while True:
             is_rebuilt = self._database.is_rebuilt
             try:
-                rows = self._rows(list(known), start_ns, stop_ns, after)
-                for topic_id, time_ns, message_id, data in self._database.bounded_rows(rows):
+                for rows, size in _in_batches(self._select(list(known), start_ns, stop_ns, after)):
+                    after = rows[-1][1:3]
                     # Pages of a damaged tree may form a loop.
-                    expected -= 1
+                    expected -= len(rows)
                     if expected < 0:
                         raise RecordingError("has more messages than it counts", path=self.path)
-                    after = (time_ns, message_id)
-                    if isinstance(data, bytes) and topic_id not in self._packed_topics:
-                        yield after, RawMessage(known[topic_id], time_ns, data, time_ns)
-                    elif (message := self._decompress(known[topic_id], time_ns, message_id, data)) is not None:
-                        yield after, message
+                    left -= size
+                    if left < 0:
+                        raise self._database.too_many_values()
+                    if self._packed_topics or {bytes} != set(map(type, map(_DATA, rows))):
+                        rows = list(self._decompressed(known, rows))  # noqa: PLW2901
+                        size = sum(map(len, map(_DATA, rows)))  # noqa: PLW2901
+                    if rows:
+                        yield rows, size
             except (*SQLITE_ERRORS, DamageError) as err:
-                # The rest is read from the pages, from the next row on; what was read meanwhile may have rebuilt them.
+                # What was read meanwhile may have rebuilt it.
                 if is_rebuilt or not self._database.is_rebuilt:
                     self._database.recover(err)
                     self._index = None
             else:
                 return
 
-    def _decompress(self, connection: Connection, time_ns: int, message_id: int, data: object) -> RawMessage | None:
-        """Decompress a message; None, with a note, if it cannot be decompressed."""
+    def _decompressed(self, known: Mapping[int, Connection], rows: list[Any]) -> Iterator[Row]:
+        """Yield rows with decompressed data, without those that have none."""
+        for row in rows:
+            topic_id, time_ns, row_id, data = row
+            if isinstance(data, bytes) and topic_id not in self._packed_topics:
+                yield row
+            elif (unpacked := self._decompress(known[topic_id], time_ns, row_id, data)) is not None:
+                yield topic_id, time_ns, row_id, unpacked
+
+    def _decompress(self, connection: Connection, time_ns: int, message_id: int, data: object) -> bytes | None:
+        """Decompress the data of a message; None, with a note, if it cannot be decompressed."""
         try:
             if not isinstance(data, bytes):
                 gone = data is None and self._database.is_rebuilt
                 what = "has lost its data" if gone else f"has data {shown_value(data)}, not a blob"
                 raise self._database.damage(f"{message_row(message_id, connection.topic)} {what}", connection.topic)
-            unpacked = zstd.decompress_message(data, self.path, connection.topic)
+            return zstd.decompress_message(data, self.path, connection.topic)
         except DamageError as err:
             self._log.note(err, key=message_id, messages_lost=1, first_ns=time_ns, last_ns=time_ns)
             return None
-        return RawMessage(connection, time_ns, unpacked, time_ns)
 
     def counts(
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
@@ -211,10 +217,10 @@ class Sqlite3Reader(Reader):
         """Close the database."""
         self._database.close()
 
-    def _rows(
+    def _select(
         self, topic_ids: list[int], start_ns: int | None, stop_ns: int | None, after: tuple[int, int] | None
-    ) -> Iterator[tuple[int, int, int, object]]:
-        """Yield topic, time, id and data of messages by time and id, those after ``after`` (time and id)."""
+    ) -> Iterator[tuple[int, int, int, Any]]:
+        """Return topic, time, id and data of messages by time and id, those after ``after`` (time and id)."""
         times, bounds = _time_conditions(start_ns, stop_ns)
         # Not as values, of which some builds of SQLite allow 32,766.
         conditions = [f"topic_id IN ({', '.join(map(str, topic_ids))})", SOUND, *times]
@@ -225,14 +231,38 @@ class Sqlite3Reader(Reader):
         if self._index is not None:
             # Without INDEXED BY, SQLite may sort whole messages instead of using the index.
             sql = f"SELECT topic_id, timestamp, id, data FROM messages INDEXED BY {self._index} {tail}"  # noqa: S608
-            # Not from the cursor itself, which cannot be closed after the database.
-            yield from chain(self._database.query(sql, values))
-            return
+            return self._database.query(sql, values)
         # Without an index SQLite has to sort; only ids are sorted, not messages.
         sql = f"SELECT topic_id, timestamp, id FROM messages {tail}"  # noqa: S608
-        for topic_id, time_ns, message_id in self._database.query(sql, values):
-            row = self._database.query("SELECT data FROM messages WHERE id = ?", (message_id,)).fetchone()
-            yield topic_id, time_ns, message_id, row and row[0]
+        rows = self._database.query(sql, values)
+        return ((*row, self._data(row[2])) for row in rows)
+
+    def _data(self, row_id: int) -> Any:
+        row = self._database.query("SELECT data FROM messages WHERE id = ?", (row_id,)).fetchone()
+        return row and row[0]
+
+
+def _in_batches(rows: Iterable[Any]) -> Iterator[tuple[list[Any], int]]:
+    """Yield rows in lists, with the bytes of their data; those before an error, too."""
+    batch: list[Any] = []
+    size = 0
+    try:
+        for row in rows:
+            batch.append(row)
+            data = row[3]
+            # Faster than isinstance, which shows here.
+            if type(data) is bytes or type(data) is str:
+                size += len(data)
+            if size >= _UNIT_BYTES or len(batch) == _UNIT_ROWS:
+                del row, data
+                yield batch, size
+                batch, size = [], 0
+    except SQLITE_ERRORS:
+        if batch:
+            yield batch, size
+        raise
+    if batch:
+        yield batch, size
 
 
 def _time_conditions(start_ns: int | None, stop_ns: int | None) -> tuple[list[str], list[int]]:
