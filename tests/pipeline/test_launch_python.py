@@ -84,8 +84,8 @@ def test_no_value_is_read_that_a_file_may_change(
     node = f"node = N(parameters={params})"
     lines = [change, node] if is_before else [node, change]
     path = described(tmp_path, "\n".join([*lines, "return LaunchDescription([node])"]), above)
-    with pytest.raises(ParameterError, match=r"min_height: .* is not read|parameters: .* is not read"):
-        load_params_file(path)
+    with pytest.raises(ParameterError, match=r"(min_height|parameters): .* is not read"):
+        load_params_file(path, node="pointcloud_to_laserscan")
 
 
 @pytest.mark.parametrize(("body", "said", "hint"), rows(TABLE, "refused", text=True))
@@ -152,9 +152,8 @@ def test_files_made_to_harm(pieces: tuple[str, str, str, int], said: str, tmp_pa
     path = described(tmp_path, "")
     path.write_text(path.read_text().rstrip() + "\n    " + re.sub(r"\bN\(", ALONE, first + repeated * count + last))
     start = time.process_time()
-    with pytest.raises(ParameterError) if said else nullcontext() as caught:
+    with pytest.raises(ParameterError, match=said) if said else nullcontext():
         load_params_file(path)
-    assert caught is None or said in caught.value.message
     assert time.process_time() - start < 5
 
 

@@ -12,9 +12,11 @@ from pc2scan.errors import ParameterError, SeveralNodesError, name_list
 from pc2scan.text import did_you_mean
 
 from .launch_node import ELSEWHERE
+from .launch_python import python_nodes
+from .launch_xml import xml_nodes
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    from collections.abc import Mapping
     from pathlib import Path
 
     from .launch_node import LaunchFile, LaunchNode
@@ -25,9 +27,7 @@ def is_launch_xml(text: str) -> bool:
     return re.match(r"\s*<[?!a-zA-Z]", text) is not None
 
 
-def launch_node(
-    text: str, path: Path, arguments: Mapping[str, str], node: str | None, overridden: Collection[str] = ()
-) -> tuple[LaunchNode, LaunchFile]:
+def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str | None) -> tuple[LaunchNode, LaunchFile]:
     """Find the node of a launch file.
 
     Parameters
@@ -38,8 +38,6 @@ def launch_node(
         Values of its arguments; the others have the defaults in the file.
     node
         Name of the node, with or without its namespace; None: the only node in the file.
-    overridden
-        Topics in the node's names, whose values are given elsewhere.
 
     Raises
     ------
@@ -47,18 +45,23 @@ def launch_node(
         If the text is not a launch file, a text that it needs is not read, there is no node of
         pointcloud_to_laserscan, or more than one.
     """
-    if path.suffix == ".py":
-        from .launch_python import python_nodes  # noqa: PLC0415  # only for Python files
-
-        file = python_nodes(text, path, arguments, overridden)
-    else:
-        from .launch_xml import xml_nodes  # noqa: PLC0415  # only for XML files
-
-        file = xml_nodes(text, path, arguments, overridden)
+    try:
+        file = (python_nodes if path.suffix == ".py" else xml_nodes)(text, path, arguments)
+    except (RecursionError, MemoryError) as err:
+        raise ParameterError(f"{path}: nested too deeply") from err
+    if unused := sorted(arguments.keys() - file.arguments):
+        declared = sorted(file.arguments)
+        raise ParameterError(
+            f"{path}: it has no argument {unused[0]!r}",
+            hint=f"{did_you_mean(unused[0], declared)} its arguments are {name_list(declared)}".strip(),
+        )
     names = [each.name or f"one without a readable name (line {each.line})" for each in file.nodes]
     if not names:
         hint = f"not followed: {name_list(file.ignored)}; name the file that has the node" if file.ignored else None
         raise ParameterError(f"{path}: no node of pointcloud_to_laserscan in it", hint=hint)
+    for unread in file.changing:
+        message = f"what changes nodes: {unread.problem} (from {path}, line {unread.line})"
+        raise ParameterError(message, hint=ELSEWHERE)
     chosen = file.nodes
     if node is not None:
         wanted = "/" + node.strip("/")
@@ -70,7 +73,7 @@ def launch_node(
         what = f"{doubtful.name or 'a node'} is {doubtful.doubt}"
         raise ParameterError(
             f"{path}, line {doubtful.line}: {what}, and read only if `node` names it",
-            hint=f"`node={doubtful.name}`" if names.count(doubtful.name) == 1 else ELSEWHERE,
+            hint=doubtful.hint or (f"`node={doubtful.name}`" if names.count(doubtful.name) == 1 else ELSEWHERE),
         )
     if len(chosen) > 1:
         names = [each.name for each in chosen]
@@ -79,13 +82,3 @@ def launch_node(
             raise ParameterError(message, hint=hint if len(set(names)) > 1 else ELSEWHERE)
         raise SeveralNodesError(message, nodes=tuple(names), hint=hint)
     return chosen[0], file
-
-
-def refuse_unknown(arguments: Mapping[str, str], file: LaunchFile, path: Path) -> None:
-    """Raise if an argument is given that the file does not have. Reading a node may find more of them."""
-    if unused := sorted(arguments.keys() - file.arguments):
-        declared = sorted(file.arguments)
-        raise ParameterError(
-            f"{path}: it has no argument {unused[0]!r}",
-            hint=f"{did_you_mean(unused[0], declared)} its arguments are {name_list(declared)}".strip(),
-        )

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from functools import partial
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import ParameterError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
+    from collections.abc import Collection, Iterator
     from pathlib import Path
 
     from .parameters import Direction
@@ -53,96 +52,33 @@ class UnreadError(Exception):
 
 def shortened(source: str) -> str:
     """Return the beginning of an expression, for errors."""
-    return source if len(source) <= 60 else f"{source[:57]}..."
+    first = source.partition("\n")[0]
+    return first if len(first) <= 60 else f"{first[:57]}..."
 
 
 @dataclass(frozen=True, slots=True)
-class LaunchParam:
-    """One parameter of a node.
+class LaunchValue:
+    """A parameter or a remapping of a node.
 
     Attributes
     ----------
+    kind
+        ``value``; ``yaml``, a block of YAML; ``file``, the path of one; or ``remap``.
     name
-        The name; empty for a file or a block of YAML.
+        The name; of YAML what errors name.
     value
         The text, or why it is not read.
-    kind
-        ``value``; ``yaml``, a block of YAML; or ``file``, the path of one.
     line
-        The line of the parameter.
+        Its line.
     type
         ROS 1's type; empty if there is none.
     """
 
+    kind: str
     name: str
     value: str | UnreadError
-    kind: str
     line: int
     type: str = ""
-
-
-@dataclass(slots=True)
-class NodeContent:
-    """What is read of a node.
-
-    Attributes
-    ----------
-    params
-        In the order of the file.
-    remaps
-        ``cloud_in:=/points``, as they apply to the node.
-    """
-
-    path: Path
-    direction: Direction
-    namespace: str
-    overridden: Collection[str]
-    params: list[LaunchParam] = field(default_factory=list)
-    remaps: list[str] = field(default_factory=list)
-
-    def add_param(self, name: str, read: Callable[[], str], line: int, kind: str = "value", of_type: str = "") -> None:
-        """Add a parameter, whose text ``read`` returns."""
-        value: str | UnreadError
-        try:
-            value = read()
-        except UnreadError as err:
-            value, line = err, err.line
-        self.params.append(LaunchParam(name, value, kind, line, of_type))
-
-    def add_remap(self, source: str, read: Callable[[], str]) -> None:
-        """Add a remapping, if it is one of the node's topics; ``read`` returns the new name.
-
-        Raises
-        ------
-        ParameterError
-            If the name is not read, and is not given elsewhere.
-        """
-        topic = source.strip("~/")
-        if topic not in _TOPICS[self.direction]:
-            return
-        try:
-            self.remaps.append(f"{source}:={qualified(self.namespace, read())}")
-        except UnreadError as err:
-            if topic not in self.overridden:
-                message = f"{source}: {err.problem} (from {self.path}, line {err.line})"
-                raise ParameterError(message, hint=err.hint or f"give it: `remap={topic}:=/TOPIC`") from None
-
-    def add_words(self, words: str, line: int) -> None:
-        """Add what the arguments of roslaunch and ros2 say: _name:=value, -p name:=value, -r from:=to, from:=to.
-
-        Raises
-        ------
-        UnreadError
-            If they name a file of parameters.
-        """
-        if "--params-file" in words:
-            raise UnreadError.of(words, line)
-        for option, word in re.findall(r"(?:(-[pr]|--param|--remap)\s+)?(\S+:=\S*)", words):
-            left, _, right = word.partition(":=")
-            if option in {"-p", "--param"} or (left.startswith("_") and not left.startswith("__")):
-                self.params.append(LaunchParam(left.lstrip("_"), right, "value", line))
-            elif not left.startswith("__"):
-                self.add_remap(left, partial(str, right))
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,15 +93,44 @@ class LaunchNode:
         Where it is.
     doubt
         Why it is not known whether the node is launched once: "under a condition"; empty if it is.
-    read
-        Returns its parameters and remappings.
+    values
+        In the order of the file.
+    hint
+        What to type if it is in doubt; None: its name.
     """
 
     name: str
     line: int
     doubt: str
-    direction: Direction
-    read: Callable[[], NodeContent]
+    direction: Direction = "pointcloud_to_laserscan"
+    namespace: str = ""
+    values: Collection[LaunchValue] = ()
+    hint: str | None = None
+
+    @classmethod
+    def unclear(cls, err: UnreadError) -> LaunchNode:
+        """Return what may be a node of pointcloud_to_laserscan."""
+        return cls("", err.line, f"unclear: {err.problem}", hint=err.hint)
+
+    def remaps(self, path: Path, overridden: Collection[str]) -> tuple[str, ...]:
+        """Return the remappings of the node's topics, ``cloud_in:=/points``.
+
+        Raises
+        ------
+        ParameterError
+            If a new name is not read, and is not given elsewhere.
+        """
+        found = []
+        for remap in self.values:
+            topic = remap.name.strip("~/")
+            if remap.kind != "remap" or topic not in _TOPICS[self.direction]:
+                continue
+            if isinstance(remap.value, str):
+                found.append(f"{remap.name}:={qualified(self.namespace, remap.value)}")
+            elif topic not in overridden:
+                message = f"{remap.name}: {remap.value.problem} (from {path}, line {remap.value.line})"
+                raise ParameterError(message, hint=remap.value.hint or f"give it: `remap={topic}:=/TOPIC`")
+        return tuple(found)
 
 
 @dataclass(slots=True)
@@ -180,11 +145,26 @@ class LaunchFile:
         The names of its arguments.
     ignored
         What may set parameters or launch nodes, and is not followed, with its place.
+    changing
+        What changes nodes from outside of them.
     """
 
     nodes: list[LaunchNode] = field(default_factory=list)
     arguments: set[str] = field(default_factory=set)
     ignored: list[str] = field(default_factory=list)
+    changing: list[UnreadError] = field(default_factory=list)
+
+
+def values_of_words(words: str, line: int) -> Iterator[LaunchValue]:
+    """Yield what arguments of roslaunch and ros2 say: _name:=value, -p name:=value, -r from:=to, from:=to."""
+    if "--params-file" in words:
+        yield LaunchValue("file", "arguments", UnreadError.of(words, line), line)
+    for option, word in re.findall(r"(?:(-[pr]|--param|--remap)\s+)?(\S+:=\S*)", words):
+        left, _, right = word.partition(":=")
+        if option in {"-p", "--param"} or (left.startswith("_") and not left.startswith("__")):
+            yield LaunchValue("value", left.lstrip("_"), right, line)
+        elif not left.startswith("__"):
+            yield LaunchValue("remap", left, right, line)
 
 
 def is_converter(package: str, programs: str, words: str) -> bool:

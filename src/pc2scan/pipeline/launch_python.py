@@ -1,233 +1,178 @@
 """Reads the literals of Python launch files of ROS 2. Nothing in a file is executed, and its flow is not followed.
 
-A name counts if the file binds it once and changes nothing in its value. A node counts if it gets into the launch
-description through lists, actions and functions that are called once.
+A name counts if the file binds it once, by a plain assignment at the top level of the module or of
+generate_launch_description(), and its lists and dictionaries are used as arguments of nodes alone. A node counts if it
+stands, directly or by such a name, in what generate_launch_description() returns or adds at its top level.
 """
 
 from __future__ import annotations
 
 import ast
-import io
 import posixpath
-import tokenize
 import warnings
-from collections import defaultdict
-from functools import partial
+from collections import Counter, defaultdict
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import ParameterError
 
 from .launch_node import (
-    ELSEWHERE,
     LaunchFile,
     LaunchNode,
-    NodeContent,
+    LaunchValue,
     UnreadError,
     direction_of,
     is_converter,
     package_folder,
     qualified,
     shortened,
+    values_of_words,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-#: Maximum size of a file in characters, of expressions in tokens beside each other, and of nested brackets.
-_MAX_CHARACTERS, _MAX_TOKENS, _MAX_BRACKETS = 200_000, 200, 30
+#: Maximum size of a file: it bounds how deeply Python's parser recurses.
+_MAX_CHARACTERS = 40_000
 
 _ENTRY = "generate_launch_description"
 
 #: Where the functions and classes are from that are read.
 _PACKAGES = frozenset({"launch", "launch_ros", "ament_index_python", "os"})
 
-_NODES = frozenset({"Node", "LifecycleNode", "ComposableNode", "ComposableLifecycleNode"})
+_NODES = frozenset({"Node", "ComposableNode"})
 _PROGRAMS = ("pointcloud_to_laserscan_node", "laserscan_to_pointcloud_node", "pointcloud_to_laserscan::")
 
-#: Actions that launch what is among their arguments, once; and methods that add actions to others.
+#: Actions that launch what is among their arguments, once.
 _ACTIONS = frozenset(
-    {"LaunchDescription", "GroupAction", "TimerAction", "OpaqueFunction", "ComposableNodeContainer"}
-    | {"LoadComposableNodes"}
+    {"LaunchDescription", "GroupAction", "TimerAction", "ComposableNodeContainer", "LoadComposableNodes"}
 )
-_ADDING = frozenset({"add_action", "add_entity", "append", "extend"})
 
-#: Actions that change the nodes beside them, and that set arguments.
+#: What may be changed in place.
+_CHANGEABLE = (ast.List, ast.Tuple, ast.Dict)
+
+#: What changes the nodes beside it, what sets arguments, and what may change names unseen.
 _CHANGING = frozenset({"PushRosNamespace", "PushROSNamespace", "SetRemap", "SetParameter", "SetParametersFromFile"})
-_SETTING = frozenset({"DeclareLaunchArgument", "SetLaunchConfiguration", "UnsetLaunchConfiguration"})
-
-#: What may change names unseen.
+_SETTING = frozenset({"SetLaunchConfiguration", "UnsetLaunchConfiguration", "launch_configurations", "forwarding"})
 _UNSEEN = frozenset({"exec", "eval", "globals", "locals", "vars", "setattr"})
 
-#: What is said of nodes in some syntax.
-_DOUBTS: dict[type[ast.AST] | None, str] = {
-    **dict.fromkeys((ast.If, ast.IfExp, ast.BoolOp, ast.match_case, ast.Try, ast.ExceptHandler), "under a condition"),
-    **dict.fromkeys((ast.For, ast.While, ast.ListComp, ast.GeneratorExp), "in a loop"),
-}
 
-
-def python_nodes(text: str, path: Path, arguments: Mapping[str, str], overridden: Collection[str]) -> LaunchFile:
+def python_nodes(text: str, path: Path, arguments: Mapping[str, str]) -> LaunchFile:
     """Read a Python launch file; see `pc2scan.pipeline.launch_file.launch_node`."""
-    try:
-        return _PythonReader(_parsed(text, path), path, arguments, overridden).read()
-    except (RecursionError, MemoryError) as err:
-        raise ParameterError(f"{path}: nested too deeply") from err
-
-
-def _parsed(text: str, path: Path) -> ast.Module:
-    """Return the syntax tree. Chains of operators are bounded first: Python's parser recurses for each level."""
     if len(text) > _MAX_CHARACTERS:
         raise ParameterError(f"{path}: has more than {_MAX_CHARACTERS:,} characters, which no launch file has")
-    counts = [0]
     try:
-        for token in tokenize.generate_tokens(io.StringIO(text).readline):
-            if token.type in {tokenize.COMMENT, tokenize.NL}:
-                continue
-            if token.string in {"(", "[", "{"}:
-                counts.append(0)
-            elif token.string in {")", "]", "}"} and counts[1:]:
-                counts.pop()
-            counts[-1] = 0 if token.string == "," or token.type == tokenize.NEWLINE else counts[-1] + 1
-            if counts[-1] > _MAX_TOKENS or len(counts) > _MAX_BRACKETS:
-                raise ParameterError(f"{path}, line {token.start[0]}: nested too deeply")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return ast.parse(text)
-    except (SyntaxError, tokenize.TokenError, ValueError) as err:
-        line = err.args[1][0] if isinstance(err, tokenize.TokenError) else getattr(err, "lineno", None)
+            tree = ast.parse(text)
+    except (SyntaxError, ValueError) as err:
+        line = getattr(err, "lineno", None)
         problem = getattr(err, "msg", None) or err.args[0]
         raise ParameterError(f"{path}{f', line {line}' if line else ''}: not valid Python: {problem}") from err
+    return _PythonReader(tree, path, arguments).read()
 
 
 class _PythonReader:
-    def __init__(self, tree: ast.Module, path: Path, arguments: Mapping[str, str], overridden: Collection[str]) -> None:
-        self._path, self._given, self._overridden = path, arguments, overridden
-        self._file = LaunchFile()
-        self._nodes = list(ast.walk(tree))
-        self._parents = {child: node for node in self._nodes for child in ast.iter_child_nodes(node)}
-        # By name: what it is assigned, None where it is bound otherwise; and where it is used.
-        self._bound: dict[str, list[ast.expr | None]] = defaultdict(list)
+    def __init__(self, tree: ast.Module, path: Path, arguments: Mapping[str, str]) -> None:
+        self._path, self._given = path, arguments
+        self._tree = list(ast.walk(tree))
+        self._parents = {child: node for node in self._tree for child in ast.iter_child_nodes(node)}
+        bound = Counter(name for node in self._tree for name in _bound(node))
+        entry = next((node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == _ENTRY), None)
+        if entry is None or entry.decorator_list or bound[_ENTRY] > 1:
+            raise ParameterError(f"{path}: is not a launch file: it has no function {_ENTRY}(), or several")
+        self._body = entry.body
+        self._foreign = bound.keys()
+        self._words = set(map(_word, self._tree))
         self._uses: dict[str, list[ast.Name]] = defaultdict(list)
-        # By name: whether nothing changes its value; and whether the default of an argument is read.
-        self._kept: dict[str, bool] = {}
-        self._is_default = False
-        for node in self._nodes:
-            self._bind(node)
-        calls = [node for node in self._nodes if isinstance(node, ast.Call)]
-        self._calls = sorted(calls, key=lambda call: (call.lineno, call.col_offset))
-        # By name of an argument, what sets it.
-        self._setting: dict[str, list[ast.Call]] = defaultdict(list)
-        for call in self._calls:
-            if self._function(call) in _SETTING:
-                self._setting[self._name_of(call)].append(call)
-
-    def _bind(self, node: ast.AST) -> None:
-        match node:
-            case (
-                ast.Assign(targets=[ast.Name(id=name)], value=value)
-                | ast.AnnAssign(target=ast.Name(id=name), value=ast.expr() as value)
-            ):
-                self._bound[name].append(value)
-            case ast.Name(id=name, ctx=ast.Load()):
-                self._uses[name].append(node)
-            case ast.Name(id=name) if not isinstance(self._parents[node], ast.Assign | ast.AnnAssign):
-                self._bound[name].append(None)
-            case ast.Assign(targets=targets):
-                for name in (target.id for target in targets if isinstance(target, ast.Name)):
-                    self._bound[name].append(None)
-            case ast.Import(names=aliases) | ast.ImportFrom(names=aliases):
-                for alias in aliases:
-                    module = getattr(node, "module", None) or alias.name
-                    if alias.asname or module.partition(".")[0] not in _PACKAGES:
-                        self._bound[alias.asname or alias.name.partition(".")[0]].append(None)
-            case ast.Global(names=names) | ast.Nonlocal(names=names):
-                for name in names:
-                    self._bound[name].append(None)
-            case ast.alias() | ast.keyword():
-                pass
-            case _:
-                # Functions, classes, arguments, exceptions that are caught, and patterns.
-                for found in (getattr(node, attribute, None) for attribute in ("name", "arg", "rest")):
-                    if isinstance(found, str):
-                        self._bound[found].append(None)
+        for node in self._tree:
+            if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
+                self._uses[node.id].append(node)
+        # What names are assigned that count.
+        self._values: dict[str, ast.expr] = {}
+        for statement in () if _UNSEEN & self._words or "*" in bound else (*tree.body, *self._body):
+            match statement:
+                case (
+                    ast.Assign(targets=[ast.Name(id=name)], value=value)
+                    | ast.AnnAssign(target=ast.Name(id=name), value=ast.expr() as value)
+                ) if bound[name] == 1 and (
+                    not isinstance(value, _CHANGEABLE) or {*map(self._user, self._uses[name])} <= _NODES | _ACTIONS
+                ):
+                    self._values[name] = value
+        # By name of an argument, its declarations; an empty name: that is not read.
+        self._declared: dict[str, list[ast.Call]] = defaultdict(list)
+        for call in self._calls("DeclareLaunchArgument"):
+            self._declared[self._argument(call)].append(call)
 
     def read(self) -> LaunchFile:
         """Return the nodes, in the order of the file."""
-        if self._bound.get(_ENTRY) != [None]:
-            raise ParameterError(f"{self._path}: is not a launch file: it has no function {_ENTRY}(), or several")
-        for call in self._calls:
-            name = self._function(call)
-            if name in _NODES:
-                self._add_node(call)
-            elif name == "IncludeLaunchDescription":
-                self._file.ignored.append(f"{self._path}, line {call.lineno}, {shortened(ast.unparse(call))}")
-            elif name in {"DeclareLaunchArgument", "LaunchConfiguration"} and (argument := self._name_of(call)):
-                self._file.arguments.add(argument)
-        for node in self._nodes:
-            if not (isinstance(node, ast.Constant) and str(node.value).startswith(_PROGRAMS)):
-                continue
-            if not any(map(self._is_node, self._above(node))):
-                self._add_unclear(_unread(node))
-        for call in self._calls if self._file.nodes else ():
-            if self._function(call) in _CHANGING and "'use_sim_time'" not in ast.unparse(call):
-                raise self._refusal("what changes nodes", _unread(call))
-        return self._file
+        used = map(self._argument, self._calls("LaunchConfiguration"))
+        nodes = [self._node(call) for call in self._calls(*_NODES)]
+        nodes += [
+            LaunchNode.unclear(_unread(node))
+            for node in self._tree
+            if isinstance(node, ast.Constant)
+            and str(node.value).startswith(_PROGRAMS)
+            and self._user(node) not in _NODES
+        ]
+        included = self._calls("IncludeLaunchDescription")
+        return LaunchFile(
+            sorted((node for node in nodes if node), key=lambda node: node.line),
+            {*self._declared, *used} - {""},
+            [f"{self._path}, line {call.lineno}, {shortened(ast.unparse(call))}" for call in included],
+            [
+                UnreadError.of(code, getattr(node, "lineno", 1))
+                for node in self._tree
+                if _word(node) in _CHANGING and "'use_sim_time'" not in (code := ast.unparse(self._parents[node]))
+            ],
+        )
 
-    def _add_node(self, call: ast.Call) -> None:
+    def _node(self, call: ast.Call) -> LaunchNode | None:
+        """Return a node, if it is one of pointcloud_to_laserscan."""
         given = {(keyword.arg or "").removeprefix("node_"): keyword.value for keyword in call.keywords}
+
+        def text(name: str) -> str:
+            return self._text(given[name]) if name in given else ""
+
         try:
             if call.args or "" in given:
                 raise _unread(call)
-            package, *programs = (self._optional(given.get(name)) for name in ("package", "executable", "plugin"))
-            if not is_converter(package, "".join(programs), ""):
-                return
-            namespace = qualified("", self._optional(given.get("namespace")))
-            direction = direction_of("".join(programs))
-            name = qualified(namespace, self._optional(given.get("name")) or direction)
+            program = text("executable") + text("plugin")
+            if not is_converter(text("package"), program, ""):
+                return None
+            direction, namespace = direction_of(program), qualified("", text("namespace"))
+            name = qualified(namespace, text("name") or direction)
         except UnreadError as err:
-            self._add_unclear(err)
-            return
-        doubt = "under a condition" if _is_conditional(call) else self._doubt(call, set())
-        content = NodeContent(self._path, direction, namespace, self._overridden)
-        read = partial(self._content, given, content, call.lineno)
-        self._file.nodes.append(LaunchNode(name, call.lineno, doubt, direction, read))
+            return LaunchNode.unclear(err)
+        values = [*self._settings(given, call.lineno)]
+        return LaunchNode(name, call.lineno, self._doubt(call), direction, namespace, values)
 
-    def _add_unclear(self, err: UnreadError) -> None:
-        """Add what may be a node of pointcloud_to_laserscan."""
-        content = NodeContent(self._path, "pointcloud_to_laserscan", "", ())
-        self._file.nodes.append(LaunchNode("", err.line, f"unclear: {err.problem}", content.direction, lambda: content))
-
-    def _content(self, given: Mapping[str, ast.expr], content: NodeContent, line: int) -> NodeContent:
-        part, words = "", []
+    def _settings(self, given: Mapping[str, ast.expr], line: int) -> Iterator[LaunchValue]:
+        part, words = "", ""
         try:
             for part in ("remappings", "parameters", "arguments", "ros_arguments"):
                 for item in self._items(given[part]) if part in given else ():
-                    if part == "parameters":
-                        self._add_params(item, content)
-                    elif part == "remappings":
+                    if part == "remappings":
                         source, target = self._items(item, 2)
-                        content.add_remap(self._text(source), partial(self._text, target))
+                        yield LaunchValue("remap", self._text(source), self._read(target), item.lineno)
+                    elif part == "parameters":
+                        yield from self._params(item)
                     else:
-                        words.append(self._text(item))
-            content.add_words(" ".join(words), line)
+                        words += f"{self._text(item)} "
+            yield from values_of_words(words, line)
         except UnreadError as err:
-            raise self._refusal(part, err) from None
-        return content
+            yield LaunchValue("file", part, err, err.line)
 
-    def _add_params(self, item: ast.expr, content: NodeContent, above: str = "") -> None:
-        """Add the parameters of a dictionary, or the file that has them."""
+    def _params(self, item: ast.expr) -> Iterator[LaunchValue]:
+        """Yield the parameters of a dictionary, or the file that has them."""
         found = self._value(item)
         if not isinstance(found, ast.Dict):
-            content.add_param("", lambda: str(self._path.parent / self._text(found)), item.lineno, "file")
+            yield LaunchValue("file", "parameters", str(self._path.parent / self._text(found)), item.lineno)
             return
         for key, value in zip(found.keys, found.values, strict=True):
             if key is None:
                 raise _unread(value)
-            name = above + self._text(key)
-            if isinstance(value, ast.Dict):
-                self._add_params(value, content, f"{name}.")
-            else:
-                content.add_param(name, partial(self._text, value, is_joined=False), key.lineno)
+            yield LaunchValue("value", self._text(key), self._read(value), key.lineno)
 
     # Values.
 
@@ -235,25 +180,9 @@ class _PythonReader:
         """Return what a name is assigned, or the expression itself."""
         if not isinstance(node, ast.Name):
             return node
-        value = self._assigned(node.id)
-        if value is None or "*" in self._bound or _UNSEEN & self._uses.keys():
-            raise UnreadError(f"`{node.id}`, which is not assigned once, is not read", node.lineno)
-        if node.id not in self._kept:
-            is_literal = not isinstance(value, ast.List | ast.Tuple | ast.Dict)
-            self._kept[node.id] = is_literal or all(map(self._is_kept, self._uses[node.id]))
-        if not self._kept[node.id]:
-            raise UnreadError(f"`{node.id}`, which may be changed, is not read", node.lineno)
-        return self._value(value)
-
-    def _assigned(self, name: str) -> ast.expr | None:
-        """Return what a name is assigned; None if it is not bound once."""
-        values = self._bound.get(name, [])
-        return values[0] if len(values) == 1 else None
-
-    def _is_kept(self, node: ast.AST) -> bool:
-        """Whether a use of a list or a dictionary leaves it as it is: it is an argument of a node."""
-        parts = (ast.List, ast.Tuple, ast.Dict, ast.Starred, ast.keyword)
-        return self._is_node(next(above for above in self._above(node) if not isinstance(above, parts)))
+        if node.id not in self._values:
+            raise UnreadError(f"`{node.id}`, which is not assigned once and left as it is, is not read", node.lineno)
+        return self._value(self._values[node.id])
 
     def _items(self, node: ast.expr, count: int | None = None) -> list[ast.expr]:
         found = self._value(node)
@@ -261,11 +190,14 @@ class _PythonReader:
             raise _unread(node)
         return found.elts
 
-    def _optional(self, node: ast.expr | None) -> str:
-        return "" if node is None or ast.unparse(node) == "None" else self._text(node)
+    def _read(self, node: ast.expr) -> str | UnreadError:
+        try:
+            return self._text(node)
+        except UnreadError as err:
+            return err
 
-    def _text(self, node: ast.expr, *, is_joined: bool = True) -> str:
-        """Return the text of a literal; a list is a concatenation, as ROS joins substitutions."""
+    def _text(self, node: ast.expr) -> str:
+        """Return the text of a literal; a list with substitutions is their concatenation, as in ROS."""
         match found := self._value(node):
             case ast.Constant(value=bool() | float() | str() as value):
                 return str(value)
@@ -273,7 +205,7 @@ class _PythonReader:
                 return str(value)
             case ast.UnaryOp(op=ast.USub(), operand=ast.Constant(value=int() | float()) as operand):
                 return f"-{self._text(operand)}"
-            case ast.List(elts=items) if is_joined:
+            case ast.List(elts=items) if not all(isinstance(item, ast.Constant) for item in items):
                 return "".join(map(self._text, items))
             case ast.Call():
                 return self._called(found)
@@ -288,117 +220,118 @@ class _PythonReader:
                 return package_folder(self._path, self._text(first), call.lineno)
             case "PathJoinSubstitution" if first is not None:
                 return posixpath.join("", *map(self._text, self._items(first)))
-            case "join" if not call.keywords:
+            case "join" if ast.unparse(call.func) == "os.path.join" and not call.keywords:
                 return posixpath.join("", *map(self._text, call.args))
         raise _unread(call)
 
     def _configuration(self, call: ast.Call, name: str) -> str:
         """Return the value of an argument."""
-        setting = self._setting.get(name, []) + self._setting.get("", [])
-        is_set_otherwise = len(setting) > 1 or any(self._function(each) != "DeclareLaunchArgument" for each in setting)
-        if is_set_otherwise or self._is_default or any(map(_is_conditional, (call, *setting))):
+        declared = self._declared.get(name, [])
+        defaults = [_argument(call, 1, "default"), *(_argument(each, 1, "default_value") for each in declared)]
+        literals = [default for default in defaults if default]
+        if (
+            _SETTING & self._words
+            or "" in self._declared
+            or len(literals) > 1
+            or any(map(_is_conditional, (call, *declared)))
+        ):
             raise _unread(call)
         if name in self._given:
             return self._given[name]
-        defaults = [_argument(call, 1, "default"), *(_argument(each, 1, "default_value") for each in setting)]
-        found = [default for default in defaults if default is not None]
-        if not found:
+        if not literals:
             raise UnreadError.no_value(name, call.lineno)
-        self._is_default = True
         try:
-            if len(found) > 1 or "" in self._setting:
-                raise _unread(call)
-            return self._text(found[0])
+            return self._text(literals[0])
         except UnreadError as err:
             raise UnreadError(err.problem, err.line, UnreadError.no_value(name, 0).hint) from None
-        finally:
-            self._is_default = False
 
-    def _name_of(self, call: ast.Call) -> str:
-        """Return which argument a call is about; empty if that is not read."""
-        node = _argument(call, 0, "name", "variable_name")
-        try:
-            found = node and self._value(node)
-        except UnreadError:
-            return ""
-        return found.value if isinstance(found, ast.Constant) and isinstance(found.value, str) else ""
+    def _argument(self, call: ast.Call) -> str:
+        """Return the name of the argument that a call is about; empty if that is not read."""
+        name = _argument(call, 0, "name", "variable_name")
+        found = self._read(name) if name else ""
+        return found if isinstance(found, str) else ""
+
+    def _calls(self, *names: str) -> Iterator[ast.Call]:
+        return (node for node in self._tree if isinstance(node, ast.Call) and self._function(node) in names)
 
     def _function(self, call: ast.AST) -> str:
         """Return the name of a function or class of ROS or of ``os.path`` that is called; empty for others."""
-        names: list[str] = []
-        func = call.func if isinstance(call, ast.Call) else None
-        while isinstance(func, ast.Attribute):
-            names.append(func.attr)
-            func = func.value
-        if not isinstance(func, ast.Name) or self._bound.get(func.id):
-            return ""
-        name = [*names, func.id][0]
-        return "" if name == "join" and [*names, func.id] != ["join", "path", "os"] else name
+        root = func = call.func if isinstance(call, ast.Call) else None
+        while isinstance(root, ast.Attribute):
+            root = root.value
+        return _word(func) if isinstance(root, ast.Name) and root.id not in self._foreign else ""
+
+    def _user(self, node: ast.AST) -> str:
+        """Return the function that something is an argument of, also inside lists; empty: it is used otherwise."""
+        while isinstance(node := self._parents[node], (*_CHANGEABLE, ast.keyword)):
+            pass
+        return self._function(node)
 
     # What is launched.
 
-    def _above(self, node: ast.AST) -> Iterator[ast.AST]:
-        while node in self._parents:
-            node = self._parents[node]
-            yield node
-
-    def _is_node(self, node: ast.AST) -> bool:
-        return self._function(node) in _NODES
-
-    def _doubt(self, node: ast.AST, met: set[str]) -> str:
+    def _doubt(self, node: ast.AST) -> str:
         """Return why it is not known whether something is launched once; empty: it is."""
-        is_added = False
-        for parent in self._above(node):
-            match parent:
-                case ast.List() | ast.Tuple() | ast.Starred() | ast.keyword() | ast.Return() | ast.BinOp(op=ast.Add()):
-                    pass
-                case ast.Expr() if is_added:
-                    pass
-                case ast.Assign(targets=[ast.Name(id=name)]) if not is_added:
-                    return self._doubt_of(name, met)
-                case ast.Call(func=ast.Attribute(value=ast.Name(id=name), attr=method)) if method in _ADDING:
-                    if doubt := self._doubt_of(name, met):
-                        return doubt
-                    is_added = True
-                case ast.Call() if parent.func is node or self._function(parent) in _ACTIONS:
-                    if _is_conditional(parent):
-                        return "under a condition"
-                case ast.FunctionDef(name=name, decorator_list=[], body=body) if node in body and self._ends_once(
-                    parent
-                ):
-                    uses = self._uses[name]
-                    if name == _ENTRY:
-                        return ""
-                    if name in met or self._bound[name] != [None] or len(uses) != 1:
-                        return "in a function that is not called once"
-                    return self._doubt(uses[0], met | {name})
-                case _:
-                    return _DOUBTS.get(type(parent), "used in a way that is not read")
-            node = parent
-        return "" if is_added else "in no launch description"
+        if isinstance(node, ast.Call) and _is_conditional(node):
+            return "under a condition"
+        parent = self._parents[node]
+        match parent:
+            case ast.Return() if parent is self._body[-1] and not any(map(_returns, self._body[:-1])):
+                return ""
+            case ast.List() | ast.keyword(arg="actions" | "initial_entities" | "composable_node_descriptions"):
+                return self._doubt(parent)
+            case ast.Call() if self._function(parent) in _ACTIONS:
+                return self._doubt(parent)
+            case ast.Assign(targets=[ast.Name(id=name)]) if self._values.get(name) is node:
+                return self._doubt_of(name)
+            case ast.Call(func=ast.Attribute(value=ast.Name(id=name), attr="add_action")):
+                if self._parents[parent] in self._body:
+                    return self._doubt_of(name)
+                parent = self._parents[self._parents[parent]]
+        return f"in `{shortened(ast.unparse(parent))}`"
 
-    def _doubt_of(self, name: str, met: set[str]) -> str:
-        """Return the doubt about what a name is assigned."""
-        if name in met or self._assigned(name) is None:
-            return f"in `{name}`, which is not assigned once, or used more than once"
-        met.add(name)
-        uses = [use for use in self._uses[name] if getattr(self._parents[use], "attr", "") not in _ADDING]
-        if len(uses) != 1:
-            return f"in `{name}`, which is used {len(uses)} times"
-        return self._doubt(uses[0], met)
+    def _doubt_of(self, name: str) -> str:
+        """Return the doubt about what a name is assigned, beside additions to it."""
+        uses = [use for use in self._uses[name] if _word(self._parents[use]) != "add_action"]
+        if name not in self._values or len(uses) != 1:
+            return f"in `{name}`, which is not assigned and used once"
+        return self._doubt(uses[0])
 
-    def _ends_once(self, function: ast.FunctionDef) -> bool:
-        """Whether a function has no return before its end."""
-        below: list[ast.AST] = list(function.body)
-        returns = 0
-        while below:
-            node = below.pop()
-            returns += isinstance(node, ast.Return)
-            below += () if isinstance(node, ast.FunctionDef | ast.Lambda) else ast.iter_child_nodes(node)
-        return returns == isinstance(function.body[-1], ast.Return)
 
-    def _refusal(self, what: str, err: UnreadError) -> ParameterError:
-        return ParameterError(f"{what}: {err.problem} (from {self._path}, line {err.line})", hint=err.hint or ELSEWHERE)
+def _bound(node: ast.AST) -> list[str]:
+    """Return the names that a part of the tree binds, but for those that are imported from ROS."""
+    match node:
+        case ast.Name(id=name, ctx=context):
+            return [] if isinstance(context, ast.Load) else [name]
+        case ast.ImportFrom(module=str() as module, level=0, names=names) if module.partition(".")[0] in _PACKAGES:
+            return [alias.asname for alias in names if alias.asname]
+        case ast.ImportFrom(names=names):
+            return [alias.asname or alias.name for alias in names]
+        case ast.Import(names=names):
+            roots = [(alias.asname, alias.name.partition(".")[0]) for alias in names]
+            return [asname or root for asname, root in roots if asname or root not in _PACKAGES]
+        case ast.Global(names=names) | ast.Nonlocal(names=names):
+            return names
+        case ast.alias() | ast.keyword():
+            return []
+    # Functions, classes, arguments, exceptions that are caught, and patterns.
+    return [
+        name
+        for name in (getattr(node, attribute, None) for attribute in ("name", "arg", "rest"))
+        if isinstance(name, str)
+    ]
+
+
+def _word(node: ast.AST | None) -> str:
+    """Return the name that a part of the tree uses."""
+    match node:
+        case ast.Name(id=word) | ast.Attribute(attr=word) | ast.keyword(arg=str(word)) | ast.alias(word, asname=str()):
+            return word
+    return ""
+
+
+def _returns(statement: ast.stmt) -> bool:
+    is_function = isinstance(statement, ast.FunctionDef)
+    return not is_function and any(isinstance(node, ast.Return) for node in ast.walk(statement))
 
 
 def _unread(node: ast.expr) -> UnreadError:

@@ -4,39 +4,37 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from functools import partial
 from typing import TYPE_CHECKING
+from xml.parsers import expat
 
 from pc2scan.errors import ParameterError
 from pc2scan.options.table import PARAMETERS
 
 from .launch_node import (
-    ELSEWHERE,
     LaunchFile,
     LaunchNode,
-    NodeContent,
+    LaunchValue,
     UnreadError,
     direction_of,
     is_converter,
     package_folder,
     qualified,
+    values_of_words,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-#: Maximum number of levels of nested elements, of substitutions in one text, and of its characters.
-_MAX_DEPTH, _MAX_SUBSTITUTIONS, _MAX_TEXT = 50, 100, 10_000
+#: Maximum number of characters of a text with its substitutions.
+_MAX_TEXT = 10_000
 
-_SUBSTITUTION = re.compile(r"\$\((arg|var|find|find-pkg-share)\s+'?([^()$'\s]*)'?\s*\)")
+_SUBSTITUTION = re.compile(r"\$\((arg|var|find|find-pkg-share) +([^()$\s]+) *\)")
 
 _TRUE, _FALSE = frozenset({"1", "true", "True", "yes"}), frozenset({"0", "false", "False", "no", ""})
 
-_NODES = frozenset({"node", "composable_node"})
-
-#: Elements outside of a node that may set its parameters.
-_SETTERS = frozenset({"param", "rosparam", "set_parameter", "set_parameters_from_file"})
+#: Elements that change the nodes beside them.
+_CHANGING = frozenset({"push_ros_namespace", "set_remap", "set_parameter", "set_parameters_from_file"})
 
 
 @dataclass(slots=True)
@@ -47,39 +45,17 @@ class _Element:
     children: list[_Element] = field(default_factory=list)
     text: str = ""
 
-    def below(self) -> Iterator[_Element]:
-        for child in self.children:
-            yield child
-            yield from child.below()
-
-    @property
-    def is_converter(self) -> bool:
-        programs = "" if "$(" in self.programs else self.programs
-        words = self.attributes.get("args", "")
-        return self.tag in _NODES and is_converter(self.attributes.get("pkg", ""), programs, words)
-
-    @property
-    def programs(self) -> str:
-        return "".join(self.attributes.get(name, "") for name in ("type", "exec", "plugin"))
-
 
 def _tree(text: str, path: Path) -> _Element:
     """Return the root element. ElementTree has no line numbers, and always expands entities."""
-    from xml.parsers import expat  # noqa: PLC0415  # only for launch files
-
     root = _Element("", {}, 0)
     stack = [root]
     parser = expat.ParserCreate()
 
     def start(tag: str, attributes: dict[str, str]) -> None:
-        if len(stack) > _MAX_DEPTH:
-            raise ParameterError(f"{path}, line {parser.CurrentLineNumber}: nested more than {_MAX_DEPTH} levels deep")
         element = _Element(tag.replace("-", "_"), attributes, parser.CurrentLineNumber)
         stack[-1].children.append(element)
         stack.append(element)
-
-    def end(_tag: str) -> None:
-        stack.pop()
 
     def characters(data: str) -> None:
         stack[-1].text += data
@@ -92,7 +68,7 @@ def _tree(text: str, path: Path) -> _Element:
 
     parser.buffer_text = True
     parser.StartElementHandler = start
-    parser.EndElementHandler = end
+    parser.EndElementHandler = lambda _tag: stack.pop()
     parser.CharacterDataHandler = characters
     parser.StartDoctypeDeclHandler = refuse
     try:
@@ -104,208 +80,144 @@ def _tree(text: str, path: Path) -> _Element:
     return root.children[0]
 
 
-@dataclass(slots=True)
-class _Scope:
-    """What applies to the elements of a group.
-
-    Attributes
-    ----------
-    arguments
-        Their values; `UnreadError` if they have none that is read.
-    remaps
-        Elements, and the scopes that they are in.
-    """
-
-    namespace: str
-    doubt: str
-    arguments: dict[str, str | UnreadError]
-    remaps: list[tuple[_Element, _Scope]]
-
-    def inner(self, doubt: str) -> _Scope:
-        return _Scope(self.namespace, doubt or self.doubt, dict(self.arguments), list(self.remaps))
-
-
-def xml_nodes(text: str, path: Path, arguments: Mapping[str, str], overridden: Collection[str]) -> LaunchFile:
+def xml_nodes(text: str, path: Path, arguments: Mapping[str, str]) -> LaunchFile:
     """Read an XML launch file; see `pc2scan.pipeline.launch_file.launch_node`."""
-    return _XmlReader(path, arguments, overridden).read(_tree(text, path))
+    reader = _XmlReader(path, arguments)
+    reader.read(_tree(text, path), "", "", [])
+    return reader.file
 
 
 class _XmlReader:
-    def __init__(self, path: Path, arguments: Mapping[str, str], overridden: Collection[str]) -> None:
-        self._path = path
-        self._given = arguments
-        self._overridden = overridden
-        self._file = LaunchFile()
+    def __init__(self, path: Path, arguments: Mapping[str, str]) -> None:
+        self.file = LaunchFile()
+        self._path, self._given = path, arguments
+        self._arguments: dict[str, str | UnreadError] = {}
 
-    def read(self, root: _Element) -> LaunchFile:
-        for element in root.below():
-            if element.tag == "include":
-                self._ignore(element, f"<include file={element.attributes.get('file', '')!r}>")
-        self._read_group(root, _Scope("", "", {}, []))
-        return self._file
-
-    def _read_group(self, parent: _Element, scope: _Scope) -> None:
+    def read(self, parent: _Element, namespace: str, doubt: str, remaps: list[LaunchValue]) -> None:
+        """Read the elements of a group, in their order; the rest is what applies to its nodes."""
+        try:
+            namespace, remaps = qualified(namespace, self._text(parent, "ns")), list(remaps)
+        except UnreadError as err:
+            self.file.changing.append(err)
         for element in parent.children:
-            is_open = element.attributes.get("scoped", "true").lower() == "false"
-            has_converter = element.is_converter or any(each.is_converter for each in element.below())
-            if element.tag in {"arg", "let"}:
-                self._declare(element, scope)
-            elif element.tag in {"remap", "set_remap"}:
-                scope.remaps.append((element, scope.inner("")))
-            elif element.tag in _SETTERS:
-                self._ignore_setter(element)
-            elif element.tag == "push_ros_namespace" and self._applies(element, scope):
-                scope.namespace = qualified(scope.namespace, self._needed(element, "namespace", scope))
-            elif element.tag == "group" and is_open:
-                if self._applies(element, scope):
-                    self._read_group(element, scope)
-            elif has_converter:
-                try:
-                    if not self._condition(element, scope):
-                        continue
-                    doubt = ""
-                except UnreadError as err:
-                    doubt = f"under a condition ({err.problem}, line {err.line})"
-                inner = scope.inner(doubt)
-                if element.is_converter:
-                    self._add_node(element, inner)
+            unsure, place = doubt, f"{self._path}, line {element.line}, <{element.tag}"
+            try:
+                if not self._applies(element):
                     continue
-                if element.tag == "group":
-                    inner.namespace = qualified(scope.namespace, self._needed(element, "ns", scope))
-                self._read_group(element, inner)
+            except UnreadError as err:
+                unsure = f"under a condition ({err.problem}, line {err.line})"
+            name = element.attributes.get("name", "").rpartition("/")[2]
+            match element.tag:
+                case "include":
+                    self.file.ignored.append(f"{place} file={element.attributes.get('file', '')!r}>")
+                case "arg" | "let":
+                    self._declare(element, unsure)
+                case "remap" if parent.tag in {"launch", "group"}:
+                    remaps += self._values(element)
+                case "node" | "composable_node":
+                    self._add_node(element, namespace, unsure, remaps)
+                case "param" | "rosparam" if not name or name in PARAMETERS:
+                    self.file.ignored.append(f"{place}> outside of a node")
+                case tag if tag in _CHANGING:
+                    if name != "use_sim_time":
+                        self.file.changing.append(UnreadError(f"<{tag}> is not read", element.line))
+                case _:
+                    self.read(element, namespace, unsure, remaps)
 
-    def _add_node(self, element: _Element, scope: _Scope) -> None:
-        programs = "".join(self._needed(element, name, scope) for name in ("type", "exec", "plugin"))
-        direction = direction_of(programs + element.attributes.get("args", ""))
-        space = self._needed(element, "ns", scope) or self._needed(element, "namespace", scope)
-        scope.namespace = qualified(scope.namespace, space)
-        name = qualified(scope.namespace, self._needed(element, "name", scope) or direction)
-        read = partial(
-            self._content, element, scope, NodeContent(self._path, direction, scope.namespace, self._overridden)
-        )
-        self._file.nodes.append(LaunchNode(name, element.line, scope.doubt, direction, read))
-
-    def _content(self, element: _Element, scope: _Scope, content: NodeContent) -> NodeContent:
-        own = [(child, scope) for child in element.children if child.tag == "remap"]
-        for remap, outer in [*scope.remaps, *own]:
-            if self._applies(remap, outer):
-                content.add_remap(
-                    self._needed(remap, "from", outer),
-                    partial(self._text, remap.attributes.get("to", ""), remap, outer),
-                )
-        for child in element.children:
-            if child.tag == "param" and self._applies(child, scope):
-                self._add_params(child, scope, content)
-            elif child.tag == "rosparam" and self._applies(child, scope):
-                self._add_rosparam(child, scope, content)
+    def _declare(self, element: _Element, doubt: str) -> None:
+        name, given = element.attributes.get("name", ""), element.attributes.get("value")
+        value: str | UnreadError
         try:
-            content.add_words(self._text(element.attributes.get("args", ""), element, scope), element.line)
+            if element.tag == "let" or doubt or name in self._arguments:
+                problem = f"the argument {name!r}, which <let> sets, or which depends on a condition, is not read"
+                raise UnreadError(problem, element.line)
+            if given is None and name in self._given:
+                value = self._given[name]
+            elif given is None and "default" not in element.attributes:
+                raise UnreadError.no_value(name, element.line)
+            else:
+                value = self._text(element, "default" if given is None else "value")
         except UnreadError as err:
-            raise self._refusal(f"args: {err.problem}", err) from None
-        return content
+            value = err
+        self._arguments[name] = value
 
-    def _add_params(self, element: _Element, scope: _Scope, content: NodeContent, above: str = "") -> None:
-        if "from" in element.attributes:
-            content.add_param("", partial(self._path_of, "from", element, scope), element.line, "file")
-            return
-        name = above + self._needed(element, "name", scope)
-        for child in element.children:
-            self._add_params(child, scope, content, f"{name}.")
-
-        def value() -> str:
-            if "value" not in element.attributes:
-                raise UnreadError("<param> has no value here", element.line)
-            return self._text(element.attributes["value"], element, scope)
-
-        if not element.children:
-            content.add_param(name, value, element.line, of_type=element.attributes.get("type", ""))
-
-    def _add_rosparam(self, element: _Element, scope: _Scope, content: NodeContent) -> None:
-        if element.attributes.get("command", "load") != "load" or "ns" in element.attributes:
-            unread = UnreadError("<rosparam> with `command` or `ns` is not read", element.line)
-            raise self._refusal(unread.problem, unread)
-        if "file" in element.attributes:
-            content.add_param("", partial(self._path_of, "file", element, scope), element.line, "file")
-            return
-        substituted = element.attributes.get("subst_value", "").lower() in {"1", "true"}
-        name = self._needed(element, "param", scope)
-        read = partial(self._text, element.text, element, scope) if substituted else lambda: element.text
-        content.add_param(name, read, element.line, "value" if name else "yaml")
-
-    def _path_of(self, attribute: str, element: _Element, scope: _Scope) -> str:
-        return str(self._path.parent / self._text(element.attributes[attribute], element, scope))
-
-    def _declare(self, element: _Element, scope: _Scope) -> None:
-        name = self._needed(element, "name", scope)
-        self._file.arguments.add(name)
+    def _add_node(self, element: _Element, namespace: str, doubt: str, remaps: list[LaunchValue]) -> None:
+        words = element.attributes.get("args", "")
         try:
-            if not self._condition(element, scope):
+            programs = "".join(self._text(element, name) for name in ("type", "exec", "plugin"))
+            if not is_converter(self._text(element, "pkg"), programs, words):
                 return
-            written = element.attributes.get("value", element.attributes.get("default"))
-            if element.tag == "arg" and "value" not in element.attributes and name in self._given:
-                scope.arguments[name] = self._given[name]
-            elif written is not None:
-                scope.arguments[name] = self._text(written, element, scope)
+            direction = direction_of(programs + words)
+            for attribute in ("ns", "namespace"):
+                namespace = qualified(namespace, self._text(element, attribute))
+            name = qualified(namespace, self._text(element, "name") or direction)
         except UnreadError as err:
-            # Only an argument that is used needs a value: others have, say, files of packages that are not here.
-            scope.arguments[name] = err
+            self.file.nodes.append(LaunchNode.unclear(err))
+            return
+        values = [*remaps, *(value for child in element.children for value in self._values(child))]
+        try:
+            values += values_of_words(self._text(element, "args"), element.line)
+        except UnreadError as err:
+            values.append(LaunchValue("file", "args", err, err.line))
+        self.file.nodes.append(LaunchNode(name, element.line, doubt, direction, namespace, values))
 
-    def _condition(self, element: _Element, scope: _Scope) -> bool:
-        for attribute, wanted in (("if", True), ("unless", False)):
+    def _values(self, element: _Element) -> Iterator[LaunchValue]:
+        """Yield the parameter or remapping of an element, if it applies."""
+        get = element.attributes.get
+        text: str | None
+        match element.tag:
+            case "remap":
+                kind, name, text = "remap", get("from", ""), get("to")
+            case "param" if "from" not in element.attributes:
+                kind, name, text = "value", get("name", ""), get("value")
+            case "rosparam" if get("command", "load") != "load" or "ns" in element.attributes:
+                kind, name, text = "file", "parameters", None
+            case "param" | "rosparam" if file := get("from", get("file")):
+                kind, name, text = "file", "parameters", str(self._path.parent / file)
+            case "rosparam":
+                kind, name = "value" if get("param") else "yaml", get("param", "parameters")
+                is_plain = "$(" not in element.text or get("subst_value", "").lower() in {"1", "true"}
+                text = element.text if is_plain else None
+            case _:
+                return
+        value: str | UnreadError
+        try:
+            if not self._applies(element):
+                return
+            if text is None:
+                raise UnreadError(f"<{element.tag}> has no value here", element.line)
+            name, value = self._expanded(name, element.line), self._expanded(text, element.line)
+        except UnreadError as err:
+            kind, value = "file" if "$(" in name else kind, err
+        yield LaunchValue(kind, name, value, element.line, get("type", ""))
+
+    def _applies(self, element: _Element) -> bool:
+        for attribute, wanted in (("if", _TRUE), ("unless", _FALSE)):
             if attribute in element.attributes:
-                text = self._text(element.attributes[attribute], element, scope).strip()
+                text = self._text(element, attribute).strip()
                 if text not in _TRUE | _FALSE:
                     raise UnreadError(f"{attribute}={text!r} is neither true nor false", element.line)
-                if (text in _TRUE) is not wanted:
+                if text not in wanted:
                     return False
         return True
 
-    def _applies(self, element: _Element, scope: _Scope) -> bool:
-        """Return whether what a node needs is there."""
-        try:
-            return self._condition(element, scope)
-        except UnreadError as err:
-            name = element.attributes.get("name") or element.attributes.get("from") or f"<{element.tag}>"
-            raise self._refusal(f"{name}: {err.problem}", err) from None
+    def _text(self, element: _Element, attribute: str) -> str:
+        return self._expanded(element.attributes.get(attribute, ""), element.line)
 
-    def _needed(self, element: _Element, attribute: str, scope: _Scope) -> str:
-        try:
-            return self._text(element.attributes.get(attribute, ""), element, scope)
-        except UnreadError as err:
-            raise self._refusal(f"{attribute}: {err.problem}", err) from None
+    def _expanded(self, text: str, line: int) -> str:
+        """Replace substitutions such as ``$(arg ...)``."""
 
-    def _text(self, text: str, element: _Element, scope: _Scope) -> str:
-        """Replace substitutions such as ``$(arg ...)``, the innermost first."""
-        for _ in range(_MAX_SUBSTITUTIONS):
-            found = _SUBSTITUTION.search(text)
-            if found is None:
-                if "$(" in text:
-                    raise UnreadError.of(text[text.index("$(") :], element.line)
-                return text
-            text = text[: found.start()] + self._value(found[1], found[2], element, scope) + text[found.end() :]
-            if len(text) > _MAX_TEXT:
-                break
-        raise UnreadError("a text with too many substitutions is not read", element.line)
+        def value(found: re.Match[str]) -> str:
+            kind, name = found.groups()
+            if kind.startswith("find"):
+                return package_folder(self._path, name, line)
+            self.file.arguments.add(name)
+            known = self._arguments.get(name, self._given.get(name, UnreadError.no_value(name, line)))
+            if isinstance(known, UnreadError):
+                raise known
+            return known
 
-    def _value(self, kind: str, name: str, element: _Element, scope: _Scope) -> str:
-        if kind.startswith("find"):
-            return package_folder(self._path, name, element.line)
-        self._file.arguments.add(name)
-        value = scope.arguments.get(name, self._given.get(name))
-        if isinstance(value, UnreadError):
-            raise value
-        if value is None:
-            raise UnreadError.no_value(name, element.line)
-        return value
-
-    def _refusal(self, message: str, err: UnreadError) -> ParameterError:
-        return ParameterError(f"{message} (from {self._path}, line {err.line})", hint=err.hint or ELSEWHERE)
-
-    def _ignore_setter(self, element: _Element) -> None:
-        """Add an element outside of nodes that may set a parameter of one."""
-        name = element.attributes.get("name", "").rpartition("/")[2]
-        if name in PARAMETERS or "name" not in element.attributes:
-            self._ignore(element, f"<{element.tag}> outside of a node")
-
-    def _ignore(self, element: _Element, what: str) -> None:
-        self._file.ignored.append(f"{self._path}, line {element.line}, {what}")
+        text = _SUBSTITUTION.sub(value, text)
+        if "$(" in text or len(text) > _MAX_TEXT:
+            raise UnreadError.of(text[max(text.find("$("), 0) :], line)
+        return text

@@ -13,7 +13,7 @@ from pc2scan.files.source import open_bytes, refuse_pointer
 from pc2scan.options.table import PARAMETERS
 from pc2scan.text import did_you_mean, nearest
 
-from .launch_file import is_launch_xml, launch_node, refuse_unknown
+from .launch_file import is_launch_xml, launch_node
 from .launch_node import ELSEWHERE, UnreadError
 from .parameters import (
     ALIASES,
@@ -31,7 +31,7 @@ from .yaml_nodes import compose, is_empty, is_mapping, is_scalar, place_of, scal
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping
 
-    from .launch_node import LaunchNode, LaunchParam
+    from .launch_node import LaunchNode, LaunchValue
 
 #: Maximum size of a parameter file. A larger file was given by mistake.
 MAX_FILE_BYTES = 1_000_000
@@ -154,19 +154,20 @@ def _from_launch(
     text: str, path: Path, node: str | None, arguments: Mapping[str, str], overridden: Collection[str]
 ) -> ParamsFile:
     """Read a node's parameters from a launch file; a later value replaces an earlier one."""
-    found, file = launch_node(text, path, arguments, node, overridden)
-    content = found.read()
-    refuse_unknown(arguments, file, path)
+    found, file = launch_node(text, path, arguments, node)
+    remaps = found.remaps(path, overridden)
     settings: dict[str, Setting] = {}
     ignored = list(file.ignored)
     files: list[Path] = []
     hidden: list[tuple[str, str]] = []
-    for param in content.params:
+    for param in found.values:
         place = f"{path}, line {param.line}"
+        if param.kind == "remap":
+            continue
         if isinstance(param.value, UnreadError):
             name = ALIASES.get(param.name, param.name)
-            if not name or (name in PARAMETERS and name not in overridden):
-                raise _unread(name, param.value, place)
+            if param.kind != "value" or (name in PARAMETERS and name not in overridden):
+                raise _unread(name, param.value, path)
             continue
         if param.kind == "file":
             loaded = _named_file(Path(param.value), place, found)
@@ -177,14 +178,13 @@ def _from_launch(
             settings |= {setting.name: setting for setting in loaded.settings}
             continue
         for written, value in _launch_values(param, param.value, path, place):
-            name, called = ALIASES.get(written, written), param.name or written
+            name, origin = ALIASES.get(written, written), f"{place}, {written}"
             if is_every_nodes(written):
                 continue
-            origin = f"{place}, {called}"
             if name in names_of(found.direction):
                 settings[name] = Setting(name, _as_bool(name, value), origin, "file")
             elif written not in TOPICS and nearest(written, PARAMETERS):
-                raise unknown_parameter(called, origin, found.direction)
+                raise unknown_parameter(written, origin, found.direction)
             else:
                 # The node ignores a parameter that it does not declare.
                 ignored.append(origin)
@@ -193,16 +193,16 @@ def _from_launch(
         tuple(settings.values()),
         found.name,
         tuple(ignored),
-        tuple(content.remaps),
+        remaps,
         tuple(files),
         tuple(hidden),
     )
 
 
-def _unread(name: str, err: UnreadError, place: str) -> ParameterError:
+def _unread(name: str, err: UnreadError, path: Path) -> ParameterError:
     """Return the error about a value that is not read of a launch file."""
-    hint = f"give its value: `{name}=...`" if name else ELSEWHERE
-    return ParameterError(f"{name or 'parameters'}: {err.problem} (from {place})", name=name, hint=err.hint or hint)
+    hint = err.hint or (f"give its value: `{name}=...`" if name in PARAMETERS else ELSEWHERE)
+    return ParameterError(f"{name}: {err.problem} (from {path}, line {err.line})", name=name, hint=hint)
 
 
 def _named_file(file: Path, place: str, node: LaunchNode) -> ParamsFile:
@@ -218,7 +218,7 @@ def _named_file(file: Path, place: str, node: LaunchNode) -> ParamsFile:
     raise ParameterError(f"{file}: is a launch file, where parameters are expected (from {place})")
 
 
-def _launch_values(param: LaunchParam, text: str, path: Path, place: str) -> list[tuple[str, object]]:
+def _launch_values(param: LaunchValue, text: str, path: Path, place: str) -> list[tuple[str, object]]:
     """Return the names and values of a parameter of a launch file."""
     if param.kind != "yaml":
         return [(param.name, _launch_value(param, text))]
@@ -239,7 +239,7 @@ def _section_for(node: str, text: str, file: Path) -> ParamsFile:
         return _from_yaml(text, file, None)
 
 
-def _launch_value(param: LaunchParam, written: str) -> object:
+def _launch_value(param: LaunchValue, written: str) -> object:
     text = written.strip()
     quoted = re.fullmatch(r"'(.*)'|\"(.*)\"", text)
     if quoted:
