@@ -1,16 +1,11 @@
-"""What a batch does with each recording of a dataset, and why: random histories against a model of the manifest.
-
-The model keeps the lines that runs have written, and says from them, from the sources and from the results what the
-next run does. Whatever happens, what is kept is what a conversion of today writes.
-"""
+"""What a batch does with each recording of a dataset: random histories against an oracle of states."""
 
 from __future__ import annotations
 
-import json
 import os
 import random
+import shutil
 import warnings
-from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
@@ -19,293 +14,185 @@ import pytest
 import pc2scan
 from pc2scan.datasets.jobs import Event, convert_one
 from pc2scan.errors import OutputError
-from pc2scan.text import size
 from support import sampled
-from support.batches import KEYWORDS, batch, manifest_of, place
-from support.builders import CHATTER, CONTENT, Recording, write_mcap, write_rosbag1, write_rosbag2
+from support.batches import KEYWORDS, batch, contents, manifest_of, place
+from support.builders import CONTENT, write_mcap, write_rosbag1, write_rosbag2
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
     from pathlib import Path
 
-    from pc2scan.datasets.summary import Outcome
-
-#: Contents of a source by name; none of them has the length of another, but for those of one length.
-CONTENTS = {
-    "drive": CONTENT,
-    "half": CONTENT.halves()[0],
-    "no clouds": Recording((CHATTER,), tuple(CONTENT.of(CHATTER.topic))),
-}
-OPTIONS: tuple[dict[str, Any], ...] = (
-    {},
-    {"beams": 90},
-    {"to": "mcap"},
-)
-
-#: Name and size and time of each file, as `os.stat` has them.
-Files = tuple[tuple[str, int, int], ...]
+KEYS = ("a.bag", "b.mcap", "r/a.bag", "c")
+CONTENTS = {"drive": CONTENT, "half": CONTENT.halves()[0]}
+OPTIONS: tuple[dict[str, Any], ...] = ({}, {"beams": 90}, {"to": "mcap"})
 
 
-@dataclass
-class Line:
-    """A line of the manifest, as far as later runs read it."""
-
-    options: int
-    source: Files
-    outcome: str
-    error: str = ""
-    #: Of an error about a result, its path.
-    place: str = ""
-    output: str = ""
-    left: Files = ()
-    is_older: bool = False
+#: What conversions of their own have written.
+ALONE: dict[tuple[str, str, str], bytes] = {}
 
 
-@dataclass
 class World:
-    root: Path
-    random: random.Random
-    lines: list[tuple[str, Line]] = field(default_factory=list)
-    now_ns: int = 1_700_000_000_000_000_000
+    """Sources, results, and the state of each.
 
-    @property
-    def out(self) -> Path:
-        return self.root / "out"
+    A recording is kept if its source, its options and its result are as recorded. Else it is converted. A file that is
+    in its place is replaced with --overwrite, or if it is as a run left it, or unfinished. Otherwise it stays, and the
+    recording has failed.
 
-    def keys(self) -> list[str]:
-        return sorted(name for name in ("a.bag", "b.mcap", "r/a.bag", "c") if (self.root / "in" / name).exists())
+    Attributes
+    ----------
+    sources
+        By key, what is in it ("" for an empty file), and when it was written.
+    recorded
+        By key, the source, the options and the result of the last conversion, if it did not fail.
+    is_ours
+        By name of a file that is there: whether it is as a run left it.
+    unfinished
+        Files that a killed run has begun.
+    """
+
+    def __init__(self, root: Path, seed: int) -> None:
+        self.root, self.out, self.random = root, root / "out", random.Random(seed)
+        self.now = 0
+        self.sources: dict[str, tuple[str, int]] = {}
+        self.recorded: dict[str, tuple[Any, ...]] = {}
+        self.is_ours: dict[str, bool] = {}
+        self.unfinished: set[str] = set()
+        for key in KEYS[::2]:
+            self.make(key, "drive")
 
     def make(self, key: str, content: str) -> None:
         """Write a source anew, at a time of its own."""
         path = self.root / "in" / key
+        remove(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        if path.is_dir():
-            for file in path.iterdir():
-                file.unlink()
-            path.rmdir()
-        write = write_rosbag1 if path.suffix == ".bag" else write_mcap if path.suffix else write_rosbag2
-        path.unlink(missing_ok=True)
-        write(path, CONTENTS[content])
-        self.touch(path)
+        write = {".bag": write_rosbag1, ".mcap": write_mcap, "": write_rosbag2}[path.suffix]
+        if content:
+            write(path, CONTENTS[content])
+        else:
+            path.touch()
+        self.sources[key] = content, self.touch(path)
 
-    def touch(self, path: Path) -> None:
-        self.now_ns += 1
-        for file in [*path.iterdir()] if path.is_dir() else [path]:
-            os.utime(file, ns=(1, self.now_ns))
+    def touch(self, path: Path) -> int:
+        self.now += 1
+        for file in path.iterdir() if path.is_dir() else [path]:
+            os.utime(file, ns=(1, self.now))
+        return self.now
 
     def user_acts(self) -> None:
         choose = self.random.choice
-        key = choose(("a.bag", "b.mcap", "r/a.bag", "c"))
-        path, written = self.root / "in" / key, sorted(self.out.rglob("*_scan*.*"))
-        match choose(
-            (
-                "make",
-                "make",
-                "touch",
-                "break",
-                "remove",
-                "edit",
-                "shorten",
-                "foreign",
-                "tear",
-                "older",
-                "died",
-            )
-        ):
-            case "make":
-                self.make(key, choose(tuple(CONTENTS)))
-            case "touch" if path.exists():
-                self.touch(path)
-            case "break" if path.is_file():
-                path.write_bytes(b"")
-                self.touch(path)
-            case "remove" if written:
-                choose(written).unlink()
-            case "edit" if written:
-                self.touch(choose(written))
-            case "shorten" if written:
-                changed = choose(written)
-                changed.write_bytes(changed.read_bytes()[:-1])
-            case "foreign":
-                foreign = self.out / choose(("a_scan.bag", "a_scan.mcap", "b_scan.mcap", "r/a_scan.bag"))
-                if not foreign.exists():
-                    foreign.parent.mkdir(parents=True, exist_ok=True)
-                    foreign.write_text("mine")
-            case "older" if self.lines:
-                self.rewrite({"pc2scan": "0.0.1"}, is_older=True)
-            case "died" if self.lines:
-                # As if the process had died that converted it, after its file had its name.
-                output = self.lines[-1][1].output or "none"
-                died = {"outcome": "died", "output": {"path": output, "files": []}, "error": None, "report": None}
-                self.rewrite(died, outcome="died", error="", left=(), output=output)
-            case "tear" if self.lines:
-                manifest = self.out / "manifest.jsonl"
-                data = complete(manifest)
-                last = len(data) - data[:-1].rfind(b"\n") - 1
-                manifest.write_bytes(data[: -self.random.randrange(1, last)])
-                self.lines.pop()
+        output, act = choose([*self.is_ours, ""]), choose(("make", "make", "empty", "edit", "remove", "foreign"))
+        if act == "make":
+            self.make(choose(KEYS), choose([*CONTENTS]))
+        elif act == "empty":
+            self.make(choose(KEYS[:3]), "")
+        elif act == "edit" and output:
+            self.touch(self.out / output)
+            self.is_ours[output] = False
+        elif act == "remove" and output:
+            remove(self.out / output)
+            del self.is_ours[output]
+        elif act == "foreign" and (output := name_of(choose(KEYS[:3]), choose(OPTIONS))) not in self.is_ours:
+            (self.out / output).parent.mkdir(parents=True, exist_ok=True)
+            (self.out / output).write_text("mine")
+            self.is_ours[output] = False
 
-    def rewrite(self, values: dict[str, Any], **known: Any) -> None:
-        """Change the last line of the manifest, and what is known of it."""
-        *lines, last = complete(self.out / "manifest.jsonl").splitlines()
-        lines.append(json.dumps(json.loads(last) | values).encode())
-        (self.out / "manifest.jsonl").write_bytes(b"".join(line + b"\n" for line in lines))
-        key, line = self.lines.pop()
-        self.lines.append((key, replace(line, **known)))
-
-    # --- The model ---
-
-    def expected(self, key: str, options: int, *, again: bool, overwrite: bool) -> tuple[str, str]:
-        """The action, and why; of what is refused the error."""
-        path = self.root / "in" / key
-        if path.is_file() and not path.stat().st_size:
-            return "refuse", "is empty"
+    def expected(self, key: str, options: dict[str, Any], *, again: bool, overwrite: bool) -> str:
         output = name_of(key, options)
-        before = dict(self.lines).get(key)
-        written = {line.output: line.left for _, line in self.lines if line.left}
-        there = files_in(self.out / output)
-        why = "asked for" if again else self.why(before, options, path, output, there)
-        if why and there and not overwrite:
-            # It is as a line has left it; or what is there is not known, since the process died that wrote it.
-            died = {line.output for line in dict(self.lines).values() if line.outcome == "died"}
-            if output not in died and there != written.get(output):
-                if output not in written:
-                    return "refuse", "exists already, and was not written by this batch"
-                names = sorted({name for name, _, _ in {*there} - {*written[output]}} - {output.rpartition("/")[2]})
-                return "refuse", "was edited since" + (f": {', '.join(names)}" if names else "")
-        return ("convert", why) if why else ("keep", "unchanged")
+        if not self.sources[key][0]:
+            return "refuse"
+        is_ours = self.is_ours.get(output)
+        if self.recorded.get(key) == (self.sources[key], digest_of(options), output) and is_ours and not again:
+            return "keep"
+        return "refuse" if is_ours is False and output not in self.unfinished and not overwrite else "convert"
 
-    def why(self, line: Line | None, options: int, path: Path, output: str, there: Files) -> str:
-        if line is None:
-            return "new"
-        if line.is_older:
-            return "converted by pc2scan 0.0.1"
-        if digest_of(line.options) != digest_of(options):
-            return "other options"
-        now = files_in(path)
-        if [each[1] for each in now] != [each[1] for each in line.source]:
-            return f"the source was changed: it has {total(now)}, it had {total(line.source)}"
-        if now != line.source:
-            return "the source was changed: another time of modification"
-        if line.outcome == "no clouds":
-            return ""
-        if not line.left:
-            return f"{line.outcome} before" + (f": {line.error}" if line.error else "")
-        if line.output != output:
-            return f"written to {line.output} before"
-        if not there:
-            return "its output is missing"
-        if there != line.left:
-            return f"its output was changed: it has {total(there)}, it was written with {total(line.left)}"
-        return ""
+    def run(self) -> None:
+        """Run a batch, or let it be killed behind its first conversion, and hold it to what is expected."""
+        options = self.random.choice((*OPTIONS, {}, {}))
+        how: dict[str, Any] = {"again": self.random.random() < 0.1, "overwrite": self.random.random() < 0.3}
+        kind = self.random.choice(("run", "run", "run", "dry run", "killed"))
+        expected = {key: self.expected(key, options, **how) for key in sorted(self.sources)}
+        before = contents(self.out)
+        begun: list[str] = []
 
-    def run(self) -> list[tuple[str, Line]]:
-        """Run a batch; return the lines of the results that are there now."""
-        chance = self.random.random
-        options = self.random.choice((0, 0, 0, 0, 1, 2))
-        how = {"again": chance() < 0.1, "overwrite": chance() < 0.3}
-        dry_run = chance() < 0.2
-        expected = {key: self.expected(key, options, **how) for key in self.keys()}
-        before = files_in(self.out)
-        report = batch(self.root / "in", self.out, **OPTIONS[options], **how, dry_run=dry_run)
-        found = {
-            each.key: (each.action, each.error if each.action == "refuse" else each.why) for each in report.outcomes
-        }
-        assert found == expected
-        if dry_run:
-            assert files_in(self.out) == before
-            return []
-        # First what is refused; then the largest recordings.
-        for each in sorted(
-            report.outcomes, key=lambda each: -each.bytes_read if each.action == "convert" else -(1 << 40)
-        ):
-            self.note(each, options, set(before))
-        assert complete(self.out / "manifest.jsonl").count(b"\n") == len(self.lines)
-        for key, line in manifest_of(self.out).items():
-            output, known = line["output"] or {"path": "", "files": [], "bytes": 0}, dict(self.lines)[key]
-            assert line["outcome"] == known.outcome
-            assert output["path"] == known.output
-            assert output["files"] == [list(file) for file in known.left]
-            assert output["bytes"] == sum(size for _, size, _ in known.left)
-        return [(key, line) for key, line in dict(self.lines).items() if key in found and line.left]
+        def killed(jobs: Any, **_: object) -> Iterator[Event]:
+            begun.append(jobs[0].key)
+            yield Event("begun", jobs[0].key)
+            convert_one(jobs[0])
+            raise KeyboardInterrupt
 
-    def note(self, done: Outcome, options: int, before: set[tuple[str, int, int]]) -> None:
-        """Add the line of a recording; of the files of its result those that were not there ``before``."""
-        key, outcome, error = done.key, done.outcome, done.error
-        if done.action == "keep":
-            return
-        path, last = self.root / "in" / key, dict(self.lines).get(key)
-        output = name_of(key, options)
-        place = output if done.action == "refuse" and error != "is empty" else ""
-        line = Line(options, files_in(path), outcome, error, place)
-        if done.action == "convert":
-            line.output = output
-            found = files_in(self.out / output) if outcome == "converted" else ()
-            line.left = tuple(each for each in found if each not in before)
+        if kind == "killed" and "convert" in expected.values():
+            with patch("pc2scan.datasets.run.run_jobs", killed), pytest.raises(KeyboardInterrupt):
+                pc2scan.batch(self.root / "in", self.out, **{**KEYWORDS, **options}, **how)
+            converted = begun
         else:
-            line.output = last.output if last is not None else ""
-            said = last is not None and (
-                *(last.outcome, last.error, last.place, last.source),
-                *(digest_of(last.options), last.is_older),
-            )
-            if said == (outcome, error, place, line.source, digest_of(options), False):
+            report = batch(self.root / "in", self.out, **options, **how, dry_run=kind == "dry run")
+            assert {each.key: each.action for each in report.outcomes} == expected
+            if kind == "dry run":
+                assert contents(self.out) == before
                 return
-        self.lines.append((key, line))
+            assert {each.key for each in report.outcomes if each.outcome == "failed"} == {
+                key for key, action in expected.items() if action == "refuse"
+            }
+            converted = [key for key, action in expected.items() if action == "convert"]
+        outputs = {name_of(key, options): key for key in converted}
+        after = contents(self.out)
+        for name, data in before.items():
+            output = name if name in self.is_ours else name.partition("/")[0]
+            assert output not in self.is_ours or output in outputs or after[name] == data
+        for output, key in outputs.items():
+            self.is_ours[output] = not begun
+            if not begun:
+                self.recorded[key] = self.sources[key], digest_of(options), output
+        self.unfinished = (self.unfinished - outputs.keys()).union(outputs if begun else ()) & self.is_ours.keys()
+        for key, action in expected.items():
+            if action == "refuse":
+                self.recorded.pop(key, None)
+            elif action == "keep" or not begun:
+                assert bytes_of(self.out / name_of(key, options)) == self.alone(key, options)
+
+    def alone(self, key: str, options: dict[str, Any]) -> bytes:
+        """What a conversion of its own writes of a recording."""
+        case = self.sources[key][0], key.partition(".")[2], str(options)
+        if case not in ALONE:
+            folder = self.root / f"alone{len(ALONE)}"
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                pc2scan.convert(self.root / "in" / key, f"{folder}/", **KEYWORDS, **options)
+            ALONE[case] = bytes_of(folder)
+        return ALONE[case]
 
 
-def complete(manifest: Path) -> bytes:
-    """The lines of a manifest that have their end."""
-    data = manifest.read_bytes()
-    return data[: data.rfind(b"\n") + 1]
+def remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
-def digest_of(options: int) -> dict[str, Any]:
+def digest_of(options: dict[str, Any]) -> dict[str, Any]:
     """What of the options decides the content of a result; its name has its own rule."""
-    return {name: value for name, value in OPTIONS[options].items() if name != "to"}
+    return {name: value for name, value in options.items() if name != "to"}
 
 
-def name_of(key: str, options: int) -> str:
+def name_of(key: str, options: dict[str, Any]) -> str:
     stem, _, suffix = key.partition(".")
-    to = OPTIONS[options].get("to", suffix)
+    to = options.get("to", suffix)
     return f"{stem}_scan{'.' if to else ''}{to}"
 
 
-def files_in(path: Path) -> Files:
-    """Everything in a folder, or a file; nothing if there is none."""
-    files = [path] if path.is_file() else sorted(file for file in path.rglob("*") if file.is_file())
-    return tuple((file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in files)
-
-
-def total(files: Files) -> str:
-    return size(sum(each[1] for each in files))
-
-
 def bytes_of(path: Path) -> bytes:
-    return b"".join(file.read_bytes() for file in ([path] if path.is_file() else sorted(path.iterdir())))
+    """The content of a file, or of all files in a folder."""
+    files = [path] if path.is_file() else sorted(file for file in path.rglob("*") if file.is_file())
+    return b"".join(file.read_bytes() for file in files)
 
 
-def results_in(output: Path, files: Files) -> list[bytes]:
-    """The content of a result: of one file, or of the files of a folder."""
-    folder = output if output.is_dir() else output.parent
-    return [(folder / name).read_bytes() for name, *_ in files]
-
-
-@pytest.fixture(scope="module")
-def converted(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path, int], list[bytes]]:
-    """Returns what a conversion of its own writes, by content and options."""
-    found: dict[tuple[bytes, str, int], list[bytes]] = {}
-
-    def of(source: Path, options: int) -> list[bytes]:
-        key = bytes_of(source), source.suffix, options
-        if key not in found:
-            folder = tmp_path_factory.mktemp("alone")
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                pc2scan.convert(source, f"{folder}/", **KEYWORDS, **OPTIONS[options])
-            found[key] = [file.read_bytes() for file in sorted(folder.rglob("*")) if file.is_file()]
-        return found[key]
-
-    return of
+@pytest.mark.parametrize("seed", sampled(range(40), 10))
+def test_a_run_does_what_is_missing_changed_or_failed(seed: int, tmp_path: Path) -> None:
+    world = World(tmp_path, seed)
+    for _ in range(8):
+        for _ in range(world.random.choice((0, 1, 2, 4))):
+            world.user_acts()
+        world.run()
 
 
 def test_a_result_whose_beginning_nobody_heard_of_is_known(tmp_path: Path) -> None:
@@ -342,19 +229,3 @@ def test_a_result_whose_line_cannot_be_written_is_known(tmp_path: Path) -> None:
     (out / "manifest.jsonl").rmdir()
     assert (out / "a_scan.bag").exists()
     assert [each.why for each in batch(drives, out).outcomes] == ["interrupted before"]
-
-
-@pytest.mark.parametrize("seed", sampled(range(40), 10))
-def test_a_run_does_what_is_missing_changed_or_failed(
-    seed: int, tmp_path: Path, converted: Callable[[Path, int], list[bytes]]
-) -> None:
-    world = World(tmp_path, random.Random(seed))
-    (tmp_path / "in").mkdir()
-    for key in ("a.bag", "r/a.bag"):
-        world.make(key, "drive")
-    for _ in range(8):
-        for _ in range(world.random.choice((0, 1, 2, 4))):
-            world.user_acts()
-        for key, line in world.run():
-            source = world.root / "in" / key
-            assert results_in(world.out / line.output, line.left) == converted(source, line.options)
