@@ -10,7 +10,7 @@ import math
 from abc import abstractmethod
 from dataclasses import dataclass, field, fields, is_dataclass
 from enum import Enum
-from os import PathLike, fspath
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
 
 from .errors import Pc2ScanError, stamp_text, visible
@@ -249,8 +249,9 @@ def json_value(value: Any) -> Any:
         return value
     if isinstance(value, dict):
         return {key: json_value(part) for key, part in value.items()}
-    if isinstance(value, PathLike):
-        return fspath(value)
+    if isinstance(value, Path):
+        # Not os.fspath: that of a URL has its secrets.
+        return str(value)
     if hasattr(value, "as_dict"):
         return json_value(value.as_dict())
     if is_dataclass(value) or hasattr(value, "_fields"):

@@ -1,14 +1,12 @@
-"""Recordings at URLs: in memory, at files, and on an S3 server and a web server of this computer."""
+"""Recordings at URLs: in memory, on a web server and on an S3 server of this computer. Cases are in ``urls.txt``."""
 
 from __future__ import annotations
 
+import json
 import shutil
 import sqlite3
 import sys
-import threading
 from contextlib import closing
-from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,11 +14,12 @@ import pytest
 import zstandard
 
 import pc2scan
-from pc2scan.errors import MissingError, Pc2ScanError, RecordingError
+from pc2scan.errors import Pc2ScanError, RecordingError
+from pc2scan.files import store
 from support import ROOT
 from support.builders import CONTENT, write_db3, write_rosbag1
 from support.command import run, run_process
-from support.stores import memory_store, s3_server
+from support.stores import memory_store, s3_server, web_server
 from support.tables import rows
 
 if TYPE_CHECKING:
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
 
 fsspec = pytest.importorskip("fsspec")
 
-FIXTURES = ROOT / "fixtures"
+FIXTURES, CASES = ROOT / "fixtures", Path(__file__).with_name("urls.txt")
 NAMES = ["hall.bag", "hall.mcap", "hall"]
 HEIGHTS: dict[str, Any] = {"min_height": 0.1}
 HALL = "memory://bucket/hall.bag"
@@ -61,7 +60,6 @@ def contents(fs: Any) -> dict[str, bytes]:
 def test_what_is_at_a_url_is_as_the_file(name: str, bucket: Any, scratch: Path, tmp_path: Path) -> None:
     url, local = f"memory://bucket/{name}", str(FIXTURES / name)
     assert str(pc2scan.info(url)) == str(pc2scan.info(local)).replace(local, url)
-    assert pc2scan.tf(url).as_dict() == pc2scan.tf(local).as_dict()
     report = pc2scan.convert(url, f"memory://out/{name}", report=tmp_path / "r.json", **HEIGHTS)
     assert (report.sources, report.destination) == ([url], f"memory://out/{name}")
     said = (tmp_path / "r.json").read_text()
@@ -72,35 +70,17 @@ def test_what_is_at_a_url_is_as_the_file(name: str, bucket: Any, scratch: Path, 
     files = sorted(expected.iterdir()) if expected.is_dir() else [expected]
     made = {key: data for key, data in contents(bucket).items() if key.startswith("/out")}
     assert made == {f"/out/{file.relative_to(tmp_path)}": file.read_bytes() for file in files}
-
-
-#: What is typed, with SRC and OUT; OUT is the beginning of the names of what is written.
-EVERYWHERE = [
-    "check OUTscans.mcap",
-    "diff SRC OUTscans.mcap",
-    "view SRC -o OUTpage.html --min-height 0.1",
-    "view SRC -o OUTpage.html --overwrite",
-    "map SRC -o OUTmap.yaml --min-height 0.1",
-    "export SRC -o OUTscans.csv --min-height 0.1",
-    "export SRC -o OUTscans.csv --min-height 0.1",
-    "export SRC -o OUTclouds --format pcd",
-    "repair SRC -o OUTrepaired.bag",
-    "convert SRC -o OUTagain.bag --report OUTreport.json",
-    "convert SRC -o OUTx.bag --report OUTscans.csv",
-    "convert SRC -o OUTy.bag --dry-run",
-    "convert SRC -o OUTcut.bag --start 0.1s --end 0.3s",
-    "convert SRC SRC -o OUTz.bag",
-    "info SRC OUTnone.bag",
-]
+    times = [[scan.stamp_ns for scan in pc2scan.scans(place, **HEIGHTS)] for place in (url, local)]
+    assert (times[0], len(times[0])) == (times[1], 5)
 
 
 def test_every_command_does_at_urls_what_it_does_with_files(bucket: Any, tmp_path: Path) -> None:
     local, url = f"{tmp_path}/out/", "memory://out/"
     (tmp_path / "out").mkdir()
-    for typed in ("convert SRC -o OUTscans.mcap --min-height 0.1", *EVERYWHERE):
+    for typed, status in rows(CASES, "everywhere"):
         here = run(*typed.replace("SRC", str(FIXTURES / "hall.bag")).replace("OUT", local).split())
         there = run(*typed.replace("SRC", HALL).replace("OUT", url).split())
-        assert there.status == here.status, (typed, there)
+        assert (here.status, there.status) == (status, status), (typed, there)
         shown = here.stdout.replace(str(FIXTURES / "hall.bag"), HALL).replace(local, url)
         # The columns of tables are as wide as the paths.
         assert words_of(there.stdout) == words_of(shown), typed
@@ -119,13 +99,12 @@ def words_of(text: str) -> list[str]:
 
 
 def test_all_kinds_of_recordings_are_read(bucket: Any, tmp_path: Path) -> None:
-    """Also those that a library reads by itself, is compressed as a whole, damaged, or has a log beside it."""
+    """Also those that are compressed as a whole, damaged, or have a log beside them."""
     write_db3(tmp_path / "a.db3", CONTENT)
     write_rosbag1(tmp_path / "b.bag", CONTENT)
     data = (tmp_path / "b.bag").read_bytes()
     (tmp_path / "cut.bag").write_bytes(data[: len(data) * 2 // 3])
     (tmp_path / "cut.db3").write_bytes((tmp_path / "a.db3").read_bytes()[:-5000])
-    (tmp_path / "two.bag").write_bytes(data + data)
     (tmp_path / "b.bag.zst").write_bytes(zstandard.compress(data))
     shutil.copy(tmp_path / "a.db3", tmp_path / "hot.db3")
     with closing(sqlite3.connect(tmp_path / "hot.db3", isolation_level=None)) as live:
@@ -137,30 +116,10 @@ def test_all_kinds_of_recordings_are_read(bucket: Any, tmp_path: Path) -> None:
     (tmp_path / "hot.db3").unlink()
     bucket.put(f"{tmp_path}/", "/kinds/", recursive=True)
     names = {path.name for path in tmp_path.iterdir() if path.is_file() and not path.name.endswith("-wal")}
-    assert len(names) == 7
+    assert len(names) == 6
     for name in names:
-        found = [pc2scan.info(place).as_dict() for place in (f"memory://kinds/{name}", tmp_path / name)]
-        shown = [str(each).replace(str(tmp_path), "memory://kinds") for each in found]
-        assert shown[0] == shown[1]
-        report, expected = (
-            pc2scan.convert(source, tmp_path / "x.mcap", overwrite=True, min_height=-2.0, max_height=2.0)
-            for source in (f"memory://kinds/{name}", tmp_path / name)
-        )
-        assert report.bytes_written == expected.bytes_written
-        assert [each.what for each in report.damage] == [each.what for each in expected.damage]
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_loops_read_urls(name: str) -> None:
-    times = [[scan.stamp_ns for scan in pc2scan.scans(place, **HEIGHTS)] for place in places(name)]
-    assert times[0] == times[1]
-    assert len(times[0]) == 5
-    points = [[cloud.points().shape for cloud in pc2scan.clouds(place)] for place in places(name)]
-    assert points[0] == points[1]
-
-
-def places(name: str) -> tuple[str, Path]:
-    return f"memory://bucket/{name}", FIXTURES / name
+        found = [str(pc2scan.info(place).as_dict()) for place in (f"memory://kinds/{name}", tmp_path / name)]
+        assert found[0] == found[1].replace(str(tmp_path), "memory://kinds")
 
 
 def test_results_go_next_to_the_source_or_into_a_folder(bucket: Any) -> None:
@@ -170,7 +129,7 @@ def test_results_go_next_to_the_source_or_into_a_folder(bucket: Any) -> None:
     assert bucket.find("/out") == ["/out/hall_scan.bag"]
 
 
-@pytest.mark.parametrize(("words", "why"), rows(Path(__file__).with_name("urls.txt"), "refused"))
+@pytest.mark.parametrize(("words", "why"), rows(CASES, "refused"))
 def test_what_is_refused_changes_nothing(words: str, why: str, bucket: Any) -> None:
     hall = bucket.cat_file("/bucket/hall.bag")
     for name, data in {"x.bag": hall, "x_scan.bag": b"", "mine/thesis.tex": b""}.items():
@@ -182,51 +141,31 @@ def test_what_is_refused_changes_nothing(words: str, why: str, bucket: Any) -> N
     assert contents(bucket) == before
 
 
-def test_overwriting_replaces_what_it_writes(bucket: Any) -> None:
-    bucket.pipe_file("/out/x.bag", b"mine")
-    pc2scan.convert(HALL, "memory://out/x.bag", overwrite=True, **HEIGHTS)
-    assert bucket.cat_file("/out/x.bag").startswith(b"#ROSBAG")
-    assert bucket.find("/out") == ["/out/x.bag"]
-
-
-def test_what_is_missing_is_named() -> None:
-    for call in (pc2scan.info, pc2scan.tf, pc2scan.check):
-        with pytest.raises(MissingError, match=r"memory://bucket/none\.bag: does not exist"):
-            call("memory://bucket/none.bag")
-
-
-def test_a_source_that_changes_meanwhile_is_an_error(bucket: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    cat_file = bucket.cat_file
-
-    def changing(key: str, **options: Any) -> bytes:
-        data: bytes = cat_file(key, **options)
-        bucket.pipe_file(key, cat_file(key) + b"more")
-        return data
-
-    monkeypatch.setattr(type(bucket), "cat_file", staticmethod(changing))
-    with pytest.raises(RecordingError, match="was changed while it was read"):
-        pc2scan.convert(HALL, "memory://out/x.bag", **HEIGHTS)
-    assert not bucket.exists("/out/x.bag")
-
-
+@pytest.mark.parametrize(("name", "method"), [("metadata.yaml", "put_file"), ("hall_0.db3", "get_file")])
 @pytest.mark.parametrize("failure", [OSError("gone"), KeyboardInterrupt()])
-def test_an_upload_that_fails_leaves_nothing(
-    failure: BaseException, bucket: Any, monkeypatch: pytest.MonkeyPatch
+def test_a_transfer_that_fails_leaves_nothing(
+    failure: BaseException, name: str, method: str, bucket: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    put_file = bucket.put_file
+    transfer = getattr(bucket, method)
 
-    def failing(source: str, key: str, **options: Any) -> None:
-        if source.endswith("metadata.yaml"):
+    def failing(source: str, target: str, **options: Any) -> None:
+        transfer(source, target, **options)
+        if source.endswith(name):
             raise failure
-        put_file(source, key, **options)
 
-    monkeypatch.setattr(type(bucket), "put_file", staticmethod(failing))
+    monkeypatch.setattr(type(bucket), method, staticmethod(failing))
     with pytest.raises((Pc2ScanError, KeyboardInterrupt)):
-        pc2scan.convert(HALL, "memory://out/x", **HEIGHTS)
+        pc2scan.convert("memory://bucket/hall", "memory://out/x", **HEIGHTS)
     assert bucket.find("/out") == []
 
 
-# --- The command ---
+def test_sources_are_counted_together_before_the_first_is_fetched(bucket: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    largest = max(bucket.size(f"/bucket/{name}") for name in NAMES[:2])
+    monkeypatch.setattr("shutil.disk_usage", lambda _: shutil._ntuple_diskusage(2 * largest, 0, largest))
+    assert pc2scan.info(HALL).topics
+    monkeypatch.setattr(type(bucket), "get_file", None)
+    with pytest.raises(RecordingError, match=r"hall\.bag: no space for local copies: .* are fetched, and .* has room"):
+        pc2scan.convert([HALL, "memory://bucket/hall.mcap"], "memory://out/x.bag", **HEIGHTS)
 
 
 def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -235,36 +174,43 @@ def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     done = run("info", "s3://bucket/a.mcap")
     assert done.status == 2
     assert 'pip install "pc2scan[remote]" s3fs' in done.stderr
-    assert "Traceback" not in done.stderr
-
-
-def test_a_web_server_is_read_only(tmp_path: Path) -> None:
-    pytest.importorskip("aiohttp", reason="aiohttp reads https")
-
-    class Handler(SimpleHTTPRequestHandler):
-        """Knows no ranges, like `python -m http.server`."""
-
-        def log_message(self, *_: object) -> None:
-            pass
-
-    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Handler, directory=str(FIXTURES))) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        source = f"http://me:secret@127.0.0.1:{server.server_port}/hall.bag?token=geheim"
-        for command in (("info",), ("tf",), ("export", "-o", tmp_path / "x.csv", "--min-height", "0.1")):
-            assert run(command[0], source, *command[1:]).status == 0
-        done = run("convert", source, "-o", tmp_path / "x.bag", "--report", tmp_path / "r.json")
-        refused = run("convert", source)
-        server.shutdown()
-    assert done.status == 0, done.stderr
-    assert (refused.status, "can only be read" in refused.stderr) == (2, True)
-    said = done.stdout + done.stderr + (tmp_path / "r.json").read_text() + refused.stderr
-    for secret in ("secret", "geheim"):
-        assert secret not in said
 
 
 def test_the_memory_of_a_command_is_no_destination() -> None:
     done = run_process("convert", str(FIXTURES / "hall.bag"), "-o", "memory://x.bag", "--min-height", "0.1")
     assert (done.status, "gone when it ends" in done.stderr) == (2, True), done
+
+
+@pytest.fixture(scope="module")
+def web() -> Iterator[str]:
+    with web_server(FIXTURES) as place:
+        yield place
+
+
+def test_a_web_server_is_read_only(web: str, tmp_path: Path) -> None:
+    source, out = f"http://me:secret@{web}/hall.bag?token=geheim", tmp_path / "out"
+    out.mkdir()
+    written = ("-o", out / "x.bag", "--report", out / "r.json", "--min-height", "0.1")
+    done = [run(*words) for words in (("info", source), ("convert", source, *written), ("convert", source))]
+    assert [each.status for each in done] == [0, 0, 2], done
+    assert "can only be read" in done[2].stderr
+    for secret in ("secret", "geheim"):
+        assert secret not in str(done) + (out / "r.json").read_text()
+
+
+@pytest.mark.parametrize(("kind", "status", "message"), rows(CASES, "web"))
+def test_a_web_server_that_fails_leaves_nothing(
+    kind: str, status: int, message: str, web: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(store, "SLOWEST_SECONDS" if "trickles" in kind else "_READ_SECONDS", 2)
+    out, report = tmp_path / "x.bag", tmp_path / "report.json"
+    done = run("convert", f"http://me:secret@{web}/{kind}/hall.bag?token=geheim", "-o", out, "--report", report)
+    assert (done.status, json.loads(report.read_text())["exit_status"]) == (status, status), done
+    assert done.stderr.startswith(f"error: http://{web}/{kind}/hall.bag: {message}")
+    assert "\nhint: " in done.stderr
+    for hidden in ("Traceback", "secret", "geheim"):
+        assert hidden not in done.stderr + report.read_text()
+    assert not out.exists()
 
 
 def test_an_s3_server(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -274,16 +220,16 @@ def test_an_s3_server(monkeypatch: pytest.MonkeyPatch) -> None:
         s3 = fsspec.filesystem("s3", skip_instance_cache=True)
         s3.mkdir("drives")
         s3.put_file(str(FIXTURES / "hall.bag"), "drives/in/hall.bag")
-        expected = [
-            ("info s3://drives/in/hall.bag", 0, "s3://drives/in/hall.bag: rosbag1"),
-            ("convert s3://drives/in/hall.bag -o s3://drives/out/x.bag", 0, "s3://drives/out/x.bag"),
-            ("convert s3://drives/in/hall.bag -o s3://drives/out/x", 0, "s3://drives/out/x"),
-            ("convert s3://drives/in/hall.bag -o s3://drives/out/x.bag", 2, "exists already"),
-            ("info s3://drives/out/x", 0, "s3://drives/out/x: rosbag2 mcap"),
-            ("info s3://drives/none.bag", 2, "does not exist"),
-            ("batch s3://no-such-bucket/in -o s3://no-such-bucket/out", 2, "no such bucket"),
-        ]
-        for words, status, said in expected:
-            done = run(*words.split())
+        for words, status, said in rows(CASES, "s3"):
+            done = run(*words.split(), *("--min-height", "0.1") * words.startswith("convert"))
             assert (done.status, said in done.stdout + done.stderr) == (status, True), done
             assert "testing-secret" not in done.stdout + done.stderr
+    for endpoint, said in (("http://127.0.0.1:9", "the host cannot be reached"), ("", "no credentials")):
+        monkeypatch.setenv("AWS_ENDPOINT_URL", endpoint or "http://127.0.0.1:9")
+        if not endpoint:
+            monkeypatch.setenv("AWS_EC2_METADATA_DISABLED", "true")
+            monkeypatch.delenv("AWS_ACCESS_KEY_ID")
+        type(s3).clear_instance_cache()
+        done = run("info", "s3://drives/in/hall.bag")
+        assert (done.status, said in done.stderr) == (1, True), done
+    type(s3).clear_instance_cache()

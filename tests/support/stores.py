@@ -1,17 +1,21 @@
-"""Stores for recordings: one in memory, and an S3 server on this computer."""
+"""Stores for recordings: one in memory, and an S3 server and a web server on this computer."""
 
 from __future__ import annotations
 
 import hashlib
-from contextlib import contextmanager
+import threading
+from contextlib import contextmanager, suppress
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
-__all__ = ["memory_store", "s3_server"]
+__all__ = ["memory_store", "s3_server", "web_server"]
 
 
 @contextmanager
@@ -55,3 +59,68 @@ def s3_server() -> Iterator[dict[str, str]]:
         "AWS_DEFAULT_REGION": "us-east-1",
     }
     running.stop()
+
+
+class _Handler(SimpleHTTPRequestHandler):
+    """Sends the files of a folder, without ranges; a folder in the path says what it does instead."""
+
+    protocol_version = "HTTP/1.1"
+
+    def log_message(self, *_: object) -> None:
+        """Log nothing."""
+
+    def do_HEAD(self) -> None:
+        self._answer(b"")
+
+    def do_GET(self) -> None:
+        self._answer(bytes(50_000))
+
+    def _answer(self, body: bytes) -> None:
+        kind, _, name = self.path[1:].partition("/")
+        ended: threading.Event = self.server.ended  # type: ignore[attr-defined]
+        if not name:
+            super().do_GET() if body else super().do_HEAD()
+            return
+        self.close_connection = True
+        with suppress(OSError):
+            if kind == "silent":
+                ended.wait(20)
+            elif kind == "trickles_heads":
+                self._trickle(b"HTTP/1.1 200 OK\r\nX: " + b"x" * 100)
+            elif kind.isdigit() or kind == "redirects":
+                self.send_response(int(kind) if kind.isdigit() else 302)
+                self.send_header("Location", f"http://localhost:{self.server.server_port}/hall.bag")  # type: ignore[attr-defined]
+                self.send_header("Content-Length", "0")
+                self.end_headers()
+            else:
+                self.send_response(200)
+                self.send_header(
+                    "Content-Length", str({"declares": 10**14, "floods": len(body) or 1000}.get(kind, 100_000))
+                )
+                self.end_headers()
+                if kind == "trickles":
+                    self._trickle(body)
+                self.wfile.write(body)
+                self.wfile.flush()
+                ended.wait(20 if body and kind == "stalls" else 0)
+
+    def _trickle(self, data: bytes) -> None:
+        """Send a byte now and then, so that the server is never silent for long."""
+        for byte in data:
+            if self.server.ended.wait(0.1):  # type: ignore[attr-defined]
+                break
+            self.wfile.write(bytes([byte]))
+            self.wfile.flush()
+
+
+@contextmanager
+def web_server(folder: Path) -> Iterator[str]:
+    """Serve a folder; yields host and port."""
+    pytest.importorskip("aiohttp", reason="aiohttp reads http")
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(_Handler, directory=str(folder))) as server:
+        server.daemon_threads = True
+        server.ended = threading.Event()  # type: ignore[attr-defined]
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"127.0.0.1:{server.server_port}"
+        server.ended.set()  # type: ignore[attr-defined]
+        server.shutdown()

@@ -101,21 +101,22 @@ def open_recording(path: Path, *, strict: bool = False) -> Reader:
     DamageError
         With ``strict``, if it is damaged; without, if nothing of it can be recovered.
     """
-    # What is fetched from a URL to detect the format is read again.
-    held = path.hold() if isinstance(path, UrlPath) else None
     name, _, packed = sniff(path).partition("+")
     options = ReadOptions(strict=strict)
     if packed:
         from .zstd import ZstdReader  # noqa: PLC0415  # few recordings need it
 
         return ZstdReader(path, FORMATS[name], options)
-    reader = FORMATS[name].open_reader(path, options)
-    del held
-    return reader
+    return FORMATS[name].open_reader(path, options)
 
 
 def open_recordings(paths: Iterable[Path], stack: ExitStack, *, strict: bool = False) -> list[Reader]:
-    """Open several, each as `open_recording` does, to be closed with the stack."""
+    """Open several, each as `open_recording` does, to be closed with the stack; what is at URLs is fetched first."""
+    paths = list(paths)
+    if any(isinstance(path, UrlPath) for path in paths):
+        from pc2scan.files.transfers import fetched  # noqa: PLC0415  # most recordings are local
+
+        paths = stack.enter_context(fetched(paths))
     readers = []
     for path in paths:
         reader = open_recording(path, strict=strict)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.bags.opening import open_recording
 from pc2scan.errors import DecodeError, TopicError, UsageError, name_list
+from pc2scan.files.transfers import fetched
 from pc2scan.messages.schema import canonical_type
 from pc2scan.messages.transcode import transcoder
 from pc2scan.progress import Meter
@@ -84,7 +85,7 @@ def diff(
         )
     with ExitStack() as stack:
         sources = []
-        for path in (a, a if b is None else b):
+        for path in stack.enter_context(fetched((a, a if b is None else b))):
             source = open_source(path)
             stack.callback(source.close)
             sources.append(source)

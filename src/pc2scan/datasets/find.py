@@ -1,20 +1,25 @@
-"""Finds the recordings of a dataset in folders, globs, lists of paths and single paths; recognises them by content."""
+"""Finds the recordings of a dataset in folders, globs, lists of paths and single paths.
+
+They are recognised by their content, and in stores by their names.
+"""
 
 from __future__ import annotations
 
 import glob
 import os
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.folders import continues, groups_of_parts, is_named_as_recording, natural_order
 from pc2scan.bags.formats import FORMATS
-from pc2scan.bags.opening import open_recording, sniff
+from pc2scan.bags.opening import open_recordings, sniff
+from pc2scan.bags.zstd import without_suffix
 from pc2scan.errors import Pc2ScanError, RecordingError, UsageError
 from pc2scan.files.places import working_names
 from pc2scan.files.source import open_bytes
+from pc2scan.files.transfers import fetched
 from pc2scan.files.urls import UrlPath, absolute, exists, is_dir, is_file, is_url, local_path, path_or_url
 
 from .manifest import Identity, identity_of
@@ -163,7 +168,7 @@ def _candidates(sources: Sequence[str], out: Path) -> Iterator[Iterable[_Candida
             ]
         else:
             # The path does not exist: raises an error with a suggestion.
-            sniff(path)
+            _sniff(path)
     yield from _candidates_at(files, out)
 
 
@@ -212,7 +217,7 @@ def _paths_in_list(path: Path) -> list[Path] | None:
     if is_named_as_recording(path.name):
         return None
     with suppress(Pc2ScanError):
-        sniff(path)
+        _sniff(path)
         return None
     try:
         with open_bytes(path) as file:
@@ -271,20 +276,36 @@ def _search_folder(folder: Path, root: Path, search: _Search) -> Iterator[Record
 
 def _recognise(path: Path, key: str, search: _Search, *, named: bool) -> Iterator[Recording]:
     """Yield a file or a rosbag2 directory if it is a recording; if not, yield it with an error if it is ``named``."""
+    if isinstance(path, UrlPath) and not named:
+        return
     identity = identity_of([path])
     if container := search.known(absolute(path), identity):
         yield Recording(key, (path,), container, identity)
         return
     try:
-        container = sniff(path).partition("+")[0]
+        container = _sniff(path).partition("+")[0]
         if FORMATS[container].is_magic_shared and not named:
             # Other programs write such files, too: open it to see whether it is a recording.
-            open_recording(path).close()
+            with ExitStack() as stack:
+                open_recordings([path], stack)
     except Pc2ScanError as err:
         if named:
             yield Recording(key, (path,), "", identity, err)
     else:
         yield Recording(key, (path,), container, identity)
+
+
+def _sniff(path: Path) -> str:
+    """Return a recording's format as `sniff` does; in a store by its name, unless that says nothing."""
+    if isinstance(path, UrlPath):
+        if path.is_dir():
+            return "rosbag2"
+        suffix = Path(without_suffix(path.name)).suffix.lower()
+        for name, entry in FORMATS.items():
+            if suffix and suffix == entry.suffix and path.exists():
+                return name
+    with fetched([path]) as (copy,):
+        return sniff(copy)
 
 
 def _join_parts(found: Sequence[Recording], search: _Search) -> Iterator[Recording]:
@@ -310,22 +331,20 @@ def _chains(group: Sequence[Recording], search: _Search) -> Iterator[list[Record
         yield from chains
         return
     chain: list[Recording] = []
-    last = None
+    last, opened = None, ExitStack()
     try:
         for each in group:
-            reader = None
+            reader, stack = None, ExitStack()
             with suppress(Pc2ScanError):
-                reader = open_recording(each.paths[0])
+                (reader,) = open_recordings(each.paths, stack)
             if chain and not (last and reader and continues(chain[-1].paths[0], last, each.paths[0], reader)):
                 yield chain
                 chain = []
             chain.append(each)
-            if last is not None:
-                last.close()
-            last = reader
+            opened.close()
+            last, opened = reader, stack
     finally:
-        if last is not None:
-            last.close()
+        opened.close()
     yield chain
 
 

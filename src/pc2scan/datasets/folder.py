@@ -144,7 +144,7 @@ class BatchFolder:
     def _read(self, name: str) -> bytes | None:
         """Return the content of a small file in the folder; None if there is none."""
         if self._stored is not None:
-            return self._stored[name].read_bytes() if name in self._stored else None
+            return self._stored[name].remote.read() if name in self._stored else None
         try:
             return (self.path / name).read_bytes()
         except FileNotFoundError:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 from pc2scan.bags.opening import open_recordings
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import NothingToConvertError, OutputError, Pc2ScanError, UsageError
-from pc2scan.files.system import is_full
+from pc2scan.files.system import copying_to, is_full
 from pc2scan.files.urls import UrlPath, absolute, path_or_url
 from pc2scan.options.call import Options
 from pc2scan.options.running import Container
@@ -304,7 +304,8 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
     known: dict[str, Any] = {"identity": Identity(), "started": _utc_now()}
     try:
         known["identity"] = identity_of(sources)
-        done = _run_job(job, sources, destination, progress)
+        with copying_to(Path(job.scratch) if job.scratch else None):
+            done = _run_job(job, sources, destination, progress)
         report, status = done.as_dict(), done.exit_status
         record = job.record(
             outcome=_OUTCOMES.get(status, "failed"),
@@ -342,8 +343,7 @@ def _run_job(
         return _inspect_export(job, sources)
     if request.export is None or job.dry_run:
         # An export that converts clouds would do what the conversion would.
-        scratch = None if job.scratch is None else Path(job.scratch)
-        output = request.output._replace(owned=job.owned, dry_run=job.dry_run, scratch=scratch)
+        output = request.output._replace(owned=job.owned, dry_run=job.dry_run)
         return run(
             sources,
             destination,

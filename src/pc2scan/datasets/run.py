@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pc2scan.errors import DestinationError, DiskFullError, OutputError, UsageError
 from pc2scan.files.ownership import InputPath, Inputs, OutputPath, first_link, inputs_of
 from pc2scan.files.staging import clean_up, note_written
-from pc2scan.files.system import is_full
+from pc2scan.files.system import copying_to, is_full
 from pc2scan.files.text_output import check_text_output, text_output
+from pc2scan.files.transfers import refuse_without_room
 from pc2scan.files.urls import UrlPath, absolute, is_url
 from pc2scan.text import counted
 from pc2scan.threads import cores
@@ -415,6 +416,13 @@ class _Batch:
 
     def _run(self, jobs: Sequence[Job]) -> None:
         """Run jobs, and handle their events in the order in which they come."""
+        if self._executor is run_jobs:
+            # The largest are first. On a cluster, each worker has a folder of its own.
+            fetched = sum(job.size_bytes for job in jobs[: self.workers] if any(map(is_url, job.sources)))
+            with copying_to(self._options.scratch):
+                refuse_without_room(
+                    fetched, self._folder.path, "give fewer `jobs`, or another disk's folder as `scratch`"
+                )
         progress = _Progress({job.key: job.size_bytes for job in jobs}, self.watch)
         events = self._executor(jobs, workers=self.workers, cores=cores(), lock=self._folder.lock)
         try:

@@ -171,6 +171,8 @@ def check_kind(path: Path, beginning: bytes | None, *, overwrite: bool) -> bool:
 
 def _is_of_kind(path: Path, beginning: bytes | None) -> bool:
     """Return whether a file has this beginning, or is empty."""
+    if isinstance(path, UrlPath):
+        return path.remote.read(len(beginning or b" ")) in (beginning, b"")
     try:
         if not stat.S_ISREG(path.lstat().st_mode):
             return False

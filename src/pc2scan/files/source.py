@@ -26,9 +26,6 @@ if TYPE_CHECKING:
 #: too much memory beside the results.
 _BORROWED_BYTES = range(1 << 18, 1 << 24)
 
-#: Bytes of a file at a URL that are copied at a time.
-_COPIED_BYTES = 8 << 20
-
 #: The first bytes of the file that Git LFS has in place of one that was not fetched; and what to type.
 LFS_POINTER = b"version https://"
 LFS_HINT = "git lfs pull fetches it"
@@ -41,12 +38,12 @@ def state_of(path: Path) -> tuple[tuple[str, int, int, int, int], ...]:
     """Return the name, inode, size and both times of change of each file of a recording, to detect changes.
 
     The ctime is included because ``cp -p``, ``rsync -t`` and ``touch -r`` set a modification time back. Logs beside a
-    database are included: a recorder that is still running may write only to these. Files at URLs have no times; what
-    stands for them changes with the version.
+    database are included: a recorder that is still running may write only to these. What is at a URL is fetched before
+    it is read, and has no state.
     """
     try:
         if isinstance(path, UrlPath):
-            return path.states()
+            return ()
         if path.is_dir():
             files = sorted(path.iterdir())
         else:
@@ -81,18 +78,12 @@ def open_bytes(path: Path) -> BinaryIO:
     OSError
         If it does not exist, may not be read, or is neither a file nor a directory.
     """
-    return path.open("rb") if isinstance(path, UrlPath) else open(path, "rb", opener=_open_regular)
-
-
-def copy_file(path: Path, target: Path) -> None:
-    """Copy a file to a local one."""
-    import shutil  # noqa: PLC0415  # it loads the compression modules
-
     if isinstance(path, UrlPath):
-        with path.open("rb") as file, target.open("wb") as copy:
-            shutil.copyfileobj(file, copy, _COPIED_BYTES)
-    else:
-        shutil.copyfile(path, target)
+        from .transfers import fetched  # noqa: PLC0415  # loads fsspec
+
+        with fetched([path]) as (copy,):
+            return open_bytes(copy)
+    return open(path, "rb", opener=_open_regular)
 
 
 def open_text(path: Path) -> TextIOWrapper:
@@ -289,17 +280,10 @@ class SourceFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        #: Fetches bytes before they are read; None for a local file.
-        self._fetch: Callable[[int, int], None] | None = None
         self._buffers = _shared.setdefault("", BufferPool())
         self._opened: Callable[[], _Descriptor | None]
-        if isinstance(path, UrlPath):
-            ranges = path.remote.ranges()
-            fetched = _Descriptor(ranges.descriptor())
-            self._fetch, self._opened, self.size = ranges.fetch, lambda: fetched, ranges.size
-            return
         # The working directory may change before it is opened again.
-        self._place = str(path.absolute())
+        self._place = os.fspath(path.absolute())
         descriptor, self._status = self._open()
         self._opened, self.size = keep_open(descriptor), self._status.st_size
 
@@ -337,7 +321,6 @@ class SourceFile:
     def close(self) -> None:
         """Release the file; reading afterwards is an error."""
         self._buffers = BufferPool()
-        self._fetch = None
         descriptor, closed = self._opened(), _Descriptor(-1)
         self._opened = lambda: closed
         if descriptor is not None:
@@ -355,8 +338,6 @@ class SourceFile:
         """Read exactly ``length`` bytes."""
         if offset + length > self.size:
             raise self._outside(offset, length)
-        if self._fetch is not None:
-            self._fetch(offset, length)
         file = self._file()
         try:
             data = read_at(file.number, length, offset)
@@ -398,8 +379,6 @@ class SourceFile:
             view, borrowed = self.lend(length)
         except MemoryError as err:
             raise self._too_large(offset, length) from err
-        if self._fetch is not None:
-            self._fetch(offset, length)
         file, done = self._file(), 0
         try:
             while done < length and (more := os.preadv(file.number, [view[done:]], offset + done)):

@@ -5,12 +5,13 @@ from __future__ import annotations
 import errno
 import os
 import stat
+from contextlib import contextmanager
 from contextvars import ContextVar
 from threading import Lock
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
 #: Windows would translate line ends in files that are opened without it.
@@ -33,6 +34,17 @@ _FULL_IN_SQLITE = "database or disk is full"
 #: The folder for temporary copies; None: the system's.
 scratch: ContextVar[Path | None] = ContextVar("scratch", default=None)
 
+
+@contextmanager
+def copying_to(folder: Path | None) -> Iterator[None]:
+    """Use a folder for temporary copies in the body; None: the one that is used already."""
+    before = scratch.set(folder or scratch.get())
+    try:
+        yield
+    finally:
+        scratch.reset(before)
+
+
 _turn = Lock()
 
 
@@ -49,19 +61,6 @@ def seek_and_read(descriptor: int, length: int, offset: int) -> bytes:
 
 #: Reads at most ``length`` bytes of an open file, on any thread: ``read_at(descriptor, length, offset)``.
 read_at: Callable[[int, int, int], bytes] = _read_at if hasattr(os, "pread") else seek_and_read
-
-
-def write_at(descriptor: int, data: bytes | memoryview, offset: int) -> None:
-    """Write bytes into an open file, on any thread."""
-    view = memoryview(data)
-    while view:
-        if hasattr(os, "pwrite"):
-            done = os.pwrite(descriptor, view, offset)
-        else:
-            with _turn:
-                os.lseek(descriptor, offset, os.SEEK_SET)
-                done = os.write(descriptor, view)
-        view, offset = view[done:], offset + done
 
 
 def lock_descriptor(descriptor: int) -> None:

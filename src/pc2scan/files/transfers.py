@@ -1,83 +1,118 @@
-"""Reads whole files at URLs ahead, and writes outputs to URLs.
+"""Fetches sources at URLs into local copies, and uploads results when they are complete.
 
-An output is written into a temporary folder first, then complete or not at all into the store. The rule of ownership is
-that of `pc2scan.files.ownership`; versions of objects stand for times of modification.
+The rule of ownership is that of `pc2scan.files.ownership`; versions of objects stand for times of modification.
 """
 
 from __future__ import annotations
 
-from contextlib import contextmanager, suppress
+import shutil
+import tempfile
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from queue import Empty, SimpleQueue
-from threading import Event, Thread
-from typing import TYPE_CHECKING
+from threading import Lock
+from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.errors import DestinationError, MissingError, Pc2ScanError, name_list
+from pc2scan.errors import DestinationError, MissingError, RecordingError, name_list
+from pc2scan.text import size
 
 from .ownership import existing_error, stored_folder_error
 from .places import private_folder
 from .records import files_below
+from .store import NO_SPACE
 from .system import scratch
+from .urls import CopyPath, UrlPath
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator
+    from tempfile import TemporaryDirectory
 
-    from .store import RangeFile
-    from .urls import UrlPath
 
-#: Bytes of a request that reads ahead, and threads that do: a connection idles between its requests.
-_AHEAD_BYTES = 4 << 20
-_AHEAD_THREADS = 2
+class _Copy(NamedTuple):
+    """A local copy: its path, its folder, and the URL, once for each that uses it."""
+
+    path: Path
+    folder: TemporaryDirectory[str]
+    users: list[UrlPath]
+
+
+#: The copies that are in use, by URL: a recording that is opened twice at a time is fetched once.
+_copies: dict[str, _Copy] = {}
+_lock = Lock()
 
 
 @contextmanager
-def reading_urls(paths: Iterable[UrlPath], folder: Path | None = None) -> Iterator[None]:
-    """Fetch whole files or folders, one after the other, in the background while the body reads them.
+def fetched(paths: Iterable[Path]) -> Iterator[list[Path]]:
+    """Fetch what is at URLs, and yield the paths with local copies in place of URLs, which are removed at the end.
 
-    What is fetched is kept until the body ends, because it may be there before anything reads it. Errors are left to
-    the threads that need the bytes.
-
-    Parameters
-    ----------
-    paths
-        What is read.
-    folder
-        The folder for local copies while the body runs; None: the system's folder for temporary files.
+    Raises
+    ------
+    MissingError
+        If nothing is at a URL.
+    RecordingError
+        If it cannot be fetched, or there is no room: the sizes of all are counted before the first is fetched.
     """
-    before = scratch.set(folder)
-    stopped = Event()
+    paths = list(paths)
+    sources = {path: _files_of(path) for path in paths if isinstance(path, UrlPath) and path.url not in _copies}
+    for first in sources:
+        refuse_without_room(sum(file.known().size for files in sources.values() for file in files), first)
+        break
+    with ExitStack() as stack:
+        yield [
+            stack.enter_context(_copy_of(path, sources.get(path))) if isinstance(path, UrlPath) else path
+            for path in paths
+        ]
+
+
+@contextmanager
+def _copy_of(path: UrlPath, files: list[UrlPath] | None) -> Iterator[Path]:
+    """Yield the local copy of a source; the last that uses it removes it."""
+    with _lock:
+        copy = _copies.get(path.url)
+        if copy is not None:
+            copy.users.append(path)
     try:
-        kept = [file.remote.ranges() for path in paths for file in _files_of(path)]
-        parts = _parts_of(kept)
-        for _ in range(_AHEAD_THREADS):
-            Thread(target=_fetch_parts, args=(parts, stopped), daemon=True).start()
-        yield
-        del kept
+        if copy is None:
+            folder = private_folder(path)
+            copy = _Copy(CopyPath.of(path, folder.name), folder, [path])
+            _fetch(_files_of(path) if files is None else files, copy)
+            _copies[path.url] = copy
+        yield copy.path
     finally:
-        stopped.set()
-        scratch.reset(before)
+        with _lock:
+            if copy is not None:
+                copy.users.pop()
+                if not copy.users:
+                    if _copies.get(path.url) is copy:
+                        del _copies[path.url]
+                    copy.folder.cleanup()
 
 
-def _files_of(path: UrlPath) -> Iterator[UrlPath]:
-    """Yield a file, or the files in a folder."""
-    yield from (file for file in (path.iterdir() if path.is_dir() else (path,)) if file.is_file())
+def _files_of(path: UrlPath) -> list[UrlPath]:
+    """Return the files in a folder, or a file with the logs beside a database."""
+    path.entry = path.remote.entry()
+    if path.entry.is_folder:
+        return [file for file in path.iterdir() if file.is_file()]
+    logs = [path.with_name(path.name + suffix) for suffix in ("-wal", "-journal") if path.suffix == ".db3"]
+    return [path, *(log for log in logs if not path.is_read_only and log.exists())]
 
 
-def _parts_of(files: Iterable[RangeFile]) -> SimpleQueue[tuple[RangeFile, int]]:
-    """Return a queue of parts of files in the order in which they are read: the file, and where a part begins."""
-    parts: SimpleQueue[tuple[RangeFile, int]] = SimpleQueue()
+def _fetch(files: Iterable[UrlPath], copy: _Copy) -> None:
+    folder = Path(copy.folder.name)
+    if copy.users[0].is_dir():
+        folder /= copy.path.name
+        folder.mkdir()
     for file in files:
-        file.step = _AHEAD_BYTES
-        for start in range(0, file.size, _AHEAD_BYTES):
-            parts.put((file, start))
-    return parts
+        file.remote.download(folder / file.name, file.known().size)
 
 
-def _fetch_parts(parts: SimpleQueue[tuple[RangeFile, int]], stopped: Event) -> None:
-    with suppress(Empty, Pc2ScanError):
-        while not stopped.is_set():
-            file, start = parts.get_nowait()
-            file.fetch(start, min(_AHEAD_BYTES, file.size - start))
+def refuse_without_room(needed: int, path: Path, hint: str = "") -> None:
+    """Raise if so many bytes have no room in the folder for local copies."""
+    folder = scratch.get() or Path(tempfile.gettempdir())
+    # If there is no such folder, making the copy raises.
+    with suppress(OSError):
+        if needed > (free := shutil.disk_usage(folder).free):
+            message = f"no space for local copies: {size(needed)} are fetched, and {folder} has room for {size(free)}"
+            raise RecordingError(message, path=path, hint=hint or NO_SPACE)
 
 
 @contextmanager

@@ -1,19 +1,18 @@
 """Paths as users give them, which may be URLs: whatever reads or writes a path takes a URL. Every command imports it.
 
-A `UrlPath` shows itself without secrets, so results and messages name the URL. `pc2scan.files.store` has the store's
-side, and is loaded when anything is read or written there. ``file:`` URLs become ordinary paths: see `local_path`.
+A `UrlPath` shows itself without secrets, and so does the `CopyPath` of what is fetched from there, so results and
+messages name the URL. `pc2scan.files.store` has the store's side, and is loaded when anything is looked up, read or
+written there. ``file:`` URLs become ordinary paths: see `local_path`.
 """
 
 from __future__ import annotations
 
 import os
 import posixpath
-import stat
-import zlib
 from collections.abc import Iterable
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from pc2scan.arguments import value_and_type
 from pc2scan.errors import MissingError, UsageError
@@ -41,6 +40,10 @@ LIBRARIES = {
     "http": "aiohttp",
     "memory": "",
 }
+
+
+#: Copies whose URLs are known.
+_MOST_SHOWN = 1000
 
 
 def is_url(path: str | PathLike[str] | None) -> bool:
@@ -223,8 +226,9 @@ else:
 class UrlPath(_LocalPath):
     """A file or a folder at a URL.
 
-    Its text is the URL without secrets; `os.fspath` returns the whole URL. Methods that read raise the errors of
-    `pc2scan.errors`, not OSErrors. Nothing is a link there.
+    Its text is the URL without secrets; `os.fspath` returns the whole URL. Methods that look something up raise the
+    errors of `pc2scan.errors`, not OSErrors. Nothing is a link there. What is read is fetched first: see
+    `pc2scan.files.transfers`.
     """
 
     #: What a listing has said of it; None if that is not known.
@@ -238,9 +242,6 @@ class UrlPath(_LocalPath):
 
     def __str__(self) -> str:
         return shown_url(self.url)
-
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({str(self)!r})"
 
     def __fspath__(self) -> str:
         return self.url
@@ -276,15 +277,7 @@ class UrlPath(_LocalPath):
         scheme = {"s3a": "s3", "gcs": "gs", "abfs": "az", "abfss": "az"}.get(self.scheme, self.scheme)
         return UrlPath(f"{scheme}:{posixpath.normpath(str(self).partition('://')[2])}".replace(":", ":/", 1))
 
-    def as_posix(self) -> str:
-        """Return the text."""
-        return str(self)
-
     def absolute(self) -> Self:
-        """Return the path itself."""
-        return self
-
-    def resolve(self, strict: bool = False) -> Self:  # noqa: ARG002  # the signature of Path
         """Return the path itself."""
         return self
 
@@ -304,22 +297,6 @@ class UrlPath(_LocalPath):
         """
         return self.remote.entry() if self.entry is None else self.entry
 
-    def stat(self, *, follow_symlinks: bool = True) -> os.stat_result:  # noqa: ARG002  # the signature of Path
-        """Return the size, and times that change with the version."""
-        found = self.known()
-        mode = stat.S_IFDIR | 0o755 if found.is_folder else stat.S_IFREG | 0o644
-        time = zlib.crc32(found.version.encode())
-        inode = zlib.crc32(os.fspath(self.identity).encode())
-        return os.stat_result((mode, inode, 0, 1, 0, 0, found.size, time, time, time))
-
-    lstat = stat
-
-    def states(self) -> tuple[tuple[str, int, int, int, int], ...]:
-        """Return what `pc2scan.files.source.state_of` returns of files; from the store, not from an earlier listing."""
-        found = self.remote.entry()
-        files = self.remote.children() if found.is_folder else {self.name: found}
-        return tuple((name, 0, file.size, zlib.crc32(file.version.encode()), 0) for name, file in files.items())
-
     def exists(self, *, follow_symlinks: bool = True) -> bool:  # noqa: ARG002  # the signature of Path
         """Return whether anything is there."""
         return self._found() is not None
@@ -337,14 +314,6 @@ class UrlPath(_LocalPath):
     def is_file(self, *, follow_symlinks: bool = True) -> bool:  # noqa: ARG002  # the signature of Path
         """Return whether it is a file."""
         return (found := self._found()) is not None and not found.is_folder
-
-    def is_symlink(self) -> bool:
-        """Return False."""
-        return False
-
-    def readlink(self) -> Self:
-        """Raise: it is no link."""
-        raise OSError(22, "is not a link")
 
     def iterdir(self) -> Generator[Self]:
         """Yield what is in a folder."""
@@ -365,19 +334,39 @@ class UrlPath(_LocalPath):
             child.entry = entry
             yield child
 
-    def hold(self) -> object:
-        """Return what keeps the bytes that are fetched from a file, as long as it is referred to."""
-        return None if self.is_dir() else self.remote.ranges()
-
-    def open(self, mode: str = "r", *_: Any, **__: Any) -> Any:
-        """Open a file for reading, as bytes (``rb``)."""
-        assert mode == "rb"
-        return self.remote.ranges().open()
-
-    def read_bytes(self) -> bytes:
-        """Return the content of a small file."""
-        return self.remote.read()
-
     def unlink(self, missing_ok: bool = False) -> None:  # noqa: ARG002  # the signature of Path
         """Remove a file, if it exists."""
         self.remote.delete()
+
+
+class CopyPath(_LocalPath):
+    """The local copy of what is at a URL, or a path in it; its text is the URL without secrets."""
+
+    #: The folders that have copies, and what is shown in place of each. Errors show it also after a copy is removed.
+    #: Bounded, for long-lived processes.
+    _shown: ClassVar[dict[str, str]] = {}
+
+    @classmethod
+    def of(cls, url: UrlPath, folder: str) -> Self:
+        """Return the path of a copy in a folder of its own."""
+        cls._shown[folder] = str(url).rstrip("/").removesuffix(url.name)
+        if len(cls._shown) > _MOST_SHOWN:
+            del cls._shown[next(iter(cls._shown))]
+        return cls(folder, url.name)
+
+    def __str__(self) -> str:
+        text = folder = os.fspath(self)
+        while folder != (folder := os.path.dirname(folder)):  # noqa: PTH120  # Path's own uses the text
+            if folder in self._shown:
+                return self._shown[folder] + text[len(folder) + 1 :].replace(os.sep, "/")
+        return text
+
+    def __fspath__(self) -> str:
+        return super().__str__()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return path_or_url, (str(self),)
+
+    def iterdir(self) -> Generator[Self]:
+        """Yield what is in a folder."""
+        return (self / name for name in os.listdir(self))  # noqa: PTH208  # Path's own uses the text

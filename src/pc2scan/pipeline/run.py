@@ -28,6 +28,7 @@ from pc2scan.errors import (
 )
 from pc2scan.files.places import output_folder
 from pc2scan.files.staging import check_destination, staged_output
+from pc2scan.files.system import copying_to
 from pc2scan.files.urls import UrlPath, exists
 from pc2scan.progress import Meter
 from pc2scan.result import tell_early
@@ -143,15 +144,13 @@ def _open(
 
     Errors about missing topics mention damage. ``stack`` closes the sources, and ``tell`` is called with warnings.
     """
-    at_urls = [path for path in files.read if isinstance(path, UrlPath)]
-    if output.scratch is not None and not (at_urls or isinstance(files.destination or output.folder, UrlPath)):
+    places = (*files.read, files.destination, output.folder)
+    if output.scratch is not None and not any(isinstance(path, UrlPath) for path in places):
         raise UsageError("`scratch` has no effect: no source and no destination is a URL")
-    if at_urls or output.scratch is not None:
-        from pc2scan.files.transfers import reading_urls  # noqa: PLC0415  # loads fsspec
-
-        # Of a cut, or in a dry run, only some ranges are read.
-        is_whole = not output.dry_run and options.start is None and options.end is None
-        stack.enter_context(reading_urls(at_urls if is_whole else (), output.scratch))
+    stack.enter_context(copying_to(output.scratch))
+    if files.destination is not None and any(isinstance(path, UrlPath) for path in files.read):
+        # Before anything is fetched.
+        check_destination(files.destination, overwrite=output.overwrite, owned=output.owned, record_in=recorded_in)
     if len(files.sources) > 1 and files.destination is None and output.folder is None:
         _refuse_missing_destination(files.sources)
     refuse_unusable(options)

@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.bags.damage import RECOVER
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.files.places import TEMPORARY_HINT, copy_errors, private_folder
-from pc2scan.files.source import changed_while_read, copy_file, keep_open, state_of
-from pc2scan.files.urls import UrlPath
+from pc2scan.files.source import changed_while_read, keep_open, state_of
 
 from .logs import missing_bytes, side_logs, write_merged
 from .recover import PageFile, declared_size, rebuild_database
@@ -89,7 +88,7 @@ class _Cursor(sqlite3.Cursor):
 def _open(path: Path, most: int) -> _Opened:
     """Open a file as immutable, with the limits for untrusted recordings; ``most`` is the length of its values."""
     # Other threads use the reader, one at a time.
-    uri = f"{path.as_uri()}?mode=ro&immutable=1"
+    uri = f"{Path(os.fspath(path)).as_uri()}?mode=ro&immutable=1"
     database = sqlite3.connect(uri, uri=True, check_same_thread=False)
     # A topic's name may have bytes that are not UTF-8.
     database.text_factory = lambda raw: raw.decode("utf-8", "replace")
@@ -167,8 +166,6 @@ class Database:
         path = self.path
         if any(log.page_count is not None for log in self._logs):
             path = self._merged_copy()
-        elif isinstance(path, UrlPath):
-            path = self._local_copy()
         self._file = path.absolute()
         self._state = state_of(self._file)
         self._opened = keep_open(_open(self._file, self.most_bytes))
@@ -318,14 +315,6 @@ class Database:
             # Appended bytes are harmless; inserted ones shift the pages after them.
             error = self.damage(f"has {self.size} bytes, {self.size - declared} more than its header declares")
             self._noted.note(error, key="size", messages_lost=0)
-
-    def _local_copy(self) -> Path:
-        """Copy a database at a URL: SQLite reads only local files."""
-        self._copy = private_folder(self.path)
-        target = Path(self._copy.name, "copy.db3")
-        with copy_errors(self.path, target.parent):
-            copy_file(self.path, target)
-        return target
 
     def _merged_copy(self) -> Path:
         """Copy the database with the pages of its logs; the copy is at most as large as both."""

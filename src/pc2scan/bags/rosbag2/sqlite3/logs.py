@@ -8,12 +8,13 @@ and ``pager.c``.
 
 from __future__ import annotations
 
+import shutil
 import struct
 from dataclasses import dataclass, field
 from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.files.source import SourceFile, copy_file, file_beside
+from pc2scan.files.source import SourceFile, file_beside
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -394,7 +395,7 @@ def write_merged(path: Path, logs: Sequence[PageLog], target: Path) -> None:
     OSError
         If the database cannot be read, or the target not written.
     """
-    copy_file(path, target)
+    shutil.copyfile(path, target)
     with target.open("r+b") as out:
         for log in logs:
             count, size = log.page_count, log.page_size
