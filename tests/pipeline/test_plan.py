@@ -76,7 +76,7 @@ def test_topics_that_share_a_target_become_one_scan() -> None:
 
 def test_a_cloud_that_ros_did_not_serialise_is_not_converted() -> None:
     connections = [Connection(1, "/points", "sensor_msgs/msg/PointCloud2", "json")]
-    with pytest.raises(TopicError, match="in json"):
+    with pytest.raises(TopicError, match="in an encoding that is not ROS's: /points"):
         make_plan(connections, ConvertOptions())
 
 
