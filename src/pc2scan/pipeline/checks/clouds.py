@@ -36,8 +36,10 @@ if TYPE_CHECKING:
 #: outdoors most points are ground, which scans reject.
 _NEARLY_EMPTY = 0.02
 
-#: If the default min_height rejects this share of the points, a warning suggests heights.
-_NOTABLE_SHARE = 0.25
+#: If the default min_height rejects this share of the points, a warning suggests heights; where the ground is removed
+#: before, the second one.
+NOTABLE_SHARE = 0.25
+_NOTABLE_ABOVE_GROUND = 0.05
 
 #: From this share of beams that end on the floor, a warning gives heights above it.
 _MOST_FLOOR = 0.3
@@ -123,7 +125,7 @@ class CloudFacts:
         total, height = self.total.total, self.total.height
         if self.samples[0].zeros:
             total, height = total - self.no_returns, height - self.no_returns
-        cut = height >= _NOTABLE_SHARE * max(total, 1)
+        cut = height >= notable_share(self.spec) * max(total, 1)
         needs_heights = (cut and self.is_default("min_height")) or self.lack_heights
         if self.samples[0].lossy or self.are_nearly_empty or needs_heights or any(heights_in_millimetres(self)):
             return False
@@ -251,6 +253,11 @@ class CloudFacts:
             and params.angle_min <= math.atan2(y, x) <= params.angle_max
             and not any(each.name in _PLACE_FILTERS for each in self.spec.filters)
         )
+
+
+def notable_share(spec: ScanSpec) -> float:
+    """Return the share of the points from which on a warning suggests heights, if the default ones reject it."""
+    return _NOTABLE_ABOVE_GROUND if any(each.name == "ground" for each in spec.filters) else NOTABLE_SHARE
 
 
 def target_that_moves(clouds: CloudFacts) -> Iterator[str]:
@@ -404,7 +411,7 @@ def nearly_empty_scans(clouds: CloudFacts) -> Iterator[str]:
         for reason, values, _, _, low, high in observed
         if len(values) and not ((values >= getattr(params, low)) & (values <= getattr(params, high))).any()
     ]
-    reasons = alone or [each[0] for each in observed if counts.rejected[each[0]] >= _NOTABLE_SHARE * counts.total]
+    reasons = alone or [each[0] for each in observed if counts.rejected[each[0]] >= NOTABLE_SHARE * counts.total]
     parts = [
         f"{low} is {_limit(getattr(params, low), unit)} and {high} {_limit(getattr(params, high), unit)}, "
         f"but {name} is {_percentiles(values, unit)}"

@@ -13,6 +13,8 @@ from pc2scan.messages.laserscan import decode_laserscan, scan_for_consumers
 from pc2scan.pipeline.parameters import preset_of
 from pc2scan.text import agreeing, counted
 
+from .clouds import NOTABLE_SHARE, notable_share
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
@@ -25,9 +27,6 @@ if TYPE_CHECKING:
 
 #: How many topics the warning about skipped ones lists.
 _MAX_WARNED = 5
-
-#: If a default rejects this share of the points, a warning names it.
-_NOTABLE_SHARE = 0.25
 
 #: What rejects this share of the points may be the cause of empty scans.
 _NOTABLE_PART = 0.05
@@ -220,7 +219,8 @@ def points_rejected_by_default(result: TopicResult) -> Iterator[str]:
         no_returns = topic.no_returns if each.name == "height" else 0.0
         if 0 < no_returns < 1:
             share = (share - no_returns) / (1 - no_returns)
-        if share >= _NOTABLE_SHARE and _surprises(result.spec, each):
+        least = notable_share(result.spec) if each.name == "height" else NOTABLE_SHARE
+        if share >= least and _surprises(result.spec, each):
             advice = f": {topic.advice}" if topic.advice and each.name == "height" else ""
             of = "returns" if no_returns else "points"
             yield f"{topic.target}: {share:.0%} of the {of} were {each.by_default[1]}{advice}"
