@@ -17,6 +17,7 @@ from pc2scan.errors import NothingToConvertError, OutputError, Pc2ScanError, Usa
 from pc2scan.files.system import copying_to, is_full
 from pc2scan.files.urls import UrlPath, absolute, path_or_url
 from pc2scan.options.call import Options
+from pc2scan.options.conversion import FailureConditions, OtherTopics
 from pc2scan.options.running import Container
 from pc2scan.options.table import conversion_options, options_of
 from pc2scan.pipeline.run import run
@@ -126,7 +127,8 @@ def _check_export(options: Options) -> None:
     name, given = options.format, options.given
     if name is None:
         return
-    if idle := [f"`{word}`" for word in options_of("convert") if word in given and word in Container.__annotations__]:
+    of_recordings = {word for group in (Container, OtherTopics, FailureConditions) for word in group.__annotations__}
+    if idle := [f"`{word}`" for word in options_of("convert") if word in given and word in of_recordings]:
         raise UsageError(f"{', '.join(idle)} would have no effect: `format` writes no recordings")
     from pc2scan.exports.formats import FORMATS  # noqa: PLC0415  # most batches write recordings
 

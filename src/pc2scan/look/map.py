@@ -163,7 +163,7 @@ def map_of(
             tell(*found.warnings, *found.notes)
         further = recording.damage
     if not converted and _converts(options):
-        tell("The recording has no clouds: options about clouds have no effect.")
+        tell("recorded scans are drawn: options about clouds have no effect")
     drawn = Drawing(OccupancyGrid(asked.resolution, _MAX_CELLS), buffer, asked, options)
     stream.listener = tell
     with stream, closing(stream.results()) as results:
@@ -183,7 +183,10 @@ def map_of(
 def _converts(options: ConvertOptions) -> bool:
     """Whether any option is about the conversion of clouds."""
     scan = options.scan
-    return scan.params != ProjectionParams() or bool(scan.filters) or scan.deskew or scan.level or scan.may_combine
+    # Recorded scans are placed with the tolerance, too.
+    params = replace(scan.params, transform_tolerance=ProjectionParams().transform_tolerance)
+    chooses = bool(scan.filters or scan.remove or options.frames.source_frame)
+    return params != ProjectionParams() or chooses or scan.deskew or scan.level or scan.may_combine
 
 
 def _topics(reader: Reader, options: ConvertOptions) -> tuple[tuple[TopicRequest, ...], bool]:

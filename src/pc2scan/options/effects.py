@@ -18,9 +18,9 @@ NEEDS: tuple[tuple[str, tuple[str, ...], str], ...] = (
     ("point_time", ("deskew",), ""),
     ("stamp", ("deskew",), ""),
     ("channels", ("reverse",), ""),
-    ("base_frame", ("pose_frame", "odom_topic"), "export"),
     ("pose_frame", ("format",), "batch"),
     ("base_frame", ("format",), "batch"),
+    *(("base_frame", ("pose_frame", "odom_topic"), command) for command in ("export", "batch")),
     *((name, ("init",), "golden") for name in ("start", "end", "topics", "params_file")),
 )
 
