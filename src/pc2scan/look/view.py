@@ -11,7 +11,7 @@ from pc2scan.files.text_output import text_output
 from pc2scan.files.urls import path_of
 from pc2scan.inspect.check import check
 from pc2scan.messages.clouds import CLOUDS
-from pc2scan.requests import conversion_of, first_output, with_notes
+from pc2scan.requests import conversion_of, first_output
 from pc2scan.result import Part, Result
 from pc2scan.text import size
 
@@ -111,9 +111,10 @@ def view(sources: Sequence[Path], destination: Path | None, options: Options, *,
     asked: dict[str, Any] = {"clouds": options.clouds, "at": options.at, "preset": options.preset or ""}
     # The node's heights are part of its parameters, also where a file of these does not have them.
     asked["proposed"] = not options.given.keys() & {"params", "params_file", "param", "scans"}
+    asked["said"] = conversion.notes
     if destination is None:
-        return with_notes(page_of(sources, conversion.options, **asked, warn=warn), conversion)
-    page = write_page(
+        return page_of(sources, conversion.options, **asked, warn=warn)
+    return write_page(
         sources,
         destination,
         conversion.options,
@@ -122,7 +123,6 @@ def view(sources: Sequence[Path], destination: Path | None, options: Options, *,
         also_read=conversion.files,
         warn=warn,
     )
-    return with_notes(page, conversion)
 
 
 def write_page(
@@ -134,6 +134,7 @@ def write_page(
     at: Sequence[TimeBound] = (),
     preset: str = "",
     proposed: bool = False,
+    said: Sequence[str] = (),
     overwrite: bool = False,
     also_read: Mapping[str, Path] | None = None,
     warn: Callable[[str], None] | None = None,
@@ -162,7 +163,7 @@ def write_page(
         [OutputPath(destination)],
     )
     with text_output(destination, beginning=BEGINNING, overwrite=overwrite) as deliver:
-        page = page_of(sources, options, clouds=clouds, at=at, preset=preset, proposed=proposed, warn=warn)
+        page = page_of(sources, options, clouds=clouds, at=at, preset=preset, proposed=proposed, said=said, warn=warn)
         deliver(page.html)
     return replace(page, path=str(destination))
 
@@ -175,6 +176,7 @@ def page_of(
     at: Sequence[TimeBound] = (),
     preset: str = "",
     proposed: bool = False,
+    said: Sequence[str] = (),
     warn: Callable[[str], None] | None = None,
 ) -> Page:
     """Make a page of a recording: of its clouds and their projection, or of its scans if it has no clouds.
@@ -194,6 +196,8 @@ def page_of(
     proposed
         Whether a page of clouds opens with the frame and the heights that `pc2scan.info` proposes, unless heights are
         given.
+    said
+        Warnings about the request; ``warn`` had them.
     warn
         Called with each warning as soon as it is known, also if an error follows; the result has all of them.
 
@@ -225,7 +229,7 @@ def page_of(
             described, blobs = scans_page(reader, topics, buffer, options, count=clouds, at_ns=at_ns)
             frames = replace(options.frames, static=(), source_frame="", write_static=False)
             described["findings"] = findings(check(sources, topics=asked, frames=frames))
-        notes, warnings = described["notes"], described.pop("warnings")
+        notes, warnings = described["notes"], [*said, *described.pop("warnings")]
         # The page shows both.
         described["notes"] = [*notes, *warnings]
         described |= {"title": title_of(sources), "subtitle": _subtitle(reader)}
