@@ -154,7 +154,8 @@ class Tally:
     Attributes
     ----------
     skipped
-        The first `MAX_LISTED` messages that were not converted.
+        The first `MAX_LISTED` messages that were not converted; the last of them is the one that is farthest from any
+        transform, if that came later.
     failures
         How many messages, or groups, have an error.
     is_connected
@@ -167,6 +168,7 @@ class Tally:
     ) -> None:
         self.skipped: list[Skipped] = []
         self.failures = 0
+        self._farthest_ns = 0
         self.is_connected = False
         self._routes = routes
         self._strict = strict
@@ -279,7 +281,11 @@ class Tally:
             error.topic = topic
             if self._strict:
                 raise error
-            if len(self.skipped) < MAX_LISTED:
-                found = (topic, item.log_time_ns, error.stamp_ns, error.message, error.hint or "")
-                gap_ns = error.gap_ns if isinstance(error, TransformError) else 0
-                self.skipped.append(Skipped(*found, tuple(filter(None, targets)), gap_ns=gap_ns))
+            gap_ns = error.gap_ns if isinstance(error, TransformError) else 0
+            if len(self.skipped) >= MAX_LISTED:
+                if gap_ns <= self._farthest_ns:
+                    continue
+                del self.skipped[-1]
+            self._farthest_ns = max(self._farthest_ns, gap_ns)
+            found = (topic, item.log_time_ns, error.stamp_ns, error.message, error.hint or "")
+            self.skipped.append(Skipped(*found, tuple(filter(None, targets)), gap_ns=gap_ns))

@@ -187,7 +187,7 @@ def refuse_nothing(report: Report) -> None:
     ((common, count),) = reasons.most_common(1)
     # Of stamps without transforms the farthest: what helps it helps the others, too.
     shown = max(report.skipped, key=lambda entry: entry.gap_ns if not common else entry.reason == common)
-    which = "" if count == read else f", {count:,} of {read:,}"
+    which = "" if count == len(report.skipped) else f", {count:,} of {read:,}"
     raise ResultError(f"no message was converted: all were skipped{which}: {shown.reason}", hint=shown.hint or None)
 
 
