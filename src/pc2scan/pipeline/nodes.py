@@ -128,6 +128,11 @@ def options_of_nodes(nodes: Sequence[str], options: Sequence[ConvertOptions], fi
     ConvertOptions
         A node without a topic for its scans publishes ``scan`` in its namespace; if several nodes would do this, below
         its own name. A node without a source reads the only topic with clouds.
+
+    Raises
+    ------
+    UsageError
+        If two nodes write one topic.
     """
     requests = [next(iter(each.scan.topics), TopicRequest("*")) for each in options]
     usual = [f"{node.rpartition('/')[0]}/scan" for node in nodes]
@@ -135,6 +140,15 @@ def options_of_nodes(nodes: Sequence[str], options: Sequence[ConvertOptions], fi
         request.target or (own if usual.count(own) == 1 else f"{node}/scan")
         for node, request, own in zip(nodes, requests, usual, strict=True)
     ]
+    twice = next((target for number, target in enumerate(targets) if target in targets[:number]), None)
+    if twice is not None:
+        one, *_, other = [node for node, target in zip(nodes, targets, strict=True) if target == twice]
+        raise UsageError(
+            f"{one} and {other} would both write {twice}",
+            path=file,
+            hint=f"`remap={other.lstrip('/')}:scan:={twice}_2` gives one of them another topic; "
+            f"`node={one}` converts only one",
+        )
     specs = [
         _rename_output(each.scan, target, f"{file}, {node}", request.source)
         for node, each, target, request in zip(nodes, options, targets, requests, strict=True)
