@@ -25,11 +25,12 @@ def batch(sources: list[str], destination: str, *, options: Options) -> int:
 
     quiet, verbose = options.quiet, options.verbose
     limit_width()
+    hints: set[str] = set()
     with _progress_bar(enabled=not quiet) as progress:
         watch = BatchCallbacks(
             planned=lambda plan: _show_plan(plan, quiet=quiet),
             progress=progress,
-            done=lambda outcome: _show_outcome(outcome, quiet=quiet, dry_run=options.dry_run),
+            done=lambda outcome: _show_outcome(outcome, hints, quiet=quiet, dry_run=options.dry_run),
             shown=_show_text if verbose and not quiet else None,
             warn=warn,
             inform=lambda text: None if quiet else say(as_typed(text), err=True),
@@ -64,13 +65,14 @@ def _show_plan(plan: BatchPlan, *, quiet: bool) -> None:
     say(": ".join((parts[0], ", ".join(parts[1:]))), err=True)
 
 
-def _show_outcome(done: Outcome, *, quiet: bool, dry_run: bool) -> None:
-    """Show a line for a recording that is finished."""
+def _show_outcome(done: Outcome, hints: set[str], *, quiet: bool, dry_run: bool) -> None:
+    """Show a line for a recording that is finished; a hint only once."""
     if done.error:
         # A recording without clouds is no failure; what it has instead may be a reason to look.
         if quiet and not done.exit_status:
             return
-        hint = f" (hint: {done.hint})" if done.hint else ""
+        hint = f" (hint: {done.hint})" if done.hint and done.hint not in hints else ""
+        hints.add(done.hint)
         say(as_typed(f"{done.outcome}: {done.key}: {done.error}{hint}"), err=True)
         return
     if quiet:

@@ -37,8 +37,10 @@ _GONE = "no longer there"
 #: How many recordings are named as examples, and the length of their names together.
 _EXAMPLES, _LONGEST = 3, 60
 
-#: What differs between texts that say the same of different recordings: quoted names, topics, numbers.
-_VARIABLE = re.compile(r"'[^']*'|(?<![\w.])/[\w./-]+|-?\d[\d,.]*(?:e[+-]?\d+)?")
+#: What differs between texts that say the same of different recordings: options at the end, quoted names, topics,
+#: numbers; and what agrees with a number.
+_VARIABLE = re.compile(r":(?: `[^`]*`)+$|'[^']*'|(?<![\w.])/[\w./-]+(?:, /[\w./-]+)*|-?\d[\d,.]*(?:e[+-]?\d+)?")
+_AGREEING = re.compile(r"\b(?:is|are|was|were|has|have|its|their)\b|(?<=# )([a-z]+?)s?\b")
 
 #: Columns of the report's table.
 _COLUMNS = (
@@ -236,7 +238,8 @@ def groups_of(outcomes: Iterable[Outcome]) -> list[Group]:
     found: dict[tuple[str, str], tuple[str, dict[str, None]]] = {}
     for each in outcomes:
         for kind, text in each.remarks():
-            _, keys = found.setdefault((kind, _VARIABLE.sub("#", text)), (text, {}))
+            alike = _AGREEING.sub(r"\1", _VARIABLE.sub(lambda found: "" if found[0][0] == ":" else "#", text))
+            _, keys = found.setdefault((kind, alike), (text, {}))
             keys[each.key] = None
     kinds = [*_ORDER, "skipped", "damaged", "warning"]
     groups = [Group(kind, text, tuple(keys)) for (kind, _), (text, keys) in found.items()]
