@@ -65,7 +65,7 @@ class World:
         path = self.root / "in" / key
         remove(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        write = {".bag": write_rosbag1, ".mcap": write_mcap, "": write_rosbag2}[path.suffix]
+        write = write_rosbag1 if path.suffix == ".bag" else write_mcap if path.suffix else write_rosbag2
         if content:
             write(path, CONTENTS[content])
         else:
