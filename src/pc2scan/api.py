@@ -8,8 +8,22 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from .arguments import names_in
+from .cli.in_process import run_command
+from .compare.diff import TopicPair
+from .compare.diff import diff as compare
+from .compare.golden.check import check_cases
+from .compare.golden.init import make_case
+from .compare.rules import Rules
+from .datasets.run import BatchCallbacks, BatchOptions, run_batch
 from .errors import UsageError
+from .exports.run import export as write
 from .files.urls import path_of, paths_in
+from .inspect.check import check as judge
+from .inspect.info import info as describe
+from .inspect.tf import frame_tree
+from .look.map import draw_map
+from .look.plot import plot as draw
+from .look.view import view as show
 from .options.call import Options
 from .options.effects import refuse_idle
 from .options.keywords import takes_options
@@ -17,6 +31,8 @@ from .options.table import options_of
 from .requests import OF_FRAMES, conversion_of, frames_of, selection_of
 from .requests import convert as convert_by
 from .requests import repair as repair_by
+from .streams.clouds import Clouds
+from .streams.scans import Scans
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -36,8 +52,6 @@ if TYPE_CHECKING:
     from .look.view import Page
     from .options import table
     from .pipeline.report import Report
-    from .streams.clouds import Clouds
-    from .streams.scans import Scans
 
 
 @takes_options
@@ -130,8 +144,6 @@ def batch(
     >>> result.counts  # doctest: +SKIP
     {'failed': 2, 'converted': 998}
     """
-    from .datasets.run import BatchCallbacks, BatchOptions, run_batch  # noqa: PLC0415
-
     asked = Options("batch", options)
     watch = BatchCallbacks() if asked.progress is None else BatchCallbacks(progress=asked.progress)
     names = [str(path) for path in paths_in("sources", sources)]
@@ -196,8 +208,6 @@ def info(
     RecordingError
         If a source cannot be read.
     """
-    from .inspect.info import info as describe  # noqa: PLC0415
-
     asked = Options("info", options)
     return describe(
         paths_in("sources", sources),
@@ -240,8 +250,6 @@ def view(
     >>> import pc2scan
     >>> pc2scan.view("drive.bag", preset="slam_toolbox", min_height=-0.3).save("page.html")  # doctest: +SKIP
     """
-    from .look.view import view as show  # noqa: PLC0415
-
     return show(paths_in("sources", sources), None, Options("view", options))
 
 
@@ -282,8 +290,6 @@ def plot(
     >>> import pc2scan
     >>> pc2scan.plot("drive.bag", "figure.png", preset="slam_toolbox", min_height=-0.3)  # doctest: +SKIP
     """
-    from .look.plot import plot as draw  # noqa: PLC0415
-
     return draw(paths_in("sources", sources), path_of("destination", destination), Options("plot", options))
 
 
@@ -324,8 +330,6 @@ def map(  # noqa: A001  # the command's name
     >>> import pc2scan
     >>> pc2scan.map("drive.bag", min_height=0.1, max_height=1.5).save("map.yaml")  # doctest: +SKIP
     """
-    from .look.map import draw_map  # noqa: PLC0415
-
     asked = Options("map", options)
     return draw_map(paths_in("sources", sources), None, asked, write=False, progress=asked.progress)
 
@@ -355,8 +359,6 @@ def check(
     RecordingError
         If a source cannot be read.
     """
-    from .inspect.check import check as judge  # noqa: PLC0415
-
     asked = Options("check", options)
     rules = asked.among(("consumers", "topics", "odom_frame", "base_frame", "echo"))
     return judge(paths_in("sources", sources), frames=frames_of(asked), **rules)
@@ -387,8 +389,6 @@ def tf(
     UsageError
         If several namespaces have transforms and ``tf_topics`` is empty.
     """
-    from .inspect.tf import frame_tree  # noqa: PLC0415
-
     return frame_tree(paths_in("sources", sources), frames_of(Options("tf", options)))
 
 
@@ -422,10 +422,6 @@ def golden(
     -----
     While a case runs, the output of this process is captured, and on SIGTERM temporary files are removed first.
     """
-    from .cli.in_process import run_command  # noqa: PLC0415
-    from .compare.golden.check import check_cases  # noqa: PLC0415
-    from .compare.golden.init import make_case  # noqa: PLC0415
-
     path, asked = path_of("folder", folder), Options("golden", options)
     if asked.init is not None:
         part = {"start": asked.start, "end": asked.end, "topics": asked.topics, "params": asked.params_file}
@@ -466,10 +462,6 @@ def diff(
     >>> found = pc2scan.diff("expected.bag", "scans.mcap", rtol=1e-5)  # doctest: +SKIP
     >>> assert found.same, found  # doctest: +SKIP
     """
-    from .compare.diff import TopicPair  # noqa: PLC0415
-    from .compare.diff import diff as compare  # noqa: PLC0415
-    from .compare.rules import Rules  # noqa: PLC0415
-
     asked = Options("diff", options)
     pairs = [TopicPair.parse(topic) for topic in asked.topics]
     other = None if b is None else path_of("b", b)
@@ -522,8 +514,6 @@ def export(
     >>> pc2scan.export("drive.bag", "scans.npz", pose_frame="odom")  # doctest: +SKIP
     >>> pc2scan.export("drive.bag", "scans.csv", preset="slam_toolbox", min_height=-0.3)  # doctest: +SKIP
     """
-    from .exports.run import export as write  # noqa: PLC0415
-
     asked = Options("export", options)
     return write(paths_in("sources", sources), destination, asked, progress=asked.progress)
 
@@ -572,8 +562,6 @@ def scans(
     >>> for scan in pc2scan.scans("drive.bag", preset="slam_toolbox", min_height=-0.5):  # doctest: +SKIP
     ...     print(scan)
     """
-    from .streams.scans import Scans as Stream  # noqa: PLC0415
-
     names, asked = names_in("topics", topics), Options("scans", options)
     conversion = None
     if asked.makes_scans:
@@ -586,7 +574,7 @@ def scans(
             "transforms, filters, `node`, `deskew`, `level` and `remove` have no effect: no clouds are converted",
             hint="to convert clouds, give `preset`, `params_file`, or a parameter by name, `target_frame=base_link`",
         )
-    return Stream(selection_of(sources, names, asked), conversion)
+    return Scans(selection_of(sources, names, asked), conversion)
 
 
 @takes_options
@@ -629,6 +617,4 @@ def clouds(
     >>> for cloud in pc2scan.clouds("drive.bag", topics="/points"):  # doctest: +SKIP
     ...     print(cloud.stamp, cloud.xyz().shape, cloud["intensity"].max())
     """
-    from .streams.clouds import Clouds as Stream  # noqa: PLC0415
-
-    return Stream(selection_of(sources, names_in("topics", topics), Options("clouds", options)))
+    return Clouds(selection_of(sources, names_in("topics", topics), Options("clouds", options)))

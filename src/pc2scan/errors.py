@@ -27,6 +27,7 @@ Any other exception is a bug and keeps its traceback. This module imports no oth
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, ClassVar
 
 if TYPE_CHECKING:
@@ -69,8 +70,6 @@ def visible(text: str, most: int | None = _MAX_LINE, *, ascii_only: bool = False
             for c in text
         )
     if "##" in text and "[" in text:
-        import re  # noqa: PLC0415  # hardly any text
-
         text = re.sub(r"##(?=\w*\[)", r"\\x23\\x23", text)
     begin = text.lstrip()
     return f"{text[: -len(begin)]}\\x3a{begin[1:]}" if begin.startswith("::") else text

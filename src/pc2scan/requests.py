@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from .arguments import refuse_unknown
 from .core.params import ProjectionParams
+from .core.unproject import UnprojectParams
 from .errors import Pc2ScanError, SeveralNodesError, UsageError, name_list
 from .files.urls import path_of, path_or_url, path_text, paths_in
 from .options.call import CALL, Options
@@ -18,16 +19,17 @@ from .options.table import PARAMETERS, options_about_scans
 from .pipeline.options import TRAJECTORY, ConvertOptions, ScanSpec, StampOptions, TopicRequest
 from .pipeline.param_sources import resolve_sources
 from .pipeline.parameters import ResolvedParams, Setting, refuse_degrees
+from .pipeline.run import report_failure, run
+from .pipeline.run_files import OutputOptions
+from .result import Failure
 from .transforms.placing import FrameOptions
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
     from typing import Any, TypeAlias
 
-    from .core.unproject import UnprojectParams
     from .files.urls import PathText
     from .pipeline.report import Report
-    from .pipeline.run_files import OutputOptions
     from .progress import Progress
     from .streams.stream import Selection
     from .transforms.robot_model import RobotModel
@@ -337,8 +339,6 @@ def params_from_file(path: PathText, node: str | None, changes: Mapping[str, Any
 
 def output_of(options: Options, *, folder: Path | None = None, like_source: bool = False) -> OutputOptions:
     """Return the options of the destination."""
-    from .pipeline.run_files import OutputOptions  # noqa: PLC0415  # with the rest of the pipeline, which is slow to load
-
     return OutputOptions(folder=folder, like_source=like_source, **options.among(OutputOptions._fields))
 
 
@@ -359,8 +359,6 @@ def destination_of(destination: PathText | None) -> tuple[Path | None, Path | No
 
 def _channels(channels: tuple[str, ...] | UnprojectParams) -> UnprojectParams:
     """Return the fields of clouds that are added."""
-    from .core.unproject import UnprojectParams  # noqa: PLC0415
-
     if isinstance(channels, UnprojectParams):
         return channels
     return UnprojectParams(**{name: name in channels for name in ("distances", "stamps", "viewpoint")})
@@ -397,14 +395,9 @@ def convert(
             raise options.wrong
         conversion = conversion_of(options, warn)
     except Pc2ScanError as err:
-        from .pipeline.run import report_failure  # noqa: PLC0415  # with the rest of the pipeline
-        from .result import Failure  # noqa: PLC0415  # only of what failed
-
         failure = Failure([err], [str(source) for source in sources], str(path or folder or "") or None)
         report_failure(failure, sources, output, named_files(options))
         raise
-    from .pipeline.run import run  # noqa: PLC0415  # with the rest of the pipeline
-
     return run(
         sources,
         path,
@@ -419,8 +412,6 @@ def convert(
 
 def repair(source: Path, destination: PathText | None, options: Options, *, progress: Progress | None = None) -> Report:
     """Write what can be recovered of a recording; see `pc2scan.repair`."""
-    from .pipeline.run import run  # noqa: PLC0415  # with the rest of the pipeline
-
     path, folder = destination_of(destination)
     asked = ConvertOptions(repair=True)
     return run([source], path, asked, output_of(options, folder=folder), progress=progress)

@@ -6,6 +6,7 @@ A result is a data class. ``body`` and ``remarks`` describe it; ``print``, noteb
 
 from __future__ import annotations
 
+import json
 import math
 from abc import abstractmethod
 from dataclasses import dataclass, field, fields, is_dataclass
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
 
 from .errors import Pc2ScanError, stamp_text, visible
 from .tables import Table, escaped
-from .text import counted, stamp
+from .text import counted, size, stamp
 from .version import __version__
 
 if TYPE_CHECKING:
@@ -176,8 +177,6 @@ class Result:
 
     def as_json(self) -> str:
         """Return it as the text of a JSON file."""
-        import json  # noqa: PLC0415  # only where it is asked for
-
         return json.dumps(self.as_dict(), indent=2) + "\n"
 
     def __str__(self) -> str:
@@ -346,8 +345,6 @@ def recovery_text(damage: Sequence[Damage], read: int, declared: int | None) -> 
 
 def _lost(damage: Sequence[Damage]) -> str:
     """Return how much is missing in all damaged places together."""
-    from .text import size  # noqa: PLC0415
-
     if stored := sum(place.bytes_lost for place in damage):
         return f"{size(stored)} lost"
     counts = [place.messages_lost for place in damage if place.messages_lost is not None]

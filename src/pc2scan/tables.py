@@ -5,6 +5,8 @@ To fit a width, empty columns are dropped, then text is wrapped, then columns on
 
 from __future__ import annotations
 
+from html import escape
+from textwrap import wrap
 from typing import TYPE_CHECKING, NamedTuple
 
 from .errors import leading, visible
@@ -52,8 +54,6 @@ class Table(NamedTuple):
 
 def escaped(text: str) -> str:
     """Return text for HTML, with control characters made visible."""
-    from html import escape  # noqa: PLC0415  # only notebooks need it
-
     return escape(visible(text))
 
 
@@ -137,8 +137,6 @@ def _longest_word(text: str) -> int:
 
 
 def _broken(text: str, width: int) -> list[str]:
-    from textwrap import wrap  # noqa: PLC0415  # few tables are too wide
-
     # Names of topics and types may be broken after a slash.
     spaced = text if " " in text else text.replace("/", "/ ")
     lines = wrap(spaced, width, break_on_hyphens=False) or [""]

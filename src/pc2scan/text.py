@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
 import shlex
+from datetime import datetime, timezone
 from enum import Enum
 from itertools import islice
 from typing import TYPE_CHECKING
@@ -29,8 +31,6 @@ def nearest(asked: str, known: Iterable[str]) -> str | None:
     ('base_link', '/lidar/points')
     >>> nearest("x", ["odom"])
     """
-    import difflib  # noqa: PLC0415  # few commands are wrong, and all start quickly
-
     names = {
         _normalized(name): name for name in reversed(list(islice(known, _MOST_NAMES))) if len(name) <= _LONGEST_NAME
     }
@@ -137,8 +137,6 @@ def stamp(stamp_ns: int) -> str:
     seconds = stamp_ns // 1_000_000_000
     if not _FIRST_DATE <= seconds <= _LAST_DATE:
         return stamp_text(stamp_ns)
-    from datetime import datetime, timezone  # noqa: PLC0415  # few results have dates
-
     return f"{stamp_text(stamp_ns)} ({datetime.fromtimestamp(seconds, timezone.utc):%Y-%m-%d %H:%M:%S} UTC)"
 
 

@@ -1,4 +1,4 @@
-"""Imports point one way, and the command starts quickly."""
+"""Imports point one way, and stand at the top."""
 
 from __future__ import annotations
 
@@ -10,10 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-import pytest
-
 import pc2scan
-from benchmarks.clouds import write_two
 from support import ROOT
 from support.tables import rows
 
@@ -159,65 +156,27 @@ def test_neither_modules_nor_packages_import_each_other() -> None:
     assert (circles(modules), circles(packages)) == ({}, {})
 
 
-HEAVY = ("fsspec", "numpy", "rosbags", "mcap", "rich.progress", "sqlite3", "ruamel", "lz4", "zstandard")
+#: Imports inside functions: of extras, of modules that are chosen by name, and, where most of a conversion's optional
+#: parts begin, of these parts: loading all of them would double the start-up of a plain conversion.
+MOST_LATE_IMPORTS = 99
 
 
-@pytest.mark.parametrize(
-    "code",
-    ["import pc2scan", "from pc2scan.cli import main\nimport sys\nsys.argv = ['pc2scan', '--help']\nmain()"],
-    ids=["import", "help"],
-)
-def test_starting_is_cheap(code: str) -> None:
-    show = (
-        f"import atexit, sys\natexit.register(lambda: print('loaded:', *(n for n in {HEAVY!r} if n in sys.modules)))\n"
-    )
-    done = subprocess.run([sys.executable, "-c", show + code], capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[-1] == "loaded:"
-
-
-#: Parts of the standard library that are slow to load, and that a conversion does without.
-SLOW_TO_LOAD = {"concurrent.futures", "logging"}
-
-
-def loaded_by_convert(*arguments: str) -> set[str]:
-    code = """
-import atexit, sys
-atexit.register(lambda: print("loaded:", *sys.modules))
-from pc2scan.cli import main
-main()
-"""
-    command = [sys.executable, "-c", code, "convert", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 0, done.stderr
-    return set(done.stdout.splitlines()[-1].split()[1:])
-
-
-def test_a_plain_conversion_loads_only_what_it_uses(tmp_path: Path) -> None:
-    hall = str(ROOT / "fixtures" / "hall.bag")
-    loaded = loaded_by_convert(hall, "-o", str(tmp_path / "scans.mcap"), "--min-height", "-0.3")
-    allowed = {
-        f"{package}.{name}" for package, names in rows(TABLES, "loaded by a conversion") for name in names.split()
+def test_imports_stand_at_the_top() -> None:
+    late = {
+        (name_of(path), node.lineno, ast.unparse(node))
+        for path in MODULES
+        for function in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(function, ast.FunctionDef)
+        for node in ast.walk(function)
+        if isinstance(node, ast.Import | ast.ImportFrom)
     }
-    # The loops over points, compiled or not; those in NumPy load the transforms of points that move.
-    loops = {"pc2scan.core._kernel", "pc2scan.core.plain", "pc2scan.core.moving"}
-    allowed |= {"pc2scan", *loops}
-    own = {name for name in loaded if name.split(".")[0] == "pc2scan"}
-    assert own - allowed == set()
-    assert allowed - own <= loops
-    assert loaded & SLOW_TO_LOAD == set()
+    assert len(late) <= MOST_LATE_IMPORTS, late
 
 
-@pytest.mark.parametrize("further", [(), ("--fixed-frame", "odom")])
-def test_scans_of_two_lidars_load_only_what_they_use(tmp_path: Path, further: tuple[str, ...]) -> None:
-    source = write_two(tmp_path / "two.mcap", 3)
-    both = ("--topic", "/front:=/scan", "--topic", "/rear:=/scan", "--target-frame", "base_link")
-    heights = ("--min-height=-1", "--only-scans")
-    loaded = loaded_by_convert(str(source), "-o", str(tmp_path / "scans.mcap"), *both, *heights, *further)
-    assert "pc2scan.pipeline.combine.grouping" in loaded
-    assert (
-        loaded & {*(name for (name,) in rows(TABLES, "not loaded by scans of several clouds")), *SLOW_TO_LOAD} == set()
-    )
+def test_importing_the_library_loads_none_of_its_libraries() -> None:
+    heavy = ("fsspec", "numpy", "rosbags", "mcap", "rich", "sqlite3", "ruamel", "lz4", "zstandard", "typer")
+    code = f"import sys, pc2scan\nassert not sys.modules.keys() & set({heavy!r})"
+    subprocess.run([sys.executable, "-c", code], timeout=60, check=True)
 
 
 def test_public_names_exist() -> None:

@@ -10,17 +10,14 @@ from support.way_of_a_cloud import BOUNDS, way_of
 
 
 @needs_compiled
-@pytest.mark.parametrize(
-    ("arguments", "frames", "functions", "files", "loaded", "decompressions"), rows(BOUNDS, "bounds")
-)
+@pytest.mark.parametrize(("arguments", "frames", "functions", "files", "decompressions"), rows(BOUNDS, "bounds"))
 def test_a_conversion_stays_within_its_bounds(
-    arguments: str, frames: int, functions: int, files: int, loaded: int, decompressions: int
+    arguments: str, frames: int, functions: int, files: int, decompressions: int
 ) -> None:
     way = way_of(*arguments.split())
     assert len(way.frames) <= frames, way.frames
     assert way.functions <= functions
     assert way.files <= files
-    assert way.loaded <= loaded
     assert max(way.decompressions.values()) <= decompressions, way.decompressions
     # What is measured is there: the chain is that of the projection, and the chunks are those of the recording.
     assert way.frames[-1] == ("project", "core/_kernel")

@@ -9,11 +9,16 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import MissingError, RecordingError
 from pc2scan.files.compression import LZ4_MAGIC, ZSTD_MAGIC
-from pc2scan.files.places import working_names
+from pc2scan.files.places import missing_hint, working_names
 from pc2scan.files.source import LFS_HINT, LFS_POINTER, open_bytes
+from pc2scan.files.transfers import fetched
 from pc2scan.files.urls import UrlPath
 
+from . import zstd
+from .folders import recordings_in, several_recordings
 from .formats import FORMATS, ReadOptions, and_list
+from .merged import MergedReader
+from .zstd import ZstdReader
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -70,16 +75,12 @@ def sniff(path: Path) -> str:
         with open_bytes(path) as file:
             head = file.read(64)
     except FileNotFoundError as err:
-        from pc2scan.files.places import missing_hint  # noqa: PLC0415  # only for errors
-
         suffixes = [entry.suffix for entry in FORMATS.values() if entry.suffix]
         hint = _interruption_hint(path) or missing_hint(path, suffixes)
         raise MissingError("does not exist", path=path, hint=hint) from err
     except OSError as err:
         raise RecordingError(f"cannot be read: {err.strerror}", path=path) from err
     if head.startswith(ZSTD_MAGIC):
-        from . import zstd  # noqa: PLC0415  # few recordings are compressed as a whole
-
         return f"{_content_hint(zstd.decompress_head(path), path, ' (after zstd decompression)')}+zstd"
     return _content_hint(head, path)
 
@@ -104,8 +105,6 @@ def open_recording(path: Path, *, strict: bool = False) -> Reader:
     name, _, packed = sniff(path).partition("+")
     options = ReadOptions(strict=strict)
     if packed:
-        from .zstd import ZstdReader  # noqa: PLC0415  # few recordings need it
-
         return ZstdReader(path, FORMATS[name], options)
     return FORMATS[name].open_reader(path, options)
 
@@ -114,8 +113,6 @@ def open_recordings(paths: Iterable[Path], stack: ExitStack, *, strict: bool = F
     """Open several, each as `open_recording` does, to be closed with the stack; what is at URLs is fetched first."""
     paths = list(paths)
     if any(isinstance(path, UrlPath) for path in paths):
-        from pc2scan.files.transfers import fetched  # noqa: PLC0415  # most recordings are local
-
         paths = stack.enter_context(fetched(paths))
     readers = []
     for path in paths:
@@ -144,8 +141,6 @@ def _sniff_directory(path: Path) -> str:
             and (entry.is_recording is None or entry.is_recording(path))
         ):
             return name
-    from .folders import recordings_in, several_recordings  # noqa: PLC0415  # only folders need it
-
     recordings = recordings_in(path)
     if len(recordings) > 1:
         raise several_recordings(path, recordings)
@@ -194,6 +189,4 @@ def as_one(readers: Sequence[Reader]) -> Reader:
     """Return several recordings as one; a single one is returned unchanged."""
     if len(readers) == 1:
         return readers[0]
-    from .merged import MergedReader  # noqa: PLC0415  # most recordings are one
-
     return MergedReader(readers)

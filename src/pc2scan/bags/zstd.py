@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.files import compression
 from pc2scan.files.compression import MAX_RATIO, MAX_UNPACKED, ZSTD_MAGIC, CompressionError, allowed_bytes
+from pc2scan.files.places import copy_errors, private_folder
 from pc2scan.files.source import open_bytes
 from pc2scan.model import own_message
 
@@ -76,8 +77,6 @@ def decompress_file(path: Path, folder: Path, log: DamageLog) -> Path:
     RecordingError
         If there is not enough space for the result.
     """
-    from pc2scan.files.places import copy_errors  # noqa: PLC0415  # few recordings are packed
-
     target = folder / without_suffix(path.name)
     with copy_errors(path, folder):
         broken = _decompress_pieces(path, target)
@@ -243,8 +242,6 @@ class ZstdReader(WrappedReader):
 
     def __init__(self, path: Path, inner: Format, options: ReadOptions) -> None:
         self._log = DamageLog(strict=options.strict)
-        from pc2scan.files.places import private_folder  # noqa: PLC0415  # few recordings are packed
-
         self._temporary = private_folder(path)
         try:
             unpacked = decompress_file(path, Path(self._temporary.name), self._log)

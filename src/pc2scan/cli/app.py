@@ -13,10 +13,13 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
+from pc2scan.core.kernel import COMPILED
 from pc2scan.errors import OutputError, Pc2ScanError, name_list
+from pc2scan.files.staging import written_paths
 from pc2scan.options.option import Parameter
 from pc2scan.options.table import options_of
 from pc2scan.options.values import Flag
+from pc2scan.version import __version__
 
 from . import completion
 from .commands import COMMANDS
@@ -118,9 +121,6 @@ def application(command: str = "") -> typer.Typer:
 
 def _show_version(value: bool) -> None:
     if value:
-        from pc2scan.core.kernel import COMPILED
-        from pc2scan.version import __version__
-
         slower = "" if COMPILED else " (slower than usual: installed without a C compiler)"
         say(f"pc2scan {__version__}{slower}")
         raise typer.Exit
@@ -219,8 +219,6 @@ def _prepared(words: Sequence[str]) -> list[str]:
 
 def _what_was_written() -> str:
     """Return the end of the message of an interrupted command: which files it has written completely."""
-    from pc2scan.files.staging import written_paths
-
     names = [str(path) for path in written_paths()]
     return f"{name_list(names)} {'is' if len(names) == 1 else 'are'} complete" if names else "nothing was written"
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from pc2scan.datasets.run import BatchCallbacks, BatchOptions, run_batch
 from pc2scan.files.urls import path_or_url
 from pc2scan.options.call import Options
 from pc2scan.text import counted, size
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
 
 def batch(sources: list[str], destination: str, *, options: Options) -> int:
     """Convert every recording of a dataset."""
-    from pc2scan.datasets.run import BatchCallbacks, BatchOptions, run_batch
-
     quiet, verbose = options.quiet, options.verbose
     limit_width()
     hints: set[str] = set()

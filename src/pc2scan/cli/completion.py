@@ -7,10 +7,15 @@ from __future__ import annotations
 
 import itertools
 import os
+import shlex
 import signal
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from pc2scan.core.presets import PRESETS
+from pc2scan.options.table import GROUPS, options_of
+from pc2scan.options.values import PathName
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -31,8 +36,6 @@ def offered(offers: Sequence[str], incomplete: str) -> list[str]:
     if kind == "frames":
         return frames(incomplete)
     if kind == "presets":
-        from pc2scan.core.presets import PRESETS
-
         words = list(PRESETS)
     return [word for word in words if word.startswith(incomplete)]
 
@@ -69,8 +72,6 @@ def _typed() -> list[Path]:
 
     They are read from the words of the shell, because Typer's parser has no arguments while an option has no value yet.
     """
-    import shlex
-
     line = os.environ.get("_TYPER_COMPLETE_ARGS") or os.environ.get("COMP_WORDS") or ""
     try:
         words = shlex.split(line)
@@ -87,9 +88,6 @@ def _typed() -> list[Path]:
 
 def _file_options(command: list[str]) -> Iterator[Any]:
     """Yield the options of a command that take files other than recordings."""
-    from pc2scan.options.table import GROUPS, options_of
-    from pc2scan.options.values import PathName
-
     for name in command:
         if name in GROUPS:
             for option in options_of(name).values():

@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pc2scan.bags.formats import FORMATS
 from pc2scan.files.urls import is_url
 from pc2scan.options.call import Options
+from pc2scan.pipeline.parameters import preset_of
 from pc2scan.requests import convert as run
 from pc2scan.text import shell_word
 
@@ -50,9 +52,6 @@ def next_command(report: Report) -> str:
 
     It is quoted for a shell, and right for the destination's container and ROS version.
     """
-    from pc2scan.bags.formats import FORMATS
-    from pc2scan.pipeline.parameters import preset_of
-
     entry = FORMATS[report.container]
     destination = _quoted(report.destination)
     if report.all_empty:

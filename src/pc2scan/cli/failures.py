@@ -13,10 +13,11 @@ from pc2scan.errors import DamageError, Pc2ScanError, UsageError
 from pc2scan.options.keywords import meant_by
 from pc2scan.options.table import GROUPS, instead_of, options_of
 from pc2scan.options.values import Flag
+from pc2scan.result import Failure
 from pc2scan.text import did_you_mean, shell_word
 
 from .commands import COMMANDS
-from .render import as_typed, say, show_error
+from .render import as_typed, print_json, say, show_error
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -57,10 +58,6 @@ def show_failure(err: Pc2ScanError, words: Sequence[str]) -> int:
             err.hint = "pc2scan repair makes a sound recording of what is readable"
     show_error(err)
     if "--json" in (words[: words.index("--")] if "--" in words else words):
-        from pc2scan.result import Failure
-
-        from .render import print_json
-
         err.message, err.hint = as_typed(err.message), None if err.hint is None else as_typed(err.hint)
         print_json(Failure([err]).as_dict() | {"exit_status": status})
     return status

@@ -11,6 +11,7 @@ from pc2scan.options import values
 from pc2scan.options.call import Options
 from pc2scan.options.option import Parameter
 from pc2scan.options.table import options_of
+from pc2scan.pipeline.parameters import plain_scalar
 
 from .commands import COMMANDS
 
@@ -76,8 +77,6 @@ def call_options(name: str, typed: Mapping[str, Any]) -> Options:
             try:
                 words[key] = number(text) if number else text
             except ValueError:
-                from pc2scan.pipeline.parameters import plain_scalar
-
                 # In the notation of a parameter file.
                 words[key] = plain_scalar(text)
             origins[key] = option.negation if text is False else option.spelling

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from pc2scan.files.urls import path_or_url
@@ -38,8 +39,6 @@ def _temporary_fonts() -> Iterator[None]:
     if os.environ.get(_WHERE):
         yield
         return
-    from tempfile import TemporaryDirectory
-
     with TemporaryDirectory(prefix="pc2scan-fonts-") as folder:
         os.environ[_WHERE] = folder
         try:

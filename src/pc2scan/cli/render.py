@@ -8,6 +8,7 @@ whose output others read.
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import sys
@@ -120,8 +121,6 @@ def _spelled(named: re.Match[str]) -> str:
 
 def print_json(document: object) -> None:
     """Print JSON on standard output."""
-    import json
-
     # Everything else that is not text for a terminal or a CI system is escaped in JSON anyway.
     text = json.dumps(document, indent=2).replace("##", r"\u0023\u0023")
     if isinstance(sys.stdout, Screen):

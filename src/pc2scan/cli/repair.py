@@ -8,13 +8,11 @@ from pc2scan.options.call import Options
 from pc2scan.requests import repair as run
 
 from .convert import next_command
-from .render import say, show
+from .render import progress_bar, say, show
 
 
 def repair(source: Path, destination: str | None, *, options: Options) -> int:
     """Write what can be recovered of a damaged recording."""
-    from .render import progress_bar
-
     silent = options.quiet or options.as_json
     with progress_bar(enabled=not silent) as progress:
         result = run(source, destination, options, progress=progress)

@@ -29,6 +29,7 @@ from pc2scan.errors import ParameterError
 from . import kernel
 from .params import ProjectionParams
 from .points import Columns, coordinates_of, values_of
+from .reduce import extremes, means, read, surfaces, winners
 from .rule import PointCounts, rule_of
 
 if TYPE_CHECKING:
@@ -286,8 +287,6 @@ class Projector:
         list of ((K,) int64, (K,) int32)
             For each part, the numbers of its points, increasing, and the beam of each.
         """
-        from .reduce import read  # noqa: PLC0415  # few conversions need the points behind the ranges
-
         _, bins, returns, numbers = zip(*map(self._gather_parts, parts), strict=True)
         ends = np.cumsum([each.size for each in bins])
         with np.errstate(all="ignore"):
@@ -302,8 +301,6 @@ class Projector:
         self, bins: NDArray[np.int32], returns: NDArray[np.float32], values: NDArray[Any] | None, points: PointCounts
     ) -> ProjectedScan:
         """Return the scan of returns in the order of the cloud, with intensities if there are values."""
-        from .reduce import extremes, means, surfaces, winners  # noqa: PLC0415  # few conversions reduce otherwise
-
         params = self.params
         counts = np.bincount(bins, minlength=self._beams)
         found = np.full(counts.size, self._empty, np.float32)

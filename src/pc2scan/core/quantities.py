@@ -9,6 +9,7 @@ import ast
 import math
 import operator
 import re
+from decimal import Decimal
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -123,8 +124,6 @@ def duration_ns(text: str) -> int | None:
     scale = None if written is None else _DURATIONS.get(written[2].lower())
     if written is None or scale is None:
         return None
-    from decimal import Decimal  # noqa: PLC0415  # few runs need it
-
     return int(Decimal(written[1]) * scale)
 
 

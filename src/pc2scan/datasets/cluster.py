@@ -8,15 +8,18 @@ recordings of the batch, because starting one takes longer than converting a sma
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
 import signal
 import socket
 import threading
 import time
 from collections import Counter, deque
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import replace
 from itertools import count
+from multiprocessing import resource_tracker
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, NamedTuple
 from uuid import uuid4
@@ -443,9 +446,6 @@ def _check_workers(client: Any, jobs: Sequence[Job]) -> None:
 
     # Dask sends a nested function by value, so a worker without pc2scan can run it, too.
     def look(paths: list[str]) -> tuple[str, str, list[str]]:
-        import os  # noqa: PLC0415
-        import socket  # noqa: PLC0415
-
         try:
             from pc2scan.version import __version__ as version  # noqa: PLC0415
         except ImportError:
@@ -476,8 +476,6 @@ def _loss_error() -> Pc2ScanError:
 
 def _ask(address: str) -> None:
     """Raise unless a scheduler answers. A client would wait forever if it accepts connections and never answers."""
-    from concurrent.futures import ThreadPoolExecutor  # noqa: PLC0415
-
     from distributed.core import rpc  # noqa: PLC0415  # an extra
 
     async def ask() -> None:
@@ -505,8 +503,6 @@ def _block_sigint() -> Iterator[None]:
 @contextmanager
 def _connect(address: str, workers: int) -> Iterator[Any]:
     """Yield a client of the scheduler, or of a cluster on this machine."""
-    import logging  # noqa: PLC0415
-
     import dask  # noqa: PLC0415  # an extra
     from distributed import Client, LocalCluster  # noqa: PLC0415
 
@@ -521,8 +517,6 @@ def _connect(address: str, workers: int) -> Iterator[Any]:
                 "distributed.scheduler.worker-saturation": 1.0,
             }
             stack.enter_context(dask.config.set(settings))
-            from multiprocessing import resource_tracker  # noqa: PLC0415  # only clusters on this machine need it
-
             # Started now, because starting it later would unblock the signal.
             resource_tracker.ensure_running()
             with _block_sigint():

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import time
+import traceback
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
@@ -14,6 +17,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 from pc2scan.bags.opening import open_recordings
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import NothingToConvertError, OutputError, Pc2ScanError, UsageError
+from pc2scan.exports.formats import FORMATS
+from pc2scan.exports.report import ExportReport
+from pc2scan.exports.run import ExportOptions
+from pc2scan.exports.run import run as export
 from pc2scan.files.system import copying_to, is_full
 from pc2scan.files.urls import UrlPath, absolute, path_or_url
 from pc2scan.options.call import Options
@@ -30,8 +37,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Sequence
 
     from pc2scan.bags.damage import Damage
-    from pc2scan.exports.report import ExportReport
-    from pc2scan.exports.run import ExportOptions
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.report import Report
     from pc2scan.pipeline.run_files import OutputOptions
@@ -93,8 +98,6 @@ def request_of(keywords: Mapping[str, Any], origins: Mapping[str, str] | None = 
     conversion = conversion_of(options)
     export = None
     if options.format is not None:
-        from pc2scan.exports.run import ExportOptions  # noqa: PLC0415  # most batches write recordings
-
         export = ExportOptions.of(options, conversion.options, options.format)
     # Absolute: another process may have another current folder.
     frames = conversion.options.frames
@@ -109,9 +112,6 @@ def digest_of(request: Request) -> str:
 
     Recordings that transforms are taken from count with their sizes and times of modification.
     """
-    import hashlib  # noqa: PLC0415  # only batches need it
-    import json  # noqa: PLC0415
-
     names = ("storage", "compression", "profile")
     output = {name: getattr(request.output, name) for name in names}
     if request.export is not None:
@@ -130,8 +130,6 @@ def _check_export(options: Options) -> None:
     of_recordings = {word for group in (Container, OtherTopics, FailureConditions) for word in group.__annotations__}
     if idle := [f"`{word}`" for word in options_of("convert") if word in given and word in of_recordings]:
         raise UsageError(f"{', '.join(idle)} would have no effect: `format` writes no recordings")
-    from pc2scan.exports.formats import FORMATS  # noqa: PLC0415  # most batches write recordings
-
     if FORMATS[name].needs_poses and not given.keys() & {"pose_frame", "odom_topic"}:
         raise UsageError(f"`format={name}` needs poses", hint="give `pose_frame=odom`, or `odom_topic=/odom`")
 
@@ -327,8 +325,6 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
         full = isinstance(err, OutputError) and not isinstance(destination, UrlPath) and is_full(err)
         record = job.failure(err, disk_is_full=full, **known)
     except Exception as err:  # noqa: BLE001  # one recording must not end the others; the manifest has the traceback
-        import traceback  # noqa: PLC0415  # a bug, or memory that is not there
-
         kind, text = type(err).__name__, "".join(traceback.format_exception(err))
         error = Pc2ScanError(f"{kind}: {err}" if str(err) else kind)
         record = job.failure(error, error=error.as_dict() | {"kind": kind, "traceback": text}, **known)
@@ -356,16 +352,12 @@ def _run_job(
             warnings=request.notes if options.fail_on == "warning" else (),
             progress=progress,
         )
-    from pc2scan.exports.run import run as export  # noqa: PLC0415  # most batches write recordings
-
     form = replace(request.export, overwrite=request.output.overwrite, owned=job.owned)
     return export(sources, destination, options, form, in_folder=True, also_read=request.files, progress=progress)
 
 
 def _inspect_export(job: Job, sources: list[Path]) -> ExportReport:
     """Open a recording whose scans or clouds would be exported without conversion, and report what would be read."""
-    from pc2scan.exports.report import ExportReport  # noqa: PLC0415  # most batches write recordings
-
     assert job.request.export is not None
     form = str(job.request.export.format)
     return ExportReport(list(job.sources), job.destination, form, damage=_damage_of(job, sources))

@@ -6,6 +6,7 @@ A last line without a line end was written by a run that was killed at that mome
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from contextlib import suppress
@@ -129,8 +130,6 @@ def _summed_up(found: list[tuple[str, int, int | str]]) -> list[tuple[str, int, 
     times = [time for _, _, time in found]
     last = max((time for time in times if isinstance(time, int)), default=0)
     if any(isinstance(time, str) for time in times):
-        import hashlib  # noqa: PLC0415  # few recordings have so many files
-
         return [
             (f"{len(found)} files", sum(size for _, size, _ in found), hashlib.sha256(repr(times).encode()).hexdigest())
         ]

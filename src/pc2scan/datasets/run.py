@@ -21,6 +21,7 @@ from pc2scan.files.urls import UrlPath, absolute, is_url
 from pc2scan.text import counted
 from pc2scan.threads import cores
 
+from .cluster import check_dask, run_jobs_on_dask
 from .dataset_file import Choices, DatasetFile, load_dataset_file
 from .find import find
 from .folder import open_folder
@@ -164,8 +165,6 @@ def run_batch(
     dataset = DatasetFile() if options.dataset is None else load_dataset_file(options.dataset)
     choices = Choices(dataset, keywords, origins or {})
     if options.dask and not options.dry_run:
-        from .cluster import check_dask, run_jobs_on_dask  # noqa: PLC0415  # most batches have no cluster
-
         check_dask()
         executor = executor or partial(run_jobs_on_dask, address="" if options.dask is True else options.dask)
     with ExitStack() as stack:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import TransformError, UsageError, name_list
 from pc2scan.pipeline.odometry import odometry_of
+from pc2scan.text import did_you_mean
 from pc2scan.transforms.reading import read_transforms
 
 if TYPE_CHECKING:
@@ -192,8 +193,6 @@ def open_poses(
     known = set(found.buffer.frames)
     for option, name in (("pose_frame", options.pose_frame), ("base_frame", options.base_frame)):
         if name and name.removeprefix("/") not in known:
-            from pc2scan.text import did_you_mean  # noqa: PLC0415  # only for errors
-
             near = did_you_mean(name, sorted(known))
             hint = f"{near} frames: {name_list(sorted(known))}".strip()
             if not known:

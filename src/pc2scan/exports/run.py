@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +24,7 @@ from pc2scan.files.staging import staged_output
 from pc2scan.messages.clouds import CLOUDS, usual_topics
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.pipeline.options import TopicRequest
+from pc2scan.pipeline.stamps import corrected
 from pc2scan.progress import Meter
 from pc2scan.requests import conversion_of, destination_of
 from pc2scan.result import Skipped, tell_early
@@ -206,8 +207,6 @@ def run(
             others = open_recordings(options.frames.tf_from, stack, strict=options.strict)
             posing = reader
             if options.clock:
-                from pc2scan.pipeline.stamps import corrected  # noqa: PLC0415  # most clocks are the recording's
-
                 posing, _ = corrected(reader, [], options.clock, options.frames.tf_topics)
             poses, texts = open_poses([posing, *others], options.frames, form.poses, meter)
             tell(*texts)
@@ -310,8 +309,6 @@ def _stream(
         return Clouds(selection, meter)
     if not form.converting:
         return Scans(selection, meter=meter)
-    from dataclasses import replace  # noqa: PLC0415  # only if clouds are converted
-
     topics = options.scan.topics or tuple(map(TopicRequest, names))
     return Scans(selection, replace(options.with_scan(topics=topics), only_scans=True), meter=meter)
 

@@ -7,12 +7,18 @@ from __future__ import annotations
 
 import bz2
 import zlib
-from functools import cache
+from contextlib import suppress
+from importlib import import_module
 from typing import IO, TYPE_CHECKING, Any
 
 import cramjam
 import lz4.frame
 import zstandard
+
+_zlib: Any = zlib
+# Half the time of zlib, and a quarter for checksums; there is no build of it for some processors.
+with suppress(ImportError):
+    _zlib = import_module("isal.isal_zlib")
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -150,8 +156,6 @@ class Decoder:
 def decoder(compression: str) -> Decoder:
     """Return a decoder for ``bz2`` or ``zstd``."""
     if compression == "bz2":
-        import bz2  # noqa: PLC0415  # heavy
-
         bunzip2 = bz2.BZ2Decompressor()
         return Decoder(bunzip2, bunzip2.decompress, OSError)
     unzstd = zstandard.ZstdDecompressor().decompressobj()
@@ -209,26 +213,15 @@ def _from_zstd(data: Buffer, out: memoryview) -> int:
 
 
 def _zlib_within(data: Buffer, limit: int) -> Buffer:
-    library = _zlib_library()
     # With a header of gzip or of zlib.
-    inflate = library.decompressobj(31 if bytes(data[:2]) == b"\x1f\x8b" else 15)
+    inflate = _zlib.decompressobj(31 if bytes(data[:2]) == b"\x1f\x8b" else 15)
     try:
         found: bytes = inflate.decompress(data, limit + 1)
-    except (zlib.error, library.error) as err:
+    except (zlib.error, _zlib.error) as err:
         raise CompressionError(str(err)) from err
     if not inflate.eof and len(found) <= limit:
         raise CompressionError("the data are cut off")
     return found
-
-
-@cache
-def _zlib_library() -> Any:
-    """Return zlib, or a library that takes half the time."""
-    try:
-        from isal import isal_zlib  # noqa: PLC0415  # few recordings have clouds in this format
-    except ImportError:  # the library has no build for this processor
-        return zlib
-    return isal_zlib
 
 
 def _zstd_within(data: Buffer, limit: int) -> Buffer:
@@ -290,26 +283,21 @@ _COMPRESS: dict[str, Callable[[Buffer, int | None], Buffer]] = {
 
 # --- CRC-32 ---
 
-#: For fewer bytes, zlib is faster than loading the other library.
-_WORTH_LOADING = 1 << 18
-
 
 def crc32(data: Buffer, value: int = 0) -> int:
     """Return the CRC-32 of bytes as zlib and MCAP define it; ``value`` is the CRC of the bytes before them.
 
-    With zlib, it takes as long as reading an uncompressed recording, and a fifth of the time of decompressing zstd. So
-    the fastest available library computes it.
+    With zlib, it takes as long as reading an uncompressed recording, and a fifth of the time of decompressing zstd.
     """
-    return zlib.crc32(data, value) if len(data) < _WORTH_LOADING else _fastest()(data, value)
+    checksum: int = _zlib.crc32(data, value)
+    return checksum
 
 
 def combine_crc32(first: int, second: int, length: int) -> int:
     """Return the CRC-32 of two parts together: ``first``, and ``second`` of ``length`` bytes."""
-    try:
-        from isal import isal_zlib  # noqa: PLC0415  # seldom needed
-    except ImportError:
+    if _zlib is zlib:
         return _shift(first, length) ^ second
-    return isal_zlib.crc32_combine(first, second, length)
+    return int(_zlib.crc32_combine(first, second, length))
 
 
 def _shift(value: int, length: int) -> int:
@@ -332,12 +320,3 @@ def _multiply(one: int, other: int) -> int:
             product ^= other
         other = other >> 1 ^ (0xEDB88320 if other & 1 else 0)
     return product
-
-
-@cache
-def _fastest() -> Callable[[Buffer, int], int]:
-    try:
-        from isal import isal_zlib  # noqa: PLC0415  # only large chunks need it
-    except ImportError:  # the library has no build for this processor
-        return zlib.crc32
-    return isal_zlib.crc32

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from pc2scan.errors import DestinationError, OutputError, name_list
 
 from .places import working_names
+from .records import files_below, is_unchanged
 from .urls import UrlPath, exists
 
 if TYPE_CHECKING:
@@ -94,8 +95,6 @@ def refuse_others(folder: Path, record_in: FolderRecord | None, written: Collect
     DestinationError
         If there is anything that no record names, or that was changed and is not written by this run.
     """
-    from .records import files_below, is_unchanged  # noqa: PLC0415  # few outputs replace a directory
-
     present = sorted(files_below(folder))
     if not present:
         return

@@ -6,8 +6,10 @@ A run has temporary files while it writes.
 from __future__ import annotations
 
 import os
+import tempfile
 from contextlib import contextmanager, suppress
 from itertools import islice
+from shlex import quote
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, OutputError, RecordingError
@@ -58,8 +60,6 @@ def check_place(dst: Path) -> None:
             "its directory is a link that leads nowhere", path=dst, hint=f"ls -l {parent} shows where it leads"
         )
     if not exists:
-        from shlex import quote  # noqa: PLC0415  # few destinations are wrong
-
         hint = f"create it: mkdir -p {quote(str(parent))}"
         raise DestinationError("its directory does not exist", path=dst, hint=hint)
     check_length(dst)
@@ -140,8 +140,6 @@ def private_folder(path: Path) -> TemporaryDirectory[str]:
     RecordingError
         If the system has no folder for temporary files.
     """
-    import tempfile  # noqa: PLC0415  (it loads the compression modules)
-
     try:
         return tempfile.TemporaryDirectory(prefix="pc2scan-", dir=system.scratch.get())
     except OSError as err:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 import stat
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import OutputError
+
+from .compression import crc32
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -72,8 +75,6 @@ def is_unchanged(path: Path, left: FileState | None) -> bool:
 
 
 def _crc_of(path: Path) -> int:
-    from .compression import crc32  # noqa: PLC0415  # few runs need it
-
     value = 0
     with path.open("rb") as file:
         while piece := file.read(_PIECE_BYTES):
@@ -89,8 +90,6 @@ def write_record(folder: Path) -> None:
     OutputError
         If it cannot be written.
     """
-    import json  # noqa: PLC0415  # only exports have such a record
-
     try:
         files = {
             name: [(folder / name).stat().st_size, _crc_of(folder / name)]
@@ -106,8 +105,6 @@ def write_record(folder: Path) -> None:
 
 def read_record(folder: Path) -> Record | str:
     """Return the record in a folder; text if there is none that can be read: the reason."""
-    import json  # noqa: PLC0415  # only exports have such a record
-
     try:
         path = folder / RECORD
         if not stat.S_ISREG(path.lstat().st_mode) or path.stat().st_size > _MAX_RECORD_BYTES:

@@ -9,6 +9,8 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING
 
+import lz4.block
+
 from pc2scan.files.compression import allowed_bytes
 
 from .compression import LZ4_MAGIC, CompressionError, decoder
@@ -73,8 +75,6 @@ def _feed(decoding: Decoder, data: memoryview, limit: int) -> bytes:
 
 def _lz4_frame(data: memoryview, limit: int) -> bytes:
     """Decode an LZ4 frame block by block. Source: lz4_Frame_format.md of the LZ4 project."""
-    import lz4.block  # noqa: PLC0415  (only recordings that need it pay for it)
-
     if len(data) < 7 or bytes(data[:4]) != LZ4_MAGIC:
         return b""
     flags, sizes = data[4], data[5]

@@ -15,6 +15,7 @@ from weakref import WeakValueDictionary, ref
 from pc2scan.errors import RecordingError, UsageError
 
 from .system import BINARY, read_at
+from .transfers import fetched
 from .urls import UrlPath
 
 if TYPE_CHECKING:
@@ -79,8 +80,6 @@ def open_bytes(path: Path) -> BinaryIO:
         If it does not exist, may not be read, or is neither a file nor a directory.
     """
     if isinstance(path, UrlPath):
-        from .transfers import fetched  # noqa: PLC0415  # loads fsspec
-
         with fetched([path]) as (copy,):
             return open_bytes(copy)
     return open(path, "rb", opener=_open_regular)

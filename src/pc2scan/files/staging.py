@@ -13,7 +13,9 @@ from pc2scan.errors import DestinationError, OutputError
 
 from .ownership import check_existing, existing_error, file_ids, refuse_others
 from .places import LEFTOVERS, LOCK, OLD, PARTIAL, check_new_folder, check_place, working_names
+from .records import files_below
 from .system import REFUSES_LINKS, lock_descriptor, remove, sync_directory
+from .transfers import upload
 from .urls import UrlPath
 
 if TYPE_CHECKING:
@@ -82,8 +84,6 @@ def staged_output(
         If its directory or the result cannot be written.
     """
     if isinstance(dst, UrlPath):
-        from .transfers import upload  # noqa: PLC0415  # loads fsspec
-
         check_destination(dst, overwrite=overwrite, owned=owned)
         with upload(dst, overwrite=overwrite, owned=owned) as (local, finish):
             yield local
@@ -91,8 +91,6 @@ def staged_output(
         return
 
     def check_again(partial: Path) -> None:
-        from .records import files_below  # noqa: PLC0415  # few outputs replace a directory
-
         # Other files may have been added since the beginning.
         refuse_others(dst, record_in, set(files_below(partial)) if partial.is_dir() else ())
 

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import errno
 import os
+from asyncio import run_coroutine_threadsafe
+from concurrent.futures import wait
 from contextlib import contextmanager, suppress
 from functools import cache
 from time import monotonic
@@ -190,9 +192,6 @@ class RemotePath:
             if not self._fs.async_impl:
                 return getattr(self._fs, name)(self.key, *args, **options)
             # fsspec has loaded both.
-            from asyncio import run_coroutine_threadsafe  # noqa: PLC0415
-            from concurrent.futures import wait  # noqa: PLC0415
-
             work = getattr(self._fs, f"_{name}")(self.key, *args, **options)
             future = run_coroutine_threadsafe(work, self._fs.loop)
             try:

@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import stat
+import sys
 from contextlib import contextmanager
 from contextvars import ContextVar
 from threading import Lock
 from typing import TYPE_CHECKING
+
+if sys.platform == "win32":
+    import msvcrt
+else:
+    import fcntl
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -73,25 +80,15 @@ def lock_descriptor(descriptor: int) -> None:
     OSError
         If the file system cannot lock files, as some network file systems.
     """
-    try:
-        import fcntl  # noqa: PLC0415  # not on Windows
-    except ImportError:
-        _lock_on_windows(descriptor)
-    else:
+    if sys.platform != "win32":
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
-def _lock_on_windows(descriptor: int) -> None:
-    try:
-        import msvcrt  # noqa: PLC0415  # only there
-    except ImportError as err:
-        raise OSError(errno.ENOLCK, "this system has no locks") from err
-    try:
-        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined,unused-ignore]
-    except OSError as err:
-        if err.errno in {errno.EACCES, errno.EDEADLK}:
-            raise BlockingIOError(err.errno, "is locked") from err
-        raise
+    else:
+        try:
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        except OSError as err:
+            if err.errno in {errno.EACCES, errno.EDEADLK}:
+                raise BlockingIOError(err.errno, "is locked") from err
+            raise
 
 
 def unusable_name(name: str) -> str:
@@ -133,8 +130,6 @@ def remove(path: Path) -> None:
     except FileNotFoundError:
         return
     if stat.S_ISDIR(mode):
-        import shutil  # noqa: PLC0415  # it loads the compression modules
-
         shutil.rmtree(path)
     else:
         path.unlink()

@@ -12,6 +12,7 @@ from .new_file import NewFile
 from .ownership import check_kind
 from .places import check_place
 from .staging import commit, temporary_path
+from .transfers import upload
 from .urls import UrlPath
 
 if TYPE_CHECKING:
@@ -95,8 +96,6 @@ def _staged_file(
     with ExitStack() as stack:
         rename: Callable[[], object]
         if isinstance(path, UrlPath):
-            from .transfers import upload  # noqa: PLC0415  # loads fsspec
-
             check_place(path)
             replaces = _may_replace(path, beginning, overwrite=overwrite)
             partial, rename = stack.enter_context(upload(path, overwrite=replaces))

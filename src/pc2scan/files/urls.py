@@ -12,10 +12,14 @@ import posixpath
 from collections.abc import Iterable
 from os import PathLike
 from pathlib import Path
+from socket import gethostname
 from typing import TYPE_CHECKING, Any, ClassVar
+from urllib.parse import unquote_to_bytes
 
 from pc2scan.arguments import value_and_type
 from pc2scan.errors import MissingError, UsageError
+
+from .store import RemotePath
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator
@@ -23,7 +27,7 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-    from .store import RemotePath, StoredObject
+    from .store import StoredObject
 
     PathText: TypeAlias = str | PathLike[str]
 
@@ -135,8 +139,6 @@ def local_path(text: str, name: str = "a source") -> str:
             path=text,
             hint=f"write %{ord(odd):02X} if it belongs to the name",
         )
-    from urllib.parse import unquote_to_bytes  # noqa: PLC0415  # few paths are URLs
-
     if odd := next((code for code in ("%00", "%2F") if code in rest.upper()), None):
         raise UsageError(f"is a URL with {odd}, which no file's name can have", path=text)
     found = "/" + os.fsdecode(unquote_to_bytes(os.fsencode(rest))).lstrip("/")
@@ -149,8 +151,6 @@ def _refuse_other_host(url: str, host: str) -> None:
     """Raise if the host of a ``file:`` URL is not this machine."""
     if host.lower() in {"", "localhost"}:
         return
-    from socket import gethostname  # noqa: PLC0415  # few URLs name a host
-
     if host.lower() != gethostname().lower():
         raise UsageError(
             f"is a file of another machine, {host}",
@@ -262,8 +262,6 @@ class UrlPath(_LocalPath):
     @property
     def remote(self) -> RemotePath:
         """The place in the store."""
-        from .store import RemotePath  # noqa: PLC0415  # loads fsspec
-
         return RemotePath(self.url, str(self), LIBRARIES[self.scheme])
 
     @property

@@ -8,6 +8,9 @@ import re
 from functools import lru_cache
 from typing import Any
 
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
 #: rosbag2 writes some 600 characters a topic. The library takes up to 300 bytes and 20 microseconds for each character.
 MAX_CHARACTERS = 800_000
 
@@ -44,9 +47,6 @@ def _parse(text: str) -> bytes:
         deepest = max(deepest, depth)
     if deepest > _MAX_BRACKETS:
         raise ValueError(f"is not valid YAML: it is nested more than {_MAX_BRACKETS} levels deep")
-    from ruamel.yaml import YAML  # noqa: PLC0415  (only rosbag2 and its QoS profiles need it)
-    from ruamel.yaml.error import YAMLError  # noqa: PLC0415
-
     try:
         yaml = YAML(typ="safe", pure=True)
         # A repeated anchor is legal.
@@ -86,8 +86,6 @@ def _unfolded_size(node: Any, sizes: dict[int, int]) -> int:
 
 def dump_yaml(value: Any) -> str:
     """Write in block style, keys in the order given, strings on one line."""
-    from ruamel.yaml import YAML  # noqa: PLC0415  (only rosbag2 and its QoS profiles need it)
-
     yaml = YAML(typ="safe", pure=True)
     yaml.default_flow_style = False
     yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]  # declared as None

@@ -16,6 +16,7 @@ from pc2scan.core.verdicts import OUTCOMES, Outcome
 from pc2scan.errors import DecodeError, TopicError, UsageError, leading, stamp_text
 from pc2scan.files.urls import path_or_url
 from pc2scan.messages.clouds import CLOUDS, SCANS
+from pc2scan.messages.other_clouds import without
 from pc2scan.model import StoredChunk, copied_message, own_message
 from pc2scan.pipeline.clocks import Clocks
 from pc2scan.pipeline.engine import schedule
@@ -361,12 +362,8 @@ def _scan_connections(reader: Reader, topics: tuple[str, ...]) -> dict[str, list
         if connection.ros_type in SCANS and connection.ros_version is not None:
             scans.setdefault(connection.topic, []).append(connection)
     if not scans:
-        from pc2scan.messages.clouds import CLOUDS  # noqa: PLC0415  # only for errors
-
         if any(connection.ros_type in CLOUDS for connection in reader.connections):
             raise TopicError("the recording has no LaserScan topic", hint="pc2scan convert makes scans of its clouds")
-        from pc2scan.messages.other_clouds import without  # noqa: PLC0415  # only for errors
-
         message, hint = without("LaserScan", reader.connections, reader)
         raise TopicError(message, hint=hint or None)
     asked = (find_topics(topic, types, sorted(scans), *SCANS) for topic in topics)

@@ -18,6 +18,7 @@ from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import UsageError, leading
 from pc2scan.messages.clouds import CLOUDS, SCANS, usual_topics
 from pc2scan.messages.imu import IMU
+from pc2scan.messages.other_clouds import instead_of_clouds
 from pc2scan.messages.poses import POSES
 from pc2scan.messages.tfmessage import TF_TYPES
 from pc2scan.model import copied_message
@@ -354,11 +355,9 @@ def info_of(
         of_scans = {topic: look for topic, look in looks.items() if isinstance(look, ScanLook)}
         scans = tuple(look.described(rates[topic]) for topic, look in of_scans.items())
         warnings = [*log_times_of_centuries(Cut(None, None, reader.summary)), *found.warnings]
-        if not any(topic.msgtype in {*CLOUDS, *SCANS} for topic in topics):
-            from pc2scan.messages.other_clouds import instead_of_clouds  # noqa: PLC0415  # most recordings have clouds
-
-            if instead := instead_of_clouds(reader.connections, reader):
-                warnings.append(f"the recording has no clouds, but {instead[0]}; {instead[1]}")
+        is_known = any(topic.msgtype in {*CLOUDS, *SCANS} for topic in topics)
+        if not is_known and (instead := instead_of_clouds(reader.connections, reader)):
+            warnings.append(f"the recording has no clouds, but {instead[0]}; {instead[1]}")
         warnings += (each.mounting.warning for each in clouds if each.mounting and each.mounting.warning)
         seconds = {each.topic: (each.messages - 1) / each.rate_hz if each.rate_hz else 0.0 for each in shown}
         on_robot = {each.topic: found.on_robot(each.mounting) for each in clouds if each.mounting is not None}

@@ -14,6 +14,7 @@ from pc2scan.inspect.sampling import sampled
 from pc2scan.pipeline.cloud_scale import scaled
 from pc2scan.pipeline.preparation import prepare, span_of
 from pc2scan.pipeline.refusals import refuse_outside
+from pc2scan.pipeline.stamps import corrected
 from pc2scan.transforms.reading import read_transforms
 
 if TYPE_CHECKING:
@@ -121,8 +122,6 @@ class ShownRecording:
         self.others = open_recordings(options.frames.tf_from, self.stack, strict=options.strict)
         reader = self.reader
         if options.clock:
-            from pc2scan.pipeline.stamps import corrected  # noqa: PLC0415  # most clocks are the recording's
-
             # Of topics with poses that have an offset of their own.
             reader, _ = corrected(reader, [], options.clock, options.frames.tf_topics)
         return read_transforms([reader, *self.others], options.frames, needed=needed, meter=meter)

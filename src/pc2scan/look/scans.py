@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.bags.topics import find_topic
 from pc2scan.errors import MessageError, RecordingError, TopicError, TransformError
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
+from pc2scan.messages.other_clouds import without
 from pc2scan.text import counted
 
 from .html import compress, description_of
@@ -39,8 +40,6 @@ def scan_connections(reader: Reader, asked: Sequence[str]) -> dict[str, list[Con
         types.setdefault(connection.topic, set()).add(connection.ros_type)
     candidates = [topic for topic, kinds in types.items() if LASERSCAN in kinds]
     if not candidates:
-        from pc2scan.messages.other_clouds import without  # noqa: PLC0415  # only for errors
-
         message, hint = without("PointCloud2 or LaserScan", reader.connections, reader)
         raise TopicError(message, hint=hint or None)
     chosen = [find_topic(name, types, candidates, LASERSCAN) for name in asked] or candidates

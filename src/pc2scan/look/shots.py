@@ -21,6 +21,7 @@ from pc2scan.pipeline.conversion import Measurements
 from pc2scan.pipeline.plan import make_plan
 from pc2scan.pipeline.stages.placement import PlaceStage
 from pc2scan.pipeline.stages.selection import SelectStage
+from pc2scan.pipeline.stamps import corrected_for
 from pc2scan.text import counted
 
 from .recording import moment_text, spread_messages
@@ -139,8 +140,6 @@ def take_shots(
     options = options.with_scan(params=_without_times(options.scan.params))
     plan = make_plan(reader.connections, options, reader)
     if options.clock:
-        from pc2scan.pipeline.stamps import corrected_for  # noqa: PLC0415  # most clocks are the recording's
-
         reader, notes = corrected_for(reader, plan, options)
         recording.reader, plan = reader, plan._replace(notes=tuple(notes))
     prepared = recording.prepare(plan, options)

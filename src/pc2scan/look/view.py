@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from html import escape
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from pc2scan.errors import UsageError, leading
@@ -11,6 +12,7 @@ from pc2scan.files.text_output import text_output
 from pc2scan.files.urls import path_of
 from pc2scan.inspect.check import check
 from pc2scan.messages.clouds import CLOUDS
+from pc2scan.pipeline.stamps import corrected
 from pc2scan.requests import conversion_of, first_output
 from pc2scan.result import Part, Result
 from pc2scan.text import size
@@ -81,8 +83,6 @@ class Page(Result):
 
     def _repr_html_(self) -> str:
         """Return the page in a sandboxed frame with its own policy, so that it cannot access the notebook."""
-        from html import escape  # noqa: PLC0415  # only notebooks need it
-
         frame = 'sandbox="allow-scripts" style="width: 100%; height: 860px; border: 0"'
         return f'<iframe {frame} srcdoc="{escape(self.html)}"></iframe>'
 
@@ -222,8 +222,6 @@ def page_of(
             asked = [request.source for request in options.scan.topics]
             topics, buffer = scan_connections(reader, asked), _transforms(recording)
             if options.clock:
-                from pc2scan.pipeline.stamps import corrected  # noqa: PLC0415  # most clocks are the recording's
-
                 shown = [each for connections in topics.values() for each in connections]
                 reader, _ = corrected(reader, shown, options.clock, options.frames.tf_topics)
             described, blobs = scans_page(reader, topics, buffer, options, count=clouds, at_ns=at_ns)

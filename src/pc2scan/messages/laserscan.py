@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pc2scan.core.verdicts import ConsumerScan
+
 from .wire import MAX_CACHED_BYTES, Cursor, Packer, seconds_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from pc2scan.core.verdicts import ConsumerScan
     from pc2scan.model import Buffer
 
 #: The type in ROS 2's spelling.
@@ -178,8 +179,6 @@ def as_message(scan: LaserScan, serialization: str) -> LaserScan:
 
 def scan_for_consumers(message: LaserScan) -> ConsumerScan:
     """Return a decoded scan in the form that the consumers' rules need."""
-    from pc2scan.core.verdicts import ConsumerScan  # noqa: PLC0415  # most who read scans do not check them
-
     return ConsumerScan.of(
         message.ranges,
         angle_min=message.angle_min,

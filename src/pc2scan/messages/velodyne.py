@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import atexit
 import gc
+import zlib
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -119,6 +120,4 @@ def _points_of(packets: list[tuple[float, bytes]], stamp_ns: int) -> NDArray[np.
 
 def _digest(packets: list[tuple[float, bytes]]) -> str:
     """Return a text that differs if the packets do, which may have the same points."""
-    import zlib  # noqa: PLC0415  # only these messages need it
-
     return f"{len(packets)} packets, CRC-32 {zlib.crc32(b''.join(packet for _, packet in packets)):08x}"

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 import re
 from datetime import datetime, timedelta, timezone
+from decimal import Decimal, InvalidOperation
 from numbers import Integral, Real
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
+from pc2scan.core.quantities import PARTS_OF_SECOND
 from pc2scan.errors import UsageError
 
 if TYPE_CHECKING:
@@ -53,8 +55,6 @@ class TimeBound(NamedTuple):
         UsageError
             If it is none of these.
         """
-        from decimal import Decimal, InvalidOperation  # noqa: PLC0415  # only a conversion with a cut pays for it
-
         written = re.fullmatch(_SECONDS, text.strip())
         if written:
             try:
@@ -62,8 +62,6 @@ class TimeBound(NamedTuple):
             except InvalidOperation as err:  # pragma: no cover - the pattern admits only decimals
                 raise UsageError(f"{text!r} is not a time") from err
             if unit := written[2]:
-                from pc2scan.core.quantities import PARTS_OF_SECOND  # noqa: PLC0415  # most are plain numbers
-
                 value /= PARTS_OF_SECOND[unit]
             if value >= _ABSOLUTE_NANOSECONDS:
                 return cls(int(value), absolute=True)

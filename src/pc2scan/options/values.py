@@ -13,9 +13,12 @@ from typing import TYPE_CHECKING
 
 from pc2scan.arguments import names_in, value_and_type
 from pc2scan.core.params import kth_of
+from pc2scan.core.quantities import EXAMPLES, quantity
 from pc2scan.errors import UsageError
 from pc2scan.files.urls import path_of, paths_in
 from pc2scan.text import did_you_mean
+
+from .moment import TimeBound
 
 if TYPE_CHECKING:
     from typing import Any
@@ -322,8 +325,6 @@ class Number(Value):
             raise TypeError(f"{name} is {value_and_type(value)}, it must be a number")
         number = self.accept(value)
         if number is None:
-            from pc2scan.core.quantities import EXAMPLES  # noqa: PLC0415  # only for errors
-
             raise UsageError(f"`{name}`: {value!r} is not a number", hint=EXAMPLES.get(self.unit))
         return float(number)
 
@@ -335,8 +336,6 @@ class Number(Value):
             with suppress(ValueError):
                 float(value)
                 return None
-            from pc2scan.core.quantities import quantity  # noqa: PLC0415  # most are plain numbers
-
             return quantity(value, self.unit)
         # A whole number of 309 digits does not fit into a float.
         with suppress(OverflowError):
@@ -382,8 +381,6 @@ class Duration(Value):
 
 def nanoseconds_of(name: str, value: Any, more: str = "") -> int:
     """Read a time in the forms of `Duration`; ``more`` is added to the hint of the error."""
-    from pc2scan.core.quantities import EXAMPLES, quantity  # noqa: PLC0415  # most scans are made of one message
-
     seconds: float | None
     if isinstance(value, str):
         seconds = quantity(value, "s")
@@ -406,8 +403,6 @@ class Moment(Value):
 
     def read(self, name: str, value: Any) -> Any:
         """Return it as a `pc2scan.options.moment.TimeBound`."""
-        from .moment import TimeBound  # noqa: PLC0415  # most conversions have no cut
-
         try:
             return TimeBound.of(value)
         except UsageError as err:

@@ -15,6 +15,7 @@ from pc2scan.messages.laserscan import LASERSCAN, LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 
 from .conversion import Conversion, ConvertedMessage, Measurements
+from .stages.beam_filters import RemoveStage
 from .stages.placement import PlaceStage
 
 if TYPE_CHECKING:
@@ -139,8 +140,6 @@ class CloudToScan(Conversion):
         self._keeps_used = keeps_used
         self._remove: tuple[Step, ...] = ()
         if remove:
-            from .stages.beam_filters import RemoveStage  # noqa: PLC0415  # few scans are filtered
-
             self._remove = (RemoveStage(remove, params.empty_range),)
 
     def decoder(self, source: str, source_type: str) -> Callable[[Buffer], Points]:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.formats import FORMATS
+from pc2scan.bags.qos import merge_qos
 from pc2scan.bags.topics import unheard
 from pc2scan.errors import MessageError, RecordingError
 from pc2scan.messages.clouds import to_pointcloud2, written_as_pointcloud2
@@ -100,8 +101,6 @@ def _merge_connections(publishers: Sequence[Connection]) -> Connection:
     first = publishers[0]
     if len(publishers) == 1:
         return first
-    from pc2scan.bags.qos import merge_qos  # noqa: PLC0415  # few topics have several publishers
-
     return replace(
         first,
         definition=next((each.definition for each in publishers if each.definition.data), first.definition),

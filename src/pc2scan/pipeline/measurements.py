@@ -21,6 +21,8 @@ from pc2scan.text import did_you_mean
 from pc2scan.transforms.placing import Placer
 
 from .conversion import Measurements
+from .stages.point_time import PointTime
+from .stages.turn import Turn
 from .survey import Fact
 
 if TYPE_CHECKING:
@@ -140,8 +142,6 @@ def measure(topics: Iterable[TopicFacts], spec: ScanSpec, placer: Placer) -> tup
     for facts in topics:
         _require_fields(facts, spec)
         if spec.point_time.partition(":")[0] == "azimuth":
-            from .stages.turn import Turn  # noqa: PLC0415  # only with deskewing
-
             # A time that is not given is measured later, with a note of its own.
             turn = Turn.parse(spec.point_time)
             if turn.period:
@@ -180,8 +180,6 @@ def _shape(cloud: Points, request: ShapeRequest, placer: Placer = _OWN_FRAME) ->
     name = time_field(cloud.fields) if request.sweep else ""
     sweep = None
     if name:
-        from .stages.point_time import PointTime  # noqa: PLC0415  # only where times of beams are measured
-
         with suppress(MessageError):
             sweep = fit_sweep(_angles(cloud, placer), np.ravel(PointTime().read(cloud).at()))
     return CloudShape(step, sweep, name or None)

@@ -20,6 +20,7 @@ from pc2scan.core.sharpness import LEVER, Window, busiest, noise, spread, steps_
 from pc2scan.core.timing import fit_sweep
 from pc2scan.errors import DecodeError, TransformError
 from pc2scan.text import counted
+from pc2scan.transforms.up_sources import UpByImu
 
 from .stages.point_time import PointTime
 
@@ -243,8 +244,6 @@ def tilt_warnings(spec: ScanSpec, odometry: Odometry, up: UpSource) -> Iterator[
 
     ``up`` makes the scans level.
     """
-    from pc2scan.transforms.up_sources import UpByImu  # noqa: PLC0415  # few scans are level
-
     if not (spec.deskew and odometry.links and isinstance(up, UpByImu)):
         return
     body = odometry.links[0]

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.bags.topics import is_glob, new_topic
 from pc2scan.core.params import ProjectionParams
-from pc2scan.core.rule import PointCounts
+from pc2scan.core.quantities import duration_ns
+from pc2scan.core.rule import NO_TIME, NO_TRANSFORM, PointCounts
 from pc2scan.errors import ParameterError, UsageError
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.laserscan import LASERSCAN
@@ -17,6 +18,7 @@ from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.options.conversion import CloudCombination, PointSelection
 from pc2scan.options.effects import refuse_idle
 from pc2scan.options.values import nanoseconds_of
+from pc2scan.transforms.imu import ImuRequest
 from pc2scan.transforms.placing import FrameOptions
 
 if TYPE_CHECKING:
@@ -26,7 +28,6 @@ if TYPE_CHECKING:
     from pc2scan.core.unproject import UnprojectParams
     from pc2scan.options.moment import TimeBound
     from pc2scan.options.option import Period
-    from pc2scan.transforms.imu import ImuRequest
 
     from .parameters import ResolvedParams
     from .stages.beam_filters import BeamFilter
@@ -261,8 +262,6 @@ class ScanSpec:
 
     def _check_levelling(self) -> None:
         if self.imu:
-            from pc2scan.transforms.imu import ImuRequest  # noqa: PLC0415  # only where scans are level
-
             object.__setattr__(self, "imu_request", ImuRequest.parse(self.imu))
         elif not self.fixed_frame:
             raise UsageError(
@@ -360,8 +359,6 @@ class ScanSpec:
             further = tuple(map(rejection_of, self.filters))
         if not self.deskew or self.reverse:
             return further
-        from pc2scan.core.rule import NO_TIME, NO_TRANSFORM  # noqa: PLC0415  # only where points move
-
         return (*further, NO_TIME, NO_TRANSFORM)
 
     @property
@@ -463,8 +460,6 @@ class StampOptions:
 
 def _offset_of(text: str, value: str) -> int | None:
     """Return an offset in nanoseconds, exact to the last digit; None for ``auto``."""
-    from pc2scan.core.quantities import duration_ns  # noqa: PLC0415  # few clocks are corrected
-
     if value == "auto":
         return None
     sign, number = re.fullmatch(r"([+-]?)(.*)", value.strip()).groups()  # type: ignore[union-attr]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import ParameterError, UsageError
 
 from .parameters import ALIASES, preset_settings, resolve
+from .redaction import may_quote, redact_file
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -78,8 +79,6 @@ def resolve_sources(
     try:
         resolved = resolve(found, direction=direction)
     except ParameterError as err:
-        from .redaction import may_quote, redact_file  # noqa: PLC0415  # only for errors
-
         for named, named_in in hidden:
             if may_quote(err, named):
                 raise redact_file(err, named, named_in) from None

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NoReturn
 from pc2scan.core.layout import FULL_TURN
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.presets import PRESETS
+from pc2scan.core.quantities import EXAMPLES, degrees_text
 from pc2scan.errors import ParameterError
 from pc2scan.options.call import CALL
 from pc2scan.options.table import PARAMETERS
@@ -164,8 +165,6 @@ def value_text(value: object) -> str:
 
 def _type_hint(parameter: Parameter, value: object) -> str | None:
     if isinstance(value, str) and parameter.value.unit and isinstance(plain_scalar(value), str):
-        from pc2scan.core.quantities import EXAMPLES  # noqa: PLC0415  # only for errors
-
         return EXAMPLES[parameter.value.unit]
     if parameter.value.words:
         return did_you_mean(str(value), parameter.value.words) or None
@@ -276,8 +275,6 @@ def refuse_degrees(
             name=beyond[0],
             hint=f"a full circle is {_where_given('`angle_min=-180deg`, `angle_max=180deg`', origin)}",
         )
-    from pc2scan.core.quantities import degrees_text  # noqa: PLC0415  # only for errors
-
     cures = ", ".join(f"`{name}={degrees_text(values[name])}`" for name in beyond)
     numbers = ", ".join(f"{math.radians(values[name]):.6g}" for name in beyond)
     raise ParameterError(

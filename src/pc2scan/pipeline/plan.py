@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from pc2scan.bags.topics import fill_glob, find_topic, find_topics, matches, short_types
 from pc2scan.errors import NothingToConvertError, TopicError, name_list
 from pc2scan.messages.clouds import CLOUDS, SCANS, usual_topics, written_as_pointcloud2
+from pc2scan.messages.other_clouds import instead_of_topic, without
 from pc2scan.text import did_you_mean
 
 if TYPE_CHECKING:
@@ -233,8 +234,6 @@ def _matching_topics(name: str, types: dict[str, set[str]], candidates: list[str
         if not spec.reverse and not SCANS.keys().isdisjoint(types.get(name, ())):
             err.hint = f"`rebin=True` makes other scans of LaserScan, `reverse=True` makes clouds; {err.hint}"
         elif not candidates and name in types:
-            from pc2scan.messages.other_clouds import instead_of_topic  # noqa: PLC0415  # only for errors
-
             err.hint = instead_of_topic(name, types[name]) or err.hint
         if all(kinds.isdisjoint(spec.source_types) for kinds in types.values()):
             raise NothingToConvertError(err.message, hint=err.hint) from err
@@ -245,8 +244,6 @@ def _without_sources(
     connections: Sequence[Connection], types: dict[str, set[str]], spec: ScanSpec, reader: Reader | None
 ) -> NothingToConvertError:
     """Return the error about a recording with nothing to convert: what it has instead, and what makes clouds of it."""
-    from pc2scan.messages.other_clouds import without  # noqa: PLC0415  # only for errors
-
     message, hint = without(short_types(spec.source_types), connections, reader)
     return NothingToConvertError(message, hint=_other_direction(types, spec) or hint or None)
 

@@ -11,6 +11,7 @@ from pc2scan.errors import Pc2ScanError, UsageError
 from pc2scan.messages.tfmessage import TF_TYPES
 from pc2scan.transforms.placing import Placer
 
+from .cloud_to_scan import CloudToScan
 from .first_clouds import FirstClouds
 from .items import Span, Tally
 
@@ -385,8 +386,6 @@ def _to_scans(
     deskew: Deskew | None,
     firsts: FirstClouds,
 ) -> Conversion:
-    from .cloud_to_scan import CloudToScan  # noqa: PLC0415  # each direction loads its own arithmetic
-
     return CloudToScan(
         spec.params,
         placer,

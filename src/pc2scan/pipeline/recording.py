@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from pc2scan.errors import MessageError, UnwritableError, UsageError
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.laserscan import LASERSCAN
+from pc2scan.messages.tfmessage import encode_transforms
 from pc2scan.model import LATCHED_QOS, NEW_ID, ChunkRule, Connection, StoredChunk
 
 from .conversion import ConvertedMessage
@@ -236,8 +237,6 @@ def _write_static(
     static: Sequence[StaticTransform], log_time_ns: int, handle: int, target: Destination, writer: Writer
 ) -> TopicReport:
     """Write the added transforms, and return what was written; ``handle`` is that of `_static_connection`."""
-    from pc2scan.messages.tfmessage import encode_transforms  # noqa: PLC0415  # few conversions add transforms
-
     if not static:
         raise UsageError("there is no added transform to write", hint="give one with `static_tf`, or with `urdf`")
     rows = [transform.row(log_time_ns) for transform in static]

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.bags.damage import RECOVER, Damage, count_details
 from pc2scan.errors import DamageError, MissingError, ResultError, TopicError, UsageError, name_list
+from pc2scan.files.places import missing_hint
 from pc2scan.files.urls import exists
 from pc2scan.text import agreeing, counted, stamp
 
@@ -37,8 +38,6 @@ def refuse_unusable(options: ConvertOptions) -> None:
     """
     for path in options.frames.tf_from:
         if not exists(path):
-            from pc2scan.files.places import missing_hint  # noqa: PLC0415  # only for errors
-
             raise MissingError("does not exist (from `tf_from`)", path=path, hint=missing_hint(path))
 
 

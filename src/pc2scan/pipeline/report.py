@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
 from pc2scan.bags.formats import FORMATS
+from pc2scan.core.percentiles import median_low
 from pc2scan.core.rule import REJECTIONS, PointCounts, Rejection
 from pc2scan.errors import leading
 from pc2scan.options.table import PARAMETERS
@@ -164,8 +165,6 @@ class TopicReport:
         """The largest and the median of the motions, and the longest gap; None if nothing was deskewed."""
         if not self.motions:
             return None
-        from pc2scan.core.percentiles import median_low  # noqa: PLC0415  # only with deskewing
-
         metres, radians, gaps = zip(*self.motions, strict=True)
         return {
             "largest_m": max(metres),
@@ -180,8 +179,6 @@ class TopicReport:
         """The largest and the median of the tilts, degrees; None if nothing was made level."""
         if not self.tilts:
             return None
-        from pc2scan.core.percentiles import median_low  # noqa: PLC0415  # only where scans are level
-
         return {
             "largest_deg": math.degrees(max(self.tilts)),
             "median_deg": math.degrees(median_low(self.tilts)),

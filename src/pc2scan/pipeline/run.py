@@ -17,6 +17,7 @@ from pc2scan.bags.destinations import (
     recorded_in,
     source_form,
 )
+from pc2scan.bags.folders import overlap_warnings
 from pc2scan.bags.formats import destinations
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.errors import (
@@ -178,8 +179,6 @@ def _open(
     report.container, report.ros_version = target.format.name, target.ros_version
     report.bytes_read, report.dry_run = reader.summary.size_bytes, output.dry_run
     if readers[1:]:
-        from pc2scan.bags.folders import overlap_warnings  # noqa: PLC0415  # most recordings are one
-
         tell(*overlap_warnings(readers))
     report.add((), plan.notes)
     tell(*plan.warnings, *request_warnings(options, reader.summary))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from pc2scan.errors import DestinationError, OutputError, Pc2ScanError
 from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.source import changed_while_read, state_of
+from pc2scan.files.text_output import check_text_output, text_output
 from pc2scan.result import BEGINNING, Result
 
 if TYPE_CHECKING:
@@ -100,8 +101,6 @@ class RunFiles:
         refuse_overlap(self._inputs, [*destination, *report])
         if path is None:
             return
-        from pc2scan.files.text_output import check_text_output, text_output  # noqa: PLC0415  # only reports need it
-
         try:
             if output.dry_run:
                 check_text_output(path, beginning=BEGINNING, overwrite=output.overwrite)

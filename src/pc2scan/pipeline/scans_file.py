@@ -13,10 +13,13 @@ from pc2scan.options.table import PARAMETERS, output_options
 from pc2scan.options.values import Texts
 from pc2scan.text import did_you_mean
 
+from .nodes import read_remaps
 from .options import ScanSpec, TopicRequest
 from .param_sources import resolve_sources
 from .parameters import ALIASES, Setting, names_of, value_text
+from .params_file import read_text
 from .redaction import may_quote, redact_file
+from .yaml_nodes import compose, is_empty, is_mapping, is_scalar, scalar_value
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -109,9 +112,6 @@ _EXAMPLE = "write scans: {/scan: {min_height: 0.1}, /scan_low: {max_height: 0.1}
 
 
 def _read_file(path: Path) -> _Entry:
-    from .params_file import read_text  # noqa: PLC0415  # only for a file
-    from .yaml_nodes import compose  # noqa: PLC0415
-
     text = read_text(path, example=_EXAMPLE)
     root = compose(text, str(path))
     if root is None:
@@ -128,8 +128,6 @@ class _EntryReader:
 
     def entry(self, node: Any, name: str, depth: int, line: int = 1) -> _Entry:
         """Read a node; its place is ``line``, the line of its key."""
-        from .yaml_nodes import is_empty, is_mapping, is_scalar, scalar_value  # noqa: PLC0415  # `_read_file` has imported it
-
         place = f"{self._path}, line {line}"
         self._left -= 1
         if self._left < 0:
@@ -226,8 +224,6 @@ def _spec(
         if resolved.reverse:
             raise UsageError(f"{file} is for laserscan_to_pointcloud, scans are made of clouds")
         if "sources" not in values and resolved.remaps:
-            from .nodes import read_remaps  # noqa: PLC0415  # only where a launch file is given
-
             values["sources"] = [request.partition(":=")[0] for request in read_remaps(resolved.remaps).topics]
         topics = tuple(TopicRequest(_check_topic(source), topic) for source in values.get("sources", ()))
         spec = ScanSpec.of(values, resolved, name=topic, place=entry.place, topics=topics)

@@ -17,6 +17,7 @@ from pc2scan.messages.stamps import STAMPED, move_times, set_stamp, stamp_in
 
 from .clocks import measure_offsets
 from .options import TRAJECTORY
+from .preparation import span_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -156,8 +157,6 @@ def _fit(offset_ns: int) -> str:
 
 def corrected_for(reader: Reader, plan: Plan, options: ConvertOptions) -> tuple[Reader, list[str]]:
     """Return the recording of a conversion with corrected stamps, and notes; see `corrected`."""
-    from .preparation import span_of  # noqa: PLC0415  # `options` is on the way of every conversion
-
     assert options.clock is not None
     span = span_of(reader, options)
     fields = [spec.point_time.partition(":")[0] for spec in plan.specs if spec.point_time]

@@ -16,6 +16,8 @@ from pc2scan.core.floor import CloudSample, are_enough
 from pc2scan.core.layout import TURN
 from pc2scan.errors import TransformError
 from pc2scan.messages.clouds import CLOUDS, SCANS
+from pc2scan.transforms.imu import ImuReading
+from pc2scan.transforms.mounting import mounting, unit_warning
 from pc2scan.transforms.reading import RobotTransforms, TransformReading
 
 if TYPE_CHECKING:
@@ -26,7 +28,6 @@ if TYPE_CHECKING:
     from pc2scan.model import Connection, RawMessage
     from pc2scan.progress import Meter
     from pc2scan.transforms.buffer import TransformBuffer
-    from pc2scan.transforms.imu import ImuReading
     from pc2scan.transforms.mounting import Mounting
     from pc2scan.transforms.placing import FrameOptions, Placer
 
@@ -213,8 +214,6 @@ class TopicFacts:
         clouds = self.samples(placer, moved=moved)
         if not clouds:
             return None
-        from pc2scan.transforms.mounting import mounting  # noqa: PLC0415  # slow to import
-
         return mounting(self.topic, placer.source_frame or clouds[0].frame_id, clouds, buffer)
 
     def unit_warning(self, *, moved: bool) -> str:
@@ -222,8 +221,6 @@ class TopicFacts:
         first = next(iter(self.found(_samples(moved=moved))), None)
         if first is None:
             return ""
-        from pc2scan.transforms.mounting import unit_warning  # noqa: PLC0415  # slow to import
-
         return unit_warning(self.topic, first)
 
     def _observed(self, fact: Hashable) -> Observer[Any]:
@@ -328,8 +325,6 @@ class Survey:
             If there is no such topic.
         """
         if topic not in self._imus:
-            from pc2scan.transforms.imu import ImuReading  # noqa: PLC0415  # few recordings have one
-
             self._imus[topic] = ImuReading([self.reader, *self.others], topic, most)
         return self._imus[topic]
 

@@ -18,6 +18,7 @@ from pc2scan.pipeline.preparation import prepare, span_of
 from pc2scan.pipeline.refusals import refuse_unusable
 from pc2scan.pipeline.report import Report
 from pc2scan.pipeline.routes import open_routes
+from pc2scan.pipeline.stamps import corrected_for
 
 from .stream import NumpyTimes, Stream, StreamSource, import_pandas, import_xarray
 
@@ -225,8 +226,6 @@ class Scans(Stream[Scan]):
         refuse_unusable(options)
         plan = make_plan(reader.connections, options, reader)
         if options.clock:
-            from pc2scan.pipeline.stamps import corrected_for  # noqa: PLC0415  # most clocks are the recording's
-
             reader, notes = corrected_for(reader, plan, options)
             plan = plan._replace(notes=tuple(notes))
         sources = [str(path) for path in self._selection.paths]

@@ -26,7 +26,9 @@ from pc2scan.errors import (
     visible,
 )
 from pc2scan.messages.clouds import usual_topics
+from pc2scan.messages.other_clouds import without
 from pc2scan.model import StoredChunk
+from pc2scan.pipeline.cloud_scale import scaled
 from pc2scan.pipeline.conversion import ConvertedMessage
 from pc2scan.pipeline.engine import items_of
 from pc2scan.pipeline.items import OpenRoute, Output, Tally
@@ -34,6 +36,7 @@ from pc2scan.pipeline.options import ConvertOptions, StampOptions
 from pc2scan.pipeline.preparation import span_of
 from pc2scan.pipeline.refusals import refuse_no_messages
 from pc2scan.pipeline.report import TopicReport
+from pc2scan.pipeline.stamps import corrected
 from pc2scan.threads import Threads, cores
 
 if TYPE_CHECKING:
@@ -170,8 +173,6 @@ class Selection:
             if connection.ros_type in kinds and connection.ros_version is not None:
                 found.setdefault(connection.topic, []).append(connection)
         if not found:
-            from pc2scan.messages.other_clouds import without  # noqa: PLC0415  # only for errors
-
             message, other = without(short_types(kinds), reader.connections, reader)
             raise NothingToConvertError(message, path=reader.path, hint=hint(reader) or other or None)
         if not self.topics:
@@ -317,8 +318,6 @@ class Stream(ABC, Generic[Item]):
         chosen = selection.select_connections(reader, kinds, hint)
         span = span_of(reader, ConvertOptions(start=selection.start, end=selection.end))
         if selection.clock:
-            from pc2scan.pipeline.stamps import corrected  # noqa: PLC0415  # most clocks are the recording's
-
             wanted = [each for connections in chosen.values() for each in connections]
             reader, notes = corrected(reader, wanted, selection.clock, (), start_ns=span.start_ns, stop_ns=span.stop_ns)
             self.notes = tuple(notes)
@@ -338,8 +337,6 @@ class Stream(ABC, Generic[Item]):
             readers = open_recordings(selection.paths, stack, strict=selection.strict)
             reader = as_one(readers)
             if selection.cloud_scale != 1:
-                from pc2scan.pipeline.cloud_scale import scaled  # noqa: PLC0415  # most clouds are in metres
-
                 reader = scaled(reader, selection.cloud_scale)
             try:
                 source = self._source(stack, reader)

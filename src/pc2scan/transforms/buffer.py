@@ -50,6 +50,7 @@ from .lookup_errors import (
     unconnected_error,
     unknown_frame_error,
 )
+from .sampling import join_samples, sample_chain
 from .summary import frame_info, trees_of
 
 if TYPE_CHECKING:
@@ -167,8 +168,6 @@ class TransformBuffer:
             If a frame is unknown, the two are not connected, or frames change their parents more than a thousand times
             in the interval.
         """
-        from .sampling import join_samples, sample_chain  # noqa: PLC0415  # only deskewing needs it
-
         query = self._query(target, source, begin_ns, 0)
         if query is None:
             identity = np.array([1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0])

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pc2scan.bags.observers import Observer, observe
 from pc2scan.bags.topics import find_topic
 from pc2scan.core.gravity import TIME_CONSTANT, up_by_gravity, up_in
 from pc2scan.core.sharpness import roughness
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pc2scan.bags.observers import Observer
     from pc2scan.bags.reader import Reader
     from pc2scan.model import RawMessage
 
@@ -144,8 +144,6 @@ class ImuReading:
 
     def observers(self, reader: Reader) -> list[Observer[RawMessage]]:
         """Return the observer of a recording; none if it does not have the topic."""
-        from pc2scan.bags.observers import Observer  # noqa: PLC0415  # few recordings have one
-
         connections = [c for c in reader.connections if c.topic == self._topic and c.ros_type == IMU and c.ros_version]
         return [Observer(connections, copied_message, self._most, keep=self._samples.add)] if connections else []
 
@@ -205,8 +203,6 @@ def read_up(readers: Sequence[Reader], request: ImuRequest) -> UpEstimate:
     UsageError
         If its messages do not show the direction of up.
     """
-    from pc2scan.bags.observers import observe  # noqa: PLC0415  # few recordings have one
-
     reading = ImuReading(readers, request.topic)
     observe(*((reader, reading.observers(reader)) for reader in readers))
     return reading.up(request.frame)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
+from pc2scan.core.gravity import tilt, upright_rotation
 from pc2scan.errors import UnconnectedError
 
 if TYPE_CHECKING:
@@ -184,8 +185,6 @@ class Placer(NamedTuple):
         """
         if self.up is None:
             return None
-        from pc2scan.core.gravity import tilt, upright_rotation  # noqa: PLC0415  # only where scans are level
-
         up = self.up(frame, stamp_ns)
         level = LevelFrame(frame, upright_rotation(up), tilt(up))
         if self.buffer is not None and self.buffer.history(level.name) is not None:

@@ -9,15 +9,22 @@ from functools import partial
 from itertools import zip_longest
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from pc2scan.bags.observers import Observer, observe
+from pc2scan.bags.topics import by_topic
 from pc2scan.errors import DecodeError, RecordingError, UsageError, name_list
+from pc2scan.messages.poses import POSES
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
+from pc2scan.messages.wire import Cursor
 from pc2scan.model import copied_message
 from pc2scan.text import counted, did_you_mean
+
+from .builder import TransformBuilder
+from .robot_model import parse_model
+from .sources import AddedPoses, PoseReading, PoseTopic, add_trajectory, attach, joints_to_add
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
 
-    from pc2scan.bags.observers import Observer
     from pc2scan.bags.reader import Reader
     from pc2scan.core.rigid import TransformRow
     from pc2scan.model import Connection, RawMessage
@@ -26,7 +33,6 @@ if TYPE_CHECKING:
     from .buffer import TransformBuffer
     from .placing import FrameOptions
     from .robot_model import RobotModel
-    from .sources import AddedPoses, PoseReading, PoseTopic
     from .static import StaticTransform
     from .trajectory import Trajectory
 
@@ -112,8 +118,6 @@ class TransformReading:
     """
 
     def __init__(self, options: FrameOptions) -> None:
-        from .builder import TransformBuilder  # noqa: PLC0415  # only with transforms
-
         self._options = options
         self._builder = TransformBuilder()
         self._warnings: dict[str, int] = {}
@@ -141,8 +145,6 @@ class TransformReading:
         TopicError
             If a requested topic does not exist, or has no poses.
         """
-        from pc2scan.bags.observers import Observer  # noqa: PLC0415  # only with transforms
-
         connections = tf_connections(reader.connections, self._options.tf_topics)
         first: dict[str, TransformRow] = {}
         found: list[Observer[Any]] = []
@@ -155,10 +157,6 @@ class TransformReading:
         return found
 
     def _pose_observer(self, asked: PoseTopic, reader: Reader) -> Observer[Any]:
-        from pc2scan.bags.observers import Observer  # noqa: PLC0415  # only with transforms
-
-        from .sources import PoseReading  # noqa: PLC0415  # few recordings have odometry without transforms
-
         connections = asked.connections(reader.connections)
         reading = PoseReading(asked, connections)
         self._poses.append(reading)
@@ -188,11 +186,6 @@ class TransformReading:
         missing -= {frame for pair in self._pairs() for frame in pair}
         if not missing:
             return
-        from pc2scan.bags.observers import Observer, observe  # noqa: PLC0415  # only with transforms
-        from pc2scan.messages.poses import POSES  # noqa: PLC0415
-
-        from .sources import PoseReading, PoseTopic  # noqa: PLC0415
-
         trials = {topic: PoseReading(PoseTopic(topic), own) for topic, own in candidates.items()}
         firsts = [Observer(each.connections, copied_message, 1, keep=each.add) for each in trials.values()]
         observe((reader, firsts))
@@ -255,10 +248,6 @@ class TransformReading:
 
     def add_model(self, message: RawMessage) -> None:
         """Add the model in a message; a model that cannot be read gives a warning."""
-        from pc2scan.messages.wire import Cursor  # noqa: PLC0415  # few recordings have one
-
-        from .robot_model import parse_model  # noqa: PLC0415
-
         connection = message.connection
         try:
             text = Cursor(message.data, connection.serialization).string()
@@ -291,14 +280,10 @@ class TransformReading:
 
     def _joints(self) -> list[StaticTransform]:
         """Return the joints of models that connect what nothing else does."""
-        from .sources import joints_to_add  # noqa: PLC0415  # few recordings have a model
-
         return [*joints_to_add(self._models, self._builder.pairs)]
 
     def _add_poses(self, notes: list[str]) -> tuple[tuple[AddedPoses, ...], list[str]]:
         """Add poses as transforms; return them and warnings, and append notes."""
-        from .sources import AddedPoses, add_trajectory, attach  # noqa: PLC0415  # few recordings need them
-
         found: list[tuple[str, PoseReading | None, Sequence[Trajectory]]] = []
         texts: list[str] = []
         for reading in self._poses:
@@ -336,9 +321,6 @@ def _are(items: Sequence[object]) -> str:
 
 def _pose_connections(connections: Sequence[Connection]) -> dict[str, list[Connection]]:
     """Return the connections of topics with poses."""
-    from pc2scan.bags.topics import by_topic  # noqa: PLC0415  # only with transforms
-    from pc2scan.messages.poses import POSES  # noqa: PLC0415
-
     return by_topic(c for c in connections if c.ros_type in POSES and c.ros_version is not None)
 
 
@@ -374,8 +356,6 @@ def read_transforms(
     meter
         Counts the bytes; None: nothing is reported.
     """
-    from pc2scan.bags.observers import observe  # noqa: PLC0415  # only with transforms
-
     reading = TransformReading(options)
     observe(*((each, reading.observers(each, own=each is readers[0])) for each in readers), meter=meter)
     if needed:
@@ -418,8 +398,6 @@ class RobotTransforms:
         except UsageError:
             self._is_known = False
             return
-        from pc2scan.bags.observers import Observer  # noqa: PLC0415  # only with transforms
-
         static, moving = (
             [connection for connection in connections if connection.is_static is kind] for kind in (True, False)
         )
@@ -455,8 +433,6 @@ class RobotTransforms:
 
 def read_robot_transforms(reader: Reader, options: FrameOptions, time_ns: int) -> TransformBuffer | None:
     """Read the transforms between a robot's frames; see `RobotTransforms`."""
-    from pc2scan.bags.observers import observe  # noqa: PLC0415  # only with transforms
-
     robot = RobotTransforms(reader, options, [time_ns])
     observe((reader, robot.observers))
     return robot.finish()

@@ -8,10 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
+from xml.parsers import expat
 
+from pc2scan.core.rigid import Rigid
 from pc2scan.errors import Pc2ScanError, UsageError
 
 from .static import StaticTransform
+from .text_files import text_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -78,8 +81,6 @@ class _Joint:
                 f"line {self.line}: the origin of joint {self.name!r} is xyz={self.xyz!r} rpy={self.rpy!r}, which are "
                 "not three numbers each"
             )
-        from pc2scan.core.rigid import Rigid  # noqa: PLC0415  # only with transforms
-
         if not self.parent or not self.child or self.parent == self.child:
             raise _ModelError(
                 f"line {self.line}: joint {self.name!r} needs two links, not {self.parent!r} and {self.child!r}"
@@ -99,8 +100,6 @@ def model_in_file(path: Path) -> RobotModel:
     UsageError
         If it cannot be read, or is not a URDF.
     """
-    from .text_files import text_of  # noqa: PLC0415  # few conversions read such a file
-
     text = text_of(path, MAX_BYTES, "a URDF", (".urdf", ".xml"))
     try:
         return parse_model(text, str(path))
@@ -131,8 +130,6 @@ def parse_model(text: str, name: str) -> RobotModel:
 
 def _joints_of(text: str) -> list[_Joint]:
     """Return the joints of a model. ElementTree is not used: it has no line numbers, and always expands entities."""
-    from xml.parsers import expat  # noqa: PLC0415  # only for models
-
     joints: list[_Joint] = []
     path: list[str] = []
     parser = expat.ParserCreate()

@@ -8,7 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.core.layout import FULL_TURN
+from pc2scan.core.quantities import quantity
+from pc2scan.core.rigid import Rigid
 from pc2scan.errors import ParameterError, Pc2ScanError, UsageError
+from pc2scan.files.yaml import MAX_CHARACTERS, load_yaml
 from pc2scan.text import did_you_mean
 
 from .text_files import text_of
@@ -16,7 +19,7 @@ from .text_files import text_of
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from pc2scan.core.rigid import Rigid, TransformRow
+    from pc2scan.core.rigid import TransformRow
 
 #: Maximum deviation of a quaternion's length from 1. Rounding to two digits (0.71 0 0 0.71: 1.004) stays below it.
 _QUATERNION_SLACK = 0.05
@@ -75,8 +78,6 @@ class StaticTransform:
         """
         if not parent or not child or parent.removeprefix("/") == child.removeprefix("/"):
             raise UsageError(f"a static transform needs two frames, not {parent!r} and {child!r}")
-        from pc2scan.core.rigid import Rigid  # noqa: PLC0415  # only with transforms
-
         _refuse_degrees(parent, child, translation, rotation)
         try:
             rigid = (
@@ -98,8 +99,6 @@ def number_in(word: str, unit: str) -> float | None:
     try:
         return float(word)
     except ValueError:
-        from pc2scan.core.quantities import quantity  # noqa: PLC0415  # few are written with a unit
-
         return quantity(word, unit) if unit else None
 
 
@@ -182,8 +181,6 @@ def load_static_transforms(path: Path) -> tuple[StaticTransform, ...]:
     UsageError
         If the file cannot be read, or has anything else in it.
     """
-    from pc2scan.files.yaml import MAX_CHARACTERS, load_yaml  # noqa: PLC0415  # few have such a file
-
     text = text_of(path, MAX_CHARACTERS, "a list of static transforms", (".yaml", ".yml"))
     try:
         document = load_yaml(text)

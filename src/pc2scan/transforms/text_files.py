@@ -6,6 +6,8 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import UsageError
+from pc2scan.files.places import missing_hint
+from pc2scan.files.source import open_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -39,9 +41,6 @@ def open_bounded(path: Path, most: int, what: str, suffixes: tuple[str, ...]) ->
     UsageError
         If the file cannot be read, is too large, or is not text in UTF-8.
     """
-    from pc2scan.files.places import missing_hint  # noqa: PLC0415  # few conversions read such a file
-    from pc2scan.files.source import open_text  # noqa: PLC0415
-
     try:
         if (size := path.stat().st_size) > most:
             raise UsageError(f"has {size:,} bytes; {what} has at most {most:,}", path=path)

@@ -13,6 +13,7 @@ import numpy as np
 from pc2scan.bags.chunks import ChunkedReader, segment_units, whole_chunks
 from pc2scan.bags.damage import AnotherRecordingError, DamageLog
 from pc2scan.bags.reader import MAX_CONNECTIONS
+from pc2scan.bags.salvage import note_salvaged
 from pc2scan.bags.topics import latches
 from pc2scan.bags.units import LazyItems, map_items
 from pc2scan.bags.zstd import decompress_messages
@@ -25,6 +26,15 @@ from . import records
 from .chunks import ChunkSegment, borrow_payload, chunk_at, payload, whole_chunk
 from .index import McapIndex, find_declarations, find_index, indexed_times
 from .records import ANY_TIME, MESSAGE, RECORD, Opcode, RecordFile, parse, scan_messages, split
+from .recover import (
+    displaced_chunks,
+    is_at_its_place,
+    payload_prefix,
+    recover_index,
+    refuse_more,
+    salvage_messages,
+    salvage_records,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping
@@ -127,15 +137,11 @@ class McapReader(ChunkedReader):
         try:
             index = find_index(self._file)
             if index.rest is not None:
-                from .recover import refuse_more  # noqa: PLC0415  # few files have anything there
-
                 refuse_more(self._file, *index.rest)
         except DamageError as err:
             problem = err
         else:
             return index
-        from .recover import recover_index  # noqa: PLC0415  # only damaged files pay for it
-
         return recover_index(self._file, problem, self._log)
 
     def units(
@@ -250,16 +256,12 @@ class McapReader(ChunkedReader):
                 raise
             if (found := self._locate(segment)) is not segment:
                 return self._prefix(found)
-            from .recover import payload_prefix  # noqa: PLC0415
-
             return payload_prefix(self._file, segment, err)
 
     def _locate(self, segment: Segment) -> Segment:
         """Return a damaged segment, or the chunk elsewhere in the file that the index has in its place."""
         if self._log.strict or not isinstance(segment, ChunkSegment):
             return segment
-        from .recover import displaced_chunks, is_at_its_place  # noqa: PLC0415
-
         if is_at_its_place(self._file, segment):
             return segment
         with self._lock:
@@ -288,8 +290,6 @@ class McapReader(ChunkedReader):
                 return split(data, chunk.offset, self._file)
             except DamageError as err:
                 problem = err
-        from .recover import salvage_records  # noqa: PLC0415
-
         self._salvage(chunk, data, problem)
         return salvage_records(data)
 
@@ -357,10 +357,6 @@ class McapReader(ChunkedReader):
         """Note a damaged segment, and recover its messages."""
         if self._log.strict:
             raise problem
-        from pc2scan.bags.salvage import note_salvaged  # noqa: PLC0415  # only damaged files pay for it
-
-        from .recover import salvage_messages  # noqa: PLC0415
-
         complete = len(data) == segment.uncompressed_size
         left = salvage_messages(data, self._known, _declared_span(segment), complete=complete)
         offset = segment.record_offset if isinstance(segment, ChunkSegment) else segment.offset

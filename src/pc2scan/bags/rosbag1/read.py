@@ -15,6 +15,7 @@ import numpy as np
 
 from pc2scan.bags.chunks import ChunkedReader, segment_units, whole_chunks
 from pc2scan.bags.damage import AnotherRecordingError, DamageLog
+from pc2scan.bags.salvage import note_salvaged
 from pc2scan.bags.units import MAX_LISTED_ITEMS, LazyItems, map_items
 from pc2scan.errors import stamp_text
 from pc2scan.files.compression import LZ4_MAGIC
@@ -277,8 +278,6 @@ class Rosbag1Reader(ChunkedReader):
         error = self._file.damage_error(f"the chunk with data at byte {segment.offset} cannot be read: {problem}")
         if self._log.strict:
             raise error from problem
-        from pc2scan.bags.salvage import note_salvaged  # noqa: PLC0415  # only damaged bags pay for it
-
         from .recover import payload_prefix, salvage_messages  # noqa: PLC0415
 
         chunk = payload_prefix(self._file, segment)

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
+import lz4.frame
+
 from pc2scan.errors import DestinationError, OutputError, UnwritableError
 from pc2scan.files.compression import compress
 from pc2scan.files.new_file import FreeIds, NewFile, WriteAhead
@@ -354,8 +356,6 @@ def _pack_chunk_info(chunk: StoredChunk, chunk_pos: int) -> bytes:
 
 def compress_lz4(data: Buffer) -> bytes:
     """Compress data into an LZ4 frame that ROS 1's own reader accepts: independent blocks, a checksum, and no size."""
-    import lz4.frame  # noqa: PLC0415  # heavy
-
     frame: bytes = lz4.frame.compress(
         data,
         block_size=lz4.frame.BLOCKSIZE_MAX1MB,

@@ -7,8 +7,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.formats import WriteOptions, storages
+from pc2scan.bags.mcap.write import McapWriter
 from pc2scan.bags.qos import MAX_CHARACTERS, respell_qos
 from pc2scan.errors import OutputError, UnwritableError
+from pc2scan.files.system import sync_directory
 from pc2scan.files.yaml import dump_yaml
 from pc2scan.model import MAX_ROSBAG2_NS, Connection, Metadata
 
@@ -18,7 +20,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
     from pathlib import Path
 
-    from pc2scan.bags.mcap.write import McapWriter
     from pc2scan.model import Attachment, Buffer, StoredChunk
     from pc2scan.threads import Threads
 
@@ -35,8 +36,6 @@ def open_writer(path: Path, options: WriteOptions) -> Rosbag2Writer:
 
 def open_mcap_storage(path: Path, options: WriteOptions) -> tuple[McapWriter, Callable[[str], None]]:
     """Start the MCAP file of a directory, which repeats metadata.yaml; see `pc2scan.bags.formats.Format`."""
-    from pc2scan.bags.mcap.write import McapWriter  # noqa: PLC0415  (not every directory has MCAP in it)
-
     writer = McapWriter(path, options.compression, "ros2")
     return writer, lambda text: writer.add_metadata(Metadata(RECORD_NAME, {"serialized_metadata": text}))
 
@@ -217,8 +216,6 @@ def _write_info(folder: Path, info: Mapping[str, Any]) -> None:
     OutputError
         If it cannot be written.
     """
-    from pc2scan.files.system import sync_directory  # noqa: PLC0415
-
     try:
         with (folder / METADATA_NAME).open("x", encoding="utf-8", newline="\n") as file:
             file.write(dump_yaml({ROOT: dict(info)}))

@@ -15,9 +15,11 @@ import numpy as np
 
 from pc2scan.core.floor import FARTHEST_MEDIAN, FEWEST_POINTS, tolerances
 from pc2scan.core.params import ProjectionParams
+from pc2scan.core.percentiles import percentiles
 from pc2scan.core.rule import PointCounts
 from pc2scan.pipeline.parameters import preset_of
 from pc2scan.text import agreeing, counted, height_text
+from pc2scan.transforms.summary import BODIES
 
 from .request import says_unlimited
 
@@ -285,8 +287,6 @@ def clouds_in_fixed_frame(clouds: CloudFacts) -> Iterator[str]:
     frame = clouds.source.removeprefix("/")
     if clouds.spec.params.target_frame or frame not in _FIXED:
         return
-    from pc2scan.transforms.summary import BODIES  # noqa: PLC0415  # few clouds are in such a frame
-
     buffer = clouds.transforms.read()
     bodies = [body for body in BODIES if buffer is not None and body in buffer.frames]
     if buffer is not None and any(buffer.is_rigid(frame, body) for body in bodies):
@@ -457,8 +457,6 @@ def _is_tall(clouds: CloudFacts, name: str) -> bool:
         return False
     if says_unlimited(value):
         return False
-    from pc2scan.core.percentiles import percentiles  # noqa: PLC0415  # few heights are doubtful
-
     z = np.concatenate([sample.placed[:, 2] for sample in clouds.samples])
     return len(z) > 0 and 10 * max(map(abs, percentiles(z, 1, 99))) < value
 
@@ -482,7 +480,5 @@ def _limit(value: float, unit: str) -> str:
 
 
 def _percentiles(values: NDArray[np.float64], unit: str) -> str:
-    from pc2scan.core.percentiles import percentiles  # noqa: PLC0415  # only for warnings
-
     low, middle, high = percentiles(values, 5, 50, 95)
     return f"{low:.2f} to {high:.2f} {unit} (5 and 95 %; median {middle:.2f})"

@@ -9,6 +9,7 @@ import math
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.core.layout import FULL_TURN
+from pc2scan.core.timing import is_brief
 from pc2scan.pipeline.parameters import is_given
 from pc2scan.text import stamp
 
@@ -161,8 +162,6 @@ def times_in_another_unit(request: OutputRequest) -> Iterator[str]:
         if abs(turn if name == "time_increment" else value) >= _LONG:
             yield f"{name} is {value:g} s, and {why}; milliseconds are written `{name}={value:g}ms`"
         elif name != "transform_tolerance" and not isinstance(params.beams, str):
-            from pc2scan.core.timing import is_brief  # noqa: PLC0415  # times are seldom given
-
             # Of a sector, however narrow it is.
             circle = abs(value) * (FULL_TURN / params.layout.angle_increment if name == "time_increment" else 1)
             if is_brief(circle, math.inf):

@@ -21,12 +21,19 @@ from pc2scan.core.rigid import Rigid
 from pc2scan.core.rule import PointCounts
 from pc2scan.errors import MessageError
 from pc2scan.files.source import ReadBuffer, retain
+from pc2scan.messages.beams import scan_points
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
+from pc2scan.messages.used_points import gather_points
 from pc2scan.pipeline.cloud_to_scan import Beams
 from pc2scan.pipeline.conversion import Conversion, ConvertedMessage, Motion
+from pc2scan.pipeline.stages.beam_filters import RemoveStage
+from pc2scan.pipeline.stages.filters import Frame
+from pc2scan.pipeline.stages.selection import SelectStage
 from pc2scan.transforms.placing import Placement
+
+from .rebinning import count_rebinning
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -44,7 +51,6 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.options import ScanSpec
     from pc2scan.pipeline.stages.deskew import Deskew, Track
     from pc2scan.pipeline.stages.filters import Filter
-    from pc2scan.pipeline.stages.selection import SelectStage
     from pc2scan.transforms.placing import LevelFrame, Placer
 
     from .grouping import Grouper
@@ -190,9 +196,6 @@ class MessagesToScan(Conversion):
         self._late: SelectStage | None = None
         late: Sequence[Filter] = ()
         if spec.filters:
-            from pc2scan.pipeline.stages.filters import Frame  # noqa: PLC0415  # most points are not filtered
-            from pc2scan.pipeline.stages.selection import SelectStage  # noqa: PLC0415
-
             late = tuple(each for each in spec.filters if each.frame is Frame.TARGET and not self._rigid)
             early = tuple(each for each in spec.filters if each not in late)
             self._early = SelectStage(early, placer) if early else None
@@ -201,8 +204,6 @@ class MessagesToScan(Conversion):
         self._intensity = params.intensity_field or ("intensity" if spec.combining.rebin else "")
         self._remove: Callable[[ConvertedMessage], ConvertedMessage] | None = None
         if spec.remove:
-            from pc2scan.pipeline.stages.beam_filters import RemoveStage  # noqa: PLC0415  # few scans are filtered
-
             self._remove = RemoveStage(spec.remove, params.empty_range)
         self._kept = {"x", "y", "z", self._intensity, *(field for each in late for field in each.fields)}
         #: Upstream's default minimum, the smallest positive number, is meant for clouds: it rejects all beams of scans.
@@ -235,8 +236,6 @@ class MessagesToScan(Conversion):
         flat = isinstance(message, LaserScan)
         rejected: dict[str, int] = {}
         if isinstance(message, LaserScan):
-            from pc2scan.messages.beams import scan_points  # noqa: PLC0415  # most sources are clouds
-
             points, _, rejected = scan_points(message)
         else:
             points = message
@@ -455,14 +454,10 @@ class MessagesToScan(Conversion):
         self, scan: LaserScan, parts: Sequence[PointsPart], sources: Sequence[tuple[int, Points]]
     ) -> UsedPoints:
         """Return the points that the beams of a scan read."""
-        from pc2scan.messages.used_points import gather_points  # noqa: PLC0415  # only where they are kept
-
         read = self._projector.read_together(parts)
         return gather_points(scan, [(*source, *own) for source, own in zip(sources, read, strict=True)])
 
     def _rebin(self, beams: Sequence[tuple[PointsPart, NDArray[np.int32]]]) -> Rebinning:
-        from .rebinning import count_rebinning  # noqa: PLC0415  # most sources are clouds
-
         found = []
         for part, numbers in beams:
             bins, used = self._projector.bins(part)

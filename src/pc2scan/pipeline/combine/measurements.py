@@ -12,6 +12,7 @@ from pc2scan.errors import UsageError, name_list
 from pc2scan.messages.clouds import SCANS
 from pc2scan.pipeline.clocks import MEASURES, are_doubtful, logged_early
 from pc2scan.pipeline.conversion import Measurements
+from pc2scan.pipeline.measurements import ask_measurements, measure, require_fields, unknown_step
 
 from .grouping import Grouper
 from .rules import Interval, Nearest, Recent
@@ -93,8 +94,6 @@ class SourceFacts:
             or (self.flat and "auto" in (params.scan_time, params.beams))
         )
         if spec.needs_measuring:
-            from pc2scan.pipeline.measurements import ask_measurements  # noqa: PLC0415  # only if something is measured
-
             for each in facts.values():
                 ask_measurements(each, spec)
         self._later: list[Mapping[str, Observer[int]]] = []
@@ -189,14 +188,10 @@ def measure_sources(
     notes: list[str] = []
     timing: Mapping[str, Measurements] = {}
     if spec.needs_measuring:
-        from pc2scan.pipeline.measurements import measure  # noqa: PLC0415  # only if something is to be measured
-
         clouds = [facts for topic, facts in sources.facts.items() if topic not in sources.flat]
         timing, notes = measure(clouds, spec, placer)
         notes = [note for note in notes if note.startswith(f"{lead}: ")]
     if sources.flat:
-        from pc2scan.pipeline.measurements import require_fields  # noqa: PLC0415  # only with LaserScans
-
         there = "the beams of a LaserScan have intensity, index, x and y"
         require_fields(spec, _BEAM_FIELDS, f"the scans on {name_list(sources.flat)}", lambda _: there)
     found = timing.get(lead) or _of_scans(sources, notes)
@@ -309,8 +304,6 @@ def _of_scans(sources: SourceFacts, notes: list[str]) -> Measurements:
         steps = [each.increment for each in sources.firsts(topic)]
         known = [each for each in steps if each is not None and 0 < each < math.inf]
         if not known:
-            from pc2scan.pipeline.measurements import unknown_step  # noqa: PLC0415  # loaded by now
-
             raise unknown_step(f"no scan on {topic} has an angle_increment")
         step = median_low(known)
         count = params.at_resolution(step).layout.count

@@ -12,12 +12,13 @@ from pc2scan.core.points import TIME, Points
 from pc2scan.core.timing import AZIMUTH, TIME_FIELDS, TIME_UNITS, absolute_times, offset_and_unit, time_field
 from pc2scan.errors import DecodeError, UsageError
 
+from .turn import Turn
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
-    from .turn import Turn
 
 #: Returns the times of points at some places, seconds after their cloud's stamp.
 Times: TypeAlias = "Callable[[tuple[NDArray[np.intp], ...]], NDArray[np.float64]]"
@@ -58,8 +59,6 @@ class PointTime:
             return cls()
         field, colon, unit = text.partition(":")
         if field == AZIMUTH:
-            from .turn import Turn  # noqa: PLC0415  # the points of most lidars have times
-
             return cls(turn=Turn.parse(text))
         if not field or (colon and unit not in TIME_UNITS):
             raise UsageError(

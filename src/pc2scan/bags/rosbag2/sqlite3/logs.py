@@ -14,13 +14,14 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from pc2scan.files.source import SourceFile, file_beside
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    import numpy as np
     from numpy.typing import NDArray
 
 
@@ -225,8 +226,6 @@ def _checksum(data: bytes, before: _Sum, *, big: bool) -> _Sum:
     SQLite adds two words at a time: ``s0 += x0 + s1; s1 += x1 + s0``. In the end each word, and each half of the
     checksum before, is multiplied by a Fibonacci number.
     """
-    import numpy as np  # noqa: PLC0415  (only recordings with a log need it)
-
     words = np.frombuffer(data, ">u4" if big else "<u4").astype(np.uint32)
     numbers = _fibonacci(len(words) + 1)
     largest, second, third = map(int, numbers[:3])
@@ -238,8 +237,6 @@ def _checksum(data: bytes, before: _Sum, *, big: bool) -> _Sum:
 @cache
 def _fibonacci(count: int) -> NDArray[np.uint32]:
     """Return the Fibonacci numbers from that of ``count`` down to that of 0, modulo 2^32."""
-    import numpy as np  # noqa: PLC0415
-
     numbers = [0, 1]
     while len(numbers) <= count:
         numbers.append((numbers[-1] + numbers[-2]) & 0xFFFFFFFF)
