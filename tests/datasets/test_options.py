@@ -71,7 +71,7 @@ def test_typed_options_mean_what_keywords_mean(
             called.append(args)
             return _Done()
 
-        monkeypatch.setattr("pc2scan.pipeline.run.run", converted)
+        monkeypatch.setattr("pc2scan.requests.run", converted)
         pc2scan.convert("drive.bag", tmp_path / "x", **keywords)
         ((_, _, options, output),) = called
         assert digest_of(replace(request_of(keywords), options=options)) == request_of(keywords).digest
