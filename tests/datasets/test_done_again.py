@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from pc2scan.datasets.jobs import Job
+    from pc2scan.datasets.manifest import ManifestRecord
+
 KEYS = ("a.bag", "b.mcap", "r/a.bag", "c")
 CONTENTS = {"drive": CONTENT, "half": CONTENT.halves()[0]}
 OPTIONS: tuple[dict[str, Any], ...] = ({}, {"beams": 90}, {"to": "mcap"})
@@ -229,3 +232,19 @@ def test_a_result_whose_line_cannot_be_written_is_known(tmp_path: Path) -> None:
     (out / "manifest.jsonl").rmdir()
     assert (out / "a_scan.bag").exists()
     assert [each.why for each in batch(drives, out).outcomes] == ["interrupted before"]
+
+
+def test_a_result_that_is_edited_between_plan_and_turn_stays(tmp_path: Path) -> None:
+    source, result = place(tmp_path / "in", "a.bag"), tmp_path / "out" / "a_scan.bag"
+    batch(source, tmp_path / "out")
+
+    def edit_and_convert(job: Job, *more: Any) -> ManifestRecord:
+        result.write_bytes(b"edited")
+        return convert_one(job, *more)
+
+    with patch("support.batches.convert_one", edit_and_convert):
+        (failed,) = batch(source, tmp_path / "out", beams=90).outcomes
+        assert (failed.outcome, result.read_bytes()) == ("failed", b"edited")
+        assert "was edited since the batch began" in failed.error
+        (done,) = batch(source, tmp_path / "out", beams=90, overwrite=True).outcomes
+    assert done.outcome == "converted"

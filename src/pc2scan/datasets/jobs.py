@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from pc2scan.bags.opening import open_recordings
 from pc2scan.core.params import ProjectionParams
-from pc2scan.errors import NothingToConvertError, OutputError, Pc2ScanError, UsageError
+from pc2scan.errors import DestinationError, NothingToConvertError, OutputError, Pc2ScanError, UsageError
 from pc2scan.exports.formats import FORMATS
 from pc2scan.exports.report import ExportReport
 from pc2scan.exports.run import ExportOptions
@@ -229,6 +229,8 @@ class Job:
         The size of all sources together.
     owned
         The recorded files of the output: it is replaced without ``overwrite``, too. None if there are none.
+    there
+        The output as the plan found it; None: it is not compared.
     threads
         The number of threads of the conversion.
     dry_run
@@ -248,6 +250,7 @@ class Job:
     request: Request
     size_bytes: int = 0
     owned: frozenset[str] | None = None
+    there: Identity | None = None
     threads: int = 1
     dry_run: bool = False
     shown: bool = False
@@ -255,7 +258,7 @@ class Job:
 
     def retried(self) -> Job:
         """Return the job for another attempt: one that died may have completed the output, which may be replaced."""
-        return replace(self, owned=self.owned or frozenset())
+        return replace(self, owned=self.owned or frozenset(), there=None)
 
     def record(self, **found: Any) -> ManifestRecord:
         """Return the line of the manifest, with what was found by the conversion."""
@@ -336,6 +339,11 @@ def _run_job(
 ) -> Report | ExportReport:
     """Convert or export; raises the errors of that."""
     request = job.request
+    if job.there and job.there.files and not request.output.overwrite and not isinstance(destination, UrlPath):
+        now = identity_of([destination])
+        if now.files and now != job.there:
+            hint = "move it away, or `overwrite=True` replaces it"
+            raise DestinationError("was edited since the batch began", path=destination, hint=hint)
     options = replace(request.options, jobs=job.threads)
     if job.dry_run and request.export is not None and not request.export.converting:
         return _inspect_export(job, sources)

@@ -45,6 +45,8 @@ class Step:
         The path of the result, relative to the folder of the batch; empty for none.
     owned
         The files of the output that are recorded; None if it was never written.
+    there
+        The output as it is now.
     record
         Its last line in the manifest.
     error
@@ -57,6 +59,7 @@ class Step:
     request: Request | None
     output: str = ""
     owned: frozenset[str] | None = None
+    there: Identity | None = None
     record: ManifestRecord | None = None
     error: Pc2ScanError | None = None
 
@@ -164,7 +167,7 @@ def make_plan(
             steps.append(replace(step, action="refuse", why=each.error.message, error=each.error))
             continue
         there = present(output)
-        step = replace(step, owned=history.owned(output))
+        step = replace(step, owned=history.owned(output), there=there)
         why = "asked for" if again else _reason(each, request, output, history, there)
         error = None
         if why:

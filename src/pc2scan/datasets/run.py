@@ -408,6 +408,7 @@ class _Batch:
             request=step.request,
             size_bytes=step.found.identity.size_bytes,
             owned=step.owned,
+            there=step.there,
             dry_run=self._options.dry_run,
             shown=self.watch.shown is not None,
             scratch=None if scratch is None else str(absolute(scratch)),
