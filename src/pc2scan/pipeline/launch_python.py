@@ -91,14 +91,10 @@ class _PythonReader:
         # What names are assigned that count.
         self._values: dict[str, ast.expr] = {}
         for statement in () if _UNSEEN & self._words or "*" in bound else (*tree.body, *self._body):
-            match statement:
-                case (
-                    ast.Assign(targets=[ast.Name(id=name)], value=value)
-                    | ast.AnnAssign(target=ast.Name(id=name), value=ast.expr() as value)
-                ) if bound[name] == 1 and (
-                    not isinstance(value, _CHANGEABLE) or {*map(self._user, self._uses[name])} <= _NODES | _ACTIONS
-                ):
-                    self._values[name] = value
+            name, value = _assigned(statement)
+            users = map(self._user, self._uses[name]) if isinstance(value, _CHANGEABLE) else ()
+            if value and bound[name] == 1 and {*users} <= _NODES | _ACTIONS:
+                self._values[name] = value
         # By name of an argument, its declarations; an empty name: that is not read.
         self._declared: dict[str, list[ast.Call]] = defaultdict(list)
         for call in self._calls("DeclareLaunchArgument"):
@@ -314,11 +310,16 @@ def _bound(node: ast.AST) -> list[str]:
         case ast.alias() | ast.keyword():
             return []
     # Functions, classes, arguments, exceptions that are caught, and patterns.
-    return [
-        name
-        for name in (getattr(node, attribute, None) for attribute in ("name", "arg", "rest"))
-        if isinstance(name, str)
-    ]
+    found = (getattr(node, attribute, None) for attribute in ("name", "arg", "rest"))
+    return [name for name in found if isinstance(name, str)]
+
+
+def _assigned(statement: ast.stmt) -> tuple[str, ast.expr | None]:
+    """Return the name that a plain assignment binds, and its value."""
+    match statement:
+        case ast.Assign(targets=[ast.Name(id=name)], value=value) | ast.AnnAssign(ast.Name(id=name), value=value):
+            return name, value
+    return "", None
 
 
 def _word(node: ast.AST | None) -> str:
