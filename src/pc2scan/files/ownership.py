@@ -65,7 +65,11 @@ def check_existing(
         # What a record names is judged file by file, when the new files are known.
         if owned is None and dst.exists():
             if dst.is_dir():
-                raise stored_folder_error(dst)
+                raise DestinationError(
+                    "is a folder; folders in a store are never replaced",
+                    path=dst,
+                    hint="choose another name, or remove it with the store's own tools",
+                )
             if not overwrite:
                 raise existing_error(dst)
         return
@@ -122,15 +126,6 @@ def _unaccounted_error(folder: Path, reason: str, hint: str) -> DestinationError
 def existing_error(dst: Path) -> DestinationError:
     """Return the error of a destination that may not be replaced."""
     return DestinationError("exists already", path=dst, hint="`overwrite=True` replaces it")
-
-
-def stored_folder_error(dst: Path) -> DestinationError:
-    """Return the error of a folder at a URL that would be replaced."""
-    return DestinationError(
-        "is a folder; folders in a store are never replaced",
-        path=dst,
-        hint="choose another name, or remove it with the store's own tools",
-    )
 
 
 def check_kind(path: Path, beginning: bytes | None, *, overwrite: bool) -> bool:

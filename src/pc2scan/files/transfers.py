@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from pc2scan.errors import DestinationError, MissingError, RecordingError, name_list
 from pc2scan.text import size
 
-from .ownership import existing_error, stored_folder_error
+from .ownership import check_existing
 from .places import private_folder
 from .records import files_below
 from .store import NO_SPACE
@@ -150,8 +150,14 @@ def _commit(partial: Path, dst: UrlPath, owned: Collection[str] | None, *, overw
     new: dict[str, Path] = {dst.name: partial}
     if partial.is_dir():
         new = {f"{dst.name}/{name}": partial / name for name in files_below(partial)}
+    check_existing(dst, overwrite=overwrite, owned=owned)
     present = _present(dst)
-    _refuse_others(dst, present, new, owned, overwrite=overwrite)
+    if kept := [name for name in present if name not in new and name not in (owned or ())]:
+        raise DestinationError(
+            f"has something that this batch did not write, and is not replaced: {name_list(kept, 3)}",
+            path=dst,
+            hint="move it away, or write to another folder",
+        )
     # A recording is complete when its metadata.yaml is there. So this is removed first, and uploaded last. Files are
     # replaced in one step.
     gone = [name for name in present if "/" in name]
@@ -180,19 +186,3 @@ def _present(dst: UrlPath) -> list[str]:
     except MissingError:
         return []
     return [dst.name]
-
-
-def _refuse_others(
-    dst: UrlPath, present: list[str], new: Collection[str], owned: Collection[str] | None, *, overwrite: bool
-) -> None:
-    """Raise if what is there may not be replaced."""
-    if owned is None and any("/" in name for name in present):
-        raise stored_folder_error(dst)
-    if owned is None and present and not overwrite:
-        raise existing_error(dst)
-    if kept := [name for name in present if name not in new and name not in (owned or ())]:
-        raise DestinationError(
-            f"has something that this batch did not write, and is not replaced: {name_list(kept, 3)}",
-            path=dst,
-            hint="move it away, or write to another folder",
-        )
