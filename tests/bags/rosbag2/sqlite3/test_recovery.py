@@ -10,13 +10,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from pc2scan.bags.rosbag2.sqlite3.logs import side_logs
 from pc2scan.bags.rosbag2.sqlite3.read import Sqlite3Reader
-from pc2scan.bags.rosbag2.sqlite3.recover import PageFile, declared_size, rebuild_database
 from pc2scan.bags.rosbag2.sqlite3.write import Sqlite3Writer
-from pc2scan.errors import DamageError, RecordingError
+from pc2scan.errors import DamageError
 from support import sampled
-from support.bounded import watched
 from support.rosbag2_files import topic
 from support.sqlite3_files import build, hot_log, recovered, rosbag2_pages
 
@@ -30,26 +27,12 @@ def _pages(monkeypatch: pytest.MonkeyPatch) -> None:
     rosbag2_pages(monkeypatch)
 
 
-def test_a_sound_database_has_all_its_rows_in_its_pages(tmp_path: Path) -> None:
-    rows = build(tmp_path / "a.db3")
-    size = (tmp_path / "a.db3").stat().st_size
-    assert declared_size((tmp_path / "a.db3").read_bytes()[:100]) == size
-    with closing(PageFile(tmp_path / "a.db3")) as pages:
-        cells = list(pages.cells())
-        messages = [cell for cell in cells if cell.is_message]
-        assert [pages.payload(c.page, c.offset) for c in sorted(messages, key=lambda c: c.rowid)] == [
-            data for _, _, data in rows
-        ]
-        assert [cell.values[1] for cell in cells if cell.is_topic] == ["/a", "/b"]
-        assert [cell.values[2] for cell in cells if cell.is_definition] == ["ros2msg"]
-
-
-@pytest.mark.parametrize("pages", sampled([4, 1], 1))
+@pytest.mark.parametrize("pages", sampled([9, 2], 1))
 def test_cut_at_every_page(pages: int, tmp_path: Path) -> None:
     complete = build(tmp_path / "a.db3")
     data = (tmp_path / "a.db3").read_bytes()
     path = tmp_path / "b.db3"
-    sizes = {0, 1, 511, 2048, 4095}
+    sizes = {0, 1, 2048}
     found = []
     for size in sorted({page + more for page in range(0, len(data), pages * 4096) for more in sizes}):
         if not 16 <= size < len(data):
@@ -72,8 +55,8 @@ def test_cut_at_every_page(pages: int, tmp_path: Path) -> None:
             Sqlite3Reader(path, strict=True)
     assert found == sorted(found)
     # What lies in front of a cut is all there is to be had: rows in proportion to bytes, or nearly.
-    assert found[len(found) // 2] > len(complete) // 3
-    assert found[-1] >= len(complete) - 1
+    assert found[len(found) // 2] > len(complete) // 4
+    assert found[-1] > len(complete) * 3 // 4
 
 
 def test_of_an_overwritten_page_only_its_own_rows_are_lost(tmp_path: Path) -> None:
@@ -113,7 +96,7 @@ def test_values_of_every_size_are_recovered(tmp_path: Path) -> None:
         writer.write(handle, time_ns, b"\0\1\0\0", time_ns)
     writer.finish()
     data = bytearray(path.read_bytes())
-    # The header declares more pages than there are, so that the rows are read page by page.
+    # The header declares more pages than there are, so that the rows are searched for.
     struct.pack_into(">I", data, 28, 1_000_000)
     path.write_bytes(data)
     with closing(Sqlite3Reader(path)) as reader:
@@ -177,68 +160,13 @@ def test_rows_of_a_hot_log_beside_a_broken_database_count(tmp_path: Path) -> Non
     assert {row for row in complete if row[1] >= 2_000_000} <= set(rows)
 
 
-def test_a_log_may_name_any_page(tmp_path: Path) -> None:
-    path, complete, _ = hot_log(tmp_path)
-    log = path.with_name("a.db3-wal")
-    data = bytearray(log.read_bytes())
-    data[32:36] = b"\xff" * 4
-    log.write_bytes(data)
-    logs = side_logs(path)
-    with closing(logs[0].file), closing(PageFile(path, logs)) as pages:
-        found = {cell.values[2] for cell in pages.cells() if cell.is_message}
-    assert {time_ns for _, time_ns, _ in complete} <= found | {2_000_000}
-
-
-def varint(value: int) -> bytes:
-    parts = [value & 0x7F]
-    while value := value >> 7:
-        parts.append(value & 0x7F | 0x80)
-    return bytes(reversed(parts))
-
-
-@pytest.mark.parametrize("rowid", [1, (1 << 64) - 5])
-def test_a_chain_of_pages_that_leads_back_to_itself_ends(rowid: int, tmp_path: Path) -> None:
-    # A message of a terabyte whose second page is followed by itself; 39 bytes of it are in the first one.
-    blob = 508 * (1 << 31) + 495
-    types = b"\0\1\1" + varint(2 * blob + 12)
-    record = bytes([1 + len(types)]) + types + b"\1\5"
-    size = len(record) + blob
-    assert (size - 39) % 508 > 438
-    cell = varint(size) + varint(rowid & (1 << 56) - 1)
-    if rowid > 1 << 63:
-        cell = varint(size) + b"\xff" * 8 + bytes([rowid & 0xFF])
-    cell += record.ljust(39, b"d") + struct.pack(">I", 2)
-    head = b"SQLite format 3\0" + struct.pack(">H", 512)
-    leaf = head.ljust(100, b"\0") + struct.pack(">BHHHBH", 0x0D, 0, 1, 200, 0, 200)
-    path = tmp_path / "a.db3"
-    path.write_bytes((leaf.ljust(200, b"\0") + cell).ljust(512, b"\0") + struct.pack(">I", 2).ljust(512, b"d"))
-    with watched(path.stat().st_size, 5), closing(PageFile(path)) as pages:
-        (found,) = pages.cells()
-        assert found.is_message
-        assert found.rowid == (rowid if rowid == 1 else -5)
-        assert pages.payload(found.page, found.offset) is None
-        database, last_ns = rebuild_database(pages)
-        with closing(database):
-            assert list(database.execute("SELECT id, data FROM messages")) == [(found.rowid, None)]
-        assert last_ns == 5
-
-
-def test_no_database_at_all(tmp_path: Path) -> None:
-    path = tmp_path / "a.db3"
-    path.write_bytes(b"SQLite format 3\0" + b"\xff" * 20_000)
-    with pytest.raises(RecordingError, match="nothing of it can be recovered"):
-        Sqlite3Reader(path)
-
-
-def test_a_name_that_is_not_text_is_damage_too(tmp_path: Path) -> None:
-    """SQLite quotes it in its message, on which Python's own module fails."""
+def test_a_row_with_an_impossible_length_loses_no_other(tmp_path: Path) -> None:
     complete = build(tmp_path / "a.db3")
     data = bytearray((tmp_path / "a.db3").read_bytes())
-    at = data.index(b"CREATE TABLE messages")
-    data[at : at + 6] = b"CRE\xff\xfeE"
-    at = data.rindex(b"messages", 0, at)
-    data[at : at + 8] = b"mess\xffges"
+    leaf = [at for at in range(0, len(data), 4096) if data[at] == 0x0D][-3]
+    (cell,) = struct.unpack_from(">H", data, leaf + 12)
+    data[leaf + cell : leaf + cell + 5] = b"\xff\xff\xff\xff\x7f"
     (tmp_path / "a.db3").write_bytes(data)
     rows, damage = recovered(tmp_path / "a.db3")
-    assert Counter(rows) == Counter(complete)
     assert damage
+    assert len(complete) - 2 <= len(rows) < len(complete)

@@ -61,13 +61,13 @@ def without_constraints(path: Path) -> None:
 
 
 def unreachable(path: Path) -> None:
-    """Let the header declare more pages than there are, so that the rows are read page by page."""
+    """Let the header declare more pages than there are, so that the rows are searched for."""
     data = bytearray(path.read_bytes())
     struct.pack_into(">I", data, 28, 1_000_000)
     path.write_bytes(data)
 
 
-@pytest.mark.parametrize("pages", [False, True], ids=["by SQLite", "page by page"])
+@pytest.mark.parametrize("pages", [False, True], ids=["sound", "cut off"])
 @pytest.mark.parametrize("wrong", WRONG_ROWS)
 def test_a_row_with_a_wrong_value_is_one_damaged_row(wrong: str, pages: bool, tmp_path: Path) -> None:
     path = write_db3(tmp_path / "drive.db3", CONTENT)
@@ -233,7 +233,7 @@ CASES = st.builds(
 
 
 def build(path: Path, case: Case) -> None:
-    """Make the database; one that is read page by page has the tables that rosbag2 makes."""
+    """Make the database; one that is cut off has the tables that rosbag2 makes."""
     typed = not case.loose or case.pages
     columns = "topic_id INTEGER, timestamp INTEGER, data BLOB" if typed else "topic_id, timestamp, data"
     with closing(sqlite3.connect(path)) as database, database:

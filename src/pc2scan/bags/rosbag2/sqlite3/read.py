@@ -15,8 +15,9 @@ from pc2scan.bags.units import Unit
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.model import RawMessage, Summary, declared_counts
 
-from .database import SQLITE_ERRORS, Database
+from .database import Database
 from .index import SOUND, message_row, read_tables, shown_value
+from .recover import SQLITE_ERRORS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
@@ -75,7 +76,7 @@ class Sqlite3Reader(Reader):
         only metadata.yaml, which may be missing, declares the compression.
 
     strict
-        Whether damage is an error; otherwise it is in `damage`, and rows SQLite cannot reach are read page by page.
+        Whether damage is an error; otherwise it is in `damage`, and reading goes on behind what SQLite cannot read.
 
     Raises
     ------
