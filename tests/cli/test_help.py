@@ -13,10 +13,9 @@ import pytest
 from typer.testing import CliRunner
 
 import pc2scan
-from pc2scan.cli import completion
+from pc2scan.cli import app, completion
 from pc2scan.cli.app import application, parse
 from pc2scan.cli.commands import COMMANDS
-from pc2scan.core import kernel
 from pc2scan.options.table import options_of, spelling_of
 from support import ROOT
 from support.command import run
@@ -32,7 +31,7 @@ PACKAGE = ROOT / "src" / "pc2scan"
 
 @pytest.mark.parametrize("compiled", [True, False])
 def test_the_version_says_if_loops_are_not_compiled(compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kernel, "COMPILED", compiled)
+    monkeypatch.setattr(app, "COMPILED", compiled)
     version, *rest = run("--version").stdout.strip().split(" (")
     assert version == f"pc2scan {pc2scan.__version__}"
     assert bool(rest) != compiled

@@ -79,6 +79,8 @@ def told(*args):
 # A host with settings of its own.
 signal.signal(signal.SIGBUS, told)
 signal.signal(signal.SIGTERM, told)
+# The default, with the flags that Python gives it when it is set again.
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 faulthandler.enable()
 os.umask(0o27)
 logging.getLogger().setLevel(logging.ERROR)

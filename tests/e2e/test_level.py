@@ -194,7 +194,7 @@ def test_an_imu_whose_mount_is_not_known(tmp_path: Path, world: Path, imu: Path)
     done = converted(tmp_path, world, imu, "--level", "--imu", "/imu").done
     assert done.status != 0
     assert "nothing can be converted: the IMU of /imu: no transform has the source frame 'imu_link'" in done.stderr
-    assert "--static-tf 'base_link imu_link 0 0 0 ROLL PITCH YAW'" in done.stderr
+    assert '--static-tf "base_link imu_link 0 0 0 ROLL PITCH YAW"' in done.stderr
     # With its mount wrong, the robot seems to drive on its head.
     wrong = ("--static-tf", "base_link imu_link 0 0 0 0 0 0")
     done = converted(tmp_path, world, imu, "--level", "--imu", "/imu", *wrong).done

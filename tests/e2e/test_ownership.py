@@ -48,10 +48,7 @@ def test_a_batch_leaves_files_in_its_exported_folders(drives: Path, tmp_path: Pa
     shutil.rmtree(out / "a" / "deep")
     (out / "a" / "labels.npz").unlink()
     assert batch(drives, out, format="npz", beams=91).exit_status == 0
-    # As a version wrote them that put no record into folders: the manifest is the record.
-    for record in out.rglob(".pc2scan-files.json"):
-        record.unlink()
     os.utime(out / "sub" / "b" / "scan.npz", (1, 1))
     assert errors_of(batch(drives, out, format="csv"))["a.bag"] == ""
     assert sorted(contents(out / "a")) == [".pc2scan-files.json", "scan.csv"]
-    assert sorted(contents(out / "sub")) == ["b/scan.npz"]
+    assert sorted(contents(out / "sub")) == ["b/.pc2scan-files.json", "b/scan.npz"]
