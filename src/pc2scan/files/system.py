@@ -6,16 +6,10 @@ import errno
 import os
 import shutil
 import stat
-import sys
 from contextlib import contextmanager
 from contextvars import ContextVar
 from threading import Lock
 from typing import TYPE_CHECKING
-
-if sys.platform == "win32":
-    import msvcrt
-else:
-    import fcntl
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -80,15 +74,25 @@ def lock_descriptor(descriptor: int) -> None:
     OSError
         If the file system cannot lock files, as some network file systems.
     """
-    if sys.platform != "win32":
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    try:
+        import fcntl  # noqa: PLC0415  # not on Windows
+    except ImportError:
+        _lock_on_windows(descriptor)
     else:
-        try:
-            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-        except OSError as err:
-            if err.errno in {errno.EACCES, errno.EDEADLK}:
-                raise BlockingIOError(err.errno, "is locked") from err
-            raise
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def _lock_on_windows(descriptor: int) -> None:
+    try:
+        import msvcrt  # noqa: PLC0415  # only there
+    except ImportError as err:
+        raise OSError(errno.ENOLCK, "this system has no locks") from err
+    try:
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined,unused-ignore]
+    except OSError as err:
+        if err.errno in {errno.EACCES, errno.EDEADLK}:
+            raise BlockingIOError(err.errno, "is locked") from err
+        raise
 
 
 def unusable_name(name: str) -> str:
