@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 from contextlib import suppress
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -215,9 +213,3 @@ def test_times_are_seconds_after_the_beginning_or_of_a_clock(text: str, time_ns:
 def test_contradictions_are_refused(options: dict[str, Any]) -> None:
     with pytest.raises(UsageError, match=next(iter(options))):
         pc2scan.convert(ROOT / "fixtures" / "hall.bag", **options)
-
-
-def test_importing_the_modules_does_not_import_yaml() -> None:
-    modules = "pc2scan.pipeline.yaml_nodes, pc2scan.pipeline.params_file"
-    code = f"import sys, {modules}; sys.exit('ruamel.yaml' in sys.modules)"
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT / "src")

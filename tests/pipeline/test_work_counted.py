@@ -62,9 +62,9 @@ def record(folder: Path, suffix: str, compression: str, size: int = CLOUD_BYTES)
     for number in range(CLOUDS):
         for place, handle in enumerate(handles[:2]):
             points = np.random.default_rng(10 * number + place).uniform(-8, 8, (size // 16, 4)).astype("<f4")
-            data = cloud(points, ros_version, seq=number, stamp_ns=10 * number + place, names=("x", "y", "z", "w"))
+            data = cloud(points, ros_version, seq=number, stamp_ns=T0 + 10 * number + place, names=("x", "y", "z", "w"))
             writer.write(handle, T0 + 1000 * number + place, data, 0)
-        moved = transforms([("base_link", "lidar", number, (0.0, 0.0, 1.0))], ros_version, number)
+        moved = transforms([("base_link", "lidar", T0 + number, (0.0, 0.0, 1.0))], ros_version, number)
         writer.write(handles[2], T0 + 1000 * number + 2, moved, 0)
     writer.finish()
     return path

@@ -29,7 +29,7 @@ export function winners(readers, params, outcomes, bins, squares, increment) {
     if (size < least || size === 0) continue;
     // Stable: points of equal range stay in the order of the cloud.
     const order = members.slice(starts[bin], starts[bin + 1]).sort((a, b) => ranges[a] - ranges[b] || a - b);
-    const surface = params.reduce === "surface" ? onSurface(order, ranges, params, increment) : size;
+    const surface = params.reduce === "surface" ? onSurface(order, ranges, increment) : size;
     let place = 0;
     if (kth) place = kth - 1;
     else if (params.reduce === "median" || params.reduce === "surface") place = (surface - 1) >> 1;
@@ -45,10 +45,9 @@ export function winners(readers, params, outcomes, bins, squares, increment) {
  * How many of a beam's returns are on the closest surface.
  * @param {Int32Array} order the points, the closest first
  * @param {Float32Array} ranges
- * @param {Params} params
  * @param {number} increment radians
  */
-function onSurface(order, ranges, params, increment) {
+function onSurface(order, ranges, increment) {
   const nearest = ranges[order[0]];
   const limit = nearest + (SURFACE_DEPTH + SURFACE_SLOPE * increment * nearest);
   let count = 0;
