@@ -172,8 +172,9 @@ def test_the_command_in_a_process_of_its_own(
     call = (*COMMAND, "convert", str(source), "-o", str(destination), *HEIGHTS)
     before = state_of(sources)
     (done,) = trace([Job(("execute", *call), tmp_path, (destination,))], tmp_path)
-    assert (done.status, foreign(done)) == (3 if name == "journal" else 0, []), done.said
-    assert destination in [touch.path for touch in done.touched]
+    # A journal that names a super-journal is refused.
+    assert (done.status, foreign(done)) == (1 if name == "journal" else 0, []), done.said
+    assert (destination in [touch.path for touch in done.touched]) == (name != "journal")
     assert state_of(sources) == before
 
 
