@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, cast
 
+import numpy as np
+
 from pc2scan.core.rule import NO_POINTS
 from pc2scan.errors import MessageError
 from pc2scan.messages.poses import decode_pose
@@ -113,10 +115,10 @@ def add_poses(
     files: list[TrajectoryWriter] = []
     for each in added:
         if each.reading is None:
-            rows = _rows_in(each, span, reader.summary.end_ns)
+            rows, count = _rows_in(each, span, reader.summary.end_ns)
             entry = TopicReport(name, "tf2_msgs/msg/TFMessage", name, "added", f"from {each.name}")
             opened.entries.append(entry)
-            files.append(TrajectoryWriter(iter(rows), len(rows), place, target.serialization, entry, span.first_ns))
+            files.append(TrajectoryWriter(rows, count, place, target.serialization, entry, span.first_ns))
             continue
         for connection in each.reading.connections:
             entry = TopicReport(connection.topic, connection.ros_type, name, "added", "its poses as transforms")
@@ -170,18 +172,23 @@ def _without(children: Collection[str], source: str, target: str, data: Buffer) 
     return encode_transforms([row for row in rows if row[1].removeprefix("/") not in children], target)
 
 
-def _rows_in(added: AddedPoses, span: Span, end_ns: int | None) -> list[TransformRow]:
-    """Return the transforms of a trajectory during the cut, by stamp, with the last one before and the first after."""
-    rows = sorted(
-        (
-            added.attachments[each.parent, each.child].row(stamp_ns, cast("Pose", tuple(pose)))
-            for each in added.trajectories
-            if (each.parent, each.child) in added.attachments
-            for stamp_ns, pose in zip(each.stamps_ns.tolist(), each.poses.tolist(), strict=True)
-        ),
-        key=lambda row: row[2],
-    )
+def _rows_in(added: AddedPoses, span: Span, end_ns: int | None) -> tuple[Iterator[TransformRow], int]:
+    """Yield the transforms of a trajectory during the cut, by stamp, with the last one before and the first after.
+
+    The second result is their number. Rows are made one by one: a million of them would take half a gigabyte.
+    """
+    used = [each for each in added.trajectories if (each.parent, each.child) in added.attachments]
+    stamps_ns = np.concatenate([np.empty(0, np.int64), *(each.stamps_ns for each in used)])
+    owners = np.repeat(np.arange(len(used)), [len(each.stamps_ns) for each in used])
+    order = np.argsort(stamps_ns, kind="stable")
     last_ns = min(each for each in (span.stop_ns, end_ns, 2**63 - 1) if each is not None)
-    begin = max((number for number, row in enumerate(rows) if row[2] <= span.first_ns), default=0)
-    stop = next((number for number, row in enumerate(rows) if row[2] > last_ns), len(rows))
-    return rows[begin : stop + 1]
+    begin = max(0, int(np.searchsorted(stamps_ns, span.first_ns, "right", order)) - 1)
+    places = order[begin : int(np.searchsorted(stamps_ns, last_ns, "right", order)) + 1]
+    poses = np.concatenate([np.empty((0, 7)), *(each.poses for each in used)])
+
+    def row(place: int) -> TransformRow:
+        each = used[owners[place]]
+        pose = cast("Pose", tuple(poses[place].tolist()))
+        return added.attachments[each.parent, each.child].row(int(stamps_ns[place]), pose)
+
+    return map(row, places), len(places)
