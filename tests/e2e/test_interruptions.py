@@ -27,13 +27,9 @@ from support.builders import (
     CONTENT,
     POINTS,
     T0,
-    TF,
-    Item,
     Recording,
-    Stream,
     cloud,
     item,
-    transforms,
     write_db3,
     write_rosbag1,
 )
@@ -260,18 +256,9 @@ def unsorted(folder: Path) -> Path:
     return path
 
 
-def of_joints(folder: Path) -> Path:
-    """A recording of a robot with 110,000 transforms."""
-    stream, items = Stream("/tf", TF), []
-    for time_ns in range(T0, T0 + 110):
-        rows = [("base_link", f"joint_{number}", time_ns, (1.0, 0.0, 0.0)) for number in range(1_000)]
-        items.append(Item(stream, time_ns, {1: transforms(rows, 1)}))
-    return write_rosbag1(folder / "drive.bag", Recording((stream, POINTS), (*items, *CONTENT.of("/points"))))
-
-
 @pytest.mark.parametrize(
     ("source", "options"),
-    sampled([(packed, ()), (with_log, ()), (unsorted, ()), (of_joints, ("--target-frame", "base_link"))], 2),
+    sampled([(packed, ()), (with_log, ()), (unsorted, ())], 2),
 )
 def test_no_room_for_temporary_files(
     source: Callable[[Path], Path],
