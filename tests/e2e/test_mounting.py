@@ -194,10 +194,11 @@ def test_real_recordings_get_heights_of_their_own(
     if heights:
         done = run("convert", RECORDINGS / name, "-o", tmp_path / "a.mcap")
         assert not re.search("tilted|upside down", done.stderr)
-        words = shlex.split(done.stderr.rsplit("below the sensor: ", 1)[1])
+        words = shlex.split(done.stderr.rsplit("below the sensor: ", 1)[1].splitlines()[0])
         assert heights[0] <= float(words[1]) < float(words[3]) <= heights[1]
         done = run("convert", RECORDINGS / name, "-o", tmp_path / "b.mcap", *words)
-        assert (done.status, done.stderr) == (0, "")
+        # Of its clock both commands warn.
+        assert (done.status, [line for line in done.stderr.splitlines() if not warned or warned not in line]) == (0, [])
 
 
 WIDE = ("--min-height", "-5", "--max-height", "5")
