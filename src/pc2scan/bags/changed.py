@@ -36,7 +36,12 @@ class ChangedReader(WrappedReader):
     def __init__(self, reader: Reader, changes: Mapping[int, Change], remarks: Sequence[str] = ()) -> None:
         super().__init__(reader)
         self._changes = changes
-        self.remarks = remarks
+        self._remarks = remarks
+
+    @property
+    def remarks(self) -> Sequence[str]:
+        """What the other reader and the changes noticed."""
+        return [*super().remarks, *self._remarks]
 
     def units(
         self,

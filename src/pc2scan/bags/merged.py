@@ -88,6 +88,11 @@ class MergedReader(Reader):
         """The damage of all sources."""
         return tuple(damage for reader in self._readers for damage in reader.damage)
 
+    @property
+    def remarks(self) -> Sequence[str]:
+        """The remarks of all sources."""
+        return [remark for reader in self._readers for remark in reader.remarks]
+
     def units(
         self,
         connections: Collection[Connection] | None = None,

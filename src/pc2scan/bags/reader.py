@@ -37,21 +37,23 @@ class Reader(ABC):
         The summary, made without reading messages.
     has_chunks
         Whether messages of several topics are stored together, so that reading one topic reads others, too.
-    remarks
-        What was noticed about the messages that were read, for users.
     """
 
     path: Path
     connections: Sequence[Connection]
     summary: Summary
     has_chunks: bool = False
-    remarks: Sequence[str] = ()
     _log: DamageLog
 
     @property
     def damage(self) -> tuple[Damage, ...]:
         """The damage in the parts that were read."""
         return self._log.found
+
+    @property
+    def remarks(self) -> Sequence[str]:
+        """What was noticed about the recording and the messages that were read, for users."""
+        return ()
 
     @abstractmethod
     def units(
@@ -163,6 +165,11 @@ class WrappedReader(Reader):
     def damage(self) -> tuple[Damage, ...]:
         """See `Reader`."""
         return self._inner.damage
+
+    @property
+    def remarks(self) -> Sequence[str]:
+        """See `Reader`."""
+        return self._inner.remarks
 
     def units(
         self,

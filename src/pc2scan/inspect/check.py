@@ -350,7 +350,9 @@ def check(
         unheard_ones = [Finding("static-unheard", "defect", *each) for each in unheard(reader.connections)]
         found = _with_mountings(found, clouds, buffer, unheard_ones)
         damage = tuple(place for each in (reader, *others) for place in each.damage)
-    return Check(tuple(map(str, paths)), asked, tuple(found), (*transforms.warnings, *transforms.notes), damage)
+    return Check(
+        tuple(map(str, paths)), asked, tuple(found), (*reader.remarks, *transforms.warnings, *transforms.notes), damage
+    )
 
 
 def _scan_connections(reader: Reader, topics: tuple[str, ...]) -> dict[str, list[Connection]]:

@@ -377,7 +377,7 @@ def info_of(
         ]
         warnings += dict.fromkeys(text for each in clouds for text in found.moving_frames(found.facts[each.topic]))
         warnings += (text for each in lidars for text in time_warnings(each.facts, PointTime()))
-        warnings += (*missing_mounts(lidars), *odometry_doubts(lidars))
+        warnings += (*missing_mounts(lidars), *odometry_doubts(lidars), *reader.remarks)
         summaries = [each.summary for each in readers]
         # Landmarks and the like are no lidar's, if there is one.
         types = {topic.topic: [topic.msgtype] for topic in topics if topic.messages}

@@ -46,6 +46,7 @@ def convert_first(
         for key, route in routes.items():
             if route.steps:
                 _convert(reader, {key: route}, recording.combiners, span, tally)
+    report.add(reader.remarks)
     report.damage += reader.damage
     report.add(*result_findings(report))
     _count(reader, routes, span, report)

@@ -146,20 +146,21 @@ def storage_files(folder: Path) -> list[Path]:
     return sorted(found, key=natural_order)
 
 
-def locate_files(folder: Path, names: Iterable[str], log: DamageLog) -> dict[str, Path | None]:
+def locate_files(folder: Path, names: Iterable[str]) -> tuple[dict[str, Path | None], list[str]]:
     """Find the files that metadata.yaml names, also if they were compressed, decompressed or renamed since.
 
-    If as many files of a recording are in the directory without being named, they are the missing ones, renamed;
-    ``log`` gets them. Returns None for each file that is not there.
+    If as many files of a recording are in the directory without being named, they are the missing ones, renamed.
+    Returns None for each file that is not there, and remarks about renamed ones.
     """
     found = {name: _locate_file(folder, name) for name in names}
     missing = [name for name, path in found.items() if path is None]
     others = [path for path in storage_files(folder) if path not in found.values()] if missing else []
-    for name, path in zip(missing, others, strict=False) if len(missing) == len(others) else ():
-        what = f"{METADATA_NAME} names {name:.300}, which is not in the directory; {path.name} is read in its place"
-        log.note(DamageError(what, path=folder, hint=_WITHOUT_METADATA), key=name, messages_lost=0)
-        found[name] = path
-    return found
+    renamed = dict(zip(missing, others, strict=True)) if len(missing) == len(others) else {}
+    what = "which is not in the directory"
+    return found | renamed, [
+        f"{folder / METADATA_NAME} names {name:.300}, {what}; {path.name} is read in its place"
+        for name, path in renamed.items()
+    ]
 
 
 def _locate_file(folder: Path, name: str) -> Path | None:

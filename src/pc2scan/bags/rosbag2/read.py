@@ -72,7 +72,8 @@ class Rosbag2Reader(MergedReader):
         limit = ConnectionLimit(path)
         with ExitStack() as undo:
             undo.callback(self._discard_temporary)
-            for name, file in locate_files(path, self._info.files, self._log).items():
+            located, self._remarks = locate_files(path, self._info.files)
+            for name, file in located.items():
                 try:
                     if file is None:
                         raise missing_error(path, name)
@@ -120,6 +121,11 @@ class Rosbag2Reader(MergedReader):
         """The damage: that of the directory first, then file by file."""
         inner = (place._replace(path=self._origins.get(place.path, place.path)) for place in super().damage)
         return (*self._log.found, *inner)
+
+    @property
+    def remarks(self) -> Sequence[str]:
+        """What differs from metadata.yaml, and what was noticed about the messages."""
+        return [*self._remarks, *super().remarks]
 
     def metadata(self) -> Iterator[Metadata]:
         """Yield MCAP metadata records, without rosbag2's copy of metadata.yaml, which is valid for these files only."""
