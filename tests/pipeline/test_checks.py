@@ -17,6 +17,7 @@ from pc2scan.core.rule import PointCounts
 from pc2scan.model import Summary
 from pc2scan.options.call import Options
 from pc2scan.pipeline import checks
+from pc2scan.pipeline.checks import result
 from pc2scan.pipeline.checks.clouds import CloudFacts, KnownTransforms
 from pc2scan.pipeline.checks.request import OutputRequest
 from pc2scan.pipeline.checks.result import JoinedResult, TopicResult
@@ -162,10 +163,10 @@ def test_a_check_of_the_counts(attributes: dict[str, Any], name: str, text: str)
     params = ProjectionParams() if "default" in name or "empty_scans" in attributes else ProjectionParams(min_height=0)
     topic = topic_report(**attributes)
     report = Report([], "", (ScanSpec(params=params),), topics=[topic])
-    moved = (checks.MOVED, checks.MOVED_NOTES) if topic.motions or topic.tilts else ((), ())
-    found = named((*checks.TOPIC, *moved[0], *checks.TOPIC_NOTES, *moved[1]), TopicResult(topic, report))
+    moved = (result.MOVED, result.MOVED_NOTES) if topic.motions or topic.tilts else ((), ())
+    found = named((*result.TOPIC, *moved[0], *result.TOPIC_NOTES, *moved[1]), TopicResult(topic, report))
     assert found[name][0].startswith(text)
-    warnings, notes = checks.result_findings(report)
+    warnings, notes = result.result_findings(report)
     assert [text for texts in found.values() for text in texts] == warnings + notes
 
 
@@ -189,15 +190,16 @@ def test_a_check_of_the_counts_of_several_messages(counts: dict[str, Any], name:
     counts["left"] = Run(*counts.get("left", (0, 0, 0)))
     joined = SourceCounts(**counts)
     topic = topic_report(action="joined", joined=joined)
-    found = named((*checks.JOINED, *checks.JOINED_NOTES), JoinedResult(topic, joined))
+    found = named((*result.JOINED, *result.JOINED_NOTES), JoinedResult(topic, joined))
     assert list(found) == [name]
     assert found[name][0].startswith(text)
-    warnings, notes = checks.result_findings(Report([], "", (ScanSpec(),), topics=[topic]))
+    warnings, notes = result.result_findings(Report([], "", (ScanSpec(),), topics=[topic]))
     assert warnings + notes == found[name]
 
 
 def test_every_check_has_a_case() -> None:
-    groups = [group for name, group in vars(checks).items() if name.isupper() and isinstance(group, tuple)]
+    tables = {**vars(checks), **vars(result)}
+    groups = [group for name, group in tables.items() if name.isupper() and isinstance(group, tuple)]
     known = {check.__name__ for group in groups for check in group}
     assert len(known) == sum(map(len, groups))
     sections = (("request", 1), ("clouds", 3), ("topic", 1), ("joined", 1))

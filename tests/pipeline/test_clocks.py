@@ -10,9 +10,8 @@ import pytest
 
 from pc2scan.bags.opening import open_recording
 from pc2scan.pipeline.clocks import are_doubtful, ask_motion, clock_warnings
-from pc2scan.pipeline.items import Span
 from pc2scan.pipeline.options import ScanSpec
-from pc2scan.pipeline.survey import Survey
+from pc2scan.pipeline.survey import Span, Survey
 from pc2scan.transforms.placing import FrameOptions
 from support.worlds.moving import BEGIN_NS, Lidar, write_world
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -14,13 +14,16 @@ from pc2scan.errors import DecodeError, TransformError
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan, encode_laserscan
 from pc2scan.messages.pointcloud2 import PointCloud2, decode_pointcloud2
 from pc2scan.pipeline.cloud_to_scan import CloudToScan
-from pc2scan.pipeline.conversion import Conversion, ConvertedMessage, Measurements
+from pc2scan.pipeline.measurements import Measurements
 from pc2scan.pipeline.scan_to_cloud import ScanToCloud
 from pc2scan.transforms.builder import TransformBuilder
 from pc2scan.transforms.placing import Placer
 from support import builders
 from support.conversions import serialized_by
 from support.tables import rows
+
+if TYPE_CHECKING:
+    from pc2scan.pipeline.conversion import Conversion, ConvertedMessage
 
 TABLES = Path(__file__).parent / "stages/times.txt"
 SECOND = 1_000_000_000

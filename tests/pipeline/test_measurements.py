@@ -13,10 +13,9 @@ from pc2scan.bags.opening import open_recording
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import ParameterError
 from pc2scan.pipeline import measurements as measure_module
-from pc2scan.pipeline.items import Span
 from pc2scan.pipeline.measurements import ask_measurements, measure
 from pc2scan.pipeline.options import ScanSpec
-from pc2scan.pipeline.survey import Fact, Survey
+from pc2scan.pipeline.survey import Fact, Span, Survey
 from pc2scan.transforms.builder import TransformBuilder
 from pc2scan.transforms.placing import FrameOptions, Placer
 from support.builders import CLOUD, SECOND, T0, Item, Recording, Stream, cloud, item, write_mcap
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
 
     from pc2scan.core.points import Points
     from pc2scan.model import RawMessage
-    from pc2scan.pipeline.conversion import Measurements
+    from pc2scan.pipeline.measurements import Measurements
 
 TURN = 2 * math.pi
 NAMES = ("x", "y", "z", "time")

@@ -11,10 +11,9 @@ import pytest
 from pc2scan.bags.observers import observe
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
 from pc2scan.model import Connection, Definition
-from pc2scan.pipeline.items import Span
 from pc2scan.pipeline.point_times import ask_times, time_warnings
 from pc2scan.pipeline.stages.point_time import PointTime
-from pc2scan.pipeline.survey import TopicFacts
+from pc2scan.pipeline.survey import Span, TopicFacts
 from support.memory_reader import MemoryReader
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from pc2scan.core.rule import PointCounts
 from pc2scan.errors import MessageError
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.model import Connection
-from pc2scan.pipeline.checks import result_findings
+from pc2scan.pipeline.checks.result import result_findings
 from pc2scan.pipeline.items import Item, OpenRoute, Output, Tally
 from pc2scan.pipeline.options import ScanSpec
 from pc2scan.pipeline.report import Report, TopicReport

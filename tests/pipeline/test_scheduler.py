@@ -14,8 +14,9 @@ from pc2scan.model import Connection, RawMessage, StoredChunk
 from pc2scan.pipeline import engine
 from pc2scan.pipeline.conversion import ConvertedMessage
 from pc2scan.pipeline.engine import AHEAD_BYTES, LARGEST_AHEAD, schedule
-from pc2scan.pipeline.items import Item, OpenRoute, Output, Span
+from pc2scan.pipeline.items import Item, OpenRoute, Output
 from pc2scan.pipeline.report import TopicReport
+from pc2scan.pipeline.survey import Span
 from pc2scan.threads import Threads
 
 if TYPE_CHECKING:

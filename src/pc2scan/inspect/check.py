@@ -20,8 +20,7 @@ from pc2scan.messages.other_clouds import without
 from pc2scan.model import StoredChunk, copied_message, own_message
 from pc2scan.pipeline.clocks import Clocks
 from pc2scan.pipeline.engine import schedule
-from pc2scan.pipeline.items import Span
-from pc2scan.pipeline.survey import Survey
+from pc2scan.pipeline.survey import Span, Survey
 from pc2scan.progress import Meter
 from pc2scan.result import Part, Result
 from pc2scan.text import counted

@@ -25,10 +25,9 @@ from pc2scan.model import copied_message
 from pc2scan.pipeline.checks.request import Cut, log_times_of_centuries
 from pc2scan.pipeline.clocks import Clocks
 from pc2scan.pipeline.cloud_scale import scaled
-from pc2scan.pipeline.items import Span
 from pc2scan.pipeline.point_times import increment_warning, time_warnings
 from pc2scan.pipeline.stages.point_time import PointTime
-from pc2scan.pipeline.survey import Survey
+from pc2scan.pipeline.survey import Span, Survey
 from pc2scan.result import Call, Part, Result
 from pc2scan.tables import Table
 from pc2scan.text import count, counted, height_text, size, stamp

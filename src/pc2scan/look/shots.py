@@ -17,7 +17,7 @@ from pc2scan.messages.clouds import CLOUDS
 from pc2scan.pipeline.checks import clouds as checks
 from pc2scan.pipeline.checks import found_by
 from pc2scan.pipeline.cloud_to_scan import CloudToScan
-from pc2scan.pipeline.conversion import Measurements
+from pc2scan.pipeline.measurements import Measurements
 from pc2scan.pipeline.plan import make_plan
 from pc2scan.pipeline.stages.placement import PlaceStage
 from pc2scan.pipeline.stages.selection import SelectStage

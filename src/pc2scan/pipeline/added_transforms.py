@@ -37,8 +37,9 @@ if TYPE_CHECKING:
     from pc2scan.transforms.sources import AddedPoses, Attachment, PoseReading
 
     from .declarations import RecordingTopics
-    from .items import Item, OpenRoute, Span
+    from .items import Item, OpenRoute
     from .routes import Routes
+    from .survey import Span
 
 
 @dataclass(slots=True)

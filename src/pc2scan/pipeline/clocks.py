@@ -28,9 +28,8 @@ if TYPE_CHECKING:
     from pc2scan.transforms.placing import FrameOptions
     from pc2scan.transforms.trajectory import Trajectory
 
-    from .items import Span
     from .options import ScanSpec
-    from .survey import Survey, TopicFacts
+    from .survey import Span, Survey, TopicFacts
 
 #: Delays from stamps in a message to its log time, nanoseconds, with the child frames of transforms.
 Delays: TypeAlias = "list[tuple[str, int]]"

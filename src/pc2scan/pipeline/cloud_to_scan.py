@@ -14,9 +14,10 @@ from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 
-from .conversion import Conversion, ConvertedMessage, Measurements
-from .stages.beam_filters import RemoveStage
+from .conversion import Conversion, ConvertedMessage
+from .measurements import Measurements
 from .stages.placement import PlaceStage
+from .stages.removal import RemoveStage
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

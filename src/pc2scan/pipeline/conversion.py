@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
 
@@ -12,7 +12,6 @@ from pc2scan.errors import MessageError
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from pc2scan.core.params import ProjectionParams
     from pc2scan.core.rule import PointCounts
     from pc2scan.model import Buffer
     from pc2scan.transforms.placing import LevelTransform
@@ -60,31 +59,6 @@ class ConvertedMessage:
     removed: Mapping[str, int] | None = None
     size: int = 0
     stamp_ns: int | None = None
-
-
-class Measurements(NamedTuple):
-    """What was measured in the first clouds of a topic before the conversion.
-
-    Attributes
-    ----------
-    scan_time, time_increment
-        Seconds, as in the message.
-    first_beam_ns
-        Nanoseconds from the cloud's stamp to the scan's.
-    azimuth_step
-        How finely the lidar samples azimuth, radians; 0 if it was not measured.
-    """
-
-    scan_time: float
-    time_increment: float = 0.0
-    first_beam_ns: int = 0
-    azimuth_step: float = 0.0
-
-    def resolve(self, params: ProjectionParams) -> ProjectionParams:
-        """Return parameters whose ``beams`` is not auto: as measured, or without clouds as ``angle_increment`` says."""
-        if params.beams != "auto":
-            return params
-        return params.at_resolution(self.azimuth_step) if self.azimuth_step else replace(params, beams=0)
 
 
 class Conversion(ABC):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import MessageError
 
-from .checks import result_findings
+from .checks.result import result_findings
 from .engine import items_of
 from .items import Item
 
@@ -17,11 +17,12 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
 
     from .combine.combiner import Combiner
-    from .items import OpenRoute, Output, Span, Tally
+    from .items import OpenRoute, Output, Tally
     from .options import ConvertOptions
     from .preparation import Preparation
     from .recording import OpenRecording
     from .report import Report
+    from .survey import Span
 
 #: How many of the first messages of a topic are converted, not counting those that fail, and how many are read at most,
 #: if there are transforms.

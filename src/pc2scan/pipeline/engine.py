@@ -35,7 +35,8 @@ if TYPE_CHECKING:
     from pc2scan.threads import Threads
 
     from .combine.combiner import Combiner
-    from .items import OpenRoute, Output, Span
+    from .items import OpenRoute, Output
+    from .survey import Span
 
     Made = TypeVar("Made", bound=TimedItem)
 

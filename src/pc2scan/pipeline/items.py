@@ -130,14 +130,6 @@ class Item(NamedTuple):
         return errors[0] if errors and len(errors) == len(self.results) else self.error
 
 
-class Span(NamedTuple):
-    """The cut in log times: ``start_ns <= t < stop_ns`` (None: no limit), and its first time."""
-
-    start_ns: int | None
-    stop_ns: int | None
-    first_ns: int
-
-
 class Tally:
     """The counts of a conversion: those of the routes, and those of the entries that the report has for each topic.
 

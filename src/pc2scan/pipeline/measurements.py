@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -20,7 +21,6 @@ from pc2scan.errors import MessageError, ParameterError, stamp_text
 from pc2scan.text import did_you_mean
 from pc2scan.transforms.placing import Placer
 
-from .conversion import Measurements
 from .stages.point_time import PointTime
 from .stages.turn import Turn
 from .survey import Fact
@@ -43,6 +43,31 @@ STAMPS = 51
 SHAPES = 11
 
 _OWN_FRAME = Placer()
+
+
+class Measurements(NamedTuple):
+    """What was measured in the first clouds of a topic before the conversion.
+
+    Attributes
+    ----------
+    scan_time, time_increment
+        Seconds, as in the message.
+    first_beam_ns
+        Nanoseconds from the cloud's stamp to the scan's.
+    azimuth_step
+        How finely the lidar samples azimuth, radians; 0 if it was not measured.
+    """
+
+    scan_time: float
+    time_increment: float = 0.0
+    first_beam_ns: int = 0
+    azimuth_step: float = 0.0
+
+    def resolve(self, params: ProjectionParams) -> ProjectionParams:
+        """Return parameters whose ``beams`` is not auto: as measured, or without clouds as ``angle_increment`` says."""
+        if params.beams != "auto":
+            return params
+        return params.at_resolution(self.azimuth_step) if self.azimuth_step else replace(params, beams=0)
 
 
 class ShapeRequest(NamedTuple):

@@ -36,6 +36,9 @@ if TYPE_CHECKING:
 #: The largest number of messages that one scan may be made of.
 _MOST_MESSAGES = 100_000
 
+#: Which time of a cloud is the stamp of its scan.
+STAMPS = ("header", "start", "middle", "end")
+
 #: The name of a trajectory among topics, in options.
 TRAJECTORY = "trajectory"
 
@@ -270,7 +273,6 @@ class ScanSpec:
             )
 
     def _check_deskewing(self) -> None:
-        from .stages.deskew import STAMPS  # noqa: PLC0415  # only where points move
         from .stages.point_time import PointTime  # noqa: PLC0415
 
         if not self.fixed_frame:

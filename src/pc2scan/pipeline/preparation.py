@@ -13,7 +13,8 @@ from pc2scan.transforms.placing import Placer
 
 from .cloud_to_scan import CloudToScan
 from .first_clouds import FirstClouds
-from .items import Span, Tally
+from .items import Tally
+from .survey import Span
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Generator, Mapping, Sequence
@@ -27,8 +28,9 @@ if TYPE_CHECKING:
 
     from .clocks import Delays
     from .combine.measurements import SourceFacts
-    from .conversion import Conversion, Measurements
+    from .conversion import Conversion
     from .items import OpenRoute
+    from .measurements import Measurements
     from .odometry import Odometry, Surroundings
     from .options import ConvertOptions, ScanSpec
     from .plan import Combination, Plan

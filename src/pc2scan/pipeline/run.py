@@ -36,7 +36,8 @@ from pc2scan.result import tell_early
 from pc2scan.threads import Threads, cores
 from pc2scan.transforms.placing import FrameOptions
 
-from .checks import request_warnings, result_findings
+from .checks import request_warnings
+from .checks.result import result_findings
 from .engine import items_of
 from .plan import make_plan
 from .preparation import prepare, span_of
@@ -56,11 +57,11 @@ if TYPE_CHECKING:
     from pc2scan.progress import Progress
     from pc2scan.result import Failure
 
-    from .items import Span
     from .options import ConvertOptions
     from .plan import Plan
     from .preparation import Preparation
     from .recording import OpenRecording
+    from .survey import Span
 
 
 def run(

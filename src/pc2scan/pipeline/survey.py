@@ -31,12 +31,18 @@ if TYPE_CHECKING:
     from pc2scan.transforms.mounting import Mounting
     from pc2scan.transforms.placing import FrameOptions, Placer
 
-    from .items import Span
-
 #: How many messages are read to find the first clouds that can be decoded and transformed.
 _MOST_SAMPLES = 30
 
 _Value = TypeVar("_Value")
+
+
+class Span(NamedTuple):
+    """The cut in log times: ``start_ns <= t < stop_ns`` (None: no limit), and its first time."""
+
+    start_ns: int | None
+    stop_ns: int | None
+    first_ns: int
 
 
 @dataclass(frozen=True)

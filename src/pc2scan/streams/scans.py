@@ -12,7 +12,8 @@ from pc2scan.core.unproject import UnprojectParams, unproject
 from pc2scan.errors import UsageError, stamp_text, visible
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, as_message, decode_laserscan
-from pc2scan.pipeline.checks import request_warnings, result_findings
+from pc2scan.pipeline.checks import request_warnings
+from pc2scan.pipeline.checks.result import result_findings
 from pc2scan.pipeline.plan import make_plan
 from pc2scan.pipeline.preparation import prepare, span_of
 from pc2scan.pipeline.refusals import refuse_unusable

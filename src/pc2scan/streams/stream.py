@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from pc2scan.options.moment import TimeBound
     from pc2scan.pipeline.combine.combiner import Combiner
     from pc2scan.pipeline.items import Item as EngineItem
-    from pc2scan.pipeline.items import Span
+    from pc2scan.pipeline.survey import Span
     from pc2scan.progress import Meter
     from pc2scan.result import Skipped
     from pc2scan.transforms.placing import LevelTransform

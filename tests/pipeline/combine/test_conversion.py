@@ -20,7 +20,8 @@ from pc2scan.pipeline.combine import conversion as combine
 from pc2scan.pipeline.combine.conversion import Contribution, MessagesToScan, common_memory
 from pc2scan.pipeline.combine.grouping import Grouper
 from pc2scan.pipeline.combine.rules import Nearest
-from pc2scan.pipeline.conversion import ConvertedMessage, Measurements
+from pc2scan.pipeline.conversion import ConvertedMessage
+from pc2scan.pipeline.measurements import Measurements
 from pc2scan.pipeline.options import Combining, ScanSpec, TopicRequest
 from pc2scan.pipeline.stages.ground import MinHeightSlope
 from pc2scan.pipeline.stages.regions import ExcludeBox

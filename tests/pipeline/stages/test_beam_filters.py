@@ -8,7 +8,8 @@ import pytest
 from pc2scan.core.rule import PointCounts
 from pc2scan.messages.laserscan import LaserScan
 from pc2scan.pipeline.conversion import ConvertedMessage
-from pc2scan.pipeline.stages.beam_filters import RemoveStage, Shadows, Speckles, beam_filter
+from pc2scan.pipeline.stages.beam_filters import Shadows, Speckles, beam_filter
+from pc2scan.pipeline.stages.removal import RemoveStage
 
 
 def result(ranges: list[float], intensities: list[float] | None = None, increment: float = 0.01) -> ConvertedMessage:

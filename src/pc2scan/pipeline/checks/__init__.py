@@ -1,4 +1,4 @@
-"""The table of checks: each reads facts of one kind, and yields warnings with their cure.
+"""The table of checks of requests and first clouds: each reads facts of one kind, and yields warnings with their cure.
 
 A check is a function of its group's facts, and yields its warnings, or nothing. It changes nothing. A new one is a
 function, a line in this table, and a row in a test. Users see the warnings of a group in the order of the table.
@@ -6,17 +6,15 @@ function, a line in this table, and a row in a test. Users see the warnings of a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
-from . import clouds, request, result
+from . import clouds, request
 from .request import Cut, OutputRequest
-from .result import JoinedResult, Result, TopicResult
 
 if TYPE_CHECKING:
-    from pc2scan.model import Buffer, Summary
-    from pc2scan.pipeline.options import ConvertOptions, ScanSpec
-    from pc2scan.pipeline.report import Report, TopicReport
+    from pc2scan.model import Summary
+    from pc2scan.pipeline.options import ConvertOptions
 
     from .clouds import CloudFacts
 
@@ -64,29 +62,6 @@ FIRST_CLOUDS: Checks[CloudFacts] = (
 )
 FIRST_CLOUDS_NOTES: Checks[CloudFacts] = (clouds.heights_left_to_user,)
 
-#: What the whole result shows.
-RESULT: Checks[Result] = (result.refused_scans, result.lost_topics)
-RESULT_NOTES: Checks[ScanSpec] = (result.evenly_divided_circle, result.range_of_preset)
-
-#: What the counts of a topic show.
-TOPIC: Checks[TopicResult] = (
-    result.unconverted_topic,
-    result.unordered_stamps,
-    result.scans_without_return,
-    result.points_rejected_by_default,
-    result.filters_without_effect,
-    result.faults_without_number,
-)
-TOPIC_NOTES: Checks[TopicResult] = (result.removed_beams, result.rebinned_beams)
-
-#: What the counts of a topic show whose scans are made of several messages.
-JOINED: Checks[JoinedResult] = (result.jumping_stamps, result.source_in_no_scan, result.messages_in_no_scan)
-JOINED_NOTES: Checks[JoinedResult] = (result.unmatched_messages,)
-
-#: What the motions and the tilts of a topic's sensor show.
-MOVED: Checks[TopicResult] = (result.missing_transforms, result.implausible_tilt)
-MOVED_NOTES: Checks[TopicResult] = (result.motion_of_sensor, result.tilt_of_frame)
-
 
 def found_by(checks: Checks[Facts], facts: Facts, label: str = "") -> list[str]:
     """Return all that checks find, in their order; each text begins with the label of the output."""
@@ -97,24 +72,3 @@ def request_warnings(options: ConvertOptions, recorded: Summary) -> list[str]:
     """Return the warnings about a request, of each output, and about the cut of the recording."""
     found = [text for spec in options.scans for text in found_by(REQUEST, OutputRequest(options, spec), spec.label)]
     return found + found_by(CUT, Cut(options.start, options.end, recorded))
-
-
-def result_findings(
-    report: Report, first_scans: Sequence[tuple[TopicReport, Buffer]] = (), serialization: str = ""
-) -> tuple[list[str], list[str]]:
-    """Return the warnings and the notes about a result; see `Result`."""
-    warnings = found_by(RESULT, Result(report, first_scans, serialization))
-    notes = dict.fromkeys(text for spec in report.scans for text in found_by(RESULT_NOTES, spec))
-    further: list[str] = []
-    for topic in report.topics:
-        counted = TopicResult(topic, report)
-        warnings += found_by(TOPIC, counted)
-        if topic.joined is not None:
-            joined = JoinedResult(topic, topic.joined)
-            warnings += found_by(JOINED, joined)
-            further += found_by(JOINED_NOTES, joined)
-        further += found_by(TOPIC_NOTES, counted)
-        if topic.motions or topic.tilts:
-            warnings += found_by(MOVED, counted)
-            further += found_by(MOVED_NOTES, counted)
-    return warnings, [*notes, *further]

@@ -13,6 +13,7 @@ from pc2scan.messages.laserscan import decode_laserscan, scan_for_consumers
 from pc2scan.pipeline.parameters import preset_of
 from pc2scan.text import agreeing, counted
 
+from . import Checks, found_by
 from .clouds import NOTABLE_SHARE, notable_share
 
 if TYPE_CHECKING:
@@ -454,3 +455,48 @@ def tilt_of_frame(result: TopicResult) -> Iterator[str]:
             f"{topic.target}: level by {by}; {frame} was tilted by up to {tilt['largest_deg']:.3g} degrees "
             f"(median {tilt['median_deg']:.3g})"
         )
+
+
+#: What the whole result shows.
+RESULT: Checks[Result] = (refused_scans, lost_topics)
+RESULT_NOTES: Checks[ScanSpec] = (evenly_divided_circle, range_of_preset)
+
+#: What the counts of a topic show.
+TOPIC: Checks[TopicResult] = (
+    unconverted_topic,
+    unordered_stamps,
+    scans_without_return,
+    points_rejected_by_default,
+    filters_without_effect,
+    faults_without_number,
+)
+TOPIC_NOTES: Checks[TopicResult] = (removed_beams, rebinned_beams)
+
+#: What the counts of a topic show whose scans are made of several messages.
+JOINED: Checks[JoinedResult] = (jumping_stamps, source_in_no_scan, messages_in_no_scan)
+JOINED_NOTES: Checks[JoinedResult] = (unmatched_messages,)
+
+#: What the motions and the tilts of a topic's sensor show.
+MOVED: Checks[TopicResult] = (missing_transforms, implausible_tilt)
+MOVED_NOTES: Checks[TopicResult] = (motion_of_sensor, tilt_of_frame)
+
+
+def result_findings(
+    report: Report, first_scans: Sequence[tuple[TopicReport, Buffer]] = (), serialization: str = ""
+) -> tuple[list[str], list[str]]:
+    """Return the warnings and the notes about a result; see `Result`."""
+    warnings = found_by(RESULT, Result(report, first_scans, serialization))
+    notes = dict.fromkeys(text for spec in report.scans for text in found_by(RESULT_NOTES, spec))
+    further: list[str] = []
+    for topic in report.topics:
+        counted = TopicResult(topic, report)
+        warnings += found_by(TOPIC, counted)
+        if topic.joined is not None:
+            joined = JoinedResult(topic, topic.joined)
+            warnings += found_by(JOINED, joined)
+            further += found_by(JOINED_NOTES, joined)
+        further += found_by(TOPIC_NOTES, counted)
+        if topic.motions or topic.tilts:
+            warnings += found_by(MOVED, counted)
+            further += found_by(MOVED_NOTES, counted)
+    return warnings, [*notes, *further]

@@ -28,8 +28,8 @@ from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.messages.used_points import gather_points
 from pc2scan.pipeline.cloud_to_scan import Beams
 from pc2scan.pipeline.conversion import Conversion, ConvertedMessage, Motion
-from pc2scan.pipeline.stages.beam_filters import RemoveStage
 from pc2scan.pipeline.stages.filters import Frame
+from pc2scan.pipeline.stages.removal import RemoveStage
 from pc2scan.pipeline.stages.selection import SelectStage
 from pc2scan.transforms.placing import Placement
 
@@ -45,8 +45,9 @@ if TYPE_CHECKING:
     from pc2scan.files.source import RetainedMemory
     from pc2scan.messages.used_points import UsedPoints
     from pc2scan.model import Buffer
-    from pc2scan.pipeline.conversion import Measurements, Step
+    from pc2scan.pipeline.conversion import Step
     from pc2scan.pipeline.first_clouds import SharedSample, TopicClouds
+    from pc2scan.pipeline.measurements import Measurements
     from pc2scan.pipeline.odometry import Surroundings
     from pc2scan.pipeline.options import ScanSpec
     from pc2scan.pipeline.stages.deskew import Deskew, Track

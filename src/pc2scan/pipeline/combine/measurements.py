@@ -11,8 +11,7 @@ from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import UsageError, name_list
 from pc2scan.messages.clouds import SCANS
 from pc2scan.pipeline.clocks import MEASURES, are_doubtful, logged_early
-from pc2scan.pipeline.conversion import Measurements
-from pc2scan.pipeline.measurements import ask_measurements, measure, require_fields, unknown_step
+from pc2scan.pipeline.measurements import Measurements, ask_measurements, measure, require_fields, unknown_step
 
 from .grouping import Grouper
 from .rules import Interval, Nearest, Recent
@@ -22,9 +21,8 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.observers import Observer
     from pc2scan.bags.reader import Reader
-    from pc2scan.pipeline.items import Span
     from pc2scan.pipeline.plan import Combination
-    from pc2scan.pipeline.survey import Header, TopicFacts
+    from pc2scan.pipeline.survey import Header, Span, TopicFacts
     from pc2scan.transforms.placing import Placer
 
     from .conversion import Contribution

@@ -36,9 +36,6 @@ if TYPE_CHECKING:
     from .point_time import FieldTimes, Times
     from .turn import Turn
 
-#: Which time of a cloud is the stamp of its scan.
-STAMPS = ("header", "start", "middle", "end")
-
 #: If a cloud takes less with another unit, seconds, a hint names this unit.
 _USUAL = 2.0
 #: Points that are measured this long before or after their stamp, nanoseconds, probably have another clock.
