@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from .api import view as view
     from .compare.golden.result import GoldenReport as GoldenReport
     from .compare.result import Difference as Difference
+    from .conversion.report import Report as Report
     from .core.params import ProjectionParams as ProjectionParams
     from .core.project import ProjectedScan as ProjectedScan
     from .core.project import project as project
@@ -64,17 +65,16 @@ if TYPE_CHECKING:
     from .errors import Pc2ScanError as Pc2ScanError
     from .errors import RecordingWarning as RecordingWarning
     from .exports.report import ExportReport as ExportReport
-    from .inspect.check import Check as Check
-    from .inspect.info import Info as Info
-    from .inspect.tf import FrameTree as FrameTree
-    from .look.map_result import Map as Map
-    from .look.plot import Plotted as Plotted
-    from .look.view import Page as Page
-    from .pipeline.report import Report as Report
-    from .pipeline.stages.ground import MinHeightSlope as MinHeightSlope
-    from .pipeline.stages.regions import ExcludeBox as ExcludeBox
-    from .pipeline.stages.regions import ExcludePolygon as ExcludePolygon
-    from .pipeline.stages.where import Where as Where
+    from .request.ground import MinHeightSlope as MinHeightSlope
+    from .request.regions import ExcludeBox as ExcludeBox
+    from .request.regions import ExcludePolygon as ExcludePolygon
+    from .request.where import Where as Where
+    from .show.check import Check as Check
+    from .show.info import Info as Info
+    from .show.map_result import Map as Map
+    from .show.plot import Plotted as Plotted
+    from .show.tf import FrameTree as FrameTree
+    from .show.view import Page as Page
     from .streams.clouds import Cloud as Cloud
     from .streams.clouds import Clouds as Clouds
     from .streams.scans import Scan as Scan
@@ -84,31 +84,31 @@ if TYPE_CHECKING:
 #: Where each public name is defined.
 _HOMES = {
     "BatchReport": "datasets.summary",
-    "Check": "inspect.check",
+    "Check": "show.check",
     "Cloud": "streams.clouds",
     "Clouds": "streams.clouds",
     "Difference": "compare.result",
-    "ExcludeBox": "pipeline.stages.regions",
-    "ExcludePolygon": "pipeline.stages.regions",
+    "ExcludeBox": "request.regions",
+    "ExcludePolygon": "request.regions",
     "ExportReport": "exports.report",
-    "FrameTree": "inspect.tf",
+    "FrameTree": "show.tf",
     "GoldenReport": "compare.golden.result",
-    "Info": "inspect.info",
-    "Map": "look.map_result",
-    "MinHeightSlope": "pipeline.stages.ground",
-    "Page": "look.view",
+    "Info": "show.info",
+    "Map": "show.map_result",
+    "MinHeightSlope": "request.ground",
+    "Page": "show.view",
     "Pc2ScanError": "errors",
-    "Plotted": "look.plot",
+    "Plotted": "show.plot",
     "PointCounts": "core.rule",
     "ProjectedScan": "core.project",
     "ProjectionParams": "core.params",
     "RecordingWarning": "errors",
-    "Report": "pipeline.report",
+    "Report": "conversion.report",
     "Scan": "streams.scans",
     "Scans": "streams.scans",
     "StaticTransform": "transforms.static",
     "UnprojectParams": "core.unproject",
-    "Where": "pipeline.stages.where",
+    "Where": "request.where",
     "batch": "api",
     "check": "api",
     "clouds": "api",

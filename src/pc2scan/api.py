@@ -18,12 +18,6 @@ from .datasets.run import BatchCallbacks, BatchOptions, run_batch
 from .errors import UsageError
 from .exports.run import export as write
 from .files.urls import path_of, paths_in
-from .inspect.check import check as judge
-from .inspect.info import info as describe
-from .inspect.tf import frame_tree
-from .look.map import draw_map
-from .look.plot import plot as draw
-from .look.view import view as show
 from .options.call import Options
 from .options.effects import refuse_idle
 from .options.keywords import takes_options
@@ -31,6 +25,12 @@ from .options.table import options_of
 from .requests import OF_FRAMES, conversion_of, frames_of, selection_of
 from .requests import convert as convert_by
 from .requests import repair as repair_by
+from .show.check import check as judge
+from .show.info import info as describe
+from .show.map import draw_map
+from .show.plot import plot as draw
+from .show.tf import frame_tree
+from .show.view import view as show
 from .streams.clouds import Clouds
 from .streams.scans import Scans
 
@@ -41,17 +41,17 @@ if TYPE_CHECKING:
 
     from .compare.golden.result import GoldenReport
     from .compare.result import Difference
+    from .conversion.report import Report
     from .datasets.summary import BatchReport
     from .exports.report import ExportReport
     from .files.urls import PathText
-    from .inspect.check import Check
-    from .inspect.info import Info
-    from .inspect.tf import FrameTree
-    from .look.map_result import Map
-    from .look.plot import Plotted
-    from .look.view import Page
     from .options import table
-    from .pipeline.report import Report
+    from .show.check import Check
+    from .show.info import Info
+    from .show.map_result import Map
+    from .show.plot import Plotted
+    from .show.tf import FrameTree
+    from .show.view import Page
 
 
 @takes_options

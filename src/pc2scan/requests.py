@@ -1,4 +1,4 @@
-"""Reads the options of a call into those of the pipeline: parameters, frames, filters, the destination."""
+"""Reads the options of a call into those of a conversion: parameters, frames, filters, the destination."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from .arguments import refuse_unknown
+from .conversion.run import report_failure, run
+from .conversion.run_files import OutputOptions
 from .core.params import ProjectionParams
 from .core.unproject import UnprojectParams
 from .errors import Pc2ScanError, SeveralNodesError, UsageError, name_list
@@ -16,11 +18,9 @@ from .options.call import CALL, Options
 from .options.conversion import ConversionFrames, StampCorrection
 from .options.effects import refuse_idle
 from .options.table import PARAMETERS, options_about_scans
-from .pipeline.options import TRAJECTORY, ConvertOptions, ScanSpec, StampOptions, TopicRequest
-from .pipeline.param_sources import resolve_sources
-from .pipeline.parameters import ResolvedParams, Setting, refuse_degrees
-from .pipeline.run import report_failure, run
-from .pipeline.run_files import OutputOptions
+from .request.options import TRAJECTORY, ConvertOptions, ScanSpec, StampOptions, TopicRequest
+from .request.param_sources import resolve_sources
+from .request.parameters import ResolvedParams, Setting, refuse_degrees
 from .result import Failure
 from .transforms.placing import FrameOptions
 
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
     from typing import Any, TypeAlias
 
+    from .conversion.report import Report
     from .files.urls import PathText
-    from .pipeline.report import Report
     from .progress import Progress
     from .streams.stream import Selection
     from .transforms.robot_model import RobotModel
@@ -58,7 +58,7 @@ class ConversionRequest(NamedTuple):
     Attributes
     ----------
     options
-        The options of the pipeline.
+        The options of the conversion.
     files
         The files that were read for them, by option.
     notes
@@ -196,7 +196,7 @@ def _of_nodes(
     options: Options, settings: list[Setting], nodes: Sequence[str], file: Path, warn: Warn | None
 ) -> ConversionRequest:
     """Read the options of a conversion with an output for each node of a parameter file."""
-    from .pipeline.nodes import options_of_nodes, refuse_topics  # noqa: PLC0415  # few files have several
+    from .request.nodes import options_of_nodes, refuse_topics  # noqa: PLC0415  # few files have several
 
     refuse_topics(options.topics, nodes, file)
     each: list[ConversionRequest] = []
@@ -214,8 +214,8 @@ def _pass_on(notes: Iterable[str], warn: Warn | None) -> None:
 
 def _several_scans(options: Options, settings: list[Setting], warn: Warn | None) -> ConversionRequest:
     """Read the options of a conversion with several outputs; parameters besides ``scans`` apply to all of them."""
-    from .pipeline.scans_file import load_scans, refuse_beside  # noqa: PLC0415
-    from .pipeline.yaml_nodes import parse_params  # noqa: PLC0415  # few conversions have several outputs
+    from .request.scans_file import load_scans, refuse_beside  # noqa: PLC0415
+    from .request.yaml_nodes import parse_params  # noqa: PLC0415  # few conversions have several outputs
 
     refuse_beside(options.of_one_output)
     settings = [*settings, *parse_params(options.param)]
@@ -268,7 +268,7 @@ def _of_node(
             "`topics` and `remap` both name the topics; give only one of them", hint="such as `topics=/points:=/scan`"
         )
     if typed or resolved.remaps:
-        from .pipeline.nodes import read_remaps, remaps_of_node  # noqa: PLC0415  # few are given any
+        from .request.nodes import read_remaps, remaps_of_node  # noqa: PLC0415  # few are given any
 
         if beside is not None and node is not None:
             typed = remaps_of_node(typed, node)

@@ -10,11 +10,11 @@ import numpy as np
 import pc2scan
 from benchmarks.clouds import cloud
 from pc2scan import ProjectionParams
+from pc2scan.conversion.stages.deskew import Deskew
 from pc2scan.core.points import Points
 from pc2scan.core.project import Projector
 from pc2scan.core.rigid import Rigid
-from pc2scan.pipeline.stages.deskew import Deskew
-from pc2scan.pipeline.stages.point_time import PointTime
+from pc2scan.request.point_time import PointTime
 from pc2scan.transforms.builder import TransformBuilder
 from pc2scan.transforms.placing import Placer
 

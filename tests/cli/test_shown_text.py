@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from pc2scan.bags.damage import Damage
 from pc2scan.cli.render import say, show, show_error, show_parts
+from pc2scan.conversion.report import Report
 from pc2scan.errors import DecodeError, UsageError
-from pc2scan.pipeline.options import ScanSpec
-from pc2scan.pipeline.report import Report
+from pc2scan.request.options import ScanSpec
 from pc2scan.tables import Table, fitted
 from support.tables import rows
 

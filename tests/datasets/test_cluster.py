@@ -167,7 +167,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pc2scan.pipeline.stages.filters import Frame
+from pc2scan.request.filters import Frame
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ import pytest
 
 import pc2scan
 from pc2scan.core import kernel, plain
-from pc2scan.pipeline.parameters import Setting, resolve
-from pc2scan.pipeline.params_file import load_params_file
+from pc2scan.request.parameters import Setting, resolve
+from pc2scan.request.params_file import load_params_file
 from support import ROOT, sampled
 from support.command import run
 from support.outputs import opened

@@ -378,8 +378,8 @@ def test_a_source_that_is_cut_under_its_reader(
     compression: Any, jobs: int, large: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """While its bytes are decompressed or projected."""
+    from pc2scan.conversion.cloud_to_scan import CloudToScan
     from pc2scan.files import compression as codecs
-    from pc2scan.pipeline.cloud_to_scan import CloudToScan
 
     source = tmp_path / ("drive.mcap" if compression else "drive.bag")
     if compression:
@@ -420,7 +420,7 @@ def test_a_worker_that_fails(
     error: type[BaseException], jobs: int, many: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A bug in a worker is not hidden, and leaves nothing."""
-    from pc2scan.pipeline.cloud_to_scan import CloudToScan
+    from pc2scan.conversion.cloud_to_scan import CloudToScan
 
     def fail() -> None:
         raise error

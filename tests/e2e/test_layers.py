@@ -114,10 +114,10 @@ def late():
     read = import_module("pc2scan.requests").params_from_file
     read = import_module(".params_file", __package__)
 """
-    always = {"pc2scan.errors", "pc2scan.api", "pc2scan.pipeline.routes", "pc2scan.pipeline.plan"}
+    always = {"pc2scan.errors", "pc2scan.api", "pc2scan.conversion.routes", "pc2scan.conversion.plan"}
     always |= {"pc2scan.transforms.buffer"}
-    always |= {"pc2scan.requests", "pc2scan.pipeline.params_file", "__future__", "typing", "numpy"}
-    assert imports_in(text, "pc2scan.pipeline") == (always, {"pc2scan.model", "pc2scan.bags"})
+    always |= {"pc2scan.requests", "pc2scan.conversion.params_file", "__future__", "typing", "numpy"}
+    assert imports_in(text, "pc2scan.conversion") == (always, {"pc2scan.model", "pc2scan.bags"})
     assert {layer_of(path) for path in MODULES} == {*ALLOWED, "__init__", "__main__"}
 
 

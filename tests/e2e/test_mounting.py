@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 import pc2scan
+from pc2scan.conversion.run import run as convert
+from pc2scan.conversion.run_files import OutputOptions
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.rigid import Rigid
-from pc2scan.pipeline.options import ConvertOptions, ScanSpec
-from pc2scan.pipeline.run import run as convert
-from pc2scan.pipeline.run_files import OutputOptions
+from pc2scan.request.options import ConvertOptions, ScanSpec
 from pc2scan.text import shell_word
 from support import RECORDINGS, ROOT, needs_shared, sampled
 from support.command import run

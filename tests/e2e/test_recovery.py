@@ -19,10 +19,10 @@ from mcap.writer import Writer as McapLibraryWriter
 from fuzz.mutants.mutate import byte_mutants
 from fuzz.mutants.seeds import Seed
 from pc2scan.bags.opening import open_recording
+from pc2scan.conversion.run import run as repaired
+from pc2scan.conversion.run_files import OutputOptions
 from pc2scan.errors import RecordingError
-from pc2scan.pipeline.options import ConvertOptions
-from pc2scan.pipeline.run import run as repaired
-from pc2scan.pipeline.run_files import OutputOptions
+from pc2scan.request.options import ConvertOptions
 from support import RECORDINGS, needs_shared, sampled
 from support.builders import CONTENT, SOURCES, T0, Mcap, Recording, write_db3, write_mcap, write_rosbag2
 from support.command import run

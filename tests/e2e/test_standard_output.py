@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from pc2scan.compare.diff import diff
-from pc2scan.inspect.check import check
+from pc2scan.show.check import check
 from support import ROOT, sampled
 from support.builders import write_mcap
 from support.command import COMMAND, Finished, environment, run

@@ -51,8 +51,8 @@ def _serialization(data: bytes) -> tuple[bytes, str]:
 def _cloud(data: bytes, kind: str = "") -> None:
     """To a scan; messages of other kinds also to a PointCloud2."""
     from pc2scan import ProjectionParams
-    from pc2scan.pipeline.cloud_to_scan import CloudToScan
-    from pc2scan.pipeline.conversion import steps_of
+    from pc2scan.conversion.cloud_to_scan import CloudToScan
+    from pc2scan.conversion.steps import steps_of
     from pc2scan.transforms.placing import Placer
 
     content, serialization = _serialization(data)
@@ -261,8 +261,8 @@ def _qos(data: bytes) -> None:
 
 
 def _parameters(data: bytes) -> None:
-    from pc2scan.pipeline.parameters import resolve
-    from pc2scan.pipeline.params_file import load_params_file
+    from pc2scan.request.parameters import resolve
+    from pc2scan.request.params_file import load_params_file
 
     _file("params.yaml", data, lambda path: _ignored(resolve(load_params_file(path).settings)))
 

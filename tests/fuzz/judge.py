@@ -19,11 +19,11 @@ from fuzz.mutants.mutate import Mutant, mutant, rearranged, stretches
 from fuzz.mutants.seeds import Seed, place
 from pc2scan import ProjectionParams
 from pc2scan.bags.opening import open_recording
+from pc2scan.conversion.report import Report
+from pc2scan.conversion.run import run
+from pc2scan.conversion.run_files import OutputOptions
 from pc2scan.options.moment import TimeBound
-from pc2scan.pipeline.options import ConvertOptions, ScanSpec
-from pc2scan.pipeline.report import Report
-from pc2scan.pipeline.run import run
-from pc2scan.pipeline.run_files import OutputOptions
+from pc2scan.request.options import ConvertOptions, ScanSpec
 from pc2scan.text import TextEnum
 from support.bounded import refused, size_of, watched
 from support.command import COMMAND, environment

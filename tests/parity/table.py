@@ -18,6 +18,7 @@ import numpy as np
 import pc2scan
 from fuzz import angles
 from parity import debian
+from pc2scan.conversion.scan_to_cloud import ScanToCloud
 from pc2scan.core import fdlibm
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.project import Projector
@@ -25,7 +26,6 @@ from pc2scan.core.rigid import Rigid
 from pc2scan.errors import TransformError
 from pc2scan.messages.laserscan import encode_laserscan
 from pc2scan.messages.pointcloud2 import decode_pointcloud2
-from pc2scan.pipeline.scan_to_cloud import ScanToCloud
 from pc2scan.transforms.placing import Placer
 from support import ROOT
 from support.conversions import serialized_by

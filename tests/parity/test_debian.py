@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from parity import debian, table
+from pc2scan.conversion.scan_to_cloud import ScanToCloud
 from pc2scan.core.unproject import unproject
 from pc2scan.errors import MessageError
 from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import decode_pointcloud2
-from pc2scan.pipeline.scan_to_cloud import ScanToCloud
 from pc2scan.transforms.placing import Placer
 from support.compiling import folder_of_the_run
 from support.conversions import serialized_by

@@ -46,7 +46,7 @@ _EVERYWHERE = ("transcripts", "e2e/test_golden.py", "test_api.py")
 _UNKNOWN = "tests are not found"
 
 #: The modules that call the loops in C, which choose between them and NumPy's when they are imported.
-_CALLS_C = ("core/project.py", "core/occupancy.py", "transforms/many.py", "pipeline/stages/deskew.py")
+_CALLS_C = ("core/project.py", "core/occupancy.py", "transforms/many.py", "conversion/stages/deskew.py")
 
 #: Tests that call the loops in C without these modules.
 _OF_C = ("core/test_loops.py", "core/test_fdlibm.py")

@@ -24,15 +24,15 @@ __all__ = ["Fault", "faults_in", "plant", "sample"]
 HARM = {
     "core": 2.0,
     "core/loops": 3.0,
-    "tf": 1.5,
+    "transforms": 1.5,
     "messages": 1.5,
     "bags": 1.5,
     "files": 2.0,
-    "pipeline/combine": 3.0,
-    "pipeline/stages": 2.0,
-    "batch": 1.5,
+    "conversion/combine": 3.0,
+    "conversion/stages": 2.0,
+    "datasets": 1.5,
     "cli": 0.5,
-    "look": 0.7,
+    "show": 0.7,
 }
 
 #: Units: a factor that turns one into another, and its neighbour.

@@ -8,16 +8,16 @@ from functools import partial, reduce
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.bags.opening import open_recording
+from pc2scan.conversion.steps import steps_of
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan
 from pc2scan.messages.tfmessage import decode_transforms
-from pc2scan.pipeline.conversion import steps_of
 from support.command import Finished, run
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from pc2scan.pipeline.conversion import Conversion
+    from pc2scan.conversion.steps import Conversion
 
 __all__ = ["Made", "converted", "serialized_by"]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pc2scan.inspect.check import check as judge
 from pc2scan.options.call import Options
 from pc2scan.requests import frames_of
+from pc2scan.show.check import check as judge
 
 from .render import progress_bar, show
 

@@ -44,7 +44,7 @@ def _topics(endings: Sequence[str], incomplete: str) -> list[str]:
     """Offer the topics of the typed recordings whose type ends with one of these; without any, all topics."""
     found: set[str] = set()
     with _patiently():
-        from pc2scan.inspect.naming import topics_in
+        from pc2scan.show.naming import topics_in
 
         found.update(topics_in(_typed(), tuple(endings)))
     return _fitting(found, incomplete)
@@ -54,7 +54,7 @@ def frames(incomplete: str) -> list[str]:
     """Offer the frames that have transforms in the recordings that were typed."""
     found: set[str] = set()
     with _patiently():
-        from pc2scan.inspect.naming import frames_in
+        from pc2scan.show.naming import frames_in
 
         # Added one by one, so that those found within the time limit are offered.
         for name in frames_in(_typed()):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from pc2scan.bags.formats import FORMATS
 from pc2scan.files.urls import is_url
 from pc2scan.options.call import Options
-from pc2scan.pipeline.parameters import preset_of
+from pc2scan.request.parameters import preset_of
 from pc2scan.requests import convert as run
 from pc2scan.text import shell_word
 
@@ -17,7 +17,7 @@ from .render import LiveWarnings, progress_bar, say, show
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from pc2scan.pipeline.report import Report
+    from pc2scan.conversion.report import Report
 
 
 def convert(sources: list[Path], destination: str | None, *, options: Options) -> int:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pc2scan.inspect.info import info as describe
 from pc2scan.options.call import Options
 from pc2scan.requests import OF_FRAMES, frames_of
+from pc2scan.show.info import info as describe
 
 from .render import show
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from pc2scan.files.urls import path_or_url
-from pc2scan.look.map import draw_map
 from pc2scan.options.call import Options
+from pc2scan.show.map import draw_map
 
 from .render import LiveWarnings, progress_bar, show
 

@@ -11,7 +11,7 @@ from pc2scan.options import values
 from pc2scan.options.call import Options
 from pc2scan.options.option import Parameter
 from pc2scan.options.table import options_of
-from pc2scan.pipeline.parameters import plain_scalar
+from pc2scan.request.parameters import plain_scalar
 
 from .commands import COMMANDS
 

@@ -9,8 +9,8 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from pc2scan.files.urls import path_or_url
-from pc2scan.look.plot import plot as run
 from pc2scan.options.call import Options
+from pc2scan.show.plot import plot as run
 
 from .render import LiveWarnings, show
 

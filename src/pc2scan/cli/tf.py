@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from pc2scan.errors import TransformError, UnconnectedError, UsageError, stamp_text
-from pc2scan.inspect.tf import Lookup, frame_tree
 from pc2scan.options.call import Options
 from pc2scan.options.moment import TimeBound
 from pc2scan.requests import frames_of
+from pc2scan.show.tf import Lookup, frame_tree
 
 from .render import show
 

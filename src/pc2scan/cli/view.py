@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pc2scan.files.urls import path_or_url
-from pc2scan.look.view import view as run
 from pc2scan.options.call import Options
+from pc2scan.show.view import view as run
 
 from .render import LiveWarnings, show
 

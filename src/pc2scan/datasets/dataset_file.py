@@ -18,9 +18,9 @@ from pc2scan.files.source import open_bytes
 from pc2scan.files.urls import is_url, local_path
 from pc2scan.options.table import dataset_options
 from pc2scan.options.values import Flag, Texts
-from pc2scan.pipeline.parameters import RIVALS, plain_scalar
-from pc2scan.pipeline.redaction import may_quote, redact_file
-from pc2scan.pipeline.yaml_nodes import compose, is_empty, is_mapping, is_scalar
+from pc2scan.request.parameters import RIVALS, plain_scalar
+from pc2scan.request.redaction import may_quote, redact_file
+from pc2scan.request.yaml_nodes import compose, is_empty, is_mapping, is_scalar
 from pc2scan.requests import NAMED_FILES
 from pc2scan.text import did_you_mean
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from pc2scan.bags.opening import open_recordings
+from pc2scan.conversion.run import run
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import DestinationError, NothingToConvertError, OutputError, Pc2ScanError, UsageError
 from pc2scan.exports.formats import FORMATS
@@ -27,7 +28,6 @@ from pc2scan.options.call import Options
 from pc2scan.options.conversion import FailureConditions, OtherTopics
 from pc2scan.options.running import Container
 from pc2scan.options.table import conversion_options, options_of
-from pc2scan.pipeline.run import run
 from pc2scan.requests import conversion_of, output_of
 from pc2scan.result import json_value
 
@@ -37,9 +37,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Sequence
 
     from pc2scan.bags.damage import Damage
-    from pc2scan.pipeline.options import ConvertOptions
-    from pc2scan.pipeline.report import Report
-    from pc2scan.pipeline.run_files import OutputOptions
+    from pc2scan.conversion.report import Report
+    from pc2scan.conversion.run_files import OutputOptions
+    from pc2scan.request.options import ConvertOptions
 
 #: Outcomes by the exit status of `pc2scan convert`; that of all others is ``failed``.
 _OUTCOMES = {0: "converted", 3: "incomplete", 4: "empty"}
@@ -55,7 +55,7 @@ class Request:
     Attributes
     ----------
     options, output
-        As `pc2scan.pipeline.run.run` takes them.
+        As `pc2scan.conversion.run.run` takes them.
     files
         The files that options name and that were read, by option.
     notes

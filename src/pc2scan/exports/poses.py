@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from pc2scan.advice.odometry import odometry_of
 from pc2scan.errors import TransformError, UsageError, name_list
-from pc2scan.pipeline.odometry import odometry_of
 from pc2scan.text import did_you_mean
 from pc2scan.transforms.reading import read_transforms
 

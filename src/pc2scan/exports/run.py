@@ -9,6 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.opening import as_one, open_recordings
+from pc2scan.conversion.stamps import corrected
 from pc2scan.errors import (
     DestinationError,
     MessageError,
@@ -23,9 +24,8 @@ from pc2scan.files.records import read_record, write_record
 from pc2scan.files.staging import staged_output
 from pc2scan.messages.clouds import CLOUDS, usual_topics
 from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.pipeline.options import TopicRequest
-from pc2scan.pipeline.stamps import corrected
 from pc2scan.progress import Meter
+from pc2scan.request.options import TopicRequest
 from pc2scan.requests import conversion_of, destination_of
 from pc2scan.result import Skipped, tell_early
 from pc2scan.streams.clouds import Clouds
@@ -42,8 +42,8 @@ if TYPE_CHECKING:
 
     from pc2scan.files.urls import PathText
     from pc2scan.options.call import Options
-    from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.progress import Progress
+    from pc2scan.request.options import ConvertOptions
     from pc2scan.requests import Warn
 
     from .formats import ExportFormat, TopicWriter

@@ -88,7 +88,7 @@ class Option:
     command_only
         Whether only the command has it.
     makes
-        The class of the filters that it asks for: ``regions:ExcludeBox`` in `pc2scan.pipeline.stages`; see its
+        The class of the filters that it asks for: ``regions:ExcludeBox`` in `pc2scan.conversion.stages`; see its
         `filters.filters_of`.
     """
 

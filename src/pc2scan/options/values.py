@@ -371,7 +371,7 @@ class Duration(Value):
     note = "Also a timedelta."
 
     def read(self, name: str, value: Any) -> Any:  # noqa: ARG002
-        """Return the value as it is: `pc2scan.pipeline.options.Combining` reads it."""
+        """Return the value as it is: `pc2scan.request.options.Combining` reads it."""
         return value
 
     def admits(self, value: object) -> bool:
@@ -469,7 +469,7 @@ class Instance(Value):
 
 
 class Filters(Instance):
-    """A filter of points, or several: see `pc2scan.pipeline.stages.filters.Filter`."""
+    """A filter of points, or several: see `pc2scan.request.filters.Filter`."""
 
     def read(self, name: str, value: Any) -> tuple[Any, ...]:
         """Return the filters as a tuple."""

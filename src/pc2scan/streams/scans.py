@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pc2scan.advice.checks import request_warnings
+from pc2scan.conversion.plan import make_plan
+from pc2scan.conversion.preparation import prepare, span_of
+from pc2scan.conversion.refusals import refuse_unusable
+from pc2scan.conversion.report import Report
+from pc2scan.conversion.result_checks import result_findings
+from pc2scan.conversion.routes import open_routes
+from pc2scan.conversion.stamps import corrected_for
 from pc2scan.core.unproject import UnprojectParams, unproject
 from pc2scan.errors import UsageError, stamp_text, visible
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, as_message, decode_laserscan
-from pc2scan.pipeline.checks import request_warnings
-from pc2scan.pipeline.checks.result import result_findings
-from pc2scan.pipeline.plan import make_plan
-from pc2scan.pipeline.preparation import prepare, span_of
-from pc2scan.pipeline.refusals import refuse_unusable
-from pc2scan.pipeline.report import Report
-from pc2scan.pipeline.routes import open_routes
-from pc2scan.pipeline.stamps import corrected_for
 
 from .stream import NumpyTimes, Stream, StreamSource, import_pandas, import_xarray
 
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from pc2scan.advice.first_clouds import FirstClouds
     from pc2scan.bags.reader import Reader
+    from pc2scan.conversion.steps import ConvertedMessage
     from pc2scan.model import Buffer
-    from pc2scan.pipeline.conversion import ConvertedMessage
-    from pc2scan.pipeline.first_clouds import FirstClouds
-    from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.progress import Meter
+    from pc2scan.request.options import ConvertOptions
     from pc2scan.transforms.buffer import TransformBuffer
 
     from .stream import Selection

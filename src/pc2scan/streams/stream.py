@@ -16,6 +16,14 @@ import numpy as np
 from pc2scan.bags.damage import mention
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics, short_types
+from pc2scan.conversion.cloud_scale import scaled
+from pc2scan.conversion.engine import items_of
+from pc2scan.conversion.items import OpenRoute, Output, Tally
+from pc2scan.conversion.preparation import span_of
+from pc2scan.conversion.refusals import refuse_no_messages
+from pc2scan.conversion.report import TopicReport
+from pc2scan.conversion.stamps import corrected
+from pc2scan.conversion.steps import ConvertedMessage
 from pc2scan.core.rule import NO_POINTS
 from pc2scan.errors import (
     NothingToConvertError,
@@ -28,15 +36,7 @@ from pc2scan.errors import (
 from pc2scan.messages.clouds import usual_topics
 from pc2scan.messages.other_clouds import without
 from pc2scan.model import StoredChunk
-from pc2scan.pipeline.cloud_scale import scaled
-from pc2scan.pipeline.conversion import ConvertedMessage
-from pc2scan.pipeline.engine import items_of
-from pc2scan.pipeline.items import OpenRoute, Output, Tally
-from pc2scan.pipeline.options import ConvertOptions, StampOptions
-from pc2scan.pipeline.preparation import span_of
-from pc2scan.pipeline.refusals import refuse_no_messages
-from pc2scan.pipeline.report import TopicReport
-from pc2scan.pipeline.stamps import corrected
+from pc2scan.request.options import ConvertOptions, StampOptions
 from pc2scan.threads import Threads, cores
 
 if TYPE_CHECKING:
@@ -46,14 +46,14 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
+    from pc2scan.advice.survey import Span
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
+    from pc2scan.conversion.combine.combiner import Combiner
+    from pc2scan.conversion.items import Item as EngineItem
     from pc2scan.errors import MessageError
     from pc2scan.model import Buffer, Connection
     from pc2scan.options.moment import TimeBound
-    from pc2scan.pipeline.combine.combiner import Combiner
-    from pc2scan.pipeline.items import Item as EngineItem
-    from pc2scan.pipeline.survey import Span
     from pc2scan.progress import Meter
     from pc2scan.result import Skipped
     from pc2scan.transforms.placing import LevelTransform

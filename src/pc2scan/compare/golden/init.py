@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, ClassVar
 
 from pc2scan.bags.opening import open_recordings
 from pc2scan.bags.topics import find_topics
+from pc2scan.conversion.run import run
+from pc2scan.conversion.run_files import OutputOptions
 from pc2scan.errors import DestinationError, OutputError, ResultError
 from pc2scan.files.places import output_folder
 from pc2scan.files.staging import staged_output
 from pc2scan.messages.clouds import CLOUDS, SCANS
-from pc2scan.pipeline.options import ConvertOptions
-from pc2scan.pipeline.run import run
-from pc2scan.pipeline.run_files import OutputOptions
+from pc2scan.request.options import ConvertOptions
 from pc2scan.result import Part, Result
 from pc2scan.text import counted
 

@@ -1,0 +1,1 @@
+"""What a recording shows, and what is said about it: facts of the first messages, and checks."""

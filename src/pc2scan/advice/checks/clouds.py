@@ -1,0 +1,484 @@
+"""Checks of the first clouds of a topic: limits that reject every point, a floor within the heights, wrong units.
+
+`advice.first_clouds` decides which clouds are sampled, and when they are judged.
+"""
+
+from __future__ import annotations
+
+import math
+import shlex
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pc2scan.core.floor import FARTHEST_MEDIAN, FEWEST_POINTS, tolerances
+from pc2scan.core.params import ProjectionParams
+from pc2scan.core.percentiles import percentiles
+from pc2scan.core.rule import PointCounts
+from pc2scan.request.parameters import preset_of
+from pc2scan.text import agreeing, counted, height_text
+from pc2scan.transforms.summary import BODIES
+
+from .request import says_unlimited
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from pc2scan.core.floor import CloudSample
+    from pc2scan.request.options import ScanSpec
+    from pc2scan.transforms.buffer import TransformBuffer
+    from pc2scan.transforms.mounting import Mounting
+    from pc2scan.transforms.static import StaticTransform
+
+#: A scan with fewer points than this share of its beams counts as empty. The share of the cloud's points is no measure:
+#: outdoors most points are ground, which scans reject.
+_NEARLY_EMPTY = 0.02
+
+#: If the default min_height rejects this share of the points, a warning suggests heights; where the ground is removed
+#: before, the second one.
+NOTABLE_SHARE = 0.25
+_NOTABLE_ABOVE_GROUND = 0.05
+
+#: From this share of beams that end on the floor, a warning gives heights above it.
+_MOST_FLOOR = 0.3
+_FEWEST_BEAMS = 20
+
+#: A transform is taken for swapped if the sensor is at least this far below the robot's frame, metres, and as far as it
+#: is above the floor, but for this share.
+_BELOW = 0.1
+_NEAR_FLOOR = 0.3
+
+#: Half of a floor this far below the lower limit of z, metres, is above it, because ranges are noisy.
+_NOISE = 0.02
+
+#: Filters that may remove the floor, and filters that may remove points at the sensor.
+_FLOOR_FILTERS = {"ground", "min_height_slope", "where"}
+_PLACE_FILTERS = {"exclude_box", "exclude_polygon", "where"}
+
+#: Frames that do not move with the robot: those of REP 105, and the one that LOAM and its successors register
+#: clouds in.
+_FIXED = {"odom", "map", "world", "earth", "camera_init"}
+
+#: A height limit from here on, metres, is taken for centimetres if the clouds are ten times lower, and from the second
+#: on for millimetres.
+_TALL = 50.0
+_MILLIMETRES = 400.0
+
+
+@dataclass(slots=True)
+class KnownTransforms:
+    """The transforms that checks may use.
+
+    Attributes
+    ----------
+    source_frame
+        The frame that replaces the clouds' ``frame_id``; empty if none does.
+    read
+        Reads the recording's transforms between the robot's frames, in the few cases that need them.
+    buffer
+        The transforms to the target frame; None where there is no target frame.
+    static
+        The transforms that options add.
+    """
+
+    source_frame: str
+    read: Callable[[], TransformBuffer | None]
+    buffer: TransformBuffer | None = None
+    static: Sequence[StaticTransform] = ()
+
+
+@dataclass
+class CloudFacts:
+    """What checks read of the first clouds of one topic, for one output: one at least.
+
+    Attributes
+    ----------
+    samples, counts
+        A sample of each cloud, and its points, by what became of them; in the order of writing.
+    """
+
+    topic: str
+    spec: ScanSpec
+    transforms: KnownTransforms
+    samples: Sequence[CloudSample]
+    counts: Sequence[PointCounts]
+
+    @property
+    def source(self) -> str:
+        """The frame of the points."""
+        return self.transforms.source_frame or self.samples[0].frame_id
+
+    @cached_property
+    def total(self) -> PointCounts:
+        """The points of all clouds."""
+        return sum(self.counts, PointCounts())
+
+    @property
+    def are_fine(self) -> bool:
+        """Whether nothing is doubtful.
+
+        The points are those that were measured, scans have some, heights need no advice, and the first cloud is level
+        or too small to be judged.
+        """
+        total, height = self.total.total, self.total.height
+        if self.samples[0].zeros:
+            total, height = total - self.no_returns, height - self.no_returns
+        cut = height >= notable_share(self.spec) * max(total, 1)
+        needs_heights = (cut and self.is_default("min_height")) or self.lack_heights
+        if self.samples[0].lossy or self.are_nearly_empty or needs_heights or any(heights_in_millimetres(self)):
+            return False
+        first = self.samples[0]
+        if len(first.points) < FEWEST_POINTS:
+            return True
+        if first.distance > FARTHEST_MEDIAN:
+            return False
+        if first.floor is None or self.floor_share >= _MOST_FLOOR or any(swapped_transform(self)):
+            return False
+        if 0 < first.floor.above < first.floor.height and self.are_upside_down:
+            return False
+        return self.spec.level or first.floor_tilted_by_transform is None
+
+    @property
+    def are_upside_down(self) -> bool:
+        """Whether clouds that stay in their own frame are upside down by the robot's transforms."""
+        from pc2scan.transforms.mounting import is_upside_down  # noqa: PLC0415  # only where the floor may be a ceiling
+
+        first, own = self.samples[0], self.source.removeprefix("/")
+        if first.judged_in.removeprefix("/") != own or self.robot is None:
+            return False
+        return is_upside_down(self.robot, own, first.stamp_ns)
+
+    @property
+    def no_returns(self) -> int:
+        """How many of the points outside the heights are at (0, 0, 0), as drivers write for no return."""
+        params = self.spec.params
+        if any(each.name in _PLACE_FILTERS for each in self.spec.filters):
+            return 0  # these come first
+        outside = (each.zeros for each in self.samples if not params.min_height <= each.origin[2] <= params.max_height)
+        return min(sum(outside), self.total.height)
+
+    @property
+    def are_nearly_empty(self) -> bool:
+        """Whether the scans have nearly no points."""
+        beams = len(self.samples) * self.spec.params.length
+        return self.total.total > 0 and self.total.used < _NEARLY_EMPTY * beams
+
+    @property
+    def lack_heights(self) -> bool:
+        """Whether a preset leaves the heights to the user, who gives none."""
+        presets = any(map(preset_of, self.spec.origins.values()))
+        return presets and self.is_default("min_height") and self.is_default("max_height")
+
+    def is_default(self, name: str) -> bool:
+        """Return whether a parameter is not given."""
+        spec = self.spec
+        return spec.origins.get(name, "default") == "default" and (
+            getattr(spec.params, name) == getattr(ProjectionParams(), name)
+        )
+
+    @cached_property
+    def floor_share(self) -> float:
+        """The share of beams, of those with a return of the first cloud, whose closest return is the floor.
+
+        0 if the floor is outside the heights, or if a filter may remove it.
+        """
+        floor, params = self.samples[0].floor, self.spec.params
+        if floor is None or any(each.name in _FLOOR_FILTERS for each in self.spec.filters):
+            return 0.0
+        sample = self.samples[0]
+        distances = sample.points @ np.array(floor.up) + floor.height
+        placed = sample.placed
+        ranges, angles = np.hypot(placed[:, 0], placed[:, 1]), np.arctan2(placed[:, 1], placed[:, 0])
+        used = (
+            (placed[:, 2] >= params.min_height)
+            & (placed[:, 2] <= params.max_height)
+            & (ranges >= params.range_min)
+            & (ranges <= params.range_max)
+            & (angles >= params.angle_min)
+            & (angles <= params.angle_max)
+        )
+        # The floor at the place of each point.
+        height = placed[:, 2] - distances / floor.up[2]
+        on_floor = (
+            (np.abs(distances) < tolerances(sample.points))
+            & (height > params.min_height - _NOISE)
+            & (height < params.max_height + _NOISE)
+        )
+        nearest = np.flatnonzero(used)[np.argsort(ranges[used])]
+        _, first = np.unique(np.degrees(angles[nearest]).astype(int), return_index=True)
+        return float(on_floor[nearest[first]].mean()) if len(first) >= _FEWEST_BEAMS else 0.0
+
+    @property
+    def robot(self) -> TransformBuffer | None:
+        """The robot's transforms, which are read for it; None if there are none."""
+        known = self.transforms
+        return known.read() if known.buffer is None else known.buffer
+
+    @cached_property
+    def mounting(self) -> Mounting:
+        """How the sensor is mounted, as `info` sees it: with the robot's transforms."""
+        from pc2scan.transforms.mounting import mounting  # noqa: PLC0415  # only where there may be a warning
+
+        return mounting(self.topic, self.source, self.samples, self.robot)
+
+    @cached_property
+    def advice(self) -> str:
+        """The options that suit the clouds; empty if there was no point.
+
+        The option that excludes points at the sensor is among them, unless a warning has it.
+        """
+        found = self.mounting
+        if found.heights is None:
+            return ""
+        # The heights apply in the frame that these options make, which may differ from the frame of the scans.
+        options = [found.options, f"`min_height={found.heights.low:g}`", f"`max_height={found.heights.high:g}`"]
+        if self.samples[0].zeros and self.keep_sensor and not any(map(self.shows_sensor, self.samples)):
+            target = found.target_frame or self.samples[0].judged_in
+            options.append(_without_sensor(found.frame, target))
+        return " ".join(filter(None, options))
+
+    def shows_sensor(self, sample: CloudSample) -> bool:
+        """Return whether points at the sensor itself become returns of the scan."""
+        params = self.spec.params
+        return sample.zeros > 0 and params.min_height <= sample.origin[2] <= params.max_height and self.keep_sensor
+
+    @property
+    def keep_sensor(self) -> bool:
+        """Whether nothing but heights removes points at the sensor itself."""
+        params, (x, y, _) = self.spec.params, self.samples[0].origin
+        return (
+            params.range_min <= math.hypot(x, y) <= params.range_max
+            and params.angle_min <= math.atan2(y, x) <= params.angle_max
+            and not any(each.name in _PLACE_FILTERS for each in self.spec.filters)
+        )
+
+
+def notable_share(spec: ScanSpec) -> float:
+    """Return the share of the points from which on a warning suggests heights, if the default ones reject it."""
+    return _NOTABLE_ABOVE_GROUND if any(each.name == "ground" for each in spec.filters) else NOTABLE_SHARE
+
+
+def target_that_moves(clouds: CloudFacts) -> Iterator[str]:
+    """Yield a warning if the robot moves in the target frame: scans are then measured from where the robot is not."""
+    target, buffer = clouds.spec.params.target_frame, clouds.transforms.buffer
+    if not target or buffer is None or len(clouds.samples) > 1 or buffer.is_rigid(target, clouds.source):
+        return
+    from pc2scan.transforms.world_frames import find_body_motion  # noqa: PLC0415  # a lidar is usually rigid on its robot
+
+    moving = find_body_motion(buffer, target, clouds.source)
+    if moving is not None:
+        yield moving.of_target(target)
+
+
+def clouds_in_fixed_frame(clouds: CloudFacts) -> Iterator[str]:
+    """Yield a warning if clouds are in a frame that the robot moves in and stay in it, or are only said to be in it.
+
+    There is none if the recording's transforms say that nothing moves in it.
+    """
+    if len(clouds.samples) > 1:
+        return
+    if clouds.transforms.source_frame and (said := _said_to_be_fixed(clouds)):
+        yield said
+        return
+    frame = clouds.source.removeprefix("/")
+    if clouds.spec.params.target_frame or frame not in _FIXED:
+        return
+    buffer = clouds.transforms.read()
+    bodies = [body for body in BODIES if buffer is not None and body in buffer.frames]
+    if buffer is not None and any(buffer.is_rigid(frame, body) for body in bodies):
+        return
+    cure = (
+        f"`target_frame={bodies[0]}` moves them to the robot"
+        if bodies
+        else "convert the topic with the lidar's own clouds, or move them to the robot by `tf_from` and `target_frame`"
+    )
+    yield (
+        f"{clouds.topic}: the clouds are in {frame!r}, a frame that does not move with the robot: the scans are "
+        f"measured from its origin instead of from the robot, as SLAM and navigation expect; {cure}"
+    )
+
+
+def _said_to_be_fixed(clouds: CloudFacts) -> str:
+    """Return the warning about a frame that is given for clouds, if their own frame moves in it with the robot.
+
+    Empty if the transforms do not have the clouds' own frame: then it had to be given.
+    """
+    known = clouds.transforms
+    source, own = known.source_frame.removeprefix("/"), clouds.samples[0].frame_id.removeprefix("/")
+    buffer = known.buffer or known.read()
+    if buffer is None or not own:
+        return ""
+    from pc2scan.transforms.world_frames import find_body_motion  # noqa: PLC0415  # few conversions give a frame
+
+    moving = find_body_motion(buffer, source, own)
+    return "" if moving is None else f"{clouds.topic}: {moving.of_source(source, own)}"
+
+
+def returns_at_sensor(clouds: CloudFacts) -> Iterator[str]:
+    """Yield a warning if points at (0, 0, 0), which many drivers write for no return, become returns of the scan.
+
+    Only the first cloud with such points draws one.
+    """
+    shown = [clouds.shows_sensor(sample) for sample in clouds.samples]
+    if not shown[-1] or any(shown[:-1]):
+        return
+    sample, total = clouds.samples[-1], clouds.counts[-1].total
+    x, y, _ = sample.origin
+    yield (
+        f"{clouds.topic}: {sample.zeros:,} of {counted(total, 'point')} of a cloud "
+        f"{agreeing(sample.zeros, 'are')} at (0, 0, 0), as drivers write for no return, and become returns at the "
+        f"sensor itself, at a range of {math.hypot(x, y):.2f} m in {sample.judged_in!r}; "
+        f"{_without_sensor(clouds.source, sample.judged_in)} excludes them"
+    )
+
+
+def frame_not_level(clouds: CloudFacts) -> Iterator[str]:
+    """Yield a warning if the frame of the scans is tilted, upside down or optical, whatever the output is."""
+    if clouds.mounting.warning:
+        yield clouds.mounting.warning
+
+
+def swapped_transform(clouds: CloudFacts) -> Iterator[str]:
+    """Yield a warning if an added transform would put the floor at z = 0 the other way round."""
+    sample = clouds.samples[0]
+    floor, below = sample.floor, -sample.origin[2]
+    target = sample.judged_in.removeprefix("/")
+    static = next((each for each in clouds.transforms.static if each.child.removeprefix("/") == target), None)
+    if floor is None or static is None or below < _BELOW or abs(below - floor.height) > _NEAR_FLOOR * floor.height:
+        return
+    from pc2scan.transforms.static import static_text  # noqa: PLC0415  # loaded by now
+
+    inverse = static_text(static.child, static.parent, static)
+    yield (
+        f"`static_tf` from {static.parent} to {static.child} puts the sensor {below:.2f} m below {static.child}, "
+        f"and the floor at z = {height_text(-below - floor.height)} m; the parent comes first: `static_tf='{inverse}'` "
+        f"puts the floor at z = {height_text(below - floor.height)} m"
+    )
+
+
+def lossy_clouds(clouds: CloudFacts) -> Iterator[str]:
+    """Yield a warning if the points are not those that the lidar measured."""
+    if text := clouds.samples[0].lossy:
+        yield f"{clouds.topic}: {text}"
+
+
+def clouds_in_another_unit(clouds: CloudFacts) -> Iterator[str]:
+    """Yield a warning if the points are so far away that they are in another unit."""
+    from pc2scan.transforms.mounting import unit_warning  # noqa: PLC0415  # only where there may be a warning
+
+    if text := unit_warning(clouds.topic, clouds.samples[0]):
+        yield text
+
+
+def heights_in_millimetres(clouds: CloudFacts) -> Iterator[str]:
+    """Yield a warning if heights seem to be centimetres or millimetres, with the clouds' own heights."""
+    params = clouds.spec.params
+    wrong = [name for name in ("min_height", "max_height") if _is_tall(clouds, name)]
+    if not wrong:
+        return
+    z = np.concatenate([sample.placed[:, 2] for sample in clouds.samples])
+    given = " and ".join(f"{name} is {_limit(getattr(params, name), 'm')}" for name in wrong)
+    is_small = max(abs(getattr(params, name)) for name in wrong) < _MILLIMETRES
+    unit, factor = ("centimetres", 100) if is_small else ("millimetres", 1000)
+    named = [name for name in ("min_height", "max_height") if not clouds.is_default(name)]
+    metres = " ".join(f"`{name}={getattr(params, name) / factor:g}`" for name in named)
+    yield (
+        f"{given}, but z on {clouds.topic} is {_percentiles(z, 'm')}: heights are metres; if these are {unit}, {metres}"
+    )
+
+
+def nearly_empty_scans(clouds: CloudFacts) -> Iterator[str]:
+    """Yield a warning of the limits that reject all points, with the clouds' own values."""
+    if not clouds.are_nearly_empty:
+        return
+    params, counts = clouds.spec.params, clouds.total
+    placed = np.concatenate([sample.placed for sample in clouds.samples])
+    share = f"{counts.used:,} of the {counts.total:,} points of the first {_clouds(len(clouds.samples))} are used"
+    frame = clouds.samples[0].judged_in
+    ranges, angles = np.hypot(placed[:, 0], placed[:, 1]), np.arctan2(placed[:, 1], placed[:, 0])
+    observed = (
+        ("height", placed[:, 2], f"z in {frame!r}", "m", "min_height", "max_height"),
+        ("range", ranges, "the range", "m", "range_min", "range_max"),
+        ("angle", angles, "the angle", "rad", "angle_min", "angle_max"),
+    )
+    # A limit that alone rejects every point is the cause, whatever is rejected before it.
+    alone = [
+        reason
+        for reason, values, _, _, low, high in observed
+        if len(values) and not ((values >= getattr(params, low)) & (values <= getattr(params, high))).any()
+    ]
+    reasons = alone or [each[0] for each in observed if counts.rejected[each[0]] >= NOTABLE_SHARE * counts.total]
+    parts = [
+        f"{low} is {_limit(getattr(params, low), unit)} and {high} {_limit(getattr(params, high), unit)}, "
+        f"but {name} is {_percentiles(values, unit)}"
+        for reason, values, name, unit, low, high in observed
+        if len(values) and reason in reasons
+    ]
+    if parts and clouds.advice and reasons[0] == "height":
+        parts[0] += f": {clouds.advice}"
+    # Without any, the reason is a filter, or NaN: the report has it at the end.
+    if parts:
+        yield f"{clouds.topic}: {share}; {'; '.join(parts)}"
+
+
+def floor_within_heights(clouds: CloudFacts) -> Iterator[str]:
+    """Yield a warning if many beams end on the floor, with its own height."""
+    sample, params = clouds.samples[0], clouds.spec.params
+    floor = sample.floor
+    if floor is None or clouds.floor_share < _MOST_FLOOR or any(nearly_empty_scans(clouds)):
+        return
+    if any(heights_in_millimetres(clouds)):
+        return
+    below = f"min_height is {_limit(params.min_height, 'm')}"
+    at = height_text(sample.origin[2] - floor.height)
+    yield (
+        f"{clouds.topic}: the floor is within the heights: it is at z = {at} m in {sample.judged_in!r}, and {below}; "
+        f"{clouds.floor_share:.0%} of the beams with a return end on it"
+        + (f"; without it: {clouds.advice}" if clouds.advice else "")
+    )
+
+
+def heights_left_to_user(clouds: CloudFacts) -> Iterator[str]:
+    """Yield a note with heights that suit the clouds, if a preset leaves them to the user, who gives none."""
+    if clouds.advice and clouds.lack_heights:
+        yield (
+            f"{clouds.topic}: no heights are given, presets leave them to you, and the default "
+            f"min_height drops everything at z <= 0; these suit the clouds: {clouds.advice}"
+        )
+
+
+def _is_tall(clouds: CloudFacts, name: str) -> bool:
+    value = abs(float(getattr(clouds.spec.params, name)))
+    if clouds.is_default(name) or not _TALL <= value < 1e5:
+        return False
+    if says_unlimited(value):
+        return False
+    z = np.concatenate([sample.placed[:, 2] for sample in clouds.samples])
+    return len(z) > 0 and 10 * max(map(abs, percentiles(z, 1, 99))) < value
+
+
+def _clouds(count: int) -> str:
+    return "cloud" if count == 1 else counted(count, "cloud")
+
+
+def _without_sensor(frame: str, target: str) -> str:
+    from pc2scan.transforms.mounting import sensor_exclusion  # noqa: PLC0415  # only where there is a warning
+
+    option, value = sensor_exclusion(frame, target)
+    return f"`{option}={shlex.quote(value)}`"
+
+
+def _limit(value: float, unit: str) -> str:
+    """Return a limit as text: upstream's defaults mean no limit."""
+    if value == ProjectionParams().min_height:
+        return f"above 0 {unit}"
+    return "without limit" if abs(value) > 1e300 else f"{value:g} {unit}"
+
+
+def _percentiles(values: NDArray[np.float64], unit: str) -> str:
+    low, middle, high = percentiles(values, 5, 50, 95)
+    return f"{low:.2f} to {high:.2f} {unit} (5 and 95 %; median {middle:.2f})"

@@ -1,0 +1,402 @@
+"""Compares the clock of clouds with that of the transforms or the IMU that say where the robot was at their time."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+
+from pc2scan.bags.observers import Observer, observe
+from pc2scan.bags.topics import by_topic
+from pc2scan.core.percentiles import median_low
+from pc2scan.errors import DecodeError, UsageError, stamp_text
+from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.imu import IMU
+from pc2scan.messages.poses import POSES
+from pc2scan.messages.stamps import STAMPED, stamp_in
+from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
+from pc2scan.request.options import TRAJECTORY
+from pc2scan.request.point_time import PointTime
+from pc2scan.text import counted, stamp
+from pc2scan.transforms.reading import tf_connections
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from pc2scan.bags.reader import Reader
+    from pc2scan.model import Connection, RawMessage
+    from pc2scan.request.options import ScanSpec
+    from pc2scan.transforms.placing import FrameOptions
+    from pc2scan.transforms.trajectory import Trajectory
+
+    from .survey import Span, Survey, TopicFacts
+
+#: Delays from stamps in a message to its log time, nanoseconds, with the child frames of transforms.
+Delays: TypeAlias = "list[tuple[str, int]]"
+
+#: How many messages of each topic are read: clouds are large, and several nodes publish transforms.
+CLOCK_HEADERS = 3
+_MOTIONS = 50
+
+#: Clocks may differ if the delays from stamps to log times differ by this. Slow drivers delay messages, too.
+_OTHER_CLOCK_NS = 500_000_000
+
+#: No message is logged before its stamp, except by the small error of a clock. If messages of only one topic are, this
+#: difference of the delays is enough.
+_BEFORE_NS = -20_000_000
+_SMALL_NS = 100_000_000
+
+
+#: Messages with simulated time.
+_CLOCK = "rosgraph_msgs/msg/Clock"
+
+#: How far time scales are ahead of UTC, seconds.
+_TIME_SCALES = {
+    37: "PTP counts TAI, which is 37 s ahead of UTC",
+    18: "GPS time is 18 s ahead of UTC",
+}
+
+#: What to type if clocks differ.
+MEASURES = "`time_offset=auto` measures by how much the clocks differ, and corrects it"
+
+_DAY_NS = 86_400_000_000_000
+
+#: Earlier times do not count from 1970, nanoseconds.
+_LONG_AGO_NS = 1_000_000_000_000_000
+
+#: In how many messages of each topic an offset is measured, and the longest time that a cloud takes, seconds.
+_MEASURED = 50
+_LONGEST_S = 1.0
+
+
+def logged_early(one_ns: int, other_ns: int) -> bool:
+    """Whether messages of only one of two topics are logged before their stamps, given their delays."""
+    return min(one_ns, other_ns) < _BEFORE_NS <= max(one_ns, other_ns)
+
+
+def are_doubtful(one_ns: int, other_ns: int, window_ns: int = 0) -> bool:
+    """Whether the clocks of two topics probably differ.
+
+    Parameters
+    ----------
+    one_ns, other_ns
+        The median delays from the stamps of their messages to the log times, nanoseconds.
+    window_ns
+        A difference that does not matter.
+    """
+    limit_ns = _SMALL_NS if logged_early(one_ns, other_ns) else _OTHER_CLOCK_NS
+    return abs(one_ns - other_ns) > max(limit_ns, window_ns)
+
+
+def ask_motion(survey: Survey, frames: FrameOptions, spec: ScanSpec) -> dict[str, Observer[Delays]]:
+    """Ask for the delays of what says where the robot was: moving transforms, and an IMU; return their observers."""
+    connections = survey.reader.connections
+    found: list[Connection] = []
+    if spec.fixed_frame:
+        found += (each for each in tf_connections(connections, frames.tf_topics) if not each.is_static)
+    if spec.imu_request:
+        name = spec.imu_request.topic.strip("/")
+        found += (each for each in connections if each.ros_type == IMU and each.topic.strip("/") == name)
+    start_ns, stop_ns = survey.span.start_ns, survey.span.stop_ns
+    observers = {topic: Observer(own, _delays, _MOTIONS, start_ns, stop_ns) for topic, own in by_topic(found).items()}
+    survey.observers += observers.values()
+    return observers
+
+
+def clock_warnings(topics: Iterable[TopicFacts], motion: Mapping[str, Observer[Delays]]) -> Iterator[str]:
+    """Yield a warning for each topic whose stamps are probably of another clock than those of what says where it was.
+
+    Parameters
+    ----------
+    topics
+        Facts of topics with clouds or scans: their headers.
+    motion
+        What was observed of the topics with moving transforms, or of an IMU.
+    """
+    known = {topic: _medians(observer.found) for topic, observer in motion.items()}
+    for facts in topics:
+        if not facts.headers:
+            continue
+        delay_ns = median_low([each.delay_ns for each in facts.headers[:CLOCK_HEADERS]])
+        for other, by_child in known.items():
+            if not by_child:
+                continue
+            # Localisation stamps its transforms ahead of time: the nearest one is compared.
+            nearest_ns = min(by_child.values(), key=lambda each: abs(delay_ns - each))
+            behind_ns = delay_ns - nearest_ns
+            if are_doubtful(delay_ns, nearest_ns):
+                yield (
+                    f"the stamps of {facts.topic} are {abs(behind_ns) / 1e9:.3g} s "
+                    f"{'behind' if behind_ns > 0 else 'ahead of'} those of {other}, compared with their log times: if "
+                    "their clocks differ, points are placed as if they were measured at another time; "
+                    f"`time_offset={offset_text(delay_ns, nearest_ns)}` corrects that"
+                )
+
+
+class ClockFinding(NamedTuple):
+    """A topic with another clock than the rest of its recording.
+
+    Attributes
+    ----------
+    text
+        What is wrong, for users.
+    time_offset
+        The value of the option ``time_offset`` that corrects it.
+    reason
+        Why, in a few words.
+    other
+        The topic with moving transforms that it was compared with; empty if that were the log times.
+    """
+
+    text: str
+    time_offset: str
+    reason: str
+    other: str = ""
+
+    @property
+    def warning(self) -> str:
+        """What is wrong, and what to do."""
+        return f"{self.text}; `time_offset={self.time_offset}` corrects them"
+
+
+class Clocks:
+    """The clocks of a recording's topics, compared in their first messages.
+
+    Parameters
+    ----------
+    survey
+        Asked for the messages.
+    topics
+        Facts of the topics with clouds, of which headers are asked for.
+    """
+
+    def __init__(self, survey: Survey, topics: Iterable[TopicFacts]) -> None:
+        self._topics = list(topics)
+        for facts in self._topics:
+            facts.ask_headers(CLOCK_HEADERS)
+        connections = survey.reader.connections
+        self._is_simulated = any(each.ros_type == _CLOCK for each in connections)
+        self._motion = self._observers(survey, _moving(connections, survey.frames.tf_topics))
+        own = {facts.topic for facts in self._topics}
+        others = (each for each in connections if each.ros_type in STAMPED and each.ros_version is not None)
+        self._others = self._observers(survey, (each for each in others if each.topic not in own))
+
+    def _observers(self, survey: Survey, connections: Iterable[Connection]) -> dict[str, Observer[Delays]]:
+        limits = survey.span.start_ns, survey.span.stop_ns
+        found = {topic: Observer(own, _delays, _MOTIONS, *limits) for topic, own in by_topic(connections).items()}
+        survey.observers += found.values()
+        return found
+
+    def findings(self) -> dict[str, ClockFinding]:
+        """Return what is wrong with the clocks of topics, once the survey was read.
+
+        Stamps are compared with those of moving transforms; without any, with those of other topics. If all stamps are
+        far from the log times (a simulation, or a recording that was played back), none are wrong.
+        """
+        found = {}
+        motion = {topic: _nearest(each.found) for topic, each in self._motion.items() if each.found}
+        others = [median_low(_nearest(each.found)) for each in self._others.values() if each.found]
+        for facts in self._topics:
+            if not facts.headers:
+                continue
+            delay_ns = median_low([each.delay_ns for each in facts.headers[:CLOCK_HEADERS]])
+            known = {topic: median_low(delays) for topic, delays in motion.items() if delays}
+            topic = min(known, key=lambda name: abs(delay_ns - known[name]), default="")
+            reference_ns = known.get(topic, 0)
+            if not are_doubtful(delay_ns, reference_ns):
+                continue
+            if not known and (self._is_simulated or not all(are_doubtful(delay_ns, each) for each in others)):
+                continue
+            against = f"those of {topic}, compared with their log times" if topic else "their log times"
+            behind_ns = delay_ns - reference_ns
+            how = f"{_duration_text(behind_ns)} {'behind' if behind_ns > 0 else 'ahead of'} {against}"
+            offset = offset_text(delay_ns, reference_ns)
+            cause = _cause(facts.headers[0].stamp_ns, behind_ns)
+            text = f"the stamps of {facts.topic} are {how}{cause}"
+            short = f"its stamps are {_duration_text(behind_ns)} {'behind' if behind_ns > 0 else 'ahead'}"
+            found[facts.topic] = ClockFinding(text, offset, short + cause, topic)
+        return found
+
+
+def other_clocks(survey: Survey, connections: Iterable[Connection]) -> Iterator[str]:
+    """Yield a warning for each topic of some connections whose clock is not that of the transforms."""
+    clocks = Clocks(survey, survey.topics(connections).values())
+    survey.read()
+    yield from (each.warning for each in clocks.findings().values() if each.other)
+
+
+def offset_text(delay_ns: int, reference_ns: int) -> str:
+    """Return the value of ``time_offset`` that corrects a clock, given the delays of its stamps and of others."""
+    known = next((s for s in _TIME_SCALES if abs(reference_ns - delay_ns - s * 1_000_000_000) < _OTHER_CLOCK_NS), None)
+    return "auto" if known is None else f"-{known}s"
+
+
+def _cause(stamp_ns: int, behind_ns: int) -> str:
+    """Return why a clock probably differs, as a part of a sentence."""
+    ahead = next((s for s in _TIME_SCALES if abs(-behind_ns - s * 1_000_000_000) < _OTHER_CLOCK_NS), None)
+    if ahead is not None:
+        return f" ({_TIME_SCALES[ahead]})"
+    if behind_ns > _DAY_NS and 0 <= stamp_ns < _LONG_AGO_NS:
+        return " (its clock counts from its start)"
+    return f" (its clock says {stamp(stamp_ns)})" if abs(behind_ns) > _DAY_NS else ""
+
+
+def _duration_text(duration_ns: int) -> str:
+    seconds = abs(duration_ns) / 1e9
+    return f"{seconds / 86400:,.0f} days" if seconds > 2 * 86400 else f"{seconds:.3g} s"
+
+
+def _medians(messages: Iterable[Delays]) -> dict[str, int]:
+    """Return the median delay of a topic, for transforms by child; nanoseconds."""
+    delays: dict[str, list[int]] = {}
+    for message in messages:
+        for child, delay_ns in message:
+            delays.setdefault(child, []).append(delay_ns)
+    return {child: median_low(each) for child, each in delays.items()}
+
+
+def _delays(message: RawMessage) -> Delays:
+    """Return the delays from the stamps in a message to its log time, and of transforms their child frames."""
+    kind, serialization = message.connection.ros_type, message.connection.serialization
+    stamps: list[tuple[str, int]] = []
+    if kind in TF_TYPES:
+        stamps = [(child, stamp_ns) for _, child, stamp_ns, *_ in decode_transforms(message.data, serialization)]
+    elif kind in STAMPED:
+        stamps = [("", stamp_in(message.data, serialization))]
+    return [(child, message.log_time_ns - stamp_ns) for child, stamp_ns in stamps]
+
+
+def refuse_other_clock(trajectory: Trajectory, topics: Iterable[TopicFacts], span: Span, end_ns: int | None) -> None:
+    """Raise if the poses of a trajectory are of another time than the messages that need them.
+
+    Parameters
+    ----------
+    topics
+        Facts of these messages: their headers.
+    span
+        The cut.
+    end_ns
+        The log time of the last message; None if it is not known.
+
+    Raises
+    ------
+    UsageError
+        The error has the times of both.
+    """
+    last_ns = min((each for each in (span.stop_ns, end_ns) if each is not None), default=span.first_ns)
+    for facts in topics:
+        if not facts.headers:
+            continue
+        delay_ns = median_low([each.delay_ns for each in facts.headers[:CLOCK_HEADERS]])
+        begin_ns, end_ns = span.first_ns - delay_ns, last_ns - delay_ns
+        if trajectory.first_ns <= end_ns and trajectory.last_ns >= begin_ns:
+            return
+        offset = f"`time_offset={TRAJECTORY}={stamp_text(begin_ns - trajectory.first_ns)}s`"
+        is_relative = trajectory.first_ns < _LONG_AGO_NS <= begin_ns
+        why = "its times count from its beginning" if is_relative else "the clocks differ"
+        raise UsageError(
+            f"its poses are from {stamp(trajectory.first_ns)} to {stamp(trajectory.last_ns)}, {facts.topic} is from "
+            f"{stamp(begin_ns)} to {stamp(end_ns)}: no pose is of the time of a message",
+            path=trajectory.name,
+            hint=f"if {why}, {offset} moves the first pose to the first message",
+        )
+
+
+# --- Offsets between clocks ---
+
+
+class Offset(NamedTuple):
+    """What has to be added to the stamps of a topic.
+
+    Attributes
+    ----------
+    offset_ns
+        Nanoseconds, in whole milliseconds; 0 if the stamps fit.
+    reference
+        The topic of moving transforms that it was measured against; empty if that were the log times.
+    note
+        How it was measured, for users.
+    """
+
+    offset_ns: int
+    reference: str
+    note: str
+
+
+def measure_offsets(
+    reader: Reader,
+    topics: Mapping[str, Sequence[Connection]],
+    tf_topics: Sequence[str] = (),
+    start_ns: int | None = None,
+    stop_ns: int | None = None,
+) -> dict[str, Offset]:
+    """Measure how far the stamps of topics are off those of the moving transforms, or the log times without any.
+
+    Messages are compared by their log times. A cloud is logged after its last point was measured: the offset is that of
+    the message that was logged soonest. A difference that a slow driver makes is no offset.
+
+    Parameters
+    ----------
+    topics
+        The connections of each topic.
+    tf_topics
+        See `tf_connections`. If it is not clear which transforms to use, log times are.
+    start_ns, stop_ns
+        The cut, in whose first messages it is measured.
+
+    Returns
+    -------
+    dict[str, Offset]
+        What has to be added to the stamps of each topic.
+    """
+    moving = [each for each in _moving(reader.connections, tf_topics) if each.topic not in topics]
+    ends = {topic: Observer(own, _delay_of_end, _MEASURED, start_ns, stop_ns) for topic, own in topics.items()}
+    references = {topic: Observer(own, _delays, _MOTIONS, start_ns, stop_ns) for topic, own in by_topic(moving).items()}
+    observe((reader, [*ends.values(), *references.values()]))
+    known = {topic: _nearest(observer.found) for topic, observer in references.items()}
+    fitting = {topic: delays for topic, delays in known.items() if delays}
+    reference = min(fitting, key=lambda topic: abs(median_low(fitting[topic])), default="")
+    others = fitting.get(reference, [0])
+    found = {}
+    for topic, observer in ends.items():
+        delays = observer.found
+        against = f"the stamps of {reference}" if reference else "the log times"
+        number = counted(len(delays), "message")
+        if not delays or not are_doubtful(median_low(delays), median_low(others)):
+            note = f"{topic}: time_offset is 0: its first stamps fit to {against} ({number})"
+            found[topic] = Offset(0, reference, note)
+            continue
+        offset_ns = round((min(delays) - min(others)) / 1e6) * 1_000_000
+        note = (
+            f"{topic}: time_offset is {offset_ns / 1e9:.3f} s, measured against {against} in the first {number}, whose "
+            f"delays differ by {(max(delays) - min(delays)) / 1e9:.3f} s; `time_offset={topic}={offset_ns / 1e9:.3f}s`"
+        )
+        found[topic] = Offset(offset_ns, reference, note)
+    return found
+
+
+def _moving(connections: Sequence[Connection], tf_topics: Sequence[str]) -> list[Connection]:
+    """Return the connections with moving transforms; without any, or if it is not clear which, those with poses."""
+    moving: list[Connection] = []
+    with suppress(UsageError):
+        moving = [each for each in tf_connections(connections, tf_topics) if not each.is_static]
+    return moving or [each for each in connections if each.ros_type in POSES and each.ros_version is not None]
+
+
+def _nearest(messages: Iterable[Delays]) -> list[int]:
+    """Return the delays of the child frame whose transforms are logged closest to their stamps."""
+    delays: dict[str, list[int]] = {}
+    for message in messages:
+        for child, delay_ns in message:
+            delays.setdefault(child, []).append(delay_ns)
+    return min(delays.values(), key=lambda each: abs(median_low(each)), default=[])
+
+
+def _delay_of_end(message: RawMessage) -> int:
+    """Return the delay from the time of a message's last point to its log time; of others from their stamp."""
+    kind, serialization = message.connection.ros_type, message.connection.serialization
+    stamp_ns, last_s = stamp_in(message.data, serialization), 0.0
+    if kind in CLOUDS:
+        points = CLOUDS[kind](serialization)(message.data)
+        with suppress(DecodeError):
+            last_s = max(0.0, PointTime().read(points).high)
+    return message.log_time_ns - stamp_ns - round(min(last_s, _LONGEST_S) * 1e9)

@@ -1,0 +1,374 @@
+"""Measures the first clouds of topics: the times of scans and beams, the resolution of the lidar, and the fields.
+
+Only the first clouds are read, so that a conversion needs a single pass over the recording.
+"""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from pc2scan.core.layout import TURN
+from pc2scan.core.percentiles import median, median_low
+from pc2scan.core.points import Points
+from pc2scan.core.resolution import RING_FIELDS, azimuth_step
+from pc2scan.core.timing import TIME_FIELDS, beam_times, fit_sweep, is_brief, median_interval_ns, time_field
+from pc2scan.errors import MessageError, ParameterError, stamp_text
+from pc2scan.request.point_time import PointTime
+from pc2scan.request.turn import Turn
+from pc2scan.text import did_you_mean
+from pc2scan.transforms.placing import Placer
+
+from .survey import Fact
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Container, Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    from pc2scan.core.layout import BeamLayout
+    from pc2scan.core.params import ProjectionParams
+    from pc2scan.core.timing import Sweep
+    from pc2scan.model import RawMessage
+    from pc2scan.request.options import ScanSpec
+
+    from .survey import TopicFacts
+
+#: How many clouds are read to measure the scan time, and how many to measure the time and the width of a beam.
+STAMPS = 51
+SHAPES = 11
+
+_OWN_FRAME = Placer()
+
+
+class Measurements(NamedTuple):
+    """What was measured in the first clouds of a topic before the conversion.
+
+    Attributes
+    ----------
+    scan_time, time_increment
+        Seconds, as in the message.
+    first_beam_ns
+        Nanoseconds from the cloud's stamp to the scan's.
+    azimuth_step
+        How finely the lidar samples azimuth, radians; 0 if it was not measured.
+    """
+
+    scan_time: float
+    time_increment: float = 0.0
+    first_beam_ns: int = 0
+    azimuth_step: float = 0.0
+
+    def resolve(self, params: ProjectionParams) -> ProjectionParams:
+        """Return parameters whose ``beams`` is not auto: as measured, or without clouds as ``angle_increment`` says."""
+        if params.beams != "auto":
+            return params
+        return params.at_resolution(self.azimuth_step) if self.azimuth_step else replace(params, beams=0)
+
+
+class ShapeRequest(NamedTuple):
+    """What is measured in the points of a cloud.
+
+    Attributes
+    ----------
+    step, sweep
+        See `CloudShape`.
+    is_placed
+        Whether it is measured along the axes of another frame, whose transforms are known later.
+    most
+        In how many clouds.
+    """
+
+    step: bool
+    sweep: bool
+    is_placed: bool = False
+    most: int = SHAPES
+
+    @property
+    def fact(self) -> Fact[Any]:
+        """What is taken of clouds: a `CloudShape`, or the columns that it is measured in later."""
+        return Fact(_columns if self.is_placed else _own_shape, self.most, (self,))
+
+    @classmethod
+    def of(cls, spec: ScanSpec) -> ShapeRequest | None:
+        """Return what an output needs; None for nothing."""
+        step, sweep = spec.params.beams == "auto", spec.params.time_increment == "auto"
+        return cls(step, sweep, spec.needs_transforms) if step or sweep else None
+
+
+class CloudShape(NamedTuple):
+    """What the points of a cloud show of the lidar.
+
+    Attributes
+    ----------
+    step
+        The azimuth step, radians; None if the points are in no regular rings, or it is not measured.
+    sweep
+        The motion of a turning lidar; None if the times are not of one, or it is not measured.
+    time_field
+        The field with the times; None if it has none, or they are not wanted.
+    is_readable
+        Whether the coordinates can be read and transformed.
+    """
+
+    step: float | None = None
+    sweep: Sweep | None = None
+    time_field: str | None = None
+    is_readable: bool = True
+
+
+def ask_measurements(facts: TopicFacts, spec: ScanSpec) -> None:
+    """Ask for what `measure` reads of a topic."""
+    request = ShapeRequest.of(spec)
+    if request is not None:
+        facts.ask(request.fact)
+    facts.ask_headers(STAMPS if spec.params.scan_time == "auto" else SHAPES if request is not None else 1)
+
+
+def shapes_of(facts: TopicFacts, request: ShapeRequest, placer: Placer = _OWN_FRAME) -> list[CloudShape]:
+    """Return what the points of the first clouds show of the lidar, along the axes of the scans' frame.
+
+    Clouds whose coordinates cannot be read are left out.
+    """
+    found = facts.found(request.fact)
+    shapes = [_shape(each, request, placer) for each in found] if request.is_placed else found
+    return [each for each in shapes if each.is_readable]
+
+
+def measure(topics: Iterable[TopicFacts], spec: ScanSpec, placer: Placer) -> tuple[dict[str, Measurements], list[str]]:
+    """Measure the first clouds of each topic.
+
+    Parameters
+    ----------
+    topics
+        What was observed: see `ask_measurements`.
+    spec
+        The request: requested fields must exist.
+    placer
+        The recording's transforms: beams are measured in the frame of the scans.
+
+    Returns
+    -------
+    dict, list of str
+        The timing of each topic, and notes for the user.
+
+    Raises
+    ------
+    ParameterError
+        If none of the first clouds of a topic has the ``intensity_field``, or a field that a filter or deskewing
+        needs; or if ``beams`` is auto, and the points are not in regular rings.
+    """
+    found: dict[str, Measurements] = {}
+    notes: list[str] = []
+    for facts in topics:
+        _require_fields(facts, spec)
+        if spec.point_time.partition(":")[0] == "azimuth":
+            # A time that is not given is measured later, with a note of its own.
+            turn = Turn.parse(spec.point_time)
+            if turn.period:
+                notes.append(f"{facts.topic}: the times of points are computed from their azimuth: {turn}")
+        found[facts.topic] = _timing(facts, spec, placer, notes)
+    return found, notes
+
+
+def _columns(cloud: Points, _: RawMessage, request: ShapeRequest) -> Points:
+    """Return copies of the columns that show the shape of a cloud; without coordinates that cannot be read."""
+    rings = [name for name in RING_FIELDS if name in cloud.fields][: request.step]
+    time = time_field(cloud.fields) if request.sweep else ""
+    columns: dict[str, NDArray[Any]] = {}
+    with suppress(MessageError):
+        columns |= {name: cloud.field(name).copy() for name in (*rings, "x", "y", "z")}
+    if time:
+        with suppress(MessageError):
+            columns[time] = cloud.field(time).copy()
+    return Points(cloud.sequence, cloud.stamp_ns, cloud.frame_id, columns)
+
+
+def _own_shape(cloud: Points, _: RawMessage, request: ShapeRequest) -> CloudShape:
+    return _shape(cloud, request)
+
+
+@np.errstate(all="ignore")  # coordinates and times may be any numbers: signalling NaN, the largest numbers
+def _shape(cloud: Points, request: ShapeRequest, placer: Placer = _OWN_FRAME) -> CloudShape:
+    """Return what a cloud's points show, as far as it is to be measured."""
+    step = None
+    if request.step:
+        try:
+            step = _step(cloud, placer)
+        except MessageError:
+            # An error of decoding or transforming is reported when this message is converted.
+            return CloudShape(is_readable=False)
+    name = time_field(cloud.fields) if request.sweep else ""
+    sweep = None
+    if name:
+        with suppress(MessageError):
+            sweep = fit_sweep(_angles(cloud, placer), np.ravel(PointTime().read(cloud).at()))
+    return CloudShape(step, sweep, name or None)
+
+
+def _step(cloud: Points, placer: Placer) -> float | None:
+    """Return the azimuth step of a cloud around the sensor, with the axes of the scan's frame."""
+    x, y, z = cloud.xyz()
+    transform = placer.place(cloud.frame_id, cloud.stamp_ns).target_from_source
+    if transform is not None:
+        shape = x.shape
+        points = np.stack([np.ravel(part).astype(np.float64) for part in (x, y, z)])
+        x, y, z = (part.reshape(shape) for part in transform.matrix @ points)
+    name = next((name for name in RING_FIELDS if name in cloud.fields), None)
+    if name is None:
+        return azimuth_step(x, y, z)
+    rings = np.ravel(cloud.field(name))
+    if rings.dtype.kind not in "iu":
+        rings = np.unique(rings, return_inverse=True)[1]
+    return azimuth_step(x, y, z, rings)
+
+
+def _angles(cloud: Points, placer: Placer) -> NDArray[np.float64]:
+    """Return the azimuth of each point in the scan's frame; NaN for points without a direction."""
+    points = np.stack([np.ravel(part).astype(np.float64) for part in cloud.xyz()], axis=1)
+    nowhere = ~points.any(axis=1) | ~np.isfinite(points).all(axis=1)
+    transform = placer.place(cloud.frame_id, cloud.stamp_ns).target_from_source
+    if transform is not None:
+        points = transform.apply(points)
+    angles: NDArray[np.float64] = np.arctan2(points[:, 1], points[:, 0])
+    angles[nowhere] = np.nan
+    return angles
+
+
+def require_fields(
+    spec: ScanSpec, fields: Container[str], what: str, hint: Callable[[str], str], point_time: str = ""
+) -> None:
+    """Raise if a field that an output needs is missing.
+
+    Parameters
+    ----------
+    spec
+        The output.
+    fields
+        Those that there are.
+    what
+        What has them, in the plural.
+    hint
+        Returns the hint for a missing field.
+    point_time
+        The field with the times of points; empty: none is requested by its name.
+    """
+    name = spec.params.intensity_field
+    asked = [("intensity_field", f"intensity_field is {name!r}", name)] if name else []
+    asked += [(f.name, f"`{f.name}` needs the field {field!r}", field) for f in spec.filters for field in f.fields]
+    if point_time:
+        asked.append(("point_time", f"`point_time` is {spec.point_time!r}", point_time))
+    for option, request, field in asked:
+        if field not in fields:
+            raise ParameterError(f"{request}, which {what} do not have", name=option, hint=hint(field))
+
+
+def unknown_step(why: str) -> ParameterError:
+    """Return the error that the number of beams cannot be measured."""
+    hint = "give a number of `beams`, or an `angle_increment`"
+    return ParameterError(f"beams is auto, but {why}", name="beams", hint=hint)
+
+
+def _require_fields(facts: TopicFacts, spec: ScanSpec) -> None:
+    """Raise if no cloud has a requested field."""
+    if not facts.headers:
+        return
+    topic = facts.topic
+    fields = list(dict.fromkeys(name for each in facts.headers for name in each.fields))
+    there = f"their fields are: {', '.join(fields) or 'none'}"
+    time = spec.point_time.partition(":")[0]
+    require_fields(
+        spec,
+        fields,
+        f"the clouds on {topic}",
+        lambda field: f"{did_you_mean(field, fields)} {there}".strip(),
+        "" if time == "azimuth" else time,
+    )
+    if spec.deskew and not spec.point_time and not time_field(fields):
+        raise ParameterError(
+            f"the clouds on {topic} have no times of their points: no field {', '.join(TIME_FIELDS)}",
+            name="point_time",
+            hint="name the field that has them: `point_time=FIELD`; of a lidar that turns once in 0.1 s: "
+            f"`point_time=azimuth:0.1`, or `point_time=azimuth` to measure it; {there}",
+        )
+
+
+def _timing(facts: TopicFacts, spec: ScanSpec, placer: Placer, notes: list[str]) -> Measurements:
+    """Return the times to write into the scans, and add notes about them."""
+    params, topic = spec.params, facts.topic
+    request = ShapeRequest.of(spec)
+    shapes = [] if request is None else shapes_of(facts, request, placer)
+    step = _resolution(topic, shapes, params, notes) if params.beams == "auto" and facts.headers else 0.0
+    layout = (params.at_resolution(step) if step else params).layout
+    scan_time, time_increment, first_beam_ns = params.scan_time, params.time_increment, 0
+    if scan_time == "auto":
+        stamps = [each.stamp_ns for each in facts.headers[:STAMPS]]
+        interval = median_interval_ns(stamps)
+        scan_time = (interval or 0) / 1e9
+        notes.append(
+            f"{topic}: scan_time is 0, because there are no two different stamps to measure it between"
+            if interval is None
+            else f"{topic}: scan_time is {scan_time:.6g} s, the median interval of "
+            f"{'its' if len(stamps) < STAMPS else 'the first'} {len(stamps)} stamps"
+        )
+    if time_increment == "auto":
+        time_increment, first_beam_ns, found = _beams(shapes, layout, [each.stamp_ns for each in facts.headers])
+        notes.append(f"{topic}: {found}")
+    return Measurements(scan_time, time_increment, first_beam_ns, step)
+
+
+def regular_step(shapes: Sequence[CloudShape]) -> float | None:
+    """Return how finely the lidar samples azimuth, radians; None if most of its clouds have no regular rings."""
+    known = [each.step for each in shapes if each.step is not None]
+    return median_low(known) if 2 * len(known) > len(shapes) else None
+
+
+def _resolution(topic: str, shapes: Sequence[CloudShape], params: ProjectionParams, notes: list[str]) -> float:
+    """Return how finely the lidar samples azimuth, radians."""
+    known = sum(each.step is not None for each in shapes)
+    step = regular_step(shapes)
+    if step is None:
+        raise unknown_step(
+            f"the azimuth resolution of the clouds on {topic} cannot be measured: the points of "
+            f"{len(shapes) - known} of the first {len(shapes)} are in no regular rings"
+        )
+    layout = params.at_resolution(step).layout
+    notes.append(
+        f"{topic}: beams is {layout.count:,}, angle_increment {layout.angle_increment:.6g} rad: the lidar measures "
+        f"every {math.degrees(step):.4g} deg (median of {known} clouds)"
+    )
+    return step
+
+
+def _beams(shapes: Sequence[CloudShape], layout: BeamLayout, stamps_ns: Sequence[int]) -> tuple[float, int, str]:
+    """Return the time between beams in seconds, from the stamp to the first beam in nanoseconds, and a note."""
+    timed = dict.fromkeys(each.time_field for each in shapes if each.time_field is not None)
+    if not timed:
+        return 0.0, 0, f"time_increment is 0, because the clouds have no field {', '.join(TIME_FIELDS)}"
+    field = ", ".join(timed)
+    sweeps = [each.sweep for each in shapes if each.sweep is not None]
+    if not sweeps:
+        return 0.0, 0, f"time_increment is 0, because the times of points ({field}) are not of a turning lidar"
+    period, takes = (median_interval_ns(stamps_ns) or 0) / 1e9, median([sweep.end - sweep.begin for sweep in sweeps])
+    if is_brief(takes, period):
+        wrong = f"by the times of points ({field}) a cloud takes {takes:.3g} s, but clouds come every {period:.3g} s"
+        return 0.0, 0, f"time_increment is 0, because {wrong}: their unit is probably another one"
+    found = [times for sweep in sweeps if (times := beam_times(sweep, layout)) is not None]
+    if len(found) < len(sweeps):
+        lowest = median_low(sweep.lowest for sweep in sweeps)
+        advice = f"`angle_min={lowest:.4f}` `angle_max={lowest + TURN:.4f}`"
+        note = "time_increment is 0, because the clouds begin inside the scan's sector; let the scan begin there"
+        return 0.0, 0, f"{note}: {advice}"
+    first_beam_ns = round(median_low(first for first, _ in found) * 1e9)
+    increment = median_low(step for _, step in found)
+    way = "clockwise, so the first beam is the last in time" if increment < 0 else "counter-clockwise"
+    note = f"time_increment is {increment:.4g} s, from {field}: the lidar turns {way}"
+    return (
+        increment,
+        first_beam_ns,
+        f"{note}; stamps are shifted by {stamp_text(first_beam_ns)} s, to the first beam",
+    )

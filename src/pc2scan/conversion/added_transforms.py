@@ -1,0 +1,195 @@
+"""Writes the transforms that a conversion used, and that the recording does not have, into the destination.
+
+Poses of a topic are written as transforms at the log times of their messages, those of a file at their stamps, both to
+the topic with the moving transforms. The recording's own transforms of the same frames are left out of it: a frame has
+one parent. Added static transforms go to ``/tf_static``, if the user wants that.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+
+from pc2scan.core.rule import NO_POINTS
+from pc2scan.errors import MessageError
+from pc2scan.messages.poses import decode_pose
+from pc2scan.messages.tfmessage import decode_transforms, encode_transforms
+from pc2scan.model import MAX_ROSBAG2_NS as LAST_NS
+from pc2scan.model import StoredChunk
+from pc2scan.transforms.reading import tf_connections
+
+from .items import Output
+from .levelling import tf_connection
+from .report import TopicReport
+from .steps import ConvertedMessage
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
+
+    from pc2scan.advice.survey import Span
+    from pc2scan.bags.reader import Reader
+    from pc2scan.core.rigid import Pose, TransformRow
+    from pc2scan.model import Buffer, Connection, Writer
+    from pc2scan.transforms.placing import FrameOptions
+    from pc2scan.transforms.sources import AddedPoses, Attachment, PoseReading
+
+    from .declarations import RecordingTopics
+    from .items import Item, OpenRoute
+    from .routes import Routes
+
+
+@dataclass(slots=True)
+class TrajectoryWriter:
+    """Writes the transforms of a trajectory, each before the first message that is logged later.
+
+    Attributes
+    ----------
+    rows, count
+        The transforms, by stamp, and how many they are.
+    handle
+        The writer's handle of their topic.
+    serialization
+        That of the destination.
+    report
+        The report's entry that counts them.
+    first_ns
+        The time of the earliest transform: log times are not before.
+    """
+
+    rows: Iterator[TransformRow]
+    count: int
+    handle: int
+    serialization: str
+    report: TopicReport
+    first_ns: int
+    _next: TransformRow | None = None
+
+    def __post_init__(self) -> None:
+        self._next = next(self.rows, None)
+
+    def write_until(self, log_time_ns: int, writer: Writer) -> None:
+        """Write all transforms up to a log time."""
+        while self._next is not None and self._next[2] <= log_time_ns:
+            row, self._next = self._next, next(self.rows, None)
+            time_ns = max(row[2], self.first_ns)
+            # A stamp that the destination cannot store is far from any message.
+            with suppress(MessageError):
+                writer.write(self.handle, time_ns, encode_transforms([row], self.serialization), time_ns)
+                self.report.messages_out += 1
+
+
+def add_poses(
+    reader: Reader,
+    frames: FrameOptions,
+    added: Sequence[AddedPoses],
+    opened: Routes,
+    topics: RecordingTopics,
+    span: Span,
+) -> list[TrajectoryWriter]:
+    """Let routes write poses as transforms, before the topics are declared; return what writes those of files.
+
+    Parameters
+    ----------
+    reader, frames
+        The source, and the options about transforms.
+    added
+        The poses that were used.
+    opened
+        The routes.
+    topics
+        The topics of the destination.
+    span
+        The cut.
+    """
+    target = topics.target
+    children = {name for each in added for attachment in each.attachments.values() for name in attachment.replaced}
+    for connection in tf_connections(reader.connections, frames.tf_topics):
+        route = opened.by_id.get(connection.id)
+        if route is not None and route.passing_handle >= 0 and not connection.is_static:
+            route.reencode = partial(_without, children, connection.serialization, target.serialization)
+    place = topics.add(tf_connection(reader, frames, target))
+    name = tf_connection(reader, frames, target).topic
+    files: list[TrajectoryWriter] = []
+    for each in added:
+        if each.reading is None:
+            rows, count = _rows_in(each, span, reader.summary.end_ns)
+            entry = TopicReport(name, "tf2_msgs/msg/TFMessage", name, "added", f"from {each.name}")
+            opened.entries.append(entry)
+            files.append(TrajectoryWriter(rows, count, place, target.serialization, entry, span.first_ns))
+            continue
+        for connection in each.reading.connections:
+            entry = TopicReport(connection.topic, connection.ros_type, name, "added", "its poses as transforms")
+            step = partial(_as_transform, each.reading, each.attachments, connection, target.serialization)
+            _add_step(opened, opened.by_id[connection.id], entry, place, step)
+    return files
+
+
+def between(
+    items: Generator[Item | StoredChunk], trajectories: Sequence[TrajectoryWriter], writer: Writer
+) -> Generator[Item | StoredChunk]:
+    """Yield items, and write transforms of files before each that is logged later; all others at the end."""
+    for item in items:
+        if not isinstance(item, StoredChunk):
+            for each in trajectories:
+                each.write_until(item.log_time_ns, writer)
+        yield item
+    for each in trajectories:
+        each.write_until(LAST_NS, writer)
+
+
+def _add_step(opened: Routes, route: OpenRoute, entry: TopicReport, place: int, step: object) -> None:
+    """Let a route write a second message for each of its messages."""
+    opened.entries.append(entry)
+    if route.passing_handle < 0 and route.report is not None:
+        # Only counted until now.
+        opened.entries.remove(route.report)
+        route.report = None
+    route.steps, route.shrinks_from = (step,), 0  # type: ignore[assignment]
+    route.outputs.append(Output(entry, 0, handle=place))
+
+
+def _as_transform(
+    reading: PoseReading,
+    attachments: Mapping[tuple[str, str], Attachment],
+    connection: Connection,
+    serialization: str,
+    data: Buffer,
+) -> ConvertedMessage:
+    """Return a message with the transform that a pose became."""
+    parent, child, stamp_ns, *pose = decode_pose(data, connection.serialization, connection.ros_type)
+    attachment = attachments.get(reading.frames_of(parent, child))
+    rows = [] if attachment is None else [attachment.row(stamp_ns, cast("Pose", tuple(pose)))]
+    message = encode_transforms(rows, serialization)
+    return ConvertedMessage(message, NO_POINTS, empty=False, size=len(message))
+
+
+def _without(children: Collection[str], source: str, target: str, data: Buffer) -> Buffer:
+    """Return a message with transforms without those of some frames."""
+    rows = decode_transforms(data, source)
+    return encode_transforms([row for row in rows if row[1].removeprefix("/") not in children], target)
+
+
+def _rows_in(added: AddedPoses, span: Span, end_ns: int | None) -> tuple[Iterator[TransformRow], int]:
+    """Yield the transforms of a trajectory during the cut, by stamp, with the last one before and the first after.
+
+    The second result is their number. Rows are made one by one: a million of them would take half a gigabyte.
+    """
+    used = [each for each in added.trajectories if (each.parent, each.child) in added.attachments]
+    stamps_ns = np.concatenate([np.empty(0, np.int64), *(each.stamps_ns for each in used)])
+    owners = np.repeat(np.arange(len(used)), [len(each.stamps_ns) for each in used])
+    order = np.argsort(stamps_ns, kind="stable")
+    last_ns = min(each for each in (span.stop_ns, end_ns, 2**63 - 1) if each is not None)
+    begin = max(0, int(np.searchsorted(stamps_ns, span.first_ns, "right", order)) - 1)
+    places = order[begin : int(np.searchsorted(stamps_ns, last_ns, "right", order)) + 1]
+    poses = np.concatenate([np.empty((0, 7)), *(each.poses for each in used)])
+
+    def row(place: int) -> TransformRow:
+        each = used[owners[place]]
+        pose = cast("Pose", tuple(poses[place].tolist()))
+        return added.attachments[each.parent, each.child].row(int(stamps_ns[place]), pose)
+
+    return map(row, places), len(places)

@@ -1,0 +1,518 @@
+"""Converts several messages to one scan: prepares each message by itself, then makes the scan of a group of messages.
+
+The thread that loads a message decodes and filters it. If the transform to the scan is certain by then, it projects the
+points at once, and only the ranges of the beams are held. Otherwise the points are held, and the pose of their sensor.
+Messages are grouped in order. The held points are then placed as seen at the scan's time, and projected, on any thread.
+"""
+
+from __future__ import annotations
+
+import math
+from operator import attrgetter, mul
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
+
+import numpy as np
+
+from pc2scan.conversion.cloud_to_scan import Beams
+from pc2scan.conversion.stages.removal import RemoveStage
+from pc2scan.conversion.stages.selection import SelectStage
+from pc2scan.conversion.steps import Conversion, ConvertedMessage, Motion
+from pc2scan.core.layout import TURN
+from pc2scan.core.params import ProjectionParams
+from pc2scan.core.points import Points
+from pc2scan.core.project import PointsPart, ProjectedScan, contiguous
+from pc2scan.core.rigid import Rigid
+from pc2scan.core.rule import PointCounts
+from pc2scan.errors import MessageError
+from pc2scan.files.source import ReadBuffer, retain
+from pc2scan.messages.beams import scan_points
+from pc2scan.messages.clouds import CLOUDS, SCANS
+from pc2scan.messages.laserscan import LASERSCAN, LaserScan, encode_laserscan
+from pc2scan.messages.pointcloud2 import POINTCLOUD2
+from pc2scan.messages.used_points import gather_points
+from pc2scan.request.filters import Frame
+from pc2scan.transforms.placing import Placement
+
+from .rebinning import count_rebinning
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from pc2scan.advice.first_clouds import SharedSample, TopicClouds
+    from pc2scan.advice.measurements import Measurements
+    from pc2scan.advice.odometry import Surroundings
+    from pc2scan.conversion.stages.deskew import Deskew, Track
+    from pc2scan.conversion.steps import Step
+    from pc2scan.core.moving import MovingTransform
+    from pc2scan.core.project import Transform
+    from pc2scan.files.source import RetainedMemory
+    from pc2scan.messages.used_points import UsedPoints
+    from pc2scan.model import Buffer
+    from pc2scan.request.filters import Filter
+    from pc2scan.request.options import ScanSpec
+    from pc2scan.transforms.placing import LevelFrame, Placer
+
+    from .grouping import Grouper
+    from .rebinning import Rebinning
+
+#: Bytes that a message takes besides its arrays.
+_OVERHEAD = 2_000
+
+_DEFAULTS = ProjectionParams()
+_AXES = frozenset("xyz")
+
+#: How many messages of the leading topic are remembered, and how many are needed to know their period.
+_LEADS = 16
+_FEWEST_LEADS = 2
+
+_NO_POINTS = Points(0, 0, "", {})
+
+#: The transform that changes nothing.
+_NOWHERE = Rigid.identity()
+
+
+class Contribution(NamedTuple):
+    """What one message contributes to a scan of several messages.
+
+    Attributes
+    ----------
+    source
+        The number of its topic.
+    stamp_ns, reference_ns
+        Its stamp, and the time of the scan if it leads.
+    points
+        The points that were not rejected, in the sensor's frame; with `TIME` if ``track`` is not None.
+    frame_id
+        The scan's frame, if the message leads.
+    mount
+        target_from_source at the message's stamp, of a target frame that is not made level; None if both frames are
+        the same.
+    target_from_fixed, fixed_from_source
+        Transforms from and to the fixed frame; None without one. The first is that of the scan's frame at the scan's
+        time, if the message leads; the second is that at the message's stamp.
+    gap_ns
+        Over how long a time the two were interpolated, nanoseconds.
+    track
+        The poses of the sensor during the measurement; None if the points are not deskewed.
+    level
+        The scan's frame, if the message leads and the frame is made level.
+    rejected
+        How many points were rejected so far, by reason.
+    flat
+        Whether the message is a LaserScan.
+    nearest
+        The ranges of the beams, if the points are projected already.
+    motion
+        How far the sensor moved, if ``nearest`` is of points that were moved.
+    assumed
+        The time and the frame of the scan that ``nearest`` is for; ``points`` are held in case that the message
+        belongs to another scan. None: ``nearest`` is right for its only scan.
+    sample
+        A sample for `FirstClouds`, while that needs any.
+    size
+        Bytes that the message holds.
+    memory
+        The memory that the points are views of, which is not overwritten while this refers to it; None for copies.
+    """
+
+    source: int
+    stamp_ns: int
+    reference_ns: int
+    points: Points
+    frame_id: str
+    mount: Rigid | None
+    target_from_fixed: Rigid | None
+    fixed_from_source: Rigid | None
+    gap_ns: int
+    track: Track | None
+    level: LevelFrame | None
+    rejected: Mapping[str, int]
+    flat: bool
+    nearest: ProjectedScan | None = None
+    motion: Motion | None = None
+    assumed: tuple[int, str] | None = None
+    sample: SharedSample | None = None
+    size: int = 0
+    memory: object = None
+
+
+class MessagesToScan(Conversion):
+    """Converts several messages to one scan.
+
+    Parameters
+    ----------
+    spec
+        The request.
+    topics
+        The source topics; the first one leads.
+    placer
+        The recording's transforms.
+    measured
+        The measurements of the leading topic.
+    grouper
+        Makes the grouper of messages; None: each message becomes a scan by itself.
+    deskew
+        Places points at their own times; None: all points of a message are placed at its stamp.
+    first_clouds
+        Returns the checks of the first clouds of a topic; None for no checks.
+    surroundings
+        Samples some clouds that are not deskewed; None: nothing does.
+    """
+
+    made_type = LASERSCAN
+    encode = encode_laserscan
+    shrinks_from = 0
+
+    def __init__(
+        self,
+        spec: ScanSpec,
+        topics: Sequence[str],
+        placer: Placer,
+        measured: Measurements,
+        grouper: Callable[[], Grouper[Contribution]] | None,
+        deskew: Deskew | None = None,
+        first_clouds: Callable[[str], TopicClouds] | None = None,
+        surroundings: Surroundings | None = None,
+    ) -> None:
+        params = measured.resolve(spec.params)
+        self._beams = Beams(params, measured)
+        self.spec = spec
+        self.topics = tuple(topics)
+        self.grouper = grouper
+        self._placer = placer
+        self._deskew = deskew
+        self._first_clouds = first_clouds
+        self._surroundings = surroundings if deskew is None else None
+        self._projector = self._beams.projector
+        #: Whether the transform of points does not depend on the scan's time, so that no message waits for that.
+        self._rigid = not spec.fixed_frame and placer.up is None
+        #: Whether a message is in at most one scan. A leading message is in the scan of its own time.
+        self._once = not spec.combining.accumulates
+        #: The messages of the leading topic that were prepared last, in any order. The list is replaced, never changed,
+        #: because threads share it.
+        self._leads: list[Contribution] = []
+        self._early: SelectStage | None = None
+        self._late: SelectStage | None = None
+        late: Sequence[Filter] = ()
+        if spec.filters:
+            late = tuple(each for each in spec.filters if each.frame is Frame.TARGET and not self._rigid)
+            early = tuple(each for each in spec.filters if each not in late)
+            self._early = SelectStage(early, placer) if early else None
+            self._late = SelectStage(late, placer) if late else None
+        self._keeps_used = bool(spec.keep_used)
+        self._intensity = params.intensity_field or ("intensity" if spec.combining.rebin else "")
+        self._remove: Callable[[ConvertedMessage], ConvertedMessage] | None = None
+        if spec.remove:
+            self._remove = RemoveStage(spec.remove, params.empty_range)
+        self._kept = {"x", "y", "z", self._intensity, *(field for each in late for field in each.fields)}
+        #: Upstream's default minimum, the smallest positive number, is meant for clouds: it rejects all beams of scans.
+        self._any_height = params.min_height == _DEFAULTS.min_height
+
+    def decoder(self, source: str, source_type: str) -> Callable[[Buffer], Any]:
+        """Return the decoder of clouds or scans; see `Conversion`."""
+        if source_type in SCANS:
+            return SCANS[source_type](source, self.spec.echo)
+        return CLOUDS[source_type or POINTCLOUD2](source)
+
+    def stages(self, topic: str) -> tuple[Step, ...]:
+        """Return the steps of one topic's messages; the last one makes a scan only if each message becomes one."""
+        firsts = None if self._first_clouds is None else self._first_clouds(topic)
+        number = self.topics.index(topic)
+        deskew = None if self._deskew is None else self._deskew.of(topic)
+
+        def prepare(message: Points | LaserScan) -> Contribution:
+            return self._contribute(number, firsts, deskew, message)
+
+        return (prepare,) if self.grouper is not None else (prepare, self.alone)
+
+    def alone(self, contribution: Contribution) -> ConvertedMessage:
+        """Make the scan of one message."""
+        return self.scan(contribution, (contribution,))
+
+    def _contribute(
+        self, number: int, firsts: TopicClouds | None, deskew: Deskew | None, message: Points | LaserScan
+    ) -> Contribution:
+        flat = isinstance(message, LaserScan)
+        rejected: dict[str, int] = {}
+        if isinstance(message, LaserScan):
+            points, _, rejected = scan_points(message)
+        else:
+            points = message
+        stamp_ns, placer = points.stamp_ns, self._placer
+        source, frame_id = placer.source_frame or points.frame_id, points.frame_id
+        target = placer.target_frame or source
+        mount = placer.transform(target, frame_id, stamp_ns) if placer.target_frame else None
+        sample = None
+        if not flat and number == 0 and firsts is not None and not firsts.full:
+            sample = firsts.sample(points, placer.place(frame_id, stamp_ns))
+        if self._surroundings is not None and not flat:
+            self._surroundings.add(self.topics[number], points)
+        track = None if deskew is None else deskew.track(points)
+        reference_ns = stamp_ns if track is None else track.reference_ns
+        points = points if track is None else track.points
+        target_from_fixed = fixed_from_source = level = None
+        gap_ns, fixed = 0, self.spec.fixed_frame
+        # For its own scan, the place of a leading message does not depend on the fixed frame.
+        if fixed and track is None and placer.buffer is not None and not (self._once and number == 0):
+            fixed_from_source = placer.buffer.lookup(fixed, source, stamp_ns, placer.tolerance_ns)
+            gap_ns = placer.buffer.between_ns(fixed, source, stamp_ns, placer.tolerance_ns)
+        if number == 0:
+            if fixed:
+                _, target_from_fixed = placer.from_fixed(fixed, frame_id, reference_ns)
+            level = placer.level(target, reference_ns)
+        if self._early is not None:
+            # Filters in the target frame see the points where the scan shows them.
+            selected = self._early.apply(points, Placement(target, mount) if self._rigid else Placement("", None))
+            points, rejected = selected.points, rejected | selected.rejected
+            mount = cast("Rigid | None", selected.transform) if self._rigid else mount
+        contribution = Contribution(
+            number,
+            stamp_ns,
+            reference_ns,
+            points,
+            target if level is None else level.name,
+            mount,
+            target_from_fixed,
+            fixed_from_source,
+            gap_ns,
+            track,
+            level,
+            rejected,
+            flat,
+            sample=sample,
+        )
+        lead = self._lead_of(contribution)
+        return self._keep_points(contribution) if lead is None else self._project(lead, contribution)
+
+    def _lead_of(self, contribution: Contribution) -> Contribution | None:
+        """Return the message whose scan a message can be projected for at once; None if it must wait for its group.
+
+        It is the message itself if its place does not depend on the scan's time, or if it leads. A message of another
+        topic probably belongs to the leading message that is nearest in time. That is a guess: if it is wrong, the
+        message is projected again for the scan that it belongs to. It changes the time that this takes, not the scan.
+        """
+        if contribution.flat or self._intensity or self._keeps_used or not self._projector.reads_nearest:
+            return None
+        if self._rigid:
+            return contribution
+        if not self._once:
+            return None
+        if contribution.source == 0:
+            self._leads = [*self._leads[1 - _LEADS :], contribution._replace(points=_NO_POINTS, track=None)]
+            return contribution
+        leads = sorted(self._leads, key=attrgetter("stamp_ns"))
+        if len(leads) < _FEWEST_LEADS:
+            return None
+        lead = min(leads, key=lambda lead: abs(lead.stamp_ns - contribution.stamp_ns))
+        is_near = 2 * abs(lead.stamp_ns - contribution.stamp_ns) <= leads[-1].stamp_ns - leads[-2].stamp_ns
+        return lead if is_near else None
+
+    def _project(self, lead: Contribution, contribution: Contribution) -> Contribution:
+        """Return a message with the ranges of the beams in the scan of ``lead``.
+
+        The points are in the processor's cache now; projecting them later takes twice as long. They are kept if another
+        message leads, because the message may belong to another scan.
+        """
+        if lead is contribution:
+            nearest, motion = self._find_nearest(lead, contribution)
+            points = Points(contribution.points.sequence, contribution.stamp_ns, contribution.points.frame_id, {})
+            size = _OVERHEAD + nearest.ranges.nbytes
+            return contribution._replace(points=points, nearest=nearest, motion=motion, size=size)
+        held = self._keep_points(contribution)
+        try:
+            nearest, motion = self._find_nearest(lead, contribution)
+        except MessageError:
+            # The error is raised when the scan is made, if the message belongs to it.
+            return held
+        return held._replace(nearest=nearest, motion=motion, assumed=(lead.reference_ns, lead.frame_id))
+
+    def _find_nearest(self, lead: Contribution, member: Contribution) -> tuple[ProjectedScan, Motion | None]:
+        """Return the ranges and counts of one message in a scan, and how far its sensor moved."""
+        points, transform, rejected, motion = self._place(lead, member)
+        nearest = self._projector.nearest(PointsPart(*points.xyz(), _round_transform(transform)))
+        if rejected:
+            nearest.counts += PointCounts.of_filters(rejected)
+        return nearest, motion
+
+    def _keep_points(self, contribution: Contribution) -> Contribution:
+        """Return a message whose points may be used after the buffer that they were decoded in is free again."""
+        track, points = contribution.track, contribution.points
+        if not contribution.flat and self._intensity:
+            # A missing field is an error of this message, not of the scan.
+            points.field(self._intensity)
+        names = {
+            *self._kept,
+            *(("index",) if contribution.flat else ()),
+            *(() if track is None else (track.time_field,)),
+        }
+        if self._keeps_used:
+            names.update(points.fields)
+        views = {name: points.field(name) for name in dict.fromkeys(("x", "y", "z", *points.fields)) if name in names}
+        if self._keeps_used:
+            # Fields with several values a point are not written.
+            views = {name: each for name, each in views.items() if each.shape == views["x"].shape}
+        size = _OVERHEAD + sum(each.nbytes for each in views.values())
+        memory = None
+        if self.grouper is not None:
+            # Messages that are in many scans are held for longer, so their fields are copied, which takes less memory.
+            memory = common_memory(views.values()) if self._once else None
+            views = views if memory is not None else _copy_fields(views)
+        held = Points(points.sequence, points.stamp_ns, points.frame_id, views)
+        return contribution._replace(points=held, size=size, memory=memory)
+
+    def is_projected(self, lead: Contribution, members: Iterable[Contribution]) -> bool:
+        """Whether the points of all members are projected already, as this scan needs them."""
+        return all(_fits(member, lead) for member in members)
+
+    def scan(self, lead: Contribution, members: Sequence[Contribution]) -> ConvertedMessage:
+        """Make the scan of a group of messages.
+
+        Parameters
+        ----------
+        lead
+            The leading message, whose reference is the scan's time.
+        members
+            All messages of the group, in order.
+
+        Returns
+        -------
+        ConvertedMessage
+            The scan, with the counts of all points.
+        """
+        others: list[PointCounts] = []
+        parts: list[PointsPart] = []
+        known: list[ProjectedScan] = []
+        motions: list[Motion] = []
+        beams: list[tuple[PointsPart, NDArray[np.int32]]] = []
+        sources: list[tuple[int, Points]] = []
+        for member in members:
+            if member.nearest is not None and _fits(member, lead):
+                known.append(member.nearest)
+                motions += [] if member.motion is None else [member.motion]
+                continue
+            points, transform, found, motion = self._place(lead, member)
+            if found:
+                others.append(PointCounts.of_filters(found))
+            if motion is not None:
+                motions.append(motion)
+            values = points.field(self._intensity) if self._intensity in points.fields else None
+            by_height = not (member.flat and self._any_height)
+            parts.append(PointsPart(*points.xyz(), _round_transform(transform), values, any_height=not by_height))
+            if member.flat:
+                beams.append((parts[-1], points.field("index")))
+            if self._keeps_used:
+                sources.append((member.source, _transform_points(points, transform, lead.frame_id)))
+        if known:
+            scan = self._projector.nearest_of([*known, *map(self._projector.nearest, parts)])
+        else:
+            scan = self._projector.together(parts)
+        message, empty = self._beams.message(lead.points.sequence, lead.reference_ns, lead.frame_id, scan)
+        largest = Motion(*map(max, zip(*motions, strict=True))) if motions else None
+        shared = self._rebin(beams) if len(beams) == len(members) else None
+        level = None if lead.level is None else lead.level.at(lead.reference_ns)
+        used = self._gather_used(message, parts, sources) if self._keeps_used else None
+        counts = sum(others, scan.counts)
+        result = ConvertedMessage(
+            *(message, counts, empty, largest, None, lead.sample, level, shared, used, scan.removed),
+            stamp_ns=lead.reference_ns,
+        )
+        return result if self._remove is None else self._remove(result)
+
+    def _place(
+        self, lead: Contribution, member: Contribution
+    ) -> tuple[Points, Rigid | MovingTransform | None, Mapping[str, int], Motion | None]:
+        """Return a member's points, the transform still to apply, the rejection counts, and the sensor's motion."""
+        mount = member.mount
+        if lead.level is not None:
+            level_from_target = lead.level.frame_from_level.inverse()
+            mount = level_from_target if mount is None else level_from_target.compose(mount)
+        transform, moving = mount, None
+        motion: Motion | None = None
+        if lead.target_from_fixed is not None and member.track is not None:
+            track = member.track._replace(points=member.points)
+            moving = track.seen_from(lead.target_from_fixed, (mount or _NOWHERE,), lead.frame_id, lead.reference_ns)
+            motion = moving.motion
+        elif lead.target_from_fixed is not None and member.stamp_ns == lead.reference_ns:
+            # At the scan's own time, the transform between the two frames is used, so that the bits are the same.
+            motion = Motion(0.0, 0.0)
+        elif lead.target_from_fixed is not None and member.fixed_from_source is not None:
+            transform = lead.target_from_fixed.product(member.fixed_from_source)
+            motion = _motion_of(transform, mount)._replace(gap=max(lead.gap_ns, member.gap_ns) / 1e9)
+        if self._late is None and self._keeps_used and moving is not None:
+            # The points are written as they are projected.
+            points, placed, lost = moving.place(member.points)
+            points = points if placed is None else points.select(placed)
+            return points, None, {**member.rejected, **lost}, motion
+        if self._late is None:
+            return member.points, transform if moving is None else moving.transform, member.rejected, motion
+        selected = self._late.apply(member.points, Placement(lead.frame_id, transform), moving)
+        rejected = {**member.rejected, **selected.rejected}
+        return selected.points, selected.transform, rejected, motion
+
+    def _gather_used(
+        self, scan: LaserScan, parts: Sequence[PointsPart], sources: Sequence[tuple[int, Points]]
+    ) -> UsedPoints:
+        """Return the points that the beams of a scan read."""
+        read = self._projector.read_together(parts)
+        return gather_points(scan, [(*source, *own) for source, own in zip(sources, read, strict=True)])
+
+    def _rebin(self, beams: Sequence[tuple[PointsPart, NDArray[np.int32]]]) -> Rebinning:
+        found = []
+        for part, numbers in beams:
+            bins, used = self._projector.bins(part)
+            found.append((bins, numbers[used]))
+        layout = self._beams.layout
+        # Upstream's layout does not join the two ends of a circle, but neighbouring points lie on both sides of them.
+        around = layout.full_circle or layout.angle_max - layout.angle_min > TURN - 2 * layout.angle_increment
+        return count_rebinning(found, layout.count, full_circle=around)
+
+
+def _fits(member: Contribution, lead: Contribution) -> bool:
+    """Whether a member is projected as the scan needs it."""
+    return member.nearest is not None and member.assumed in {None, (lead.reference_ns, lead.frame_id)}
+
+
+def _transform_points(points: Points, transform: Rigid | MovingTransform | None, frame_id: str) -> Points:
+    """Return points as they are projected; those of a moving sensor are transformed already."""
+    return points.transform(transform.as_float32(), frame_id) if isinstance(transform, Rigid) else points
+
+
+def _round_transform(transform: Rigid | MovingTransform | None) -> Transform | MovingTransform | None:
+    """Return a transform as it is applied to points."""
+    return None if transform is None else transform.as_float32()
+
+
+def common_memory(arrays: Iterable[NDArray[Any]]) -> RetainedMemory | None:
+    """Return the memory that all these arrays are views of, which is kept; None if they must be copied."""
+    memory: RetainedMemory | None = None
+    whole: bytes | ReadBuffer | None = None
+    for array in arrays:
+        base: Any = array
+        while isinstance(base, np.ndarray | memoryview) and not isinstance(base, ReadBuffer):
+            base = base.obj if isinstance(base, memoryview) else base.base
+        if whole is None and isinstance(base, bytes | ReadBuffer):
+            whole = base
+            # A message in a much larger chunk is copied, which takes less memory than keeping the chunk.
+            spanned = sum(abs(step) * (count - 1) for step, count in zip(array.strides, array.shape, strict=True))
+            memory = retain(whole) if 2 * spanned >= len(base) else None
+        if memory is None or base is not whole:
+            return None
+    return memory
+
+
+def _copy_fields(fields: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return copies of fields, whose memory may be overwritten."""
+    axes = contiguous(*(fields[axis] for axis in "xyz"))
+    copies = {name: np.array(values).reshape(-1) for name, values in fields.items() if name not in _AXES}
+    return copies | dict(zip("xyz", axes, strict=True))
+
+
+def _motion_of(transform: Rigid | None, mount: Rigid | None) -> Motion:
+    """Return how far a sensor moved from the pose at which it is mounted."""
+    one, other = (transform or _NOWHERE).pose, (mount or _NOWHERE).pose
+    distance = math.dist(one[:3], other[:3])
+    turned = abs(sum(map(mul, one[3:], other[3:])))
+    norms = math.hypot(*one[3:]) * math.hypot(*other[3:])
+    return Motion(distance, 2 * math.acos(min(1.0, turned / norms)) if norms else 0.0)

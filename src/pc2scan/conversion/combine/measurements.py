@@ -1,0 +1,309 @@
+"""Measures the first messages of topics that become scans together: their periods, and whether they share a clock."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import TYPE_CHECKING
+
+from pc2scan.advice.clocks import MEASURES, are_doubtful, logged_early
+from pc2scan.advice.measurements import Measurements, ask_measurements, measure, require_fields, unknown_step
+from pc2scan.core.percentiles import median_low
+from pc2scan.core.timing import median_interval_ns
+from pc2scan.errors import UsageError, name_list
+from pc2scan.messages.clouds import SCANS
+
+from .grouping import Grouper
+from .rules import Interval, Nearest, Recent
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    from pc2scan.advice.survey import Header, Span, TopicFacts
+    from pc2scan.bags.observers import Observer
+    from pc2scan.bags.reader import Reader
+    from pc2scan.conversion.plan import Combination
+    from pc2scan.transforms.placing import Placer
+
+    from .conversion import Contribution
+    from .rules import Rule
+
+#: How many messages of a topic are read to measure its period, and to compare its clock.
+_HEADERS = 6
+
+#: Half a period, nanoseconds, for topics without two different stamps.
+_HALF_PERIOD_NS = 50_000_000
+
+#: Two topics have different clocks if the delays from their stamps to their log times differ by this.
+_SURELY_ANOTHER_NS = 2_000_000_000
+
+#: At the beginning of each of so many parts of the recording, clocks are compared that differ in the first messages.
+_QUARTERS = 4
+
+#: A window of more periods was probably meant in milliseconds.
+_MOST_PERIODS = 5
+
+#: So are seconds in one scan, if they are this long and of more messages of a topic.
+_LONG_NS = 10_000_000_000
+_MOST_MESSAGES = 300
+
+#: Numbers without a unit that may be meant as numbers of clouds.
+_FEW = range(2, 100)
+
+#: The fields that the beams of a LaserScan have.
+_BEAM_FIELDS = ("x", "y", "z", "intensity", "index")
+
+
+class SourceFacts:
+    """What the messages of topics that become scans together show.
+
+    Parameters
+    ----------
+    combination
+        The topics, and the request.
+    facts
+        Of each topic.
+    reader
+        The recording.
+    span
+        The cut.
+
+    Attributes
+    ----------
+    observers
+        Of the delays at some later places, which are only read if the clocks of the first messages differ: a clock
+        that is wrong only at first is no other clock.
+
+    Raises
+    ------
+    ParameterError
+        If a field is requested that the beams of LaserScans do not have.
+    """
+
+    def __init__(self, combination: Combination, facts: Mapping[str, TopicFacts], reader: Reader, span: Span) -> None:
+        self.combination, self.facts = combination, facts
+        spec, topics = combination.spec, combination.sources
+        asked, params = spec.combining, spec.params
+        self.flat = [topic for topic in topics if any(each.ros_type in SCANS for each in facts[topic].connections)]
+        self._is_compared = bool(
+            len(topics) > 1
+            or asked.every_ns
+            or asked.span_ns >= _LONG_NS
+            or (self.flat and "auto" in (params.scan_time, params.beams))
+        )
+        if spec.needs_measuring:
+            for each in facts.values():
+                ask_measurements(each, spec)
+        self._later: list[Mapping[str, Observer[int]]] = []
+        if self._is_compared:
+            for each in facts.values():
+                each.ask_headers(_HEADERS)
+        if len(topics) > 1:
+            self._later = list(self._later_observers(reader, span))
+        self.observers = [observer for place in self._later for observer in place.values()]
+
+    def firsts(self, topic: str) -> Sequence[Header]:
+        """Return the first headers of a topic; none if they are not needed."""
+        return self.facts[topic].headers[:_HEADERS] if self._is_compared else ()
+
+    def period_ns(self, topic: str) -> int | None:
+        """Return the median interval of the first stamps of a topic."""
+        return median_interval_ns(each.stamp_ns for each in self.firsts(topic))
+
+    def delays(self, topic: str, lead: str) -> tuple[int, int] | None:
+        """Return the median delays from stamps to log times of two topics, nanoseconds; None if one has no messages.
+
+        If they differ in the first messages, those of the place where they differ least.
+        """
+        places = [self._first_delays(topic, lead)]
+        if places[0] is not None and _surely_differ(*places[0]):
+            for place in self._later:
+                own, other = place[topic].found, place[lead].found
+                places.append((median_low(own), median_low(other)) if own and other else None)
+        return min((each for each in places if each is not None), key=lambda each: abs(each[0] - each[1]), default=None)
+
+    def _first_delays(self, topic: str, lead: str) -> tuple[int, int] | None:
+        own, other = ([each.delay_ns for each in self.firsts(name)] for name in (topic, lead))
+        return (median_low(own), median_low(other)) if own and other else None
+
+    def _later_observers(self, reader: Reader, span: Span) -> Iterator[Mapping[str, Observer[int]]]:
+        """Yield the observers at each of some places of the recording."""
+        first_ns, last_ns = reader.summary.start_ns, reader.summary.end_ns
+        if first_ns is None or last_ns is None:
+            return
+        first_ns = first_ns if span.start_ns is None else max(first_ns, span.start_ns)
+        last_ns = last_ns if span.stop_ns is None else min(last_ns, span.stop_ns)
+        lead, *others = self.combination.sources
+
+        def is_needless(topics: Sequence[str]) -> bool:
+            found = [self._first_delays(topic, lead) for topic in topics]
+            return not any(delays is None or _surely_differ(*delays) for delays in found)
+
+        for quarter in range(1, _QUARTERS):
+            begin_ns = first_ns + (last_ns - first_ns) * quarter // _QUARTERS
+            place = {}
+            for topic, facts in self.facts.items():
+                place[topic] = facts.delays_from(begin_ns, _HEADERS)
+                place[topic].is_needless = partial(is_needless, others if topic == lead else [topic])
+            yield place
+
+
+def _surely_differ(one_ns: int, other_ns: int) -> bool:
+    return abs(one_ns - other_ns) > _SURELY_ANOTHER_NS
+
+
+def measure_sources(
+    reader: Reader, sources: SourceFacts, placer: Placer
+) -> tuple[Measurements, Callable[[], Grouper[Contribution]] | None, list[str], list[str]]:
+    """Measure what scans of several messages need.
+
+    Parameters
+    ----------
+    reader
+        The recording.
+    sources
+        What was observed of its messages.
+
+    Returns
+    -------
+    Measurements
+        The measurements of the leading topic.
+    callable
+        Makes the grouper of messages; None: each message becomes a scan by itself.
+    list of str, list of str
+        Notes and warnings.
+
+    Raises
+    ------
+    ParameterError
+        If a field is missing, or a parameter that is ``auto`` cannot be measured.
+    UsageError
+        If the stamps of the topics are of different clocks.
+    """
+    combination = sources.combination
+    spec, topics = combination.spec, combination.sources
+    asked, lead = spec.combining, topics[0]
+    notes: list[str] = []
+    timing: Mapping[str, Measurements] = {}
+    if spec.needs_measuring:
+        clouds = [facts for topic, facts in sources.facts.items() if topic not in sources.flat]
+        timing, notes = measure(clouds, spec, placer)
+        notes = [note for note in notes if note.startswith(f"{lead}: ")]
+    if sources.flat:
+        there = "the beams of a LaserScan have intensity, index, x and y"
+        require_fields(spec, _BEAM_FIELDS, f"the scans on {name_list(sources.flat)}", lambda _: there)
+    found = timing.get(lead) or _of_scans(sources, notes)
+    if asked.every_ns and (spec.params.scan_time == "auto" or spec.origins.get("scan_time", "default") == "default"):
+        found = Measurements(asked.every_ns / 1e9, found.time_increment, 0, found.azimuth_step)
+    warnings = _doubtful(sources, reader)
+    grouper: Callable[[], Grouper[Contribution]]
+    if asked.accumulates:
+        # The first message is in the middle of an interval: near its edge, jitter would move messages to the next.
+        half_ns = (sources.period_ns(lead) or 0) // 2
+        rule: Rule = Recent(asked.every_ns, half_ns, asked.span_ns, asked.count)
+        if not (asked.span_ns or asked.count):
+            rule = Interval(asked.every_ns, half_ns)
+        grouper = partial(Grouper, rule, len(topics))
+        return found, grouper, notes, [*warnings, *_clocks(sources, None)]
+    if len(topics) == 1:
+        return found, None, notes, warnings
+    windows = _windows(sources, asked.window_ns)
+    warnings += _clocks(sources, windows)
+    joined = ", ".join(
+        f"{topic} (within {window / 1e9:.4g} s)" for topic, window in zip(topics[1:], windows[1:], strict=True)
+    )
+    notes.append(f"{combination.target}: has the stamps of {lead}, and the nearest messages of {joined}")
+    grouper = partial(Grouper, Nearest(windows_ns=tuple(windows)), len(topics), apart_ns=asked.window_ns or 0)
+    return found, grouper, notes, warnings
+
+
+def _doubtful(sources: SourceFacts, reader: Reader) -> list[str]:
+    """Return warnings of times that were probably meant in milliseconds."""
+    asked, topics = sources.combination.spec.combining, sources.combination.sources
+    start_ns, end_ns = reader.summary.start_ns, reader.summary.end_ns
+    length_ns = 0 if start_ns is None or end_ns is None else end_ns - start_ns
+    found = []
+    gathered_ns = asked.span_ns or (0 if asked.count else asked.every_ns)
+    for name, value_ns in (("every", asked.every_ns), ("accumulate", asked.span_ns), ("window", asked.window_ns or 0)):
+        seconds = value_ns / 1e9
+        why = ""
+        if seconds >= 1 and value_ns > length_ns > 0:
+            why = f"the recording takes {length_ns / 1e9:.3g} s"
+        elif name == "window" and seconds >= 1:
+            periods = [sources.period_ns(topic) or value_ns for topic in topics]
+            if value_ns > _MOST_PERIODS * max(periods):
+                why = f"messages of {topics[0]} come every {periods[0] / 1e9:.3g} s"
+        elif value_ns == gathered_ns >= _LONG_NS:
+            why = _crowded(sources, value_ns, _MOST_MESSAGES)
+        meant = f"milliseconds were meant: `{name}={seconds:g}ms`" if why else ""
+        if name == "accumulate" and asked.is_bare and seconds in _FEW:
+            why = why or _crowded(sources, value_ns, 1)
+            meant += (", if clouds: " if meant else "clouds were meant: ") + f"`{name}={seconds:g}clouds`"
+        if why:
+            found.append(f"`{name}` is {seconds:g} s, but {why}; if {meant}")
+    return found
+
+
+def _crowded(sources: SourceFacts, span_ns: int, most: int) -> str:
+    """Return how many messages a scan of this length has, if these are more than ``most``; else nothing."""
+    topic = sources.combination.sources[0]
+    period_ns = sources.period_ns(topic)
+    if not period_ns or span_ns <= most * period_ns:
+        return ""
+    return f"messages of {topic} come every {period_ns / 1e9:.3g} s: {span_ns // period_ns:,} in a scan"
+
+
+def _windows(sources: SourceFacts, window_ns: int | None) -> list[int]:
+    """Return the window of each topic: half its own period or half the leading topic's, whichever is longer."""
+    topics = sources.combination.sources
+    if window_ns is not None:
+        return [window_ns] * len(topics)
+    periods = [sources.period_ns(topic) or 2 * _HALF_PERIOD_NS for topic in topics]
+    return [max(period, periods[0]) // 2 for period in periods]
+
+
+def _clocks(sources: SourceFacts, windows: Sequence[int] | None) -> list[str]:
+    """Compare the clocks of the topics: return warnings if they may differ, and raise if they do."""
+    warnings = []
+    lead, *others = sources.combination.sources
+    for number, topic in enumerate(others, 1):
+        delays = sources.delays(topic, lead)
+        if delays is None:
+            continue
+        own_ns, lead_ns = delays
+        behind_ns = own_ns - lead_ns
+        if not are_doubtful(own_ns, lead_ns, 0 if windows is None else windows[number]):
+            continue
+        how = f"{abs(behind_ns) / 1e9:.4g} s {'behind' if behind_ns > 0 else 'ahead of'}"
+        said = f"the stamps of {topic} are {how} those of {lead}, compared with their log times"
+        if _surely_differ(own_ns, lead_ns):
+            raise UsageError(
+                f"{said}: they are of different clocks",
+                hint=f"{MEASURES}; or convert them to scans of their own: `topics={topic}:=/scan_2`",
+            )
+        if logged_early(own_ns, lead_ns):
+            which = topic if behind_ns < 0 else lead
+            early = f"messages of {which} are logged {-min(own_ns, lead_ns) / 1e9:.3g} s before their stamps"
+            said += f": {early}, so their clocks differ, and a scan has what was measured that far apart"
+        else:
+            said += ": if their clocks differ, a scan has what was measured that far apart"
+        warnings.append(f"{said}; {MEASURES}")
+    return warnings
+
+
+def _of_scans(sources: SourceFacts, notes: list[str]) -> Measurements:
+    """Return the measurements of a leading topic that has LaserScans, or no messages."""
+    params, topic = sources.combination.spec.params, sources.combination.sources[0]
+    scan_time, step = params.scan_time, 0.0
+    if scan_time == "auto":
+        scan_time = (sources.period_ns(topic) or 0) / 1e9
+        notes.append(f"{topic}: scan_time is {scan_time:.6g} s, the median interval of its first stamps")
+    if params.beams == "auto":
+        steps = [each.increment for each in sources.firsts(topic)]
+        known = [each for each in steps if each is not None and 0 < each < math.inf]
+        if not known:
+            raise unknown_step(f"no scan on {topic} has an angle_increment")
+        step = median_low(known)
+        count = params.at_resolution(step).layout.count
+        notes.append(f"{topic}: beams is {count:,}: the scans have one every {math.degrees(step):.4g} deg")
+    return Measurements(scan_time, 0.0, 0, step)

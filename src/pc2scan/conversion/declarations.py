@@ -1,0 +1,241 @@
+"""The topics of a recording that is to be written: collected, and then declared together."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from pc2scan.bags.formats import FORMATS
+from pc2scan.bags.qos import merge_qos
+from pc2scan.bags.topics import unheard
+from pc2scan.errors import MessageError, RecordingError
+from pc2scan.messages.clouds import to_pointcloud2, written_as_pointcloud2
+from pc2scan.messages.definitions import definition
+from pc2scan.messages.pointcloud2 import POINTCLOUD2
+from pc2scan.model import LATCHED_QOS, NEW_ID, Connection, Definition
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
+    from pc2scan.bags.destinations import Destination
+    from pc2scan.model import Buffer, Writer
+    from pc2scan.request.options import ConvertOptions
+
+    from .items import OpenRoute
+    from .report import TopicReport
+
+#: Maximum number of fields that are compiled for re-encoding. Each takes about a millisecond and 7 kB; large robots
+#: have thousands.
+_MAX_COMPILED_FIELDS = 20_000
+
+_COMMENT = rb"#[^\n]*"
+
+
+def declare(writer: Writer, connections: Sequence[Connection], *, one_a_topic: bool) -> list[int]:
+    """Declare connections, before the first message is written; return the writer's handle of each.
+
+    Parameters
+    ----------
+    writer
+        The writer of the destination.
+    one_a_topic
+        Whether the publishers of a topic share a connection, as in rosbag2's recordings: programs that read these
+        find a topic by its name, and use the first connection of this name.
+    """
+    if not one_a_topic:
+        return [writer.add_connection(connection) for connection in connections]
+    topics: dict[tuple[str, str, str], list[int]] = {}
+    for place, connection in enumerate(connections):
+        plain = connection.in_utf8
+        msgtype = plain.ros_type if plain.serialization == "cdr" else plain.msgtype
+        topics.setdefault((plain.topic, msgtype, plain.serialization), []).append(place)
+    handles = [-1] * len(connections)
+    publishers = ({place: connections[place] for place in places} for places in topics.values())
+    for group in sorted(group for each in publishers for group in _by_layout(each)):
+        handle = writer.add_connection(_merge_connections([connections[place] for place in group]))
+        for place in group:
+            handles[place] = handle
+    return handles
+
+
+def _by_layout(publishers: Mapping[int, Connection]) -> Iterable[list[int]]:
+    """Group the publishers of a topic by the layout of their messages.
+
+    Two definitions may have the same name; messages of one cannot be decoded with the other.
+    """
+    if len({(each.digest, each.definition) for each in publishers.values()}) == 1:
+        return [list(publishers)]
+    digests: dict[Definition, str] = {}
+    for each in publishers.values():
+        if each.digest:
+            digests.setdefault(each.definition, each.digest)
+    # A connection without a definition has the same topic and type as the others, so it joins the first group.
+    digests[Definition()] = ""
+    groups: dict[str, list[int]] = {}
+    for place, each in publishers.items():
+        if each.definition not in digests:
+            digests[each.definition] = _layout(each)
+        groups.setdefault(each.digest or digests[each.definition], []).append(place)
+    unknown = groups.pop("", [])
+    if not groups:
+        return [unknown]
+    first = min(groups, key=lambda name: groups[name])
+    groups[first] = sorted(groups[first] + unknown)
+    return groups.values()
+
+
+def _layout(connection: Connection) -> str:
+    """Return the type's hash, as ROS 2 computes it; of an unreadable definition its text without comments and space."""
+    from pc2scan.messages.transcode import ros2_hash  # noqa: PLC0415  # only where publishers' definitions differ
+
+    definition = connection.definition
+    try:
+        return ros2_hash(connection.msgtype, definition)
+    except MessageError:
+        return b" ".join(re.sub(_COMMENT, b"", definition.data).split()).decode("utf-8", "replace")
+
+
+def _merge_connections(publishers: Sequence[Connection]) -> Connection:
+    """Return one connection for several publishers: the first, with the QoS profiles of all."""
+    first = publishers[0]
+    if len(publishers) == 1:
+        return first
+    return replace(
+        first,
+        definition=next((each.definition for each in publishers if each.definition.data), first.definition),
+        digest=next((each.digest for each in publishers if each.digest), ""),
+        latching=any(each.latching for each in publishers),
+        qos=merge_qos([each.qos for each in publishers]),
+    )
+
+
+class RecordingTopics:
+    """The topics of a recording that is to be written, collected before they are declared.
+
+    Parameters
+    ----------
+    target
+        The recording.
+    same_kind
+        Whether the source is in the same kind of container.
+    options
+        The options of the conversion.
+
+    Attributes
+    ----------
+    as_pointcloud2
+        Whether clouds of other types that pass are written as PointCloud2.
+
+    Notes
+    -----
+    Until `declare` is called, handles are places among the topics that were added.
+    """
+
+    def __init__(self, target: Destination, options: ConvertOptions, *, same_kind: bool) -> None:
+        self.target = target
+        self.as_pointcloud2 = options.clouds_as == "pointcloud2"
+        self._same_kind = same_kind
+        self._options = options
+        self._connections: list[Connection] = []
+        #: The fields of all types that were compiled for re-encoding; their number is bounded.
+        self._compiled: dict[tuple[str, Definition], int] = {}
+
+    def add(self, connection: Connection) -> int:
+        """Add a connection; return its handle."""
+        self._connections.append(connection)
+        return len(self._connections) - 1
+
+    def add_like(self, source: Connection, topic: str, msgtype: str) -> int:
+        """Add a topic with the QoS profile, latching and caller id of a source's; return its handle."""
+        target = self.target
+        text, digest = definition(msgtype, target.ros_version)
+        same = source.ros_version == target.ros_version
+        return self.add(
+            Connection(
+                id=NEW_ID,
+                topic=topic,
+                msgtype=msgtype,
+                serialization=target.serialization,
+                definition=text,
+                digest=digest,
+                callerid=source.callerid if target.ros_version == 1 else None,
+                latching=source.is_latched,
+                qos=source.qos if same else LATCHED_QOS if source.is_latched and target.ros_version == 2 else "",
+            )
+        )
+
+    def add_passing(self, connection: Connection, entry: TopicReport) -> tuple[int, Callable[[Buffer], Buffer] | None]:
+        """Add a connection that passes through, re-encoded if the destination is of the other ROS version.
+
+        Parameters
+        ----------
+        entry
+            Its entry in the report, which is changed if its messages are re-encoded, or cannot pass.
+
+        Returns
+        -------
+        int, callable
+            Its handle, -1 if its messages cannot pass; and what re-encodes a message, None if nothing does.
+        """
+        target, options = self.target, self._options
+        if self.as_pointcloud2 and written_as_pointcloud2(connection):
+            entry.action, entry.note = "re-encoded", "as PointCloud2"
+            encode = to_pointcloud2(connection, target.serialization)
+            return self.add_like(connection, connection.topic, POINTCLOUD2), encode
+        foreign = connection.ros_version is None
+        # The same kind of container can store the message as it is, even if its type is unknown.
+        as_it_is = (self._same_kind and (foreign or options.repair)) or (foreign and target.format.holds_any)
+        defined_already = connection.definition.data or options.repair
+        if as_it_is or (connection.ros_version == target.ros_version and defined_already):
+            return self.add(connection), None
+        # Imported only for recordings without definitions, or for another ROS version.
+        from pc2scan.messages.transcode import transcoder, with_definition  # noqa: PLC0415
+
+        if connection.ros_version == target.ros_version:
+            return self.add(with_definition(connection)), None
+        if foreign:
+            error: MessageError = MessageError(
+                f"{connection.serialization or 'unspecified'} messages can only be stored in an {_holding_any()} file"
+            )
+        else:
+            try:
+                transcoding = transcoder(connection, target.ros_version)
+            except MessageError as err:
+                error = err
+            else:
+                self._compiled[connection.msgtype, connection.definition] = transcoding.fields
+                if sum(self._compiled.values()) > _MAX_COMPILED_FIELDS:
+                    raise RecordingError(
+                        f"its types have more than {_MAX_COMPILED_FIELDS} fields in all, too many to re-encode",
+                        hint="`drop` or `keep` chooses among the topics",
+                    )
+                entry.action, entry.note = "re-encoded", "; ".join(transcoding.notes)
+                return self.add(transcoding.connection), transcoding.encode
+        if options.strict and connection.message_count != 0:
+            error.topic = connection.topic
+            raise error
+        entry.note, entry.lost = error.message, True
+        entry.action, entry.target = "skipped", None
+        return -1, None
+
+    @property
+    def warnings(self) -> list[str]:
+        """What programs will not receive of the recording when it is played."""
+        return [f"{what}; {cure}" for what, cure in unheard(self._connections)]
+
+    def declare(self, writer: Writer, routes: Iterable[OpenRoute]) -> list[int]:
+        """Declare all topics, and give the routes the writer's handles; return the handle of each topic."""
+        handles = declare(writer, self._connections, one_a_topic=self.target.format.one_a_topic)
+        for route in routes:
+            if route.passing_handle >= 0:
+                route.passing_handle = handles[route.passing_handle]
+            for output in route.outputs:
+                if output.handle >= 0:
+                    output.handle = handles[output.handle]
+        return handles
+
+
+def _holding_any() -> str:
+    """Return the suffixes of files that hold messages of every encoding."""
+    return " or ".join(entry.suffix for entry in FORMATS.values() if entry.holds_any)

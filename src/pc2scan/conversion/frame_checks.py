@@ -1,0 +1,198 @@
+"""Checks frames before the first message: those that options name, transforms that they add, and the fixed frame."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from pc2scan.errors import ParameterError, UsageError, name_list
+from pc2scan.text import did_you_mean, nearest
+from pc2scan.transforms.lookup_errors import frames_text
+from pc2scan.transforms.static import static_text
+from pc2scan.transforms.summary import BODIES, WORLDS
+from pc2scan.transforms.world_frames import find_body_motion
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from pc2scan.request.options import ScanSpec
+    from pc2scan.transforms.buffer import TransformBuffer
+    from pc2scan.transforms.placing import FrameOptions
+    from pc2scan.transforms.static import StaticTransform
+
+    from .plan import Plan
+
+
+#: No sensor is this far from its robot, metres; in millimetres all but the nearest are.
+_FAR = 20.0
+
+_MOST_NAMES = 5
+
+
+def check_given_frames(
+    own: Iterable[str],
+    plan: Plan,
+    asked: FrameOptions,
+    buffer: TransformBuffer | None,
+    robot: TransformBuffer | None,
+) -> Iterator[str]:
+    """Yield a warning for each added transform, and for a source frame, that is probably a mistake.
+
+    Parameters
+    ----------
+    own
+        The frames of the first messages that are converted.
+    buffer
+        All transforms; None if nothing is transformed.
+    robot
+        The transforms between the robot's frames, if nothing is transformed; None if there are none.
+
+    Raises
+    ------
+    UsageError
+        If an added transform and the recorded ones form a loop, or one is for a frame whose name is nearly that of the
+        clouds, which no transform has.
+    """
+    frames = [frame.removeprefix("/") for frame in dict.fromkeys(own) if frame]
+    if asked.source_frame:
+        known = robot if buffer is None else buffer
+        yield from _source_doubts(asked.source_frame.removeprefix("/"), frames, known)
+        frames = [asked.source_frame.removeprefix("/")]
+    if buffer is None:
+        return
+    for static in asked.static:
+        _refuse_loop(static, buffer)
+    targets = {spec.params.target_frame.removeprefix("/") for spec in plan.specs} - {""}
+    named = {name.removeprefix("/") for spec in plan.specs for name in _further_frames(spec)} - {""}
+    used = {name for frame in (*frames, *targets, *named) for name in _upwards(buffer, frame)}
+    for static in asked.static:
+        child = static.child.removeprefix("/")
+        if child not in used and frames and not (asked.write_static or any(spec.imu for spec in plan.specs)):
+            near = nearest(child, frames)
+            text = (
+                f"`static_tf` from {static.parent} to {static.child} has no effect: the clouds are in "
+                f"{name_list(frames, _MOST_NAMES)}"
+            )
+            if near and targets and not any(frame in buffer.frames for frame in frames):
+                # Nothing could be placed.
+                raise UsageError(text, hint=f"did you mean `static_tf='{static_text(static.parent, near, static)}'`?")
+            yield text + (f"; did you mean {near}?" if near else "")
+        elif child in used:
+            yield from _far_doubts(static, targets)
+
+
+def _source_doubts(source: str, frames: Sequence[str], buffer: TransformBuffer | None) -> Iterator[str]:
+    if source in frames:
+        if len(frames) == 1:
+            yield f"`source_frame` has no effect: the clouds are in {source} already"
+        return
+    known = dict.fromkeys((*(() if buffer is None else buffer.frames), *frames))
+    if source in known:
+        return
+    near = did_you_mean(source, known)
+    if near:
+        there = name_list(frames, _MOST_NAMES)
+        yield (
+            f"`source_frame` is {source!r}, which neither a cloud nor a transform of the recording has "
+            f"({'the clouds are in ' + there if there else 'the clouds have no frame'}); {near}"
+        )
+
+
+def _further_frames(spec: ScanSpec) -> Iterable[str]:
+    """Return the fixed frame of an output, and those of its filters."""
+    return (spec.fixed_frame, *(each.frame for each in spec.filters if isinstance(each.frame, str)))
+
+
+def _upwards(buffer: TransformBuffer, frame: str) -> list[str]:
+    """Return a frame and those above it; none twice."""
+    found: dict[str, None] = {}
+    while frame and frame not in found:
+        found[frame] = None
+        history = buffer.history(frame)
+        frame = "" if history is None else buffer.frames[history.parent_at(None)]
+    return list(found)
+
+
+def _refuse_loop(static: StaticTransform, buffer: TransformBuffer) -> None:
+    parent, child = static.parent.removeprefix("/"), static.child.removeprefix("/")
+    above = _upwards(buffer, parent)
+    if child not in above:
+        return
+    way = " in ".join(above[: above.index(child) + 1])
+    swapped = static_text(child, parent, static)
+    raise UsageError(
+        f"`static_tf` makes {parent} the parent of {child}, which is above {parent} already: {way}",
+        hint=f"the parent comes first; `static_tf='{swapped}'` replaces the recorded transform",
+    )
+
+
+def _far_doubts(static: StaticTransform, targets: set[str]) -> Iterator[str]:
+    parent, child = static.parent.removeprefix("/"), static.child.removeprefix("/")
+    translation = [float(x) for x in static.parent_from_child.translation]
+    length = math.hypot(*translation)
+    if length < _FAR or {parent, child} & set(WORLDS) or not (targets | {parent}) & set(BODIES):
+        return
+    yield (
+        f"`static_tf` from {parent} to {child} is {length:,.0f} m long, and translations are metres; if these "
+        f"are millimetres, `static_tf='{static_text(parent, child, static, 0.001)}'`"
+    )
+
+
+def check_fixed_frame(source: str, spec: ScanSpec, buffer: TransformBuffer) -> list[str]:
+    """Return warnings if nothing moves in the fixed frame, or if regions of deskewed clouds move with the sensor.
+
+    Parameters
+    ----------
+    source
+        The frame of the clouds: the one that the user gives, or that of the first cloud; empty if there is none.
+
+    Raises
+    ------
+    ParameterError
+        If the frame does not exist.
+    """
+    fixed = spec.fixed_frame.removeprefix("/")
+    if fixed not in buffer.frames:
+        near = did_you_mean(fixed, sorted(buffer.frames)) or _offered(buffer, "")
+        advice = "`static_tf` or `tf_from` adds a transform"
+        raise ParameterError(
+            f"`fixed_frame` is {fixed!r}, which is in no transform; {frames_text(buffer.frames)}",
+            hint=f"{near}{'' if near.endswith('?') or not near else ';'} {advice}".strip(),
+        )
+    frame = spec.params.target_frame or source
+    frame = frame.removeprefix("/")
+    if not frame or not buffer.is_rigid(fixed, frame):
+        return _moving_regions(source, spec, buffer)
+    if fixed == frame and find_body_motion(buffer, fixed, source):
+        return []  # the target frame itself is wrong, which another warning says
+    which = "the frame of the scans itself" if fixed == frame else f"and {frame} never moves in it"
+    offered = _offered(buffer, fixed)
+    advice = offered or "the recording has no transform that moves; `tf_from` adds the odometry of another one"
+    return [f"`fixed_frame` is {fixed}, {which}: no point is moved; {advice}"]
+
+
+def _moving_regions(source: str, spec: ScanSpec, buffer: TransformBuffer) -> list[str]:
+    """Return warnings about filters in frames that are not fixed to the sensor of clouds that are deskewed."""
+    regions = {each.frame: each.name for each in spec.filters if isinstance(each.frame, str)} if spec.deskew else {}
+    return [
+        f"`{name}` is in {frame}, in which {source} moves, but it rejects points where they were recorded, before "
+        "`deskew`: its edges are off by as much as the sensor moves within a cloud"
+        for frame, name in regions.items()
+        if source and frame.removeprefix("/") in buffer.frames and not buffer.is_rigid(frame, source)
+    ]
+
+
+def _offered(buffer: TransformBuffer, fixed: str) -> str:
+    """Return a hint that suggests a frame in which something moves; empty if there is none."""
+    found = frame_that_stays(buffer, fixed)
+    return f"`fixed_frame={found}` is a frame that does not move" if found else ""
+
+
+def frame_that_stays(buffer: TransformBuffer, fixed: str) -> str:
+    """Return a frame in which something moves, also against ``fixed``; empty if there is none."""
+    roots = [root for tree in buffer.trees if not fixed or fixed in tree.frames for root in tree.roots]
+    names = dict.fromkeys((*(name for name in WORLDS if name in buffer.frames), *roots))
+    moving = {child for child in buffer.frames if (link := buffer.history(child)) is not None and not link.static}
+    found = [name for name in names if any(not buffer.is_rigid(name, child) for child in moving if child != name)]
+    found = [name for name in found if not fixed or not buffer.is_rigid(name, fixed)]
+    return found[0] if found else ""

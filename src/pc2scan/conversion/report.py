@@ -1,0 +1,414 @@
+"""The report of a conversion, with an entry for each topic: the table, the JSON file and the exit status read it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, ClassVar
+
+from pc2scan.bags.formats import FORMATS
+from pc2scan.core.percentiles import median_low
+from pc2scan.core.rule import REJECTIONS, PointCounts, Rejection
+from pc2scan.errors import leading
+from pc2scan.options.table import PARAMETERS
+from pc2scan.options.values import in_words
+from pc2scan.result import Part, Remark, Result, Skipped, recovery_text, skipped_remarks
+from pc2scan.tables import Table
+from pc2scan.text import count, counted, duration, size
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from pc2scan.bags.damage import Damage
+    from pc2scan.core.params import ProjectionParams
+    from pc2scan.errors import Pc2ScanError
+    from pc2scan.request.options import ScanSpec
+
+    from .combine.counts import SourceCounts
+    from .combine.rebinning import Rebinning
+    from .steps import ConvertedMessage
+
+#: The text for the frame of scans without a target frame.
+_OWN = "each message's own"
+
+
+#: No clock that is set differs by more from the log times, nanoseconds, unless a driver is slow.
+_EARLY_NS, _LATE_NS = -100_000_000, 500_000_000
+
+
+@dataclass(slots=True)
+class StampCounts:
+    """The stamps of a topic's messages, in the order of the log.
+
+    Attributes
+    ----------
+    back, zero
+        How many are before the one before, and how many are 0.
+    delay_ns
+        The time from the first one to its log time; None without any.
+    """
+
+    back: int = 0
+    zero: int = 0
+    delay_ns: int | None = None
+    _last_ns: int = 0
+
+    def add(self, stamp_ns: int, log_time_ns: int) -> None:
+        """Count the next stamp."""
+        if stamp_ns == 0:
+            self.zero += 1
+            return
+        if self.delay_ns is None:
+            self.delay_ns = log_time_ns - stamp_ns
+        self.back += stamp_ns < self._last_ns
+        self._last_ns = stamp_ns
+
+    @property
+    def is_far(self) -> bool:
+        """Whether the first one is far from its log time: of another clock, or of a driver that is slow."""
+        return self.delay_ns is not None and not _EARLY_NS <= self.delay_ns <= _LATE_NS
+
+    def faults(self, topic: str) -> list[str]:
+        """Return what is wrong with them, and what to do."""
+        found = (self.back, "with a stamp before that of the message before"), (self.zero, "without a stamp (0)")
+        return [
+            f"{topic}: {counted(number, 'message')} {what}: SLAM drops or mixes up such scans; `stamps=log` takes the "
+            "log times"
+            for number, what in found
+            if number
+        ]
+
+
+@dataclass(slots=True)
+class TopicReport:
+    """What happened to one topic of the source.
+
+    Attributes
+    ----------
+    topic, msgtype
+        In the source.
+    target
+        The topic in the destination: the scan's if converted, the same if it passed through, None if it was skipped.
+    action
+        ``converted``, ``joined`` (its messages are in the scans of another topic), ``passed``, ``re-encoded``,
+        ``skipped``, or ``added`` (transforms given by the user or of level frames, and points behind ranges).
+    note
+        Why it was skipped, or another note; empty otherwise.
+    messages_in, messages_out, skipped
+        Messages in the source (within ``start`` and ``end``), messages written, and messages that are missing in
+        the destination. Messages of a topic that the user dropped are not missing.
+    points
+        Points of all converted clouds: how many are used, and how many are rejected for which reason.
+    empty_scans
+        Scans without a single return.
+    motions
+        One for each deskewed cloud: the largest distance of the sensor from its pose at the scan's time, metres and
+        radians, and the longest time between interpolated transforms, seconds.
+    tilts
+        One for each level scan: the angle between the z axis of the target frame and up, radians.
+    joined
+        Counts of a topic whose messages become scans together with others; None for all other topics.
+    removed_beams
+        How many beams had ``returns``, and how many of these are removed: too ``sparse`` for ``min_points`` or
+        ``reduce``, and by each filter of beams. Empty without any of them.
+    rebinned
+        Counts of beams, for scans that are made of scans; None for all others.
+    clouds_kept
+        Whether the converted clouds were written, too.
+    lost
+        Whether the topic should have been written but cannot be; ``note`` has the reason.
+    advice
+        Options with heights that suit the clouds, in a level frame; empty if none are needed.
+    no_returns
+        The share of points that are outside the heights, and at (0, 0, 0), as drivers write for no return; of the first
+        clouds.
+    stamps
+        The stamps of what was converted.
+    spec
+        The request that the output was made by; None if the topic is not converted.
+    """
+
+    json_names: ClassVar[tuple[str, ...]] = (
+        *("topic", "msgtype", "target", "action", "note", "messages_in", "messages_out", "skipped", "empty_scans"),
+        *("removed_beams", "clouds_kept", "lost", "advice", "scan", "motion", "tilt", "joined", "rebinned", "points"),
+    )
+
+    topic: str
+    msgtype: str
+    target: str | None
+    action: str
+    note: str = ""
+    messages_in: int = 0
+    messages_out: int = 0
+    skipped: int = 0
+    points: PointCounts = field(default_factory=PointCounts)
+    empty_scans: int = 0
+    motions: list[tuple[float, float, float]] = field(default_factory=list)
+    tilts: list[float] = field(default_factory=list)
+    joined: SourceCounts | None = None
+    removed_beams: dict[str, int] = field(default_factory=dict)
+    rebinned: Rebinning | None = None
+    clouds_kept: bool = False
+    lost: bool = False
+    advice: str = ""
+    no_returns: float = field(default=0.0, compare=False, repr=False)
+    stamps: StampCounts = field(default_factory=StampCounts, compare=False, repr=False)
+    spec: ScanSpec | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def scan(self) -> str:
+        """The name of its output in a scans file; empty without one."""
+        return self.spec.name if self.spec else ""
+
+    @property
+    def motion(self) -> dict[str, float] | None:
+        """The largest and the median of the motions, and the longest gap; None if nothing was deskewed."""
+        if not self.motions:
+            return None
+        metres, radians, gaps = zip(*self.motions, strict=True)
+        return {
+            "largest_m": max(metres),
+            "median_m": median_low(metres),
+            "largest_deg": math.degrees(max(radians)),
+            "median_deg": math.degrees(median_low(radians)),
+            "longest_gap_s": max(gaps),
+        }
+
+    @property
+    def tilt(self) -> dict[str, float] | None:
+        """The largest and the median of the tilts, degrees; None if nothing was made level."""
+        if not self.tilts:
+            return None
+        return {
+            "largest_deg": math.degrees(max(self.tilts)),
+            "median_deg": math.degrees(median_low(self.tilts)),
+        }
+
+    def count(self, result: ConvertedMessage) -> None:
+        """Count what a message became: its points, the motion of the sensor, and its beams."""
+        self.points += result.counts
+        self.empty_scans += result.empty
+        if result.motion is not None:
+            self.motions.append(result.motion)
+        if result.level is not None:
+            self.tilts.append(result.level.tilt)
+        for name, number in (result.removed or {}).items():
+            self.removed_beams[name] = self.removed_beams.get(name, 0) + number
+        if (more := result.rebinned) is not None:
+            known = self.rebinned or (0, 0, 0)
+            self.rebinned = type(more)(*(one + other for one, other in zip(known, more, strict=True)))
+
+    def skip(self, count: int) -> None:
+        """Count messages of a topic that is not written; they are missing unless the user dropped the topic."""
+        self.messages_in += count
+        if self.lost:
+            self.skipped += count
+
+
+@dataclass(slots=True, repr=False)
+class Report(Result):
+    """The report of a conversion.
+
+    Attributes
+    ----------
+    sources, destination
+        Paths as they were given; empty if the run failed before the destination was known.
+    errors
+        The error of a run that failed and wrote nothing; empty if it did not fail.
+    dry_run
+        Whether it was a dry run: counts are those of the index, and points those of the first messages.
+    container, ros_version
+        Container and ROS version of the destination: ``rosbag1``, ``rosbag2`` or ``mcap``, and 1 or 2; empty and 0 as
+        long as they are not known.
+    scans
+        The request of each output; nearly always there is only one.
+    source_frame
+        The frame that replaces the clouds' ``frame_id``; empty if none does.
+    topics
+        One entry for each source topic and each topic that it goes to, in the source's order.
+    skipped
+        The first `MAX_LISTED` messages that were not converted.
+    warnings
+        Problems that did not stop the conversion.
+    notes
+        Values that were measured, or chosen by default.
+    damage
+        Damaged places in the parts of the sources that were read.
+    messages_read
+        How many messages of the sources were read, of all topics that are not skipped.
+    messages_declared
+        How many messages the sources declare, of all topics that are not skipped; None if they do not declare it, or
+        if only a part was requested.
+    undelivered
+        Whether the report's file could not be written; the recording is written nevertheless.
+    """
+
+    kind: ClassVar[str] = "report"
+    json_names: ClassVar[tuple[str, ...]] = (
+        *("sources", "destination", "dry_run", "container", "ros_version", "scans", "topics", "skipped"),
+        *("skipped_count", "messages_read", "messages_declared", "bytes_read", "bytes_written", "seconds"),
+    )
+
+    sources: list[str]
+    destination: str
+    scans: tuple[ScanSpec, ...]
+    source_frame: str = ""
+    topics: list[TopicReport] = field(default_factory=list)
+    skipped: list[Skipped] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    damage: list[Damage] = field(default_factory=list)
+    messages_read: int = 0
+    messages_declared: int | None = None
+    undelivered: bool = False
+    errors: list[Pc2ScanError] = field(default_factory=list)
+    dry_run: bool = False
+    container: str = ""
+    ros_version: int = 0
+    bytes_read: int = 0
+    bytes_written: int = 0
+    seconds: float = 0.0
+
+    @property
+    def params(self) -> ProjectionParams:
+        """The projection's parameters of the first output."""
+        return self.scans[0].params
+
+    @property
+    def origins(self) -> Mapping[str, str]:
+        """The origin of each parameter of the first output, by name; ``default`` if it was not given."""
+        return self.scans[0].origins
+
+    @property
+    def converted(self) -> list[TopicReport]:
+        """The topics whose messages became others."""
+        return [topic for topic in self.topics if topic.action == "converted"]
+
+    @property
+    def skipped_count(self) -> int:
+        """How many messages are missing in the destination, in all topics, listed or not."""
+        return sum(topic.skipped for topic in self.topics)
+
+    @property
+    def exit_status(self) -> int:
+        """The exit status of the run.
+
+        0 for success; 4 if the recording is written, but none of its scans has a return; 3 if it is written, but a
+        source is damaged, messages are missing in the destination, or the report is not written. If the run failed: the
+        status of its error.
+        """
+        if self.errors:
+            return self.errors[0].exit_status
+        if self.all_empty:
+            return 4
+        return 3 if self.damage or self.skipped_count or self.lost_topics or self.undelivered else 0
+
+    @property
+    def all_empty(self) -> bool:
+        """Whether messages were converted, and no result has a return or a point."""
+        made = sum(topic.messages_out for topic in self.converted)
+        return made > 0 and sum(topic.empty_scans for topic in self.converted) == made
+
+    @property
+    def lost_topics(self) -> list[TopicReport]:
+        """Topics whose messages are missing because they cannot be written."""
+        return [topic for topic in self.topics if topic.lost and topic.messages_in]
+
+    def add(
+        self,
+        warnings: Sequence[str],
+        notes: Sequence[str] = (),
+        advice: Mapping[tuple[str, ScanSpec], str] | None = None,
+        no_returns: Mapping[tuple[str, ScanSpec], float] | None = None,
+    ) -> None:
+        """Add warnings, notes that it does not have yet, and what first clouds show, by the topic and the output."""
+        self.warnings += warnings
+        self.notes += (note for note in notes if note not in self.notes)
+        for topic in self.topics:
+            if topic.spec is not None:
+                topic.advice = (advice or {}).get((topic.topic, topic.spec), topic.advice)
+                topic.no_returns = (no_returns or {}).get((topic.topic, topic.spec), topic.no_returns)
+
+    @property
+    def rejections(self) -> dict[str, Rejection]:
+        """Why points may be rejected, by the name of the count."""
+        further = (rejection for spec in self.scans for rejection in spec.rejections)
+        return {each.name: each for each in (*REJECTIONS, *further)}
+
+    def __repr__(self) -> str:
+        converted = sum(topic.messages_out for topic in self.converted)
+        return f"<Report on {self.destination!r}: {converted:,} messages converted, exit status {self.exit_status}>"
+
+    def body(self, *, verbose: bool = False) -> Iterator[Part]:
+        """Yield the parameters (of a dry run, or if ``verbose``), the topics, the points and the destination."""
+        if self.dry_run:
+            yield f"dry run, nothing is written: {', '.join(self.sources)}"
+            yield ""
+        for spec in self.scans:
+            names = [
+                name
+                for name in PARAMETERS
+                if verbose or (self.dry_run and spec.origins.get(name, "default") != "default")
+            ]
+            if spec.name and names:
+                yield f"{leading(spec.name)}:"
+            if names:
+                rows = [
+                    (name, in_words(getattr(spec.params, name)), spec.origins.get(name, "default")) for name in names
+                ]
+                yield Table(("parameter", "value", "from"), rows, left=("parameter", "from"))
+                yield ""
+        yield self._topics()
+        if converted := self.converted:
+            yield ""
+            yield self._points(converted)
+        yield ""
+        written, read = size(self.bytes_written), size(self.bytes_read)
+        place = leading(self.destination)
+        if self.dry_run:
+            frames = [repr(spec.params.target_frame) if spec.params.target_frame else _OWN for spec in self.scans]
+            named = ", ".join(dict.fromkeys(frames))
+            yield f"frame{'s' * (',' in named)}: {named}; points: those of the first messages"
+            yield f"{place}: {FORMATS[self.container].readable_one}, which can be written; from {read}"
+        else:
+            yield f"{place}: {written} from {read} in {duration(self.seconds)}"
+        if self.container == "mcap":
+            # Shown because the file's name does not say which ROS version it is for.
+            hint = ": `profile=ros2` for ros2 tools" if converted and self.ros_version == 1 else ""
+            yield f"MCAP, ROS {self.ros_version} profile{hint}"
+
+    def _topics(self) -> Table:
+        """Return what happened to each topic."""
+        rows = [
+            (
+                topic.topic,
+                topic.target or "-",
+                *map(count, (topic.messages_in, topic.messages_out, topic.skipped)),
+                topic.action + " (cloud kept)" * topic.clouds_kept + (topic.note and f": {topic.note}"),
+            )
+            for topic in self.topics
+        ]
+        return Table(("topic", "to", "in", "out", "skipped", "what"), rows, left=("topic", "to", "what"))
+
+    def _points(self, converted: Sequence[TopicReport]) -> Table:
+        """Return how many points of each topic are used, and why the others are not."""
+        reasons = self.rejections.values()
+        rows = [
+            (
+                topic.target or "-",
+                *map(count, (topic.points.total, topic.points.used)),
+                *(count(topic.points.rejected.get(reason.name, 0)) for reason in reasons),
+                count(topic.empty_scans),
+            )
+            for topic in converted
+        ]
+        columns = ("on", "points", "used", *(reason.heading for reason in reasons), "empty")
+        return Table(columns, rows, left=("on",))
+
+    def remarks(self, *, verbose: bool = False) -> Iterator[Remark]:
+        """Yield skipped messages, damage and what was recovered, and warnings."""
+        # Topics that are skipped completely are not counted here: they have their own warning.
+        single = sum(topic.skipped for topic in self.topics if topic.action != "skipped")
+        yield from skipped_remarks(self.skipped, single, targets=len(self.scans) > 1, verbose=verbose)
+        recovered = recovery_text(self.damage, self.messages_read, self.messages_declared) if self.damage else ""
+        yield from self.usual_remarks(recovered, verbose=verbose)

@@ -1,0 +1,502 @@
+"""Checks of the result of a conversion: its first scans, and the counts of its topics. Notes about it, too."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+from pc2scan.advice.checks import Checks, found_by
+from pc2scan.advice.checks.clouds import NOTABLE_SHARE, notable_share
+from pc2scan.core.consumers import CONSUMERS, judge, refusal
+from pc2scan.core.params import ProjectionParams
+from pc2scan.errors import name_list, stamp_text
+from pc2scan.messages.laserscan import decode_laserscan, scan_for_consumers
+from pc2scan.request.parameters import preset_of
+from pc2scan.text import agreeing, counted
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from pc2scan.core.rule import Rejection
+    from pc2scan.core.verdicts import Outcome, Verdict
+    from pc2scan.model import Buffer
+    from pc2scan.request.options import ScanSpec
+
+    from .combine.counts import SourceCounts
+    from .report import Report, TopicReport
+
+#: How many topics the warning about skipped ones lists.
+_MAX_WARNED = 5
+
+#: What rejects this share of the points may be the cause of empty scans.
+_NOTABLE_PART = 0.05
+
+#: If a filter that should remove faults alone removes more than this share, a warning names it.
+_MOST_REMOVED = 0.1
+
+#: What to type if `min_points` or `reduce=kth=N` removes too many beams.
+_OF_SPARSE = (
+    "they have fewer returns than `min_points` or `reduce=kth=N`: lower these, or use more heights or wider beams"
+)
+
+#: If the seconds between two transforms exceed this, deskewing warns: odometry has ten transforms a second and more.
+_NOTABLE_GAP = 0.25
+
+#: Tilts in degrees: above the first the mount is probably wrong, below the second there is no tilt; and how many scans
+#: are needed to judge it.
+_NOTABLE_TILT = 45.0
+_NO_TILT = 1e-4
+_SEVERAL = 10
+
+#: If messages in a row are in no scan for this long and an interval, nanoseconds, the leading topic is silent.
+_NOTABLE_SILENCE_NS = 2_000_000_000
+
+#: A relative change of the increment that is more than rounding.
+_NOTABLE_STEP = 1e-5
+
+#: What a consumer does with scans by its verdict, as part of a sentence.
+_DOES: dict[Outcome, str] = {
+    "shifted": "would turn these scans by up to one beam",
+    "misplaced": "would misplace these scans",
+    "ignored": "would ignore these scans",
+    "aborts": "would abort at these scans",
+}
+
+
+class Result(NamedTuple):
+    """The result of a conversion whose messages are all counted.
+
+    Attributes
+    ----------
+    report
+        The counts of its topics.
+    first_scans
+        The first scan of each topic that was written, serialised. Empty for a dry run.
+    serialization
+        That of the scans: ``ros1`` or ``cdr``.
+    """
+
+    report: Report
+    first_scans: Sequence[tuple[TopicReport, Buffer]] = ()
+    serialization: str = ""
+
+
+class TopicResult(NamedTuple):
+    """The result of one topic, and of all.
+
+    Attributes
+    ----------
+    topic
+        What happened to the topic.
+    report
+        The whole report.
+    """
+
+    topic: TopicReport
+    report: Report
+
+    @property
+    def spec(self) -> ScanSpec:
+        """Its request; that of the first output for a topic without a request of its own."""
+        return self.topic.spec or self.report.scans[0]
+
+    @property
+    def is_made(self) -> bool:
+        """Whether messages were converted."""
+        return self.topic.action == "converted" and self.topic.messages_out > 0
+
+    @property
+    def levelled(self) -> tuple[str, str]:
+        """By what its scans are level, and in which frame they would be otherwise."""
+        spec = self.topic.spec
+        frame = (spec.params.target_frame if spec else "") or self.report.source_frame or "the clouds' frame"
+        return (spec.imu or spec.fixed_frame) if spec else "", frame
+
+
+class JoinedResult(NamedTuple):
+    """The result of one topic whose messages are in scans of several messages.
+
+    Attributes
+    ----------
+    topic
+        What happened to the topic.
+    counts
+        Which of its messages are in scans.
+    """
+
+    topic: TopicReport
+    counts: SourceCounts
+
+
+def refused_scans(result: Result) -> Iterator[str]:
+    """Yield a warning for each reason why consumers would ignore the scans, or abort, with the topics."""
+    topics: dict[str, dict[str, None]] = {}
+    for topic, data in result.first_scans:
+        origins = topic.spec.origins.values() if topic.spec else ()
+        chosen = next(filter(None, map(preset_of, origins)), "")
+        if text := _refusal(data, result.serialization, chosen):
+            topics.setdefault(text, {})[topic.target or ""] = None
+    yield from (f"{', '.join(names)}: {text}" for text, names in topics.items())
+
+
+def _refusal(data: Buffer, serialization: str, consumer: str = "") -> str:
+    """Return a warning that names the consumers that would ignore scans like this one, or abort; empty if none would.
+
+    The consumer that the scans are made for is checked by all its rules. The others are checked only by what a
+    scan's header advertises; `pc2scan check` judges the ranges. Infinite ranges with an infinite range_max, as
+    upstream's own defaults have them, are misplaced by most consumers, and gmapping aborts.
+
+    Parameters
+    ----------
+    data
+        A serialised LaserScan.
+    serialization
+        ``ros1`` or ``cdr``.
+    consumer
+        The consumer whose preset was chosen; empty if none was.
+    """
+    scan = scan_for_consumers(decode_laserscan(data, serialization))
+    if consumer:
+        verdict = judge(consumer, scan)
+        return "" if verdict.outcome == "accepted" else f"{consumer} {_DOES[verdict.outcome]}: {_explanation(verdict)}"
+    scan = replace(scan, infinite=0, short=0)
+    verdicts = list(filter(None, (refusal(consumer, scan) for consumer in CONSUMERS)))
+    if not verdicts:
+        return ""
+    first = verdicts[0]
+    others = f" (so would {', '.join(verdict.consumer for verdict in verdicts[1:])})" if verdicts[1:] else ""
+    return f"{first.consumer} would ignore these scans{others}: {_explanation(first)}"
+
+
+def _explanation(verdict: Verdict) -> str:
+    """Return what a scan has, what the consumer allows, and how to change it."""
+    return f"{verdict.observed} where it allows {verdict.allowed}. {verdict.cure[:1].upper()}{verdict.cure[1:]}"
+
+
+def lost_topics(result: Result) -> Iterator[str]:
+    """Yield a warning of how many messages of which topics are missing, and why."""
+    topics = result.report.lost_topics
+    if not topics:
+        return
+    count = sum(topic.messages_in for topic in topics)
+    listed = [f"{topic.topic} ({topic.messages_in:,}: {topic.note})" for topic in topics[:_MAX_WARNED]]
+    more = len(topics) - len(listed)
+    yield (
+        f"{counted(count, 'message')} of {counted(len(topics), 'topic')} "
+        f"{agreeing(count, 'are')} skipped: {', '.join(listed)}{f' and {more} more' if more else ''}"
+    )
+
+
+def unconverted_topic(result: TopicResult) -> Iterator[str]:
+    """Yield a warning if no message of a topic was converted."""
+    topic = result.topic
+    if topic.action == "converted" and not topic.messages_out:
+        why = "could be converted" if topic.messages_in else "was there to convert (see `start` and `end`)"
+        yield f"no message of {topic.topic} {why}"
+
+
+def unordered_stamps(result: TopicResult) -> Iterator[str]:
+    """Yield a warning if stamps go back or are 0."""
+    yield from result.topic.stamps.faults(result.topic.topic)
+
+
+def scans_without_return(result: TopicResult) -> Iterator[str]:
+    """Yield a warning that names the cause of scans without returns."""
+    topic = result.topic
+    if result.is_made and topic.empty_scans:
+        scans = f"{counted(topic.messages_out, 'scan')} on {topic.target}"
+        empty = f"{topic.empty_scans:,} of {scans} {agreeing(topic.empty_scans, 'have')} no return at all"
+        yield f"{empty}: {_blame(topic, result.spec, result.report.rejections)}"
+
+
+def points_rejected_by_default(result: TopicResult) -> Iterator[str]:
+    """Yield a warning for each default that rejects many points."""
+    topic, points = result.topic, result.topic.points
+    if not result.is_made or topic.empty_scans:
+        return
+    for each in result.report.rejections.values():
+        share = points.rejected.get(each.name, 0) / points.total if points.total else 0.0
+        no_returns = topic.no_returns if each.name == "height" else 0.0
+        if 0 < no_returns < 1:
+            share = (share - no_returns) / (1 - no_returns)
+        least = notable_share(result.spec) if each.name == "height" else NOTABLE_SHARE
+        if share >= least and _surprises(result.spec, each):
+            advice = f": {topic.advice}" if topic.advice and each.name == "height" else ""
+            of = "returns" if no_returns else "points"
+            yield f"{topic.target}: {share:.0%} of the {of} were {each.by_default[1]}{advice}"
+
+
+def filters_without_effect(result: TopicResult) -> Iterator[str]:
+    """Yield a warning for each filter that should have rejected points, and rejected none."""
+    topic, points = result.topic, result.topic.points
+    if not result.is_made or topic.empty_scans or not points.total:
+        return
+    for each in result.report.rejections.values():
+        if each.absent and points.rejected.get(each.name) == 0:
+            yield f"{topic.target}: {each.absent}"
+
+
+def faults_without_number(result: TopicResult) -> Iterator[str]:
+    """Yield warnings of filters that remove far more than the faults that they are for.
+
+    Not of limits, conditions and regions, nor of the ground: they reject what users ask them to, and often most of it.
+    """
+    topic, points, beams = result.topic, result.topic.points, result.topic.removed_beams
+    if not result.is_made:
+        return
+    faulty = [(each.name, each.explanation, each.remedy) for each in result.report.rejections.values() if each.remedy]
+    removals = [(points.rejected.get(name, 0), points.total, "point", what, remedy) for name, what, remedy in faulty]
+    remedies = {"sparse": _OF_SPARSE} | {each.name: each.remedy for each in result.spec.remove}
+    removals += [
+        (beams[name], beams["returns"], "beam", f"removed as {name}", remedy)
+        for name, remedy in remedies.items()
+        if name in beams
+    ]
+    for number, total, kind, what, remedy in removals:
+        if number > _MOST_REMOVED * total:
+            share = f"{number:,} of {counted(total, kind)} ({number / total:.0%})"
+            yield f"{topic.target}: {share} {agreeing(number, 'were')} {what}; {remedy}"
+
+
+def _surprises(spec: ScanSpec, rejection: Rejection) -> bool:
+    """Whether a parameter that was not given rejects more points by its default than users expect."""
+    name, _ = rejection.by_default
+    if not name or spec.origins.get(name, "default") != "default":
+        return False
+    return bool(getattr(spec.params, name) == getattr(ProjectionParams(), name))
+
+
+def _blame(topic: TopicReport, spec: ScanSpec, rejections: Mapping[str, Rejection]) -> str:
+    """Return the reasons with their parameters: the most frequent one, or if nothing is left, all that may be it.
+
+    A point is counted for the first reason that rejects it. Without this one, the others may reject it, too.
+    """
+    points = topic.points
+    explained = Counter[str]()
+    for name, rejection in rejections.items():
+        explanation = rejection.by_default[1] if _surprises(spec, rejection) else rejection.explanation
+        if name == "height" and topic.advice:
+            explanation += f": {topic.advice}"
+        explained[explanation] += points.rejected.get(name, 0)
+    beams = dict(topic.removed_beams)
+    returns = beams.pop("returns", 0)
+    if 0 < returns <= sum(beams.values()):
+        names = name_list([name for name, number in beams.items() if number])
+        return f"all of the {counted(returns, 'beam')} with a return were removed as {names}"
+    (first, most), *others = explained.most_common()
+    if not most:
+        return "all of their beams were removed" if points.used else "the clouds have no points"
+    parts = [f"{most / points.total:.0%} of all points were {first}"]
+    if not points.used:
+        parts += [f"{n / points.total:.0%} {what}" for what, n in others if n >= _NOTABLE_PART * points.total]
+    return "; ".join(parts)
+
+
+def jumping_stamps(result: JoinedResult) -> Iterator[str]:
+    """Yield a warning about stamps that jump, which no scan may combine."""
+    topic, counts = result
+    if not counts.jumped:
+        return
+    listed = [
+        f"{'back' if jump.by_ns < 0 else 'ahead'} by {f'{abs(jump.by_ns) / 1e9:,.3f}'.rstrip('0').rstrip('.')} s "
+        f"at {stamp_text(jump.stamp_ns)}"
+        for jump in counts.jumps
+    ]
+    more = counts.jumped - len(listed)
+    yield (
+        f"the stamps of {topic.topic} jump {', '.join(listed)}{f' and {more:,} more times' if more else ''}, compared "
+        f"with their log times: no scan on {topic.target} has messages from before and after"
+    )
+
+
+def source_in_no_scan(result: JoinedResult) -> Iterator[str]:
+    """Yield a warning about a topic whose messages are in no scan, or not in some."""
+    topic, counts = result
+    scans = topic.target
+    if topic.action != "joined":
+        return
+    if counts.messages and not counts.used:
+        yield (
+            f"no message of {topic.topic} is in a scan on {scans}: its stamps are never within the window of the "
+            "leading topic's"
+        )
+    elif counts.scans_without:
+        first, last, number = counts.silence
+        yield (
+            f"{counted(counts.scans_without, 'scan')} on {scans} {agreeing(counts.scans_without, 'have')} "
+            f"nothing of {topic.topic}; {number:,} in a row, "
+            f"from {stamp_text(first)} to {stamp_text(last)}"
+        )
+
+
+def messages_in_no_scan(result: JoinedResult) -> Iterator[str]:
+    """Yield a warning about many messages in a row that are in no scan."""
+    if _are_left_long(*result):
+        yield (f"{_unmatched(*result)}. Scans are made for messages of the leading topic, the first one of `topics`")
+
+
+def _are_left_long(topic: TopicReport, counts: SourceCounts) -> bool:
+    """Whether messages in a row are in no scan for so long that the leading topic is silent, or far from them."""
+    if topic.action != "joined":
+        return False
+    every_ns = topic.spec.combining.every_ns if topic.spec else 0
+    return counts.left.last_stamp_ns - counts.left.first_stamp_ns > _NOTABLE_SILENCE_NS + every_ns
+
+
+def _unmatched(topic: TopicReport, counts: SourceCounts) -> str:
+    """Return how many messages are in no scan, and where most of them are."""
+    first, last, number = counts.left
+    where = f"{number:,} in a row, from {stamp_text(first)} to {stamp_text(last)}"
+    return (
+        f"{counts.unmatched:,} of {counted(counts.messages, 'message')} of {topic.topic} "
+        f"{agreeing(counts.unmatched, 'are')} in no scan on {topic.target}; {where}"
+    )
+
+
+def missing_transforms(result: TopicResult) -> Iterator[str]:
+    """Yield a warning about gaps in the transforms while clouds were measured."""
+    topic, motion = result.topic, result.topic.motion
+    if motion and motion["longest_gap_s"] > _NOTABLE_GAP:
+        yield (
+            f"{topic.target}: while clouds were measured, transforms to `fixed_frame` were missing for up "
+            f"to {motion['longest_gap_s']:.3g} s; points are placed as if the robot had moved evenly meanwhile"
+        )
+
+
+def implausible_tilt(result: TopicResult) -> Iterator[str]:
+    """Yield a warning if the target frame is tilted more than a robot is, or never."""
+    topic, tilt, (by, frame) = result.topic, result.topic.tilt, result.levelled
+    if not tilt:
+        return
+    if (median := tilt["median_deg"]) > _NOTABLE_TILT:
+        yield (
+            f"{topic.target}: by {by}, {frame} is tilted by {median:.0f} degrees (median). If it is not mounted "
+            "so, the mount of the IMU is wrong (`static_tf`), or z of `fixed_frame` is not up"
+        )
+    elif tilt["largest_deg"] < _NO_TILT and len(topic.tilts) >= _SEVERAL:
+        yield (
+            f"{topic.target}: by {by}, {frame} is never tilted, so `level` has no effect. Wheel odometry has no "
+            "roll and pitch, an IMU has: `imu=TOPIC`"
+        )
+
+
+def evenly_divided_circle(spec: ScanSpec) -> Iterator[str]:
+    """Yield a note if the increment is another one than was given."""
+    params = spec.params
+    layout, asked = params.layout, params.angle_increment
+    # If beams are measured, another note has their number.
+    if params.beams != "auto" and layout.full_circle and abs(layout.angle_increment - asked) > _NOTABLE_STEP * asked:
+        yield (
+            f"angle_increment is {layout.angle_increment:.7g} rad instead of {asked:.7g}: "
+            f"{layout.count} beams divide the circle evenly"
+        )
+
+
+def range_of_preset(spec: ScanSpec) -> Iterator[str]:
+    """Yield a note if a preset limits the range."""
+    origin = spec.origins.get("range_max", "")
+    if preset_of(origin):
+        yield (
+            f"range_max is {spec.params.range_max:g} m, chosen by {origin}: returns beyond are ignored; "
+            "`range_max` chooses another"
+        )
+
+
+def unmatched_messages(result: JoinedResult) -> Iterator[str]:
+    """Yield a note about messages that are in no scan, if there is no warning about them."""
+    if result.counts.unmatched and not _are_left_long(*result):
+        yield _unmatched(*result)
+
+
+def removed_beams(result: TopicResult) -> Iterator[str]:
+    """Yield a note for each reason for which beams are removed."""
+    topic = result.topic
+    if not topic.removed_beams:
+        return
+    returns = topic.removed_beams["returns"]
+    for name, number in topic.removed_beams.items():
+        if name != "returns":
+            of = f"{topic.target}: {number:,} of {counted(returns, 'beam')}"
+            yield f"{of} {agreeing(number, 'were')} {name}, and {agreeing(number, 'are')} removed"
+
+
+def rebinned_beams(result: TopicResult) -> Iterator[str]:
+    """Yield a note about beams that became other beams."""
+    if beams := result.topic.rebinned:
+        of = f"{result.topic.target}: of {beams.beams:,} beams"
+        # Upstream's beams end where those of most lidars are: by rounding, two are in one, and none is in the next.
+        is_edgy = result.spec.params.geometry == "upstream" and min(beams.shared, beams.between) > 0.02 * beams.beams
+        yield (
+            f"{of} {beams.shared:,} share one of the new scans with another; {beams.between:,} of the new ones lie "
+            f"between two neighbours, without a return{'; `geometry=centered` has them in the middle' * is_edgy}"
+        )
+
+
+def motion_of_sensor(result: TopicResult) -> Iterator[str]:
+    """Yield a note about how far the sensor moved while clouds were measured."""
+    topic, motion = result.topic, result.topic.motion
+    if not motion:
+        return
+    placed = "deskewed" if topic.spec is not None and topic.spec.deskew else "placed through `fixed_frame`"
+    within = f"{placed}; within a {'cloud' if topic.joined is None else 'scan'}"
+    yield (
+        f"{topic.target}: {within} the sensor moved by up to {motion['largest_m']:.3g} m "
+        f"and {motion['largest_deg']:.3g} degrees (median {motion['median_m']:.3g} m, "
+        f"{motion['median_deg']:.3g} degrees)"
+    )
+
+
+def tilt_of_frame(result: TopicResult) -> Iterator[str]:
+    """Yield a note about the tilt of the target frame, if it is plausible."""
+    topic, tilt, (by, frame) = result.topic, result.topic.tilt, result.levelled
+    if tilt and not any(implausible_tilt(result)):
+        yield (
+            f"{topic.target}: level by {by}; {frame} was tilted by up to {tilt['largest_deg']:.3g} degrees "
+            f"(median {tilt['median_deg']:.3g})"
+        )
+
+
+#: What the whole result shows.
+RESULT: Checks[Result] = (refused_scans, lost_topics)
+RESULT_NOTES: Checks[ScanSpec] = (evenly_divided_circle, range_of_preset)
+
+#: What the counts of a topic show.
+TOPIC: Checks[TopicResult] = (
+    unconverted_topic,
+    unordered_stamps,
+    scans_without_return,
+    points_rejected_by_default,
+    filters_without_effect,
+    faults_without_number,
+)
+TOPIC_NOTES: Checks[TopicResult] = (removed_beams, rebinned_beams)
+
+#: What the counts of a topic show whose scans are made of several messages.
+JOINED: Checks[JoinedResult] = (jumping_stamps, source_in_no_scan, messages_in_no_scan)
+JOINED_NOTES: Checks[JoinedResult] = (unmatched_messages,)
+
+#: What the motions and the tilts of a topic's sensor show.
+MOVED: Checks[TopicResult] = (missing_transforms, implausible_tilt)
+MOVED_NOTES: Checks[TopicResult] = (motion_of_sensor, tilt_of_frame)
+
+
+def result_findings(
+    report: Report, first_scans: Sequence[tuple[TopicReport, Buffer]] = (), serialization: str = ""
+) -> tuple[list[str], list[str]]:
+    """Return the warnings and the notes about a result; see `Result`."""
+    warnings = found_by(RESULT, Result(report, first_scans, serialization))
+    notes = dict.fromkeys(text for spec in report.scans for text in found_by(RESULT_NOTES, spec))
+    further: list[str] = []
+    for topic in report.topics:
+        counted = TopicResult(topic, report)
+        warnings += found_by(TOPIC, counted)
+        if topic.joined is not None:
+            joined = JoinedResult(topic, topic.joined)
+            warnings += found_by(JOINED, joined)
+            further += found_by(JOINED_NOTES, joined)
+        further += found_by(TOPIC_NOTES, counted)
+        if topic.motions or topic.tilts:
+            warnings += found_by(MOVED, counted)
+            further += found_by(MOVED_NOTES, counted)
+    return warnings, [*notes, *further]

@@ -1,0 +1,326 @@
+"""Runs one conversion from beginning to end: opens the sources, plans, streams, and writes the report."""
+
+from __future__ import annotations
+
+import shlex
+from contextlib import ExitStack, closing, contextmanager
+from functools import partial
+from typing import TYPE_CHECKING
+
+from pc2scan.advice.checks import request_warnings
+from pc2scan.bags.damage import mention
+from pc2scan.bags.destinations import (
+    check_to,
+    default_destination,
+    default_storage,
+    open_writer,
+    plan_destination,
+    recorded_in,
+    source_form,
+)
+from pc2scan.bags.folders import overlap_warnings
+from pc2scan.bags.formats import destinations
+from pc2scan.bags.opening import as_one, open_recordings
+from pc2scan.errors import DamageError, MissingError, OutputError, TopicError, UsageError
+from pc2scan.files.places import output_folder
+from pc2scan.files.staging import check_destination, staged_output
+from pc2scan.files.system import copying_to
+from pc2scan.files.urls import UrlPath, exists
+from pc2scan.progress import Meter
+from pc2scan.result import tell_early
+from pc2scan.threads import Threads, cores
+from pc2scan.transforms.placing import FrameOptions
+
+from .engine import items_of
+from .plan import make_plan
+from .preparation import prepare, span_of
+from .recording import open_output, write_items
+from .refusals import compare_counts, refuse_no_messages, refuse_nothing, refuse_unsatisfied, refuse_unusable
+from .report import Report
+from .result_checks import result_findings
+from .run_files import OutputOptions, RunFiles
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Generator, Mapping, Sequence
+    from contextlib import AbstractContextManager
+    from pathlib import Path
+
+    from pc2scan.advice.survey import Span
+    from pc2scan.bags.destinations import Destination
+    from pc2scan.bags.reader import Reader
+    from pc2scan.model import Writer
+    from pc2scan.progress import Progress
+    from pc2scan.request.options import ConvertOptions
+    from pc2scan.result import Failure
+
+    from .plan import Plan
+    from .preparation import Preparation
+    from .recording import OpenRecording
+
+
+def run(
+    sources: Sequence[Path],
+    destination: Path | None,
+    options: ConvertOptions,
+    output: OutputOptions,
+    *,
+    also_read: Mapping[str, Path] | None = None,
+    warnings: Sequence[str] = (),
+    progress: Progress | None = None,
+    warn: Callable[[str], None] | None = None,
+) -> Report:
+    """Convert recordings; see `pc2scan.convert`.
+
+    Parameters
+    ----------
+    also_read
+        Files that were read for the request, by option: the destination must not overwrite them.
+    warnings
+        About the request; ``warn`` had them.
+    progress
+        Called regularly; see `pc2scan.progress.Progress`.
+    warn
+        Called with each warning as soon as it is known, up to those about the first clouds; the report has all.
+    """
+    if not sources:
+        raise UsageError("no source given")
+    files = RunFiles(sources, destination, options.frames, also_read or {}, output)
+    report = Report([str(source) for source in sources], str(destination or ""), options.scans)
+    report.source_frame = options.frames.source_frame
+    report.warnings += warnings
+    with ExitStack() as stack, files.reporting(report):
+        tell = partial(tell_early, report.warnings, warn)
+        reader, plan, target = _open(files, options, output, stack, report, tell)
+        if output.dry_run:
+            _try_out(files, reader, plan, target, options, output, stack, report, tell)
+            return report
+        with _staging(files, target, output, stack) as unfinished:
+            span = _span_with_messages(reader, plan, options)
+            jobs = options.jobs or cores()
+            meter = None if progress is None else Meter(progress)
+            prepared = prepare(reader, plan, options, span, stack, tell, meter=meter)
+            report.add((), prepared.notes)
+            with _writing(target, unfinished) as writer:
+                threads = stack.enter_context(Threads(jobs)) if jobs > 1 else None
+                recording = open_output(reader, plan, prepared, target, options, writer)
+                report.topics = recording.entries
+                tell(*recording.warnings)
+                if threads is not None:
+                    writer.compress_ahead(threads)
+                items = items_of(
+                    reader,
+                    recording.routes,
+                    span,
+                    threads,
+                    combiners=recording.combiners,
+                    rule=recording.rule,
+                    window=options.window,
+                    meter=meter,
+                )
+                with prepared.counting(recording.routes, report, strict=options.strict) as tally, closing(items):
+                    try:
+                        write_items(items, writer, tally, recording)
+                    finally:
+                        report.messages_read = tally.messages
+                files.refuse_changed()
+                _judge(reader, plan, prepared, recording, target, options, report)
+            report.bytes_written = _size_on_disk(unfinished)
+    return report
+
+
+def _open(
+    files: RunFiles,
+    options: ConvertOptions,
+    output: OutputOptions,
+    stack: ExitStack,
+    report: Report,
+    tell: Callable[..., None],
+) -> tuple[Reader, Plan, Destination]:
+    """Open the sources, plan the conversion, and decide the destination; the report then has what they say.
+
+    Errors about missing topics mention damage. ``stack`` closes the sources, and ``tell`` is called with warnings.
+    """
+    places = (*files.read, files.destination, output.folder)
+    if output.scratch is not None and not any(isinstance(path, UrlPath) for path in places):
+        raise UsageError("`scratch` has no effect: no source and no destination is a URL")
+    stack.enter_context(copying_to(output.scratch))
+    if files.destination is not None and any(isinstance(path, UrlPath) for path in files.read):
+        # Before anything is fetched.
+        check_destination(files.destination, overwrite=output.overwrite, owned=output.owned, record_in=recorded_in)
+    if len(files.sources) > 1 and files.destination is None and output.folder is None:
+        _refuse_missing_destination(files.sources)
+    refuse_unusable(options)
+    readers = open_recordings(files.sources, stack, strict=options.strict)
+    reader = as_one(readers)
+    if options.cloud_scale != 1:
+        from .cloud_scale import scaled  # noqa: PLC0415  # most clouds are in metres
+
+        reader = scaled(reader, options.cloud_scale)
+    damage = reader.damage
+    if options.repair and damage and not reader.connections:
+        raise DamageError(f"nothing of it can be recovered: {damage[0].what}", path=damage[0].path)
+    try:
+        plan = make_plan(reader.connections, options, reader)
+    except TopicError as err:
+        mention(damage, err)
+        raise
+    if options.clock:
+        from .stamps import corrected_for  # noqa: PLC0415  # most clocks are the recording's
+
+        reader, notes = corrected_for(reader, plan, options)
+        plan = plan._replace(notes=tuple(notes))
+    target = _target(files, reader, readers, options, output)
+    report.destination = str(target.path)
+    report.container, report.ros_version = target.format.name, target.ros_version
+    report.bytes_read, report.dry_run = reader.summary.size_bytes, output.dry_run
+    if readers[1:]:
+        tell(*overlap_warnings(readers))
+    report.add((), plan.notes)
+    tell(*plan.warnings, *request_warnings(options, reader.summary))
+    return reader, plan, target
+
+
+def _judge(
+    reader: Reader,
+    plan: Plan,
+    prepared: Preparation,
+    recording: OpenRecording,
+    target: Destination,
+    options: ConvertOptions,
+    report: Report,
+) -> None:
+    """Add to the report what the result and its sources show; raise if the result is of no use."""
+    report.add(reader.remarks)
+    report.damage += [damage for each in (reader, *prepared.others) for damage in each.damage]
+    report.add(*result_findings(report, recording.first_scans, target.serialization))
+    # With a fixed frame, an IMU or a corrected clock, clocks were compared before.
+    far = {
+        each.topic
+        for each in report.topics
+        if each.stamps.is_far and each.spec is not None and not (each.spec.fixed_frame or each.spec.imu)
+    }
+    if far and not options.clock:
+        from pc2scan.advice.clocks import other_clocks  # noqa: PLC0415  # few lidars have a clock of their own
+        from pc2scan.advice.survey import Survey  # noqa: PLC0415
+
+        doubtful = [route.connection for route in plan.routes if route.tasks and route.connection.topic in far]
+        report.add([*other_clocks(Survey(reader, (), options.frames, prepared.span), doubtful)])
+    routes = recording.routes.values()
+    report.messages_declared, difference = compare_counts(reader, routes, options, report)
+    report.damage += difference
+    if plan.specs:
+        refuse_nothing(report)
+    if not options.repair:
+        refuse_unsatisfied(report, options)
+
+
+def report_failure(
+    failure: Failure, sources: Sequence[Path], output: OutputOptions, also_read: Mapping[str, Path]
+) -> None:
+    """Write the report of a run that failed before its options were known."""
+    RunFiles(sources, None, FrameOptions(), also_read, output).deliver_failure(failure)
+
+
+@contextmanager
+def _writing(target: Destination, unfinished: Path) -> Generator[Writer]:
+    """Open the destination's writer, and finish the recording, or abort it after an error."""
+    writer = open_writer(target, unfinished, target.path.name)
+    try:
+        yield writer
+        writer.finish()
+    except BaseException:
+        writer.abort()
+        raise
+
+
+def _staging(
+    files: RunFiles, target: Destination, output: OutputOptions, stack: ExitStack
+) -> AbstractContextManager[Path]:
+    """Check the destination and the report's file, and return the context that writes beside the destination first."""
+    if output.folder is not None:
+        stack.enter_context(output_folder(output.folder))
+    files.open_report(stack)
+    return staged_output(target.path, overwrite=output.overwrite, owned=output.owned, record_in=recorded_in)
+
+
+def _try_out(
+    files: RunFiles,
+    reader: Reader,
+    plan: Plan,
+    target: Destination,
+    options: ConvertOptions,
+    output: OutputOptions,
+    stack: ExitStack,
+    report: Report,
+    tell: Callable[[str], None],
+) -> None:
+    """Add to the report of a dry run what the conversion would do."""
+    from .dry_run import convert_first  # noqa: PLC0415  # dry runs only
+
+    files.open_report(stack)
+    check_destination(target.path, overwrite=output.overwrite, record_in=recorded_in, folder=output.folder)
+    span = _span_with_messages(reader, plan, options)
+    prepared = prepare(reader, plan, options, span, stack, tell)
+    report.add((), prepared.notes)
+    recording = open_output(reader, plan, prepared, target, options, None)
+    report.topics = recording.entries
+    convert_first(reader, recording, options, prepared, report)
+
+
+def _span_with_messages(reader: Reader, plan: Plan, options: ConvertOptions) -> Span:
+    """Return the cut; raise if it has no messages to convert."""
+    span = span_of(reader, options)
+    converted = [route.connection for route in plan.routes if route.targets]
+    refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
+    return span
+
+
+def _refuse_missing_destination(sources: Sequence[Path]) -> None:
+    """Raise if the last of several sources does not exist: it may be meant as the destination, as with `cp`."""
+    *others, last = sources
+    if exists(last) or not all(map(exists, others)):
+        return
+    raise MissingError("does not exist", path=last, hint=f"did you mean `destination={shlex.quote(str(last))}`?")
+
+
+def _target(
+    files: RunFiles, reader: Reader, readers: Sequence[Reader], options: ConvertOptions, output: OutputOptions
+) -> Destination:
+    """Decide the destination's name and format; a repaired recording has its source's format if its name allows it."""
+    summaries = [opened.summary for opened in readers]
+    is_named = files.destination is not None and not output.like_source
+    if files.destination is None:
+        mark = "_repaired" if options.repair else "_clouds" if options.no_scans else "_scan"
+        files.destination = default_destination(files.sources, summaries, mark, folder=output.folder, to=output.to)
+    path = files.destination
+    if output.to is not None:
+        check_to(path, output.to)
+    # None for a source without ROS messages.
+    ros_version = next((each.ros_version for each in reader.connections if each.ros_version is not None), None)
+    storage = None if is_named else default_storage(path, summaries)
+    compression = None
+    if options.repair:
+        storage, compression = source_form(path, summaries)
+    names_directory = output.to is not None and destinations()[output.to].is_directory
+    target = plan_destination(
+        path,
+        storage=output.storage or storage,
+        compression=output.compression or (compression if output.storage in (None, storage) else None),
+        profile=output.profile,
+        source_ros_version=ros_version,
+        is_directory=not is_named or output.storage is not None or names_directory,
+    )
+    # A recording without ROS messages has no ROS profile.
+    if options.repair and ros_version is None and target.format.profiles and output.profile is None:
+        return target._replace(profile=summaries[0].profile)
+    return target
+
+
+def _size_on_disk(path: Path) -> int:
+    """Return the size in bytes of a file, or of all files in a folder."""
+    try:
+        if path.is_dir():
+            return sum(file.stat().st_size for file in path.iterdir())
+        return path.stat().st_size
+    except OSError as err:
+        raise OutputError(f"cannot be read after it was written: {err.strerror}", path=path) from err

@@ -1,0 +1,124 @@
+"""Converts LaserScan to PointCloud2, one message to one message: pure, and safe on several threads."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, NamedTuple
+
+from pc2scan.core.rigid import Rigid
+from pc2scan.core.rule import PointCounts
+from pc2scan.core.timing import IN_SECONDS, LONGEST
+from pc2scan.core.unproject import UnprojectedScan, UnprojectParams, deskew, last_beam_ns
+from pc2scan.errors import DecodeError, stamp_text
+from pc2scan.messages.beams import unproject_scan
+from pc2scan.messages.clouds import SCANS
+from pc2scan.messages.laserscan import LASERSCAN, LaserScan
+from pc2scan.messages.pointcloud2 import POINTCLOUD2, StructuredCloud, encode_structured
+
+from .steps import Conversion, ConvertedMessage
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pc2scan.model import Buffer
+    from pc2scan.transforms.placing import Placer
+
+    from .steps import Step
+
+
+class ScanToCloud(Conversion):
+    """Converts LaserScan to PointCloud2, as upstream's laserscan_to_pointcloud_node.cpp does with laser_geometry.
+
+    Parameters
+    ----------
+    channels
+        The fields of the cloud, and the range cutoff; None means the defaults.
+    placer
+        The recording's transforms.
+    deskewed
+        Whether every beam is transformed by the pose at its own time instead of the scan's stamp.
+    echo
+        Which echo of each beam is used, if there are several.
+    """
+
+    made_type = POINTCLOUD2
+    encode = encode_structured
+    shrinks_from = sys.maxsize
+
+    def __init__(
+        self,
+        channels: UnprojectParams | None,
+        placer: Placer,
+        *,
+        deskewed: bool = False,
+        echo: str = "first",
+    ) -> None:
+        self.channels = channels
+        self._placer = placer
+        self._deskewed = deskewed
+        self._echo = echo
+
+    def decoder(self, source: str, source_type: str) -> Callable[[Buffer], LaserScan]:
+        """Return the decoder of scans; see `Conversion`."""
+        return SCANS[source_type or LASERSCAN](source, self._echo)
+
+    def stages(self, topic: str) -> tuple[Step, ...]:  # noqa: ARG002
+        """Return the only stage, which is the same for all topics; see `Conversion`."""
+        return (self._make_cloud,)
+
+    def _make_cloud(self, scan: LaserScan) -> ConvertedMessage:
+        header, points = self._place(scan, unproject_scan(scan, self.channels))
+        message = StructuredCloud(header.sequence, header.stamp_ns, header.frame_id, points.points)
+        rejected = points.rejected
+        counts = PointCounts(
+            total=points.beam_count,
+            used=len(points.points),
+            nan=rejected.nan,
+            range=rejected.infinite + rejected.below_min + rejected.beyond_max,
+        )
+        return ConvertedMessage(message, counts, empty=not len(points.points), stamp_ns=scan.stamp_ns)
+
+    def _place(self, scan: LaserScan, points: UnprojectedScan) -> tuple[_CloudHeader, UnprojectedScan]:
+        """Return the cloud's header, and the points in its frame."""
+        place = self._placer.place(scan.frame_id, scan.stamp_ns)
+        own = _CloudHeader(scan.sequence, scan.stamp_ns, place.frame_id)
+        start = place.target_from_source
+        if self._deskewed:
+            # laser_geometry looks up the identity if both frames are the same, and multiplies by it.
+            identity = Rigid.identity()
+            return own, deskew(points, start or identity, self._end(scan) or identity)
+        if start is None:
+            return own, points
+        # Source of the rule: tf2_sensor_msgs gives a cloud the header of the transform, which has no sequence number.
+        stamp_ns = self._placer.transform_stamp(scan.frame_id, scan.stamp_ns)
+        moved = points.with_xyz(start.apply(points.xyz), start.translation)
+        return _CloudHeader(0, stamp_ns, place.frame_id), moved
+
+    def _end(self, scan: LaserScan) -> Rigid | None:
+        """Return the transform at the time of the last beam."""
+        try:
+            taken_ns = last_beam_ns(len(scan.ranges), scan.time_increment)
+            if abs(taken_ns) > LONGEST * 1e9:
+                raise DecodeError(
+                    f"its beams span {abs(taken_ns) / 1e9:.6g} s by its time_increment, "
+                    f"at most {LONGEST:g} s are possible",
+                    hint=IN_SECONDS,
+                )
+            end_ns = scan.stamp_ns + taken_ns
+            if end_ns < 0:
+                raise DecodeError(
+                    f"its last beam would be at {stamp_text(end_ns)}, which is before 1970",
+                    hint="its time_increment is negative, and its stamp is 0 or close to 0",
+                )
+        except DecodeError as err:
+            err.stamp_ns = scan.stamp_ns
+            raise
+        return self._placer.place(scan.frame_id, end_ns).target_from_source
+
+
+class _CloudHeader(NamedTuple):
+    """The header of a cloud."""
+
+    sequence: int
+    stamp_ns: int
+    frame_id: str

@@ -1,0 +1,419 @@
+"""Deskewing: moves each point to where it was at its own time, as seen at the scan's time.
+
+Source of the rule: tf2's lookup with two times, ``lookupTransform(target, target_time, source, source_time, fixed)``. A
+point is transformed from its own frame to a frame that does not move, at the point's time, and from there to the target
+frame, at the scan's time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from pc2scan.conversion.steps import Motion
+from pc2scan.core import kernel
+from pc2scan.core.moving import MovingTransform
+from pc2scan.core.points import TIME, Points
+from pc2scan.core.rule import NO_TIME, NO_TRANSFORM
+from pc2scan.core.timing import AZIMUTH, IN_SECONDS, LONGEST, TIME_FIELDS, TIME_UNITS
+from pc2scan.errors import DecodeError, TransformError
+from pc2scan.request.point_time import BY_AZIMUTH, PointTime
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import NDArray
+
+    from pc2scan.core.rigid import Rigid
+    from pc2scan.request.point_time import FieldTimes, Times
+    from pc2scan.request.turn import Turn
+    from pc2scan.transforms.buffer import TransformBuffer
+    from pc2scan.transforms.placing import Placer
+
+#: If a cloud takes less with another unit, seconds, a hint names this unit.
+_USUAL = 2.0
+#: Points that are measured this long before or after their stamp, nanoseconds, probably have another clock.
+_OTHER_CLOCK_NS = 1_000_000_000
+#: If the times of all points span less than this, they count as equal, seconds.
+_SHORTEST = 1e-9
+
+#: The maximum distance of two nodes between which transforms are interpolated, nanoseconds and radians. Transforms are
+#: also looked up in the middle between two nodes, so at least every millisecond. The error of the rotation is 0.008
+#: times the third power of the angle: at most 0.8 micrometres at 100 m.
+_STEP_NS = 2_000_000
+_STEP = 0.01
+#: If the squared differences of two rotation matrices add up to less, the angle is below `_STEP` despite rounding.
+_SURELY = 8 * math.sin(_STEP / 2) ** 2 * (1 - 1e-9)
+_MOST_NODES = 20_000
+
+#: Any time, and the stamps of a transform that is valid at all times.
+_ONCE, _ALWAYS = np.zeros(1, np.int64), np.empty(0, np.int64)
+#: The row of a transform that changes nothing.
+_IDENTITY = np.array([[1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0]])
+
+
+class _LazyTimes(Mapping[str, "NDArray[Any]"]):
+    """The field `TIME` of a cloud, computed on request: the loops over points read times as they are stored."""
+
+    def __init__(self, known: FieldTimes) -> None:
+        self._known = known
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        if name != TIME:
+            raise KeyError(name)
+        times = self._known.at()
+        # Some drivers set no time for points without a return.
+        times[~np.isfinite(times) | np.isnan(self._known.points.field("x"))] = np.nan
+        return times
+
+    def __iter__(self) -> Iterator[str]:
+        return iter((TIME,))
+
+    def __len__(self) -> int:
+        return 1
+
+
+class MovingCloud(NamedTuple):
+    """A cloud that was measured while its sensor moved.
+
+    Attributes
+    ----------
+    points
+        With their own times in the field `TIME`.
+    stamp_ns
+        The scan's stamp.
+    transform
+        From the cloud's frame at the points' times to the target frame at the scan's time.
+    time_field
+        The field with the times.
+    frame_id
+        The target frame.
+    motion
+        How far the sensor moved.
+    """
+
+    points: Points
+    stamp_ns: int
+    transform: MovingTransform
+    time_field: str
+    frame_id: str
+    motion: Motion
+
+    def transform_of(self, points: Points) -> MovingTransform:
+        """Return the transform for these points, or for some of them."""
+        return self.transform._replace(times=points.field(self.time_field))
+
+    def place(self, points: Points) -> tuple[Points, NDArray[np.bool_] | None, dict[str, int]]:
+        """Place these points, or some of them.
+
+        Returns
+        -------
+        Points
+            In the target frame at the scan's time.
+        (M,) or (H, W) bool
+            Which of them could be placed; None if all could.
+        dict
+            How many could not be placed, by the reasons `NO_TIME` and `NO_TRANSFORM`.
+        """
+        x, y, z = points.xyz()
+        out = np.empty((x.size, 3), np.float32)
+        untimed, nowhere = kernel.deskew(x, y, z, self.transform_of(points), out)
+        coordinates = out.reshape(*x.shape, 3)
+        placed = points.replace({axis: coordinates[..., k] for k, axis in enumerate("xyz")}, self.frame_id)
+        lost = {NO_TIME.name: untimed, NO_TRANSFORM.name: nowhere}
+        if not untimed + nowhere:
+            return placed, None, lost
+        return placed, ~np.isnan(coordinates[..., 0]) | np.isnan(x) | np.isnan(y) | np.isnan(z), lost
+
+
+class Track(NamedTuple):
+    """The path of a cloud's sensor in a frame that does not move, while its points were measured.
+
+    Attributes
+    ----------
+    points
+        With their own times in the field `TIME`.
+    reference_ns
+        The stamp of a scan of this cloud alone.
+    time_field, offset, unit, node_times, rows
+        See `MovingCloud` and `MovingTransform`. The rows are transforms to the fixed frame.
+    gap_ns
+        The longest time over which transforms were interpolated, nanoseconds.
+    timed
+        See `MovingTransform`.
+    begin_ns, end_ns
+        The times of the first and the last row.
+    """
+
+    points: Points
+    reference_ns: int
+    time_field: str
+    offset: float
+    unit: float
+    node_times: NDArray[np.float64]
+    rows: NDArray[np.float64]
+    gap_ns: int
+    timed: bool
+    begin_ns: int
+    end_ns: int
+
+    def seen_from(
+        self,
+        target_from_fixed: Rigid,
+        reference: tuple[Rigid, ...] | int,
+        frame_id: str,
+        stamp_ns: int,
+        rows: NDArray[np.float64] | None = None,
+    ) -> MovingCloud:
+        """Return the motion as seen from a frame at a scan's time.
+
+        Parameters
+        ----------
+        target_from_fixed
+            The transform to that frame at the scan's time.
+        reference
+            The pose from which the motion is measured: target_from_sensor as a product of transforms, or the index of
+            its row.
+        frame_id, stamp_ns
+            The frame's name, and the scan's time.
+        rows
+            Overwritten with the result. Pass ``self.rows`` if they are not needed again. None: a copy is used.
+        """
+        rows = self.rows.copy() if rows is None else rows
+        any_time = np.zeros(len(rows), np.int64)
+        kernel.follow(any_time, _ALWAYS, _as_matrix(target_from_fixed), rows)
+        values = self.points.field(self.time_field)
+        transform = MovingTransform(values, self.offset, self.unit, self.node_times, rows, self.timed)
+        motion = _motion(rows, reference, self.gap_ns)
+        return MovingCloud(self.points, stamp_ns, transform, self.time_field, frame_id, motion)
+
+
+class Deskew:
+    """Looks up the motion of the sensor within clouds. Two instances with equal parameters are equal.
+
+    Parameters
+    ----------
+    placer
+        The recording's transforms, with a buffer.
+    fixed_frame
+        A frame that does not move.
+    point_time
+        The source of the points' times.
+    stamp
+        One of `STAMPS`.
+    turns
+        How lidars turn, by topic, where this was measured.
+    sample
+        Called with the topic, the points of each cloud and a function that returns the times of the points at some
+        places; None: nothing is.
+    topic
+        The topic of the clouds.
+    """
+
+    __slots__ = ("_buffer", "_fixed", "_placer", "_point_time", "_sample", "_stamp", "_topic", "_turns")
+
+    def __init__(
+        self,
+        placer: Placer,
+        fixed_frame: str,
+        point_time: PointTime,
+        stamp: str = "header",
+        turns: Mapping[str, Turn] | None = None,
+        sample: Callable[[str, Points, Times], None] | None = None,
+        topic: str = "",
+    ) -> None:
+        if placer.buffer is None:
+            raise ValueError("deskewing needs transforms")
+        self._buffer = placer.buffer
+        self._placer = placer
+        self._fixed = fixed_frame
+        self._point_time = point_time
+        self._stamp = stamp
+        self._turns = turns or {}
+        self._sample = sample
+        self._topic = topic
+
+    def of(self, topic: str) -> Deskew:
+        """Return an instance for one topic, with the measured turn of its lidar."""
+        turn = self._turns.get(topic)
+        point_time = self._point_time if turn is None else PointTime(turn=turn)
+        return Deskew(self._placer, self._fixed, point_time, self._stamp, None, self._sample, topic)
+
+    def within(self, placer: Placer) -> Deskew:
+        """Return an instance with other frames."""
+        return Deskew(placer, self._fixed, self._point_time, self._stamp, self._turns)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Deskew):
+            return NotImplemented
+        # Samples are for warnings alone: outputs that place points alike share the work.
+        names = ("_placer", "_fixed", "_point_time", "_stamp", "_turns")
+        return all(getattr(self, name) == getattr(other, name) for name in names)
+
+    def __hash__(self) -> int:
+        return hash((self._fixed, self._point_time, self._stamp))
+
+    def __call__(self, points: Points) -> MovingCloud | None:
+        """Look up the motion of a cloud's sensor; None for a cloud without a point.
+
+        Raises
+        ------
+        DecodeError
+            If its points have no times, or impossible ones.
+        TransformError
+            If there is no transform at the scan's time, or at none of the points' times.
+        """
+        track = self.track(points)
+        if track is None:
+            return None
+        tolerance_ns, reference_ns = self._placer.tolerance_ns, track.reference_ns
+        source = self._placer.source_frame or points.frame_id
+        target, from_fixed = self._placer.from_fixed(self._fixed, points.frame_id, reference_ns)
+        reference: tuple[Rigid, ...] | int
+        reference = {track.begin_ns: 0, track.end_ns: -1}.get(reference_ns, 1)
+        if reference == 1 or math.isnan(track.rows[reference, 0]):
+            reference = from_fixed, self._buffer.lookup(self._fixed, source, reference_ns, tolerance_ns)
+        # The rows are not needed again.
+        return track.seen_from(from_fixed, reference, target, reference_ns, track.rows)
+
+    def track(self, points: Points) -> Track | None:
+        """Look up the path of a cloud's sensor in the fixed frame; None for a cloud without a point.
+
+        If the points have the field `TIME`, it is used: they are beams of a scan, which may all have the same time.
+
+        Raises
+        ------
+        DecodeError
+            If its points have no times, or impossible ones.
+        TransformError
+            If there is no transform at any of the points' times.
+        """
+        turn, of_scan = self._point_time.turn, TIME in points.fields
+        if turn is not None and not of_scan:
+            points = points.replace({TIME: turn.times(points)}, points.frame_id)
+        known = self._point_time.read(points)
+        points, name, offset, unit, low, high, measured, unknown = known
+        given = name == TIME
+        if not measured:
+            return None
+        if unknown == measured:
+            message = f"none of its points has a time: {name} is not finite"
+            hint = None if of_scan else "if another field has the times, name it: `point_time=FIELD`"
+            raise DecodeError(message, stamp_ns=points.stamp_ns, hint=hint)
+        label = AZIMUTH if turn is not None else "time_increment" if given else name
+        self._check(label, low, high, unit, several=measured > 1 and not given, stamp_ns=points.stamp_ns)
+        stamp_ns = points.stamp_ns
+        begin_ns = stamp_ns + math.floor(low * 1e9)
+        end_ns = max(stamp_ns + math.ceil(high * 1e9), begin_ns + 1)
+        reference_ns = {
+            "header": stamp_ns,
+            "start": begin_ns,
+            "middle": begin_ns + (end_ns - begin_ns) // 2,
+            "end": end_ns,
+        }[self._stamp]
+        buffer = self._buffer
+        source = self._placer.source_frame or points.frame_id
+        measured_ns = begin_ns, end_ns
+        # The pose at the scan's time is needed as well.
+        if end_ns - begin_ns > 4 * _STEP_NS:
+            begin_ns = reference_ns if 0 < begin_ns - reference_ns <= _STEP_NS else begin_ns
+            end_ns = reference_ns if 0 < reference_ns - end_ns <= _STEP_NS else end_ns
+        step_ns = max(_STEP_NS, (end_ns - begin_ns) // _MOST_NODES)
+        stamps_ns, rows, gap_ns = buffer.rows(self._fixed, source, begin_ns, end_ns, step_ns, _step_ns)
+        # Checked first, because there nearly always is a transform in the middle of the points' times.
+        if math.isnan(rows[2 * int(stamps_ns.searchsorted(sum(measured_ns) // 2)), 0]):
+            nodes = np.flatnonzero((stamps_ns >= measured_ns[0]) & (stamps_ns <= measured_ns[1]))
+            if np.isnan(rows[2 * nodes[0] : 2 * nodes[-1] + 1]).all():
+                _raise_why(buffer, self._fixed, source, measured_ns[0], stamp_ns)
+        times = (stamps_ns - stamp_ns) / 1e9
+        # A product and a quotient may differ in the last bit: without this, the first and the last points are outside.
+        times[0], times[-1] = min(times[0], low), max(times[-1], high)
+        if self._sample is not None and not of_scan:
+            self._sample(self._topic, points, known.at)
+        timed = points if given else points.replace(_LazyTimes(known), points.frame_id)
+        all_timed = not unknown and bool(times[0] <= low and high <= times[-1])
+        return Track(timed, reference_ns, name, offset, unit, times, rows, gap_ns, all_timed, begin_ns, end_ns)
+
+    def _check(self, name: str, low: float, high: float, unit: float, *, several: bool, stamp_ns: int) -> None:
+        """Raise an error for impossible times."""
+        message, hint = "", "if another field has the times, name it: `point_time=FIELD`"
+        if high - low > LONGEST:
+            message = f"its points span {high - low:.6g} s by their field {name}, at most {LONGEST:g} s are possible"
+            units = (other for other, size in TIME_UNITS.items() if size < unit and (high - low) / unit * size < _USUAL)
+            if name in {*TIME_FIELDS, self._point_time.field} and (fitting := next(units, "")):
+                hint = f"name the unit of the times: `point_time={name}:{fitting}`"
+        elif low < -LONGEST or high > LONGEST:
+            message = f"its points are {low:.6g} to {high:.6g} s after its stamp by their field {name}"
+            hint = "the times of the points and the stamps come from different clocks, or have another unit"
+            hint += f": `point_time={name}:us`; {BY_AZIMUTH}"
+        elif several and high - low < _SHORTEST:
+            message = f"its points all have the same time in their field {name}, {low:.6g} s after its stamp"
+            hint = "name the field with the times: `point_time=FIELD`; clouds measured at once need no `deskew`"
+        if name == "time_increment":
+            hint = IN_SECONDS
+        if message:
+            raise DecodeError(message, stamp_ns=stamp_ns, hint=hint)
+
+
+def _raise_why(buffer: TransformBuffer, fixed: str, source: str, time_ns: int, stamp_ns: int) -> None:
+    """Raise the error of a lookup at the time of a point, without its hint about the tolerance of stamps."""
+    try:
+        buffer.lookup(fixed, source, time_ns)
+    except TransformError as err:
+        err.hint = (
+            "no point of the cloud was measured while there were transforms; if the clocks differ, `time_offset=auto` "
+            "measures by how much"
+        )
+        if abs(time_ns - stamp_ns) > _OTHER_CLOCK_NS:
+            with suppress(TransformError):
+                buffer.lookup(fixed, source, stamp_ns)
+                err.hint = (
+                    f"there are transforms at the stamp of the cloud, from which its points are "
+                    f"{abs(time_ns - stamp_ns) / 1e9:.3g} s away: their clock is another one; {BY_AZIMUTH}"
+                )
+        raise
+
+
+def _step_ns(stamps_ns: NDArray[np.int64], rows: NDArray[np.float64]) -> int:
+    """Return how far nodes may be apart, given some nodes, and their rows with those of the middles."""
+    if kernel.apart(rows, None)[0] < _SURELY:
+        return int(stamps_ns[-1] - stamps_ns[0])
+    differences = rows[2::2, :9] - rows[:-2:2, :9]
+    # np.fmax ignores NaN.
+    largest = float(np.fmax.reduce(np.einsum("ni,ni->n", differences, differences), initial=0.0))
+    # A rotation by an angle changes the matrix by sqrt(8) times the sine of half the angle.
+    angle = 2 * math.asin(min(1.0, math.sqrt(largest / 8)))
+    if angle <= _STEP:
+        return int(stamps_ns[-1] - stamps_ns[0])
+    rates = _angles(differences) / np.diff(stamps_ns)
+    return max(1, int(_STEP / np.nanmax(rates)), int(stamps_ns[-1] - stamps_ns[0]) // _MOST_NODES)
+
+
+def _angles(differences: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the angles between rotations, radians, from the differences of their matrices (N, 9)."""
+    sines = np.sqrt(np.einsum("ni,ni->n", differences, differences)) / math.sqrt(8)
+    angles: NDArray[np.float64] = 2 * np.arcsin(np.minimum(sines, 1.0))
+    return angles
+
+
+def _motion(rows: NDArray[np.float64], reference: tuple[Rigid, ...] | int, gap_ns: int) -> Motion:
+    if isinstance(reference, int):
+        row = rows[reference]
+    else:
+        row = _IDENTITY.copy()
+        for transform in reversed(reference):
+            kernel.follow(_ONCE, _ALWAYS, _as_matrix(transform), row)
+    turned, moved = kernel.apart(rows, row)
+    return Motion(math.sqrt(moved), 2 * math.asin(min(1.0, math.sqrt(turned) / math.sqrt(8))), gap_ns / 1e9)
+
+
+def _as_matrix(transform: Rigid) -> NDArray[np.float64]:
+    """Return a pose, (1, 7), that does not scale: tf2 multiplies two lookups as matrices; see `kernel.follow`."""
+    x, y, z, i, j, k, r = transform.pose
+    # Not 0: the product of thousands of quaternions that are a little too short may underflow.
+    length = math.sqrt(i * i + j * j + k * k + r * r) or 1.0
+    return np.array([(x, y, z, i / length, j / length, k / length, r / length)])

@@ -1,0 +1,154 @@
+"""Selects points: filters are applied one after the other, and rejected points are counted by filter."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from pc2scan.core.points import NUMBER
+from pc2scan.errors import UnconnectedError
+from pc2scan.request.filters import Frame
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from pc2scan.core.moving import MovingTransform
+    from pc2scan.core.points import Points
+    from pc2scan.core.rigid import Rigid
+    from pc2scan.request.filters import Filter
+    from pc2scan.transforms.placing import Placement, Placer
+
+    from .deskew import MovingCloud
+    from .placement import PlacedCloud
+
+
+class SelectedPoints(NamedTuple):
+    """The selected points, the transform that is still to be applied, and how many points each filter rejected."""
+
+    points: Points
+    transform: Rigid | MovingTransform | None
+    rejected: dict[str, int]
+
+
+class _RemainingPoints:
+    """The points that are kept so far, in each frame that a filter needed."""
+
+    def __init__(self, points: Points) -> None:
+        self.by_frame: dict[Frame | str, Points] = {Frame.SOURCE: points}
+
+    def keep(self, kept: NDArray[np.bool_]) -> None:
+        """Keep only these points."""
+        self.by_frame = {frame: points.select(kept) for frame, points in self.by_frame.items()}
+
+
+class SelectStage:
+    """Applies filters one after the other. Each sees the points that those before it have kept.
+
+    Instances with equal filters are equal.
+
+    Parameters
+    ----------
+    filters
+        The filters in order.
+    placer
+        The recording's transforms.
+    numbered
+        Whether points get the field `NUMBER`.
+    """
+
+    __slots__ = ("_filters", "_numbered", "_placer")
+
+    def __init__(self, filters: Sequence[Filter], placer: Placer, *, numbered: bool = False) -> None:
+        self._filters = tuple(filters)
+        self._placer = placer
+        self._numbered = numbered
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, SelectStage):
+            return NotImplemented
+        return (self._filters, self._placer, self._numbered) == (other._filters, other._placer, other._numbered)
+
+    def __hash__(self) -> int:
+        return hash(tuple(chosen.name for chosen in self._filters))
+
+    def __call__(self, placed: PlacedCloud) -> PlacedCloud:
+        """Select points of a placed cloud; see `apply`."""
+        points = placed.points
+        if self._numbered:
+            shape = points.xyz()[0].shape
+            points = points.replace({NUMBER: np.arange(math.prod(shape)).reshape(shape)}, points.frame_id)
+        points, transform, rejected = self.apply(points, placed.place, placed.moving)
+        return replace(placed, points=points, transform=transform, rejected=rejected)
+
+    def apply(self, points: Points, place: Placement, moving: MovingCloud | None = None) -> SelectedPoints:
+        """Select points of a cloud.
+
+        Parameters
+        ----------
+        place
+            The frame that it is converted in.
+        moving
+            The motion of its sensor, if it is deskewed. Then filters in the target frame are applied last, to points
+            that are placed at their own times. All others are applied to the recorded points, so that parts of the
+            robot are at their fixed place.
+
+        Raises
+        ------
+        DecodeError
+            If a field is missing or cannot be decoded.
+        TransformError
+            If there is no transform to a filter's frame at the cloud's stamp.
+        """
+        rejected = {chosen.name: 0 for chosen in self._filters}
+        seen = _RemainingPoints(points)
+        steps = [(chosen.frame, chosen) for chosen in self._filters]
+        if moving is not None:
+            steps.sort(key=lambda step: step[0] is Frame.TARGET)
+        else:
+            steps = [(Frame.TARGET if frame == place.frame_id else frame, chosen) for frame, chosen in steps]
+        for frame, chosen in steps:
+            if frame not in seen.by_frame:
+                try:
+                    self._place(seen, frame, place, moving, rejected)
+                except UnconnectedError as err:
+                    if isinstance(frame, str):
+                        err.message = f"the frame of `{chosen.name}`: {err.message}"
+                    raise
+            with np.errstate(all="ignore"):
+                mask = chosen(seen.by_frame[frame])
+            if mask.dtype != np.bool_:
+                raise TypeError(f"the filter {chosen.name} returned {mask.dtype}, expected bool")
+            if count := mask.size - int(np.count_nonzero(mask)):
+                rejected[chosen.name] += count
+                seen.keep(mask)
+        if Frame.TARGET in seen.by_frame:
+            return SelectedPoints(seen.by_frame[Frame.TARGET], None, rejected)
+        kept = seen.by_frame[Frame.SOURCE]
+        return SelectedPoints(kept, place.target_from_source if moving is None else moving.transform_of(kept), rejected)
+
+    def _place(
+        self,
+        seen: _RemainingPoints,
+        frame: Frame | str,
+        place: Placement,
+        moving: MovingCloud | None,
+        rejected: dict[str, int],
+    ) -> None:
+        """Place the remaining points in another frame, and count those that have no place there."""
+        points = seen.by_frame[Frame.SOURCE]
+        if moving is not None and frame is Frame.TARGET:
+            seen.by_frame[frame], kept, lost = moving.place(points)
+            rejected.update(lost)
+            if kept is not None:
+                seen.keep(kept)
+            return
+        if isinstance(frame, str):
+            name, transform = frame, self._placer.transform(frame, points.frame_id, points.stamp_ns)
+        else:
+            name, transform, _ = place
+        seen.by_frame[frame] = points if transform is None else points.transform(transform.as_float32(), name)

@@ -1,1 +1,0 @@
-"""Shows the content of recordings, and checks them; nothing is changed."""

@@ -1,1 +1,0 @@
-"""Pictures of recordings: interactive HTML pages, figures and maps."""

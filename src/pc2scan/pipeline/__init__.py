@@ -1,1 +1,0 @@
-"""The pipeline from a recording to a recording."""

@@ -1,0 +1,382 @@
+"""The choice between several settings of one parameter of the projection.
+
+Every source (command line, ``--param name:=value``, parameter file) yields `Setting` values, which say where
+they were written. `resolve` takes the setting with the highest precedence, checks names, types and values, and builds
+`ProjectionParams`. An error names the parameter, the value and its origin.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NoReturn
+
+from pc2scan.core.layout import FULL_TURN
+from pc2scan.core.params import ProjectionParams
+from pc2scan.core.presets import PRESETS
+from pc2scan.core.quantities import EXAMPLES, degrees_text
+from pc2scan.errors import ParameterError
+from pc2scan.options.call import CALL
+from pc2scan.options.table import PARAMETERS
+from pc2scan.text import did_you_mean, nearest
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+    from pathlib import Path
+
+    from pc2scan.options.option import Parameter
+
+#: Upstream's two nodes; each direction has the name of its node.
+Direction = Literal["pointcloud_to_laserscan", "laserscan_to_pointcloud"]
+
+
+class Setting(NamedTuple):
+    """The value of a parameter in one source, not checked yet.
+
+    Attributes
+    ----------
+    name
+        The ROS name; ``concurrency_level`` (ROS 1) means ``queue_size``.
+    value
+        As read: bool, int, float, str, or None for nothing.
+    origin
+        For the user: ``--range-min``, ``--param range_min:=5``, or
+        ``params.yaml, line 3, pointcloud_to_laserscan.ros__parameters.range_min``.
+    source
+        Which kind of source it is: ``option``, ``param``, ``file`` or ``preset``.
+    """
+
+    name: str
+    value: object
+    origin: str
+    source: str = "option"
+
+
+class ResolvedParams(NamedTuple):
+    """The parameters of a run, where each was given, and what else the files of parameters have.
+
+    Attributes
+    ----------
+    params
+        The checked parameters.
+    origin
+        For each name of `PARAMETERS`, the origin of the setting that is used, or ``default``.
+    reverse
+        Whether scans become clouds.
+    ignored
+        Places of entries in the parameter file that are not parameters of the projection.
+    remaps, files
+        See `pc2scan.request.params_file.ParamsFile`.
+    """
+
+    params: ProjectionParams
+    origin: Mapping[str, str]
+    reverse: bool = False
+    ignored: tuple[str, ...] = ()
+    remaps: tuple[str, ...] = ()
+    files: tuple[Path, ...] = ()
+
+
+#: ROS 1's names for parameters that ROS 2 renamed.
+ALIASES = {"concurrency_level": "queue_size"}
+
+#: Topics. Upstream's own ROS 1 sample lists them among the parameters; later ROS 2 versions declare the
+#: last two.
+TOPICS = frozenset({"cloud_in", "scan", "scan_in", "cloud", "point_cloud_topic", "scan_topic"})
+
+#: Pairs of parameters that describe the same thing. The setting with the higher precedence is used, the other ignored.
+RIVALS = {
+    "beams": "angle_increment",
+    "angle_increment": "beams",
+    "no_return": "use_inf",
+    "use_inf": "no_return",
+}
+
+# Scalars that are not quoted, in ROS.
+_TRUE = frozenset(["y", "Y", "yes", "Yes", "YES", "true", "True", "TRUE", "on", "On", "ON"])
+_FALSE = frozenset(["n", "N", "no", "No", "NO", "false", "False", "FALSE", "off", "Off", "OFF"])
+_NULL = frozenset({"", "~", "null", "Null", "NULL"})
+_INTEGER = r"[-+]?([1-9][0-9]*|0[0-7]*|0[xX][0-9a-fA-F]+)"
+_FLOAT = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"
+_SPECIAL = r"([-+]?)\.?(inf|Inf|INF|nan|NaN|NAN)"
+
+
+#: Parameters that every ROS 2 node has.
+_EVERY_NODE = frozenset({"use_sim_time", "start_type_description_service", "qos_overrides"})
+
+
+def is_every_nodes(name: str) -> bool:
+    """Whether a parameter is one that every ROS 2 node has; it does not change the projection."""
+    return name.partition(".")[0] in _EVERY_NODE
+
+
+def names_of(direction: Direction | None) -> list[str]:
+    """Return the names of a node's parameters; all names if the direction is not known."""
+    return [p.name for p in PARAMETERS.values() if p.is_shared or direction != "laserscan_to_pointcloud"]
+
+
+def unknown_parameter(name: str, origin: str, direction: Direction | None) -> ParameterError:
+    """Return the error for an unknown parameter, with the known ones."""
+    known = names_of(direction)
+    hint = f"the parameters are {', '.join(known)}"
+    if name in TOPICS:
+        hint = "topics are not parameters here; `topics` chooses them"
+    elif "<<" in re.split(r"[./]", name):
+        hint = "YAML's merge key (<<) is not supported; write the parameters out"
+    if name in PARAMETERS:
+        message = f"{direction} has no parameter {name!r} (from {origin})"
+    else:
+        message = f"unknown parameter {name!r} (from {origin})"
+        close = nearest(name, [*known, *ALIASES])
+        if close:
+            message += f"; did you mean {close!r}?"
+    return ParameterError(message, name=name, hint=hint)
+
+
+_EXPECTED = {"float": "a number", "bool": "true or false", "int": "a whole number", "str": "text"}
+
+
+def expected_message(name: str, found: str, origin: str) -> str:
+    """Return the message that a value is not of the parameter's kind."""
+    return f"{name}: expected {expected(name)}, got {found} (from {origin})"
+
+
+def expected(name: str) -> str:
+    """Return the kind of a parameter's values in words."""
+    parameter = PARAMETERS.get(ALIASES.get(name, name))
+    if parameter is None:
+        return "a value"
+    value = parameter.value
+    kind = "" if value.words and value.kind == "str" else _EXPECTED[value.kind]
+    return " or ".join(filter(None, (kind, ", ".join(value.words))))
+
+
+def value_text(value: object) -> str:
+    """Return a value as text for a message, at most 80 characters."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str | int | float):
+        text = repr(value)
+        return text if len(text) <= 80 else f"{text[:77]}..."
+    return "a list" if isinstance(value, list | tuple) else repr(value)
+
+
+def _type_hint(parameter: Parameter, value: object) -> str | None:
+    if isinstance(value, str) and parameter.value.unit and isinstance(plain_scalar(value), str):
+        return EXAMPLES[parameter.value.unit]
+    if parameter.value.words:
+        return did_you_mean(str(value), parameter.value.words) or None
+    if parameter.value.kind == "str" and isinstance(value, bool | int | float):
+        return "YAML reads it as a number or a truth value; put it in quotes"
+    if parameter.value.kind == "bool" and isinstance(value, int):
+        return "write true or false"
+    quoted = isinstance(value, str) and not isinstance(plain_scalar(value), str | bool | None)
+    if parameter.value.kind in {"float", "int"} and quoted:
+        return "the quotes make it text; remove them"
+    return None
+
+
+def resolve(
+    settings_by_precedence: Iterable[Setting], *, direction: Direction = "pointcloud_to_laserscan"
+) -> ResolvedParams:
+    """Take the setting with the highest precedence for each parameter, check everything, and build the parameters.
+
+    Parameters
+    ----------
+    settings_by_precedence
+        The highest precedence first: command-line options, then ``--param`` **from the last to the first**, then
+        the file's, then the preset's. The name and type of overridden settings are checked, too.
+    direction
+        The node; ``laserscan_to_pointcloud`` has three of the parameters, and the others keep their
+        defaults.
+
+    Returns
+    -------
+    ResolvedParams
+        A parameter that is not set has upstream's default.
+
+    Raises
+    ------
+    ParameterError
+        If a name is not one of the node's, or a value has the wrong type or is not allowed. The message names the
+        parameter, the value and its origin; for contradicting values it names both origins.
+    """
+    reverse = direction == "laserscan_to_pointcloud"
+    values: dict[str, Any] = {}
+    origin = dict.fromkeys(PARAMETERS, "default")
+    winners: dict[str, Setting] = {}
+    for setting in settings_by_precedence:
+        name = ALIASES.get(setting.name, setting.name)
+        parameter = PARAMETERS.get(name)
+        if parameter is None or (reverse and not parameter.is_shared):
+            raise unknown_parameter(setting.name, setting.origin, direction)
+        # A whole number is accepted where a float is expected; ROS 2 itself requires `30.0`. A number may have a unit,
+        # or be arithmetic (`180deg`, `pi/2`, `50cm`). Nothing else is converted.
+        value = parameter.value.accept(setting.value)
+        if value is None:
+            raise ParameterError(
+                expected_message(setting.name, value_text(setting.value), setting.origin),
+                name=name,
+                hint=_type_hint(parameter, setting.value),
+            )
+        rival = winners.get(RIVALS.get(name, ""))
+        if rival is not None:
+            if rival.source == setting.source:
+                raise _contradiction(setting, rival)
+            continue
+        if name not in values:
+            values[name] = value
+            origin[name] = setting.origin
+            winners[name] = setting
+    if values.keys() & {"angle_min", "angle_max"}:
+        refuse_degrees(values, origin, {name: setting.value for name, setting in winners.items()})
+    try:
+        params = ProjectionParams(**values)
+    except ParameterError as err:
+        _raise_with_origin(err, origin)
+    if params.beams:
+        origin["angle_increment"] = f"follows from {origin['beams']}"
+    return ResolvedParams(params, origin, reverse)
+
+
+def refuse_degrees(
+    values: Mapping[str, Any], origin: Mapping[str, str], written: Mapping[str, object] | None = None
+) -> None:
+    """Raise if the angles are too large for a sector: they are nearly always degrees.
+
+    A sector may be a full turn with any limits, such as 1 to 1 + 2 pi. A sector of more than a turn is an error if the
+    geometry would replace it by a full circle.
+
+    Parameters
+    ----------
+    values
+        Radians, by parameter.
+    written
+        The same values as text of the user; some may have the unit degrees.
+    """
+    names = ("angle_min", "angle_max")
+    low, high = (values.get(name, PARAMETERS[name].default) for name in names)
+    span = high - low
+    if abs(span - 2 * math.pi) < FULL_TURN - 2 * math.pi:
+        return
+    beyond = [name for name, angle in zip(names, (low, high), strict=True) if abs(angle) > FULL_TURN]
+    text = " and ".join(f"{name} is {values[name]} rad" for name in beyond)
+    if not beyond and span > FULL_TURN and values.get("geometry") == "centered":
+        beyond = [name for name in names if name in values]
+        text = f"angle_min {low} to angle_max {high} rad is a sector of {span:g} rad"
+    if not beyond or math.isinf(span):
+        return
+    places = "; ".join(f"{name} from {origin[name]}" if beyond[1:] else f"from {origin[name]}" for name in beyond)
+    if all(re.search("deg|°", str((written or {}).get(name))) for name in beyond):
+        raise ParameterError(
+            f"{text}, more than a full turn (360 degrees are 6.28319 rad) ({places})",
+            name=beyond[0],
+            hint=f"a full circle is {_where_given('`angle_min=-180deg`, `angle_max=180deg`', origin)}",
+        )
+    cures = ", ".join(f"`{name}={degrees_text(values[name])}`" for name in beyond)
+    numbers = ", ".join(f"{math.radians(values[name]):.6g}" for name in beyond)
+    raise ParameterError(
+        f"{text}, more than a full turn (2 pi is 6.28319 rad) ({places})",
+        name=beyond[0],
+        hint=f"for degrees write {_where_given(cures, origin)}, which is {numbers} rad",
+    )
+
+
+def preset_settings(consumer: str) -> list[Setting]:
+    """Return the parameters that suit a consumer of the scans, as settings of the lowest precedence.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such preset.
+    """
+    if consumer not in PRESETS:
+        near = did_you_mean(consumer, PRESETS)
+        meant = f"; {near}" if near else ""
+        raise ParameterError(
+            f"there is no preset {value_text(consumer)}{meant}",
+            name="preset",
+            hint=f"the presets are {', '.join(PRESETS)}",
+        )
+    return [Setting(name, value, f"--preset {consumer}", "preset") for name, value in PRESETS[consumer].items()]
+
+
+def preset_of(origin: str) -> str:
+    """Return the name of the preset that a parameter's origin is; empty if it is another."""
+    return origin.removeprefix("--preset ") if origin.startswith("--preset ") else ""
+
+
+def is_given(origin: str) -> bool:
+    """Return whether a parameter's origin is an option, ``--param`` or a call, not a file or a preset."""
+    return origin == CALL or (origin.startswith("--") and not preset_of(origin))
+
+
+def _contradiction(setting: Setting, rival: Setting) -> ParameterError:
+    """Return the error that two settings of the same precedence contradict each other."""
+    return ParameterError(
+        f"{rival.name} and {setting.name} set the same thing in two ways; give one of them "
+        f"({rival.name} from {rival.origin}; {setting.name} from {setting.origin})",
+        name=rival.name,
+    )
+
+
+def _raise_with_origin(err: ParameterError, origin: Mapping[str, str]) -> NoReturn:
+    """Raise an error again, with the origins of the values that it names."""
+    named = [name for name in PARAMETERS if re.search(rf"\b{name}\b", err.message)]
+    if all(origin[name] == "default" for name in named):
+        # The value is a default, so the cause is another parameter of its family.
+        family = err.name.partition("_")[0]
+        named = [name for name in origin if name.startswith(family) and origin[name] != "default"]
+    if len(named) == 1 and named[0] == err.name:
+        places = f"from {origin[err.name]}"
+    else:
+        places = "; ".join(
+            f"{name} is the default" if origin[name] == "default" else f"{name} from {origin[name]}" for name in named
+        )
+    hint = err.hint and _where_given(err.hint, origin)
+    raise ParameterError(f"{err.message} ({places})", name=err.name, hint=hint) from err
+
+
+def _where_given(hint: str, origin: Mapping[str, str]) -> str:
+    """Spell the parameters in a hint as the user gave them: as an option, with ``--param``, or in a file."""
+
+    def spelled(advice: re.Match[str]) -> str:
+        name, value = advice.groups()
+        place = origin.get(name, "default")
+        if place == CALL:
+            return f"{name}={value}" if plain_scalar(value) != value else f'{name}="{value}"'
+        if place.startswith("--param "):
+            return f"--param {name}:={value}"
+        # An option overrides presets and defaults, and is the shortest way to write it.
+        return advice[0] if place == "default" or place.startswith("--") else f"{name}: {value} ({place})"
+
+    return re.sub(r"`(\w+)=([^`]*)`", spelled, hint)
+
+
+def plain_scalar(text: str) -> bool | int | float | str | None:
+    """Read an unquoted scalar as ROS 2 does.
+
+    Source of the rule: ``get_value`` of rcl_yaml_param_parser/src/parse.c tries YAML 1.1's booleans, then
+    ``strtol`` with base 0, then ``strtod``; the rest is text. So ``1e5`` is a number, unlike in YAML 1.1.
+    """
+    if text in _TRUE or text in _FALSE:
+        return text in _TRUE
+    if text in _NULL:
+        return None
+    if re.fullmatch(_INTEGER, text):
+        return _integer(text)
+    if re.fullmatch(_FLOAT, text):
+        return float(text)
+    special = re.fullmatch(_SPECIAL, text)
+    return float("".join(special.groups())) if special else text
+
+
+def _integer(text: str) -> int | str:
+    digits = text.lstrip("+-")
+    base = 16 if digits[:2] in {"0x", "0X"} else 8 if digits[0] == "0" else 10
+    try:
+        return int(text, base)
+    except ValueError:  # more digits than Python reads
+        return text

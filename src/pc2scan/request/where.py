@@ -1,0 +1,249 @@
+"""A filter by the values of fields: ``ring in (3, 4, 5) and intensity > 10``.
+
+A condition is an expression of Python with few of its nodes: ``and``, ``or``, ``not``, comparisons, ``in`` with numbers
+in parentheses, ``+ - * / %``, ``abs``, numbers, and the names of fields. Python parses it; nothing of it is executed.
+"""
+
+from __future__ import annotations
+
+import ast
+import operator
+import re
+import warnings
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import reduce
+from keyword import iskeyword
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from pc2scan.errors import UsageError
+
+from .filters import Frame
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import NDArray
+
+    from pc2scan.core.points import Points
+
+#: Returns the value of a part of a condition for every point: float64, or bool for a condition.
+_Part: TypeAlias = "Callable[[Points], Any]"
+
+_EXAMPLE = "such as `where='ring in (3, 4, 5) and intensity > 10'`"
+
+#: The longest condition, and the deepest nesting: deeper ones could overflow the stack.
+_LONGEST = 2_000
+_DEEPEST = 100
+
+#: Operators of other languages, and what to write instead.
+_FOREIGN = re.compile(r"(?<![<>=!])=(?!=)|&+|\|+|!(?!=)")
+_INSTEAD = {"=": "for equality write ==", "&": "write and", "|": "write or", "!": "write not"}
+
+_COMPARISONS: Mapping[type[ast.cmpop], Callable[[Any, Any], Any]] = {
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
+}
+_ARITHMETIC: Mapping[type[ast.operator], Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: np.divide,
+    ast.Mod: np.mod,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Where:
+    """Keeps the points for which a condition holds.
+
+    Fields have their values as the cloud has them, ``x``, ``y`` and ``z`` in the cloud's own frame. Numbers are
+    computed and compared as float64; a field of float32 is compared with a number as float32, so that ``== 0.1`` is
+    true for a float32 of 0.1. NaN fulfils no comparison except ``!=``.
+
+    Parameters
+    ----------
+    condition
+        See this module.
+
+    Raises
+    ------
+    UsageError
+        If the condition cannot be read, with the column.
+    """
+
+    condition: str
+    _names: tuple[str, ...] = field(init=False, repr=False, compare=False)
+    _holds: Callable[[Points], NDArray[np.bool_]] = field(init=False, repr=False, compare=False)
+
+    name = "where"
+    explanation = "rejected by `where`"
+    frame = Frame.SOURCE
+
+    @classmethod
+    def parse(cls, text: str, _: float = 0.0) -> Where:
+        """Return the filter of a condition."""
+        return cls(text)
+
+    @property
+    def text(self) -> str:
+        """The condition."""
+        return self.condition
+
+    def __post_init__(self) -> None:
+        read = _Condition(self.condition)
+        object.__setattr__(self, "_holds", read.holds)
+        object.__setattr__(self, "_names", tuple(read.fields))
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """The fields in the condition, in its order."""
+        return self._names
+
+    def __call__(self, points: Points) -> NDArray[np.bool_]:
+        """Return for which points the condition holds; see `pc2scan.request.filters.Filter`."""
+        return np.asarray(self._holds(points))
+
+
+class _Condition:
+    """A condition that was read.
+
+    Attributes
+    ----------
+    fields
+        The fields that it names.
+    holds
+        Returns for which points it holds.
+    """
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+        self.fields: dict[str, None] = {}
+        self.holds = self._condition(self._parse(), 0)
+        if not self.fields:
+            raise self._error(1, "it names no field")
+
+    def _parse(self) -> ast.expr:
+        text = self._text
+        if len(text) > _LONGEST:
+            raise UsageError(f"`where` has {len(text):,} characters, at most {_LONGEST:,} are allowed")
+        if found := _FOREIGN.search(text):
+            raise self._error(found.start() + 1, f"unexpected {found[0]!r}", _INSTEAD[found[0][0]])
+        try:
+            # Python warns of some expressions that it accepts, such as `3and 4`.
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                # A condition in a file may have several lines.
+                return ast.parse(re.sub(r"\s", " ", text.strip()), mode="eval").body
+        except SyntaxError as err:
+            column = min(err.offset + self._indent, len(text) + 1) if err.offset else len(text.rstrip()) + 1
+            rest = text[column - 1 :].split()
+            hint = "a word of Python is no field" if rest and iskeyword(rest[0]) else None
+            raise self._error(column, f"unexpected {rest[0]!r}" if rest else "it ends too early", hint) from None
+        except (ValueError, RecursionError, MemoryError):
+            raise self._error(1, "it cannot be read") from None
+
+    @property
+    def _indent(self) -> int:
+        """How many blanks precede the condition."""
+        return len(self._text) - len(self._text.lstrip())
+
+    def _error(self, place: int | ast.AST, what: str, hint: str | None = None) -> UsageError:
+        column = place if isinstance(place, int) else getattr(place, "col_offset", 0) + self._indent + 1
+        return UsageError(f"`where`: column {column} of {self._text!r}: {what}", hint=hint or _EXAMPLE)
+
+    def _deeper(self, node: ast.AST, depth: int) -> int:
+        if depth >= _DEEPEST:
+            raise self._error(node, f"more than {_DEEPEST} levels of operators and nots")
+        return depth + 1
+
+    def _condition(self, node: ast.expr, depth: int) -> _Part:
+        """Return what computes a condition."""
+        depth = self._deeper(node, depth)
+        if isinstance(node, ast.BoolOp):
+            join = np.logical_and if isinstance(node.op, ast.And) else np.logical_or
+            parts = [self._condition(each, depth) for each in node.values]
+            return lambda points: reduce(join, (part(points) for part in parts))
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+            part = self._condition(node.operand, depth)
+            return lambda points: np.logical_not(part(points))
+        if isinstance(node, ast.Compare):
+            sides = [node.left, *node.comparators]
+            checks = [self._comparison(*each, depth) for each in zip(sides, node.ops, sides[1:], strict=False)]
+            return lambda points: reduce(np.logical_and, (check(points) for check in checks))
+        self._value(node, depth)
+        raise self._error(node, "expected a comparison; this is a number", "compare it: ring == 3")
+
+    def _comparison(self, left: ast.expr, sign: ast.cmpop, right: ast.expr, depth: int) -> _Part:
+        """Return what compares two values, or a value with several numbers."""
+        if isinstance(sign, ast.In | ast.NotIn):
+            numbers = right.elts if isinstance(right, ast.Tuple | ast.List | ast.Set) else [right]
+            for each in numbers:
+                if _number_of(each) is None:
+                    raise self._error(each, "expected a number")
+            if not numbers:
+                raise self._error(right, "expected a number in the parentheses")
+            equal = [self._comparison(left, ast.Eq(), each, depth) for each in numbers]
+            if isinstance(sign, ast.In):
+                return lambda points: reduce(np.logical_or, (check(points) for check in equal))
+            return lambda points: np.logical_not(reduce(np.logical_or, (check(points) for check in equal)))
+        compare = _COMPARISONS.get(type(sign))
+        if compare is None:
+            raise self._error(right, "expected one of < <= > >= == != in")
+        values = self._value(left, depth), self._value(right, depth)
+        named, number = (left, _number_of(right)) if isinstance(left, ast.Name) else (right, _number_of(left))
+        if not isinstance(named, ast.Name) or number is None:
+            return lambda points: compare(values[0](points), values[1](points))
+
+        def compare_field(points: Points) -> Any:
+            own = points.field(named.id)
+            if own.dtype != np.float32:
+                return compare(values[0](points), values[1](points))
+            return compare(own, np.float32(number)) if named is left else compare(np.float32(number), own)
+
+        return compare_field
+
+    def _value(self, node: ast.expr, depth: int) -> _Part:
+        """Return what computes a number for each point."""
+        depth = self._deeper(node, depth)
+        if (number := _number_of(node)) is not None:
+            value = np.float64(number)
+            return lambda _: value
+        if isinstance(node, ast.Name) and node.id.isascii():
+            name = node.id
+            self.fields[name] = None
+            return lambda points: points.field(name).astype(np.float64)
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+            part = self._value(node.operand, depth)
+            return lambda points: -part(points)
+        if isinstance(node, ast.BinOp) and (compute := _ARITHMETIC.get(type(node.op))) is not None:
+            parts = self._value(node.left, depth), self._value(node.right, depth)
+            return lambda points: compute(parts[0](points), parts[1](points))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "abs":
+            if len(node.args) == 1 and not node.keywords:
+                part = self._value(node.args[0], depth)
+                return lambda points: np.abs(part(points))
+            raise self._error(node, "abs takes one value")
+        if isinstance(node, ast.BoolOp | ast.Compare) or (
+            isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not)
+        ):
+            raise self._error(node, "expected a number; this is a condition")
+        found = ast.get_source_segment(self._text.strip(), node)
+        raise self._error(node, f"unexpected {found!r}")
+
+
+def _number_of(node: ast.expr) -> float | None:
+    """Return the number that a node is, with its sign; None if it is anything else."""
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub) and isinstance(node.operand, ast.Constant):
+        number = _number_of(node.operand)
+        return None if number is None else -number
+    if isinstance(node, ast.Constant) and isinstance(node.value, int | float) and not isinstance(node.value, bool):
+        with suppress(OverflowError):
+            return float(node.value)
+    return None

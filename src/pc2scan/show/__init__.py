@@ -1,0 +1,1 @@
+"""What recordings have: `info`, `check` and `tf`, pages, figures and maps; nothing is changed."""

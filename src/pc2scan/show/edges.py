@@ -1,0 +1,132 @@
+"""Clouds at the edges of a recording that no transform places: the cut that leaves them out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from pc2scan.core.params import ProjectionParams
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from pc2scan.advice.survey import Header
+    from pc2scan.transforms.buffer import TransformBuffer
+
+#: All transforms of so much time at both edges are known, nanoseconds.
+EDGE_NS = 1_000_000_000
+
+#: A stamp may be so far from the nearest transform, seconds.
+_TOLERANCE = ProjectionParams().transform_tolerance
+
+#: A cut has so many digits at least: hundredths of a second.
+_DIGITS = 2
+
+
+class EdgeClouds(NamedTuple):
+    """The clouds of a topic at the edges of a recording.
+
+    Attributes
+    ----------
+    frame
+        The frame of the lidar.
+    first, last
+        The headers of the first clouds, and those of the last ones; in the order of log time.
+    before, after
+        The times of a cloud's first and last point, seconds after its stamp; as far away as a transform may be if
+        points have no times.
+    """
+
+    frame: str
+    first: Sequence[Header]
+    last: Sequence[Header]
+    before: float = -_TOLERANCE
+    after: float = _TOLERANCE
+
+
+class EdgeCut(NamedTuple):
+    """A cut that leaves out clouds without transforms.
+
+    Attributes
+    ----------
+    option
+        ``start`` or ``end``.
+    seconds
+        Its value, seconds from the beginning of the recording.
+    reason
+        Why.
+    """
+
+    option: str
+    seconds: float
+    reason: str
+
+
+def edge_cuts(
+    topics: Sequence[EdgeClouds], buffer: TransformBuffer, fixed: str, start_ns: int, end_ns: int | None
+) -> Iterator[EdgeCut]:
+    """Yield where to cut a recording so that its first and last clouds have transforms; nothing if they have.
+
+    Parameters
+    ----------
+    topics
+        The topics with clouds that become one scan.
+    buffer
+        The transforms: at the edges, all of them.
+    fixed
+        The frame that does not move.
+    start_ns, end_ns
+        The log times of the first and the last message; ``end_ns`` is None if not all transforms at the end are known.
+
+    Notes
+    -----
+    A cloud is skipped if there is no transform at its stamp, or at none of its points' times. Clouds that lack
+    transforms for longer than `EDGE_NS` are left as they are: they may have transforms that are not known here.
+    """
+    tolerance_ns = round(_TOLERANCE * 1e9)
+    lost: list[list[tuple[int, int]]] = [[], []]
+    kept: list[list[int]] = [[], []]
+    for each in topics:
+        links = buffer.moving_links(fixed, each.frame)
+        if not links:
+            return
+        begin_ns, stop_ns = max(link.first_ns for link in links), min(link.last_ns for link in links)
+        for header in each.first:
+            if header.stamp_ns + tolerance_ns < begin_ns or _point_ns(header, each.after) < begin_ns:
+                lost[0].append((header.log_time_ns, begin_ns - _point_ns(header, min(each.before, 0.0))))
+            else:
+                kept[0].append(header.log_time_ns)
+        for header in each.last:
+            if header.stamp_ns - tolerance_ns > stop_ns or _point_ns(header, each.before) > stop_ns:
+                lost[1].append((header.log_time_ns, _point_ns(header, max(each.after, 0.0)) - stop_ns))
+            else:
+                kept[1].append(header.log_time_ns)
+    if lost[0]:
+        last_ns, by_ns = max(lost[0])[0], max(by for _, by in lost[0])
+        later = [time_ns for time_ns in kept[0] if time_ns > last_ns]
+        if later and last_ns < start_ns + EDGE_NS:
+            seconds = _between(last_ns - start_ns, min(later) - start_ns)
+            yield EdgeCut("start", seconds, f"transforms to {fixed} begin {_seconds(by_ns)} after the first cloud")
+    if lost[1] and end_ns is not None:
+        first_ns, by_ns = min(lost[1])[0], max(by for _, by in lost[1])
+        earlier = [time_ns for time_ns in kept[1] if time_ns < first_ns]
+        if earlier and first_ns > end_ns - EDGE_NS:
+            seconds = _between(max(earlier) - start_ns, first_ns - start_ns)
+            yield EdgeCut("end", seconds, f"transforms to {fixed} end {_seconds(by_ns)} before the last cloud")
+
+
+def _point_ns(header: Header, seconds: float) -> int:
+    return header.stamp_ns + round(seconds * 1e9)
+
+
+def _between(after_ns: int, until_ns: int) -> float:
+    """Return a time with few digits that is later than one time, and no later than another, seconds."""
+    for digits in range(_DIGITS, 9):
+        step_ns: int = 10 ** (9 - digits)
+        found_ns = (after_ns // step_ns + 1) * step_ns
+        if found_ns <= until_ns:
+            return found_ns / 1e9
+    return until_ns / 1e9
+
+
+def _seconds(duration_ns: int) -> str:
+    return f"{duration_ns / 1e9:.2g} s"

@@ -1,0 +1,691 @@
+"""Inspects a recording: its containers, its topics, and samples of its clouds and scans."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections import Counter
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+from pc2scan.advice.checks.request import Cut, log_times_of_centuries
+from pc2scan.advice.clocks import Clocks
+from pc2scan.advice.point_times import increment_warning, time_warnings
+from pc2scan.advice.survey import Span, Survey
+from pc2scan.bags.destinations import default_destination
+from pc2scan.bags.observers import Observer
+from pc2scan.bags.opening import as_one, open_recordings
+from pc2scan.bags.topics import find_topics
+from pc2scan.conversion.cloud_scale import scaled
+from pc2scan.core.params import ProjectionParams
+from pc2scan.core.timing import median_interval_ns
+from pc2scan.errors import UsageError, leading
+from pc2scan.messages.clouds import CLOUDS, SCANS, usual_topics
+from pc2scan.messages.imu import IMU
+from pc2scan.messages.other_clouds import instead_of_clouds
+from pc2scan.messages.poses import POSES
+from pc2scan.messages.tfmessage import TF_TYPES
+from pc2scan.model import copied_message
+from pc2scan.request.point_time import PointTime
+from pc2scan.result import Call, Part, Result
+from pc2scan.tables import Table
+from pc2scan.text import count, counted, height_text, size, stamp
+from pc2scan.transforms.placing import FrameOptions, Placer
+from pc2scan.transforms.summary import BODIES
+from pc2scan.transforms.world_frames import find_body_motion
+
+from .cloud_info import CloudInfo, CloudLook
+from .edges import EDGE_NS
+from .proposals import HEADERS, Lidar, ask_facts, missing_mounts, odometry_doubts, proposals, stamp_faults
+from .sampling import spread_over
+from .scan_info import ScanInfo, ScanLook
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from pc2scan.advice.clocks import ClockFinding
+    from pc2scan.advice.survey import TopicFacts
+    from pc2scan.bags.damage import Damage
+    from pc2scan.bags.reader import Reader
+    from pc2scan.model import Connection, Summary
+    from pc2scan.transforms.buffer import TransformBuffer
+    from pc2scan.transforms.imu import ImuReading, UpEstimate
+    from pc2scan.transforms.mounting import Mounting
+
+#: How many of the first messages of an IMU are read.
+_MAX_IMU = 1_000
+
+#: A topic was recorded all the time if its messages, at the rate of the first ones, take this share of the recording.
+_THROUGHOUT = 0.8
+
+#: At how many times, spread over the recording, the motion of the robot is looked at.
+_MOMENTS = 8
+
+#: How many points of a topic are examined, in all clouds together; of larger clouds every second, third, ... point is
+#: used.
+_MAX_POINTS = 2_000_000
+
+#: ... and of all topics together.
+_MAX_POINTS_HELD = 2_700_000
+
+
+@dataclass(frozen=True, slots=True)
+class FileInfo:
+    """One source: its container, and the container's own description."""
+
+    path: str
+    container: str
+    storage: str
+    profile: str
+    compression: tuple[str, ...]
+    size_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """One topic and type.
+
+    Attributes
+    ----------
+    connections
+        Publishers: ROS 1 connections, MCAP channels.
+    rate_hz
+        Messages without the first, divided by the duration of the recording; of clouds and scans that were not
+        recorded all the time, the rate of the first ones. None for fewer than two.
+    """
+
+    topic: str
+    msgtype: str
+    serialization: str
+    messages: int
+    rate_hz: float | None
+    connections: int
+    latched: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ImuInfo:
+    """Whether scans can be levelled by an IMU, from its first messages.
+
+    Attributes
+    ----------
+    frame
+        Their frame; empty if they have none, or several.
+    usable
+        Whether the IMU can be used.
+    text
+        How well, or why not.
+    """
+
+    topic: str
+    frame: str
+    usable: bool
+    text: str
+
+    def body(self) -> Iterator[str]:
+        """Yield the parts of `Info` about the IMU."""
+        if self.usable:
+            yield f"{leading(self.topic)}: `imu={self.topic}` makes scans level"
+            yield f"  frame   {self.frame!r}"
+        else:
+            yield f"{leading(self.topic)}: cannot make scans level"
+        yield f"  up      {self.text}"
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Info(Result):
+    """The content of a recording of one or several sources.
+
+    Attributes
+    ----------
+    files
+        The sources.
+    start_ns, end_ns
+        The log times of the first and the last message; None without messages.
+    messages
+        How many there are, of all topics.
+    topics, clouds, scans, imus
+        The topics, and what is known about those with clouds, scans, and an IMU's messages.
+    proposals
+        Conversions that suit the clouds.
+    lacking
+        What SLAM and navigation need besides the scans, and the recording does not have; empty if nothing is missing.
+    warnings
+        Which transforms cannot be used if a target frame was given, and clouds that are not level.
+    damage
+        The damage that was found. If opening the recording finds any, all of it is read and counted.
+    """
+
+    kind: ClassVar[str] = "info"
+    json_names: ClassVar[tuple[str, ...]] = (
+        *("files", "start_ns", "end_ns", "duration_ns", "messages", "topics", "clouds", "scans", "imus", "proposals"),
+    )
+
+    files: tuple[FileInfo, ...]
+    start_ns: int | None
+    end_ns: int | None
+    messages: int
+    topics: tuple[TopicInfo, ...]
+    clouds: tuple[CloudInfo, ...] = field(default=())
+    scans: tuple[ScanInfo, ...] = field(default=())
+    imus: tuple[ImuInfo, ...] = field(default=())
+    proposals: tuple[Call, ...] = field(default=())
+    damage: tuple[Damage, ...] = field(default=())
+    warnings: tuple[str, ...] = field(default=())
+    lacking: str = ""
+
+    @property
+    def duration_ns(self) -> int:
+        """Time from the first message's log time to the last's; 0 without messages."""
+        return self.end_ns - self.start_ns if self.start_ns is not None and self.end_ns is not None else 0
+
+    def __repr__(self) -> str:
+        paths = ", ".join(repr(file.path) for file in self.files)
+        return f"<Info of {paths}: {counted(len(self.topics), 'topic')}, {counted(self.messages, 'message')}>"
+
+    @property
+    def exit_status(self) -> int:
+        """The exit status of the command: 1 if no cloud can be moved into the target frame, else 0."""
+        return int(bool(self.clouds) and all(c.target_frame and c.problems and c.x is None for c in self.clouds))
+
+    def body(self, *, verbose: bool = False) -> Iterator[Part]:
+        """Yield files, times and topics, the clouds and scans of each topic, and conversions that suit them."""
+        for file in self.files:
+            kind = " ".join(filter(None, (file.container, file.storage, file.profile)))
+            yield f"{leading(file.path)}: {kind}, {'+'.join(file.compression) or 'empty'}, {size(file.size_bytes)}"
+        if self.start_ns is not None and self.end_ns is not None:
+            yield f"from {stamp(self.start_ns)}"
+            yield f"to   {stamp(self.end_ns)}"
+            yield f"{self.duration_ns / 1e9:.3f} s, {counted(self.messages, 'message')}"
+        else:
+            yield "no messages"
+        yield ""
+        yield Table(
+            ("topic", "type", "messages", "Hz", "publishers", ""),
+            [
+                (
+                    topic.topic,
+                    topic.msgtype + ("" if topic.serialization in ("ros1", "cdr") else f" ({topic.serialization})"),
+                    count(topic.messages),
+                    "-" if topic.rate_hz is None else f"{topic.rate_hz:.2f}",
+                    str(topic.connections),
+                    "latched" if topic.latched else "",
+                )
+                for topic in self.topics
+            ],
+            left=("topic", "type", ""),
+        )
+        described: list[CloudInfo | ScanInfo | ImuInfo] = [*self.clouds, *self.scans, *self.imus]
+        for each in described:
+            yield ""
+            yield from each.body()
+        if self.proposals:
+            yield ""
+            mountings = ((each.topic, each.mounting) for each in self.clouds if each.mounting and each.mounting.heights)
+            yield from (f"{leading(topic)}: {_ground_text(mounting)}" for topic, mounting in mountings)
+            for call in self.proposals:
+                yield ""
+                yield "options, and why:" if len(self.proposals) == 1 else f"options for {_topics_of(call)}, and why:"
+                yield from _reasons(call)
+            yield ""
+            if self.lacking:
+                yield self.lacking
+                yield ""
+            yield "ready to convert:"
+            yield from self.proposals
+
+
+def _topics_of(call: Call) -> str:
+    topics = call.options.get("topics", "")
+    return leading(topics) if isinstance(topics, str) else ", ".join(map(leading, topics))
+
+
+def _reasons(call: Call) -> Iterator[str]:
+    """Yield a line for each option that has a reason."""
+    for name, reason in call.reasons.items():
+        value = call.options[name]
+        for each in value if isinstance(value, tuple) else (value,):
+            shown = f"{each:.15g}" if isinstance(each, float) else shlex.quote(str(each))
+            yield f"  `{name}={shown}`: {reason}"
+
+
+def _ground_text(mounting: Mounting) -> str:
+    """Return where floor and ceiling are, as text."""
+    ground, heights = mounting.ground, mounting.heights
+    if heights is None or heights.floor is None:
+        return "no floor found; the heights are those of most points"
+    frame = mounting.target_frame or mounting.judged_in
+    ceiling = "" if heights.ceiling is None else f", ceiling at {height_text(heights.ceiling)} m"
+    sensor = "" if ground.height is None else f"; the sensor is {ground.height:.2f} m above the floor"
+    return f"floor at z = {height_text(heights.floor)} m in frame {frame!r}{ceiling}{sensor}"
+
+
+def info(
+    sources: Sequence[Path],
+    *,
+    samples: int = 10,
+    described: Sequence[str] = (),
+    target_frame: str = "",
+    frames: FrameOptions | None = None,
+    cloud_scale: float = 1.0,
+    given: Mapping[str, Any] | None = None,
+) -> Info:
+    """Inspect a recording.
+
+    Parameters
+    ----------
+    sources
+        Recordings; several are read as one.
+    samples
+        How many clouds and scans of each topic to read, spread evenly over its time.
+    described
+        Topics with clouds or scans to describe, as names or globs; empty for all.
+    target_frame
+        Frame that the clouds are transformed into first, as in a conversion; empty for their own.
+    frames
+        The source of transforms; None: the recording's ``/tf`` and ``/tf_static``.
+    cloud_scale
+        What the coordinates of clouds are multiplied by.
+    given
+        The options that gave ``frames`` and ``cloud_scale``: the proposals have them, too.
+
+    Raises
+    ------
+    RecordingError
+        If a source cannot be read.
+    UsageError
+        If several namespaces have transforms, and none was given.
+    TopicError
+        If there is no such topic.
+    """
+    with ExitStack() as stack:
+        readers = open_recordings(sources, stack)
+        return info_of(
+            readers,
+            samples=samples,
+            described=described,
+            target_frame=target_frame,
+            frames=frames,
+            cloud_scale=cloud_scale,
+            given=given,
+        )
+
+
+def info_of(
+    readers: Sequence[Reader],
+    *,
+    samples: int = 10,
+    described: Sequence[str] = (),
+    target_frame: str = "",
+    frames: FrameOptions | None = None,
+    cloud_scale: float = 1.0,
+    given: Mapping[str, Any] | None = None,
+) -> Info:
+    """Inspect recordings that are open; see `info`."""
+    asked = frames or FrameOptions()
+    with ExitStack() as stack:
+        reader = scaled(as_one(readers), cloud_scale)
+        counts, start_ns, end_ns = _message_counts(reader)
+        topics = _topic_infos(reader.connections, counts, start_ns, end_ns)
+        others = open_recordings(asked.tf_from, stack)
+        shown = _described(topics, described)
+        has_clouds = start_ns is not None and any(topic.msgtype in CLOUDS for topic in shown)
+        imus = [topic.topic for topic in topics if has_clouds and topic.msgtype == IMU and topic.messages]
+        names = {each.topic for each in shown}
+        connections = [each for each in reader.connections if each.topic in names and samples]
+        survey = Survey(reader, others, asked, Span(None, None, start_ns or 0))
+        looks = _looks(survey, shown, samples if connections else 0, start_ns, end_ns)
+        found = _survey(
+            survey,
+            connections,
+            imus,
+            end_ns,
+            places=Placer(target_frame, asked.source_frame, None, ProjectionParams().tolerance_ns),
+            has_clouds=any(topic.msgtype in CLOUDS for topic in topics),
+            reads_all=bool(target_frame or others or asked.adds_poses),
+        )
+        topics = [_with_own_rate(topic, found.facts, start_ns, end_ns) for topic in topics]
+        shown = [topic for topic in topics if topic.topic in names and topic.msgtype in (*CLOUDS, *SCANS)]
+        mountings, rates = found.mountings(), {topic.topic: topic.rate_hz for topic in shown}
+        of_clouds = {topic: look for topic, look in looks.items() if isinstance(look, CloudLook)}
+        clouds = tuple(look.described(found.places, mountings.get(topic)) for topic, look in of_clouds.items())
+        of_scans = {topic: look for topic, look in looks.items() if isinstance(look, ScanLook)}
+        scans = tuple(look.described(rates[topic]) for topic, look in of_scans.items())
+        warnings = [*log_times_of_centuries(Cut(None, None, reader.summary)), *found.warnings]
+        is_known = any(topic.msgtype in {*CLOUDS, *SCANS} for topic in topics)
+        if not is_known and (instead := instead_of_clouds(reader.connections, reader)):
+            warnings.append(f"the recording has no clouds, but {instead[0]}; {instead[1]}")
+        warnings += (each.mounting.warning for each in clouds if each.mounting and each.mounting.warning)
+        seconds = {each.topic: (each.messages - 1) / each.rate_hz if each.rate_hz else 0.0 for each in shown}
+        on_robot = {each.topic: found.on_robot(each.mounting) for each in clouds if each.mounting is not None}
+        lidars = [
+            Lidar(
+                found.facts[each.topic],
+                on_robot[each.topic],
+                found.buffer,
+                # Where the robot moves in the frame of these points, its own body is not at one place.
+                of_clouds[each.topic].parts if on_robot[each.topic] is each.mounting else (),
+                bool(each.zero_share),
+                seconds[each.topic],
+                (start_ns or 0, end_ns if found.knows_end else None),
+            )
+            for each in clouds
+            if each.mounting is not None
+        ]
+        warnings += dict.fromkeys(text for each in clouds for text in found.moving_frames(found.facts[each.topic]))
+        warnings += (text for each in lidars for text in time_warnings(each.facts, PointTime()))
+        warnings += (*missing_mounts(lidars), *odometry_doubts(lidars), *reader.remarks)
+        summaries = [each.summary for each in readers]
+        # Landmarks and the like are no lidar's, if there is one.
+        types = {topic.topic: [topic.msgtype] for topic in topics if topic.messages}
+        usual = set() if described else set(usual_topics(types, (*CLOUDS, *SCANS)))
+        calls = proposals(
+            [each for each in lidars if described or each.topic in usual],
+            [str(each.path) for each in readers],
+            given or {},
+            {topic: up for topic, up in found.ups.items() if not isinstance(up, UsageError)},
+            found.clocks,
+            lambda topic: str(default_destination([each.path for each in readers], summaries, _mark(topic))),
+            names_topics=len({topic.topic for topic in topics if topic.msgtype in CLOUDS and topic.messages}) > 1,
+            has_scans=any(topic.topic == "/scan" for topic in topics),
+        )
+        return Info(
+            tuple(_file_info(r.path, r.summary) for r in readers),
+            start_ns,
+            end_ns,
+            sum(counts.values()),
+            tuple(topics),
+            clouds,
+            scans,
+            tuple(_imu(topic, up) for topic, up in found.ups.items()),
+            tuple(calls),
+            tuple(reader.damage),
+            tuple(warnings),
+            ""
+            if asked.adds_poses or asked.tf_from
+            else _lacking([each for each in reader.connections if counts[each.id]]),
+        )
+
+
+def _lacking(connections: Sequence[Connection]) -> str:
+    """Return what SLAM and navigation need that no messages give; empty if nothing is missing."""
+    given = {each.ros_type: each.topic for each in connections if not each.is_static}
+    if not given.keys().isdisjoint(TF_TYPES):
+        return ""
+    poses = next((topic for kind, topic in given.items() if kind in POSES), "")
+    cure = f"`odom_topic={poses}`" if poses else "`trajectory`, `odom_topic` or `tf_from`"
+    if any(each.ros_type in TF_TYPES for each in connections):
+        return f"SLAM and navigation also need odometry on /tf, which the recording does not have: {cure} adds it"
+    return (
+        "SLAM and navigation also need odometry and the lidar's mount, and the recording has no transforms: "
+        f"{cure} adds odometry, `static_tf` the mount"
+    )
+
+
+class _Surveyed(NamedTuple):
+    """What the survey of a recording found.
+
+    Attributes
+    ----------
+    facts
+        Of each topic with clouds or scans.
+    places
+        The frames in which clouds are described.
+    buffer
+        The transforms; None if there are none.
+    ups
+        The direction of up by each IMU, or why it is not known.
+    clocks
+        What is wrong with the clocks of topics.
+    warnings
+        About transforms, clocks and units.
+    knows_end
+        Whether all transforms at the end of the recording are known.
+    """
+
+    facts: Mapping[str, TopicFacts]
+    places: Placer
+    buffer: TransformBuffer | None
+    ups: Mapping[str, UpEstimate | UsageError]
+    clocks: Mapping[str, ClockFinding]
+    warnings: Sequence[str]
+    knows_end: bool
+
+    def mountings(self) -> dict[str, Mounting | None]:
+        """Return how the clouds of each topic are mounted."""
+        moved = bool(self.places.target_frame)
+        found = {topic: each.mounting(self.places, self.buffer, moved=moved) for topic, each in self.facts.items()}
+        return found if moved else {topic: self._in_body(topic, each) for topic, each in found.items()}
+
+    def moving_frames(self, facts: TopicFacts) -> Iterator[str]:
+        """Yield a warning for each frame that is given for clouds of a topic, and in which the robot moves."""
+        target, source, own = self.places.target_frame, self.places.source_frame.removeprefix("/"), facts.frame
+        if self.buffer is None or not own:
+            return
+        if target and (moving := find_body_motion(self.buffer, target, source or own)) is not None:
+            yield moving.of_target(target)
+        if source and (moving := find_body_motion(self.buffer, source, own)) is not None:
+            yield f"{facts.topic}: {moving.of_source(source, own.removeprefix('/'))}"
+
+    def on_robot(self, own: Mounting) -> Mounting:
+        """Return how clouds are mounted on the robot, also if it moves in the frame that they are described in."""
+        target = self.places.target_frame
+        moving = find_body_motion(self.buffer, target, own.frame) if target and self.buffer is not None else None
+        if moving is None:
+            return own
+        body = self.places._replace(target_frame=moving.body)
+        return self.facts[own.topic].mounting(body, self.buffer, moved=True) or own
+
+    def _in_body(self, topic: str, own: Mounting | None) -> Mounting | None:
+        """Return how clouds that are level are mounted on the robot, if its transform tilts them."""
+        if own is None or own.fault or self.buffer is None:
+            return own
+        named = (own.target_frame, *BODIES) if own.target_frame else BODIES
+        body = next((name for name in named if name in self.buffer.frames), "")
+        if not body or body == own.frame.removeprefix("/"):
+            return own
+        there = self.facts[topic].mounting(
+            self.places._replace(target_frame=body, buffer=self.buffer), self.buffer, moved=False
+        )
+        return own if there is None or not there.fault else there
+
+
+def _survey(
+    survey: Survey,
+    connections: Sequence[Connection],
+    imus: Sequence[str],
+    end_ns: int | None,
+    *,
+    places: Placer,
+    has_clouds: bool,
+    reads_all: bool,
+) -> _Surveyed:
+    """Read what the description and the proposals depend on.
+
+    Parameters
+    ----------
+    connections
+        Those to describe.
+    imus
+        The topics of the IMUs.
+    end_ns
+        The end of the recording; None without messages.
+    places
+        The frames in which clouds are described, without transforms.
+    has_clouds
+        Whether the recording has clouds.
+    reads_all
+        Whether all transforms are read.
+    """
+    moved = bool(places.target_frame)
+    facts = survey.topics(each for each in connections if each.ros_type in CLOUDS)
+    flat = survey.topics(each for each in connections if each.ros_type in SCANS and each.topic not in facts)
+    for each in (*facts.values(), *flat.values()):
+        each.ask_headers(HEADERS)
+        each.ask_samples(moved=moved)  # of LaserScans there are none
+    for each in facts.values():
+        ask_facts(each, end_ns)
+    clocks = Clocks(survey, facts.values())
+    readings = {topic: _imu_reading(survey, topic) for topic in imus}
+    if reads_all:
+        survey.ask_transforms((places.target_frame,))
+    elif has_clouds:
+        survey.ask_robot(_moments(survey.span.first_ns, end_ns) if facts else ())
+    survey.read()
+    buffer, warnings, knows_end = None, list[str](), True
+    if survey.transforms is not None:
+        found = survey.transforms.finish()
+        buffer, warnings = found.buffer, [*found.warnings, *found.notes]
+    elif survey.robot is not None:
+        buffer, knows_end = survey.robot.finish(), not survey.robot.is_cut
+    wrong = clocks.findings()
+    warnings += (each.warning for each in wrong.values())
+    warnings += filter(None, (each.unit_warning(moved=moved) for each in facts.values()))
+    warnings += filter(None, (increment_warning(each) for each in flat.values()))
+    warnings += (text for each in (*facts.values(), *flat.values()) for text in stamp_faults(each))
+    ups = {topic: _up(reading) for topic, reading in readings.items()}
+    places = places._replace(buffer=buffer if moved else None)
+    return _Surveyed({**facts, **flat}, places, buffer, ups, wrong, warnings, knows_end)
+
+
+def _with_own_rate(
+    topic: TopicInfo, facts: Mapping[str, TopicFacts], start_ns: int | None, end_ns: int | None
+) -> TopicInfo:
+    """Return a topic with the rate of its first messages, if it was not recorded all the time."""
+    own = facts.get(topic.topic)
+    if own is None or topic.rate_hz is None or topic.msgtype not in {each.ros_type for each in own.connections}:
+        return topic
+    period_ns = median_interval_ns(each.log_time_ns for each in own.headers)
+    if period_ns is None or (topic.messages - 1) * period_ns >= _THROUGHOUT * ((end_ns or 0) - (start_ns or 0)):
+        return topic
+    return replace(topic, rate_hz=1e9 / period_ns)
+
+
+def _file_info(path: Path, summary: Summary) -> FileInfo:
+    return FileInfo(
+        str(path),
+        summary.container,
+        summary.storage,
+        summary.profile,
+        summary.compression,
+        summary.size_bytes,
+    )
+
+
+def _message_counts(reader: Reader) -> tuple[Counter[int], int | None, int | None]:
+    """Return messages by connection, and the first and the last log time; the messages are read only if necessary."""
+    summary = reader.summary
+    if summary.start_ns is not None and summary.end_ns is not None and not reader.damage:
+        known = {c.id: c.message_count for c in reader.connections}
+        if None not in known.values():
+            return (
+                Counter({key: value or 0 for key, value in known.items()}),
+                summary.start_ns,
+                summary.end_ns,
+            )
+    counts: Counter[int] = Counter()
+    start_ns = end_ns = None
+    for message in reader.messages():
+        counts[message.connection.id] += 1
+        start_ns = message.log_time_ns if start_ns is None else start_ns
+        end_ns = message.log_time_ns
+    return counts, start_ns, end_ns
+
+
+def _topic_infos(
+    connections: Sequence[Connection], counts: Counter[int], start_ns: int | None, end_ns: int | None
+) -> list[TopicInfo]:
+    groups: dict[tuple[str, str, str], list[Connection]] = {}
+    for c in connections:
+        groups.setdefault((c.topic, c.ros_type, c.serialization), []).append(c)
+    seconds = ((end_ns or 0) - (start_ns or 0)) / 1e9
+    topics = []
+    for (topic, msgtype, serialization), group in sorted(groups.items()):
+        messages = sum(counts[c.id] for c in group)
+        rate = (messages - 1) / seconds if messages > 1 and seconds > 0 else None
+        topics.append(
+            TopicInfo(topic, msgtype, serialization, messages, rate, len(group), any(c.latching for c in group))
+        )
+    return topics
+
+
+def _imu_reading(survey: Survey, topic: str) -> ImuReading | UsageError:
+    """Return what reads the first messages of an IMU, or why they cannot be read."""
+    try:
+        return survey.imu(topic, _MAX_IMU)
+    except UsageError as err:
+        return err
+
+
+def _up(reading: ImuReading | UsageError) -> UpEstimate | UsageError:
+    """Return the direction of up, or why it is not known."""
+    try:
+        return reading if isinstance(reading, UsageError) else reading.up()
+    except UsageError as err:
+        return err
+
+
+def _imu(topic: str, found: UpEstimate | UsageError) -> ImuInfo:
+    """Return whether scans can be levelled by an IMU."""
+    if isinstance(found, UsageError):
+        return ImuInfo(topic, "", usable=False, text=found.message)
+    text = "; ".join((*found.notes, *found.warnings)).replace(f"{topic}: ", "")
+    return ImuInfo(topic, found.frame, usable=True, text=text)
+
+
+def _mark(topic: str) -> str:
+    """Return what the name of a topic's scans ends with."""
+    return "_" + re.sub(r"\W+", "_", topic.strip("/")) + "_scan"
+
+
+def _moments(start_ns: int, end_ns: int | None) -> list[int]:
+    """Return the times at which the motion of the robot is looked at: spread, and at the end."""
+    if end_ns is None:
+        return []
+    spread = [start_ns + (end_ns - start_ns) * number // _MOMENTS for number in range(_MOMENTS)]
+    return [*spread, max(start_ns, end_ns - EDGE_NS + 1)]
+
+
+def _described(topics: Sequence[TopicInfo], names: Sequence[str]) -> list[TopicInfo]:
+    """Return the topics with clouds or scans that names or globs mean; without any, all of them."""
+    types: dict[str, set[str]] = {}
+    for topic in topics:
+        types.setdefault(topic.topic, set()).add(topic.msgtype)
+    known = [topic for topic in topics if topic.msgtype in (*CLOUDS, *SCANS) and topic.messages]
+    candidates = sorted({topic.topic for topic in known})
+    found = {each for name in names for each in find_topics(name, types, candidates, *CLOUDS, *SCANS)}
+    return [topic for topic in known if topic.topic in found] if names else known
+
+
+def _looks(
+    survey: Survey, topics: Sequence[TopicInfo], samples: int, start_ns: int | None, end_ns: int | None
+) -> dict[str, CloudLook | ScanLook]:
+    """Ask for samples of each topic, spread over the recording; return what collects their properties.
+
+    A topic with clouds and scans counts as one of clouds.
+    """
+    clouds = {topic.topic for topic in topics if topic.msgtype in CLOUDS}
+    connections: dict[str, list[Connection]] = {topic.topic: [] for topic in topics}
+    if not connections or not samples or start_ns is None or end_ns is None:
+        return {}
+    for connection in survey.reader.connections:
+        kinds = CLOUDS if connection.topic in clouds else SCANS
+        if connection.topic in connections and connection.ros_type in kinds:
+            connections[connection.topic].append(connection)
+    # The points are in memory until all topics have been read: of as many messages as there are, not as were asked for.
+    taken = min(samples, max(topic.messages for topic in topics))
+    most = min(_MAX_POINTS, _MAX_POINTS_HELD // len(connections)) // taken + 1
+    looks: dict[str, CloudLook | ScanLook] = {}
+    for topic, own in connections.items():
+        observer: Observer[Any] = Observer(own, copied_message, start_ns=start_ns, stop_ns=end_ns + 1)
+        observer.spread = spread_over(own, samples, start_ns, end_ns + 1)
+        if topic in clouds:
+            cloud_look = looks[topic] = CloudLook(topic, most)
+            observer.take, observer.keep = cloud_look.take, cloud_look.add
+        else:
+            looks[topic] = scan_look = ScanLook(topic, most)
+            observer.keep = scan_look.add
+        survey.observers.append(observer)
+    return looks

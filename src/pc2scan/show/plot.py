@@ -1,0 +1,318 @@
+"""Figures for reports: clouds from above and from the side, with the height band and the scan made of them."""
+
+from __future__ import annotations
+
+import io
+import math
+import shlex
+import warnings
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from pc2scan.core import kernel
+from pc2scan.core.project import Projector
+from pc2scan.core.rule import rule_of
+from pc2scan.errors import NothingToConvertError, UsageError, leading, visible
+from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
+from pc2scan.files.text_output import file_output
+from pc2scan.messages.laserscan import LASERSCAN
+from pc2scan.requests import conversion_of, first_output, with_notes
+from pc2scan.result import Part, Result
+from pc2scan.text import size
+
+from .recording import open_recording, title_of
+from .shots import take_shots
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from pc2scan.bags.damage import Damage
+    from pc2scan.core.params import ProjectionParams
+    from pc2scan.options.call import Options
+    from pc2scan.options.moment import TimeBound
+    from pc2scan.request.options import ConvertOptions
+    from pc2scan.requests import Warn
+
+    from .shots import Shot, Shots
+
+#: The formats of figures, by the suffix of the file.
+FORMATS = ("png", "svg", "pdf")
+
+#: Maximum number of columns of a figure; more are too small to read.
+_MOST_CLOUDS = 24
+
+#: Okabe and Ito's colours, which colour-blind people can distinguish; the same as on pages.
+_COLOURS = {"used": "#0072b2", "height": "#e69f00", "other": "#9aa7b3"}
+_SCAN, _BAND = "#d1495b", "#0b6e99"
+
+#: The width of a view, and its smallest and largest height, in inches.
+_WIDTH, _LOWEST, _HIGHEST = 4.2, 0.8, 6.0
+#: Space for numbers and names beside a view, and above and below all views, in inches.
+_BESIDE, _AROUND = 0.7, 2.0
+
+#: Maximum number of points of a view. More could not be distinguished, and a vector graphic would store them all.
+_MOST_POINTS = 40_000
+
+#: Share of the points at either end of an axis that may be outside of the picture.
+_OUTLIERS = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Plotted(Result):
+    """What is known about a figure.
+
+    Attributes
+    ----------
+    path
+        Its file.
+    bytes
+        The size of the file.
+    notes
+        Notes about the figure.
+    warnings
+        What is not as the options ask.
+    damage
+        The damage in the parts of the recording that were read.
+    """
+
+    kind: ClassVar[str] = "figure"
+    json_names: ClassVar[tuple[str, ...]] = ("path", "bytes")
+
+    path: str
+    bytes: int
+    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    damage: tuple[Damage, ...] = ()
+
+    def body(self, *, verbose: bool = False) -> Iterator[Part]:
+        """Yield the file and its size."""
+        yield f"{leading(self.path)}: {size(self.bytes)}"
+
+
+def plot(sources: Sequence[Path], destination: Path, options: Options, *, warn: Warn | None = None) -> Plotted:
+    """Draw clouds; see `pc2scan.plot`."""
+    conversion = first_output(conversion_of(options, warn), "shown", warn)
+    drawn = write_figure(
+        sources,
+        destination,
+        conversion.options,
+        clouds=options.clouds,
+        at=options.at,
+        overwrite=options.overwrite,
+        also_read=conversion.files,
+        warn=warn,
+    )
+    return with_notes(drawn, conversion)
+
+
+def write_figure(
+    sources: Sequence[Path],
+    destination: Path,
+    options: ConvertOptions,
+    *,
+    clouds: int = 1,
+    at: Sequence[TimeBound] = (),
+    overwrite: bool = False,
+    also_read: Mapping[str, Path] | None = None,
+    warn: Callable[[str], None] | None = None,
+) -> Plotted:
+    """Draw clouds of a recording into a file.
+
+    Parameters
+    ----------
+    sources
+        Recordings; several are merged in time order.
+    destination
+        The figure; its suffix, one of `FORMATS`, decides its format.
+    options
+        The options of a conversion: topics, parameters, frames, filters, ``start`` and ``end``.
+    clouds
+        Number of clouds of each topic, side by side, evenly spread over the recording.
+    at
+        Moments to show instead.
+    overwrite
+        Whether an existing file may be replaced.
+    also_read
+        Files that were read for the options, by option. They are never replaced.
+    warn
+        Called with each warning as soon as it is known, also if an error follows; the result has all of them.
+
+    Raises
+    ------
+    UsageError
+        If the suffix is another one, there is nothing to show, or matplotlib is not installed.
+    DestinationError, OutputError
+        If there is such a file, or it cannot be written.
+    RecordingError
+        If nothing of the recording can be read.
+    """
+    kind = destination.suffix.lower().removeprefix(".")
+    if kind not in FORMATS:
+        shown = f"'.{kind}'" if kind else "no suffix"
+        raise UsageError(
+            f"has {shown}, a figure is one of {', '.join(f'.{name}' for name in FORMATS)}",
+            path=destination,
+            hint=f"such as `destination={shlex.quote(f'{destination.stem}.png')}`",
+        )
+    if not 1 <= clouds <= _MOST_CLOUDS:
+        raise UsageError(f"`clouds` is {clouds}, it must be from 1 to {_MOST_CLOUDS}")
+    refuse_overlap(
+        inputs_of(sources, options.frames.tf_from, also_read),
+        [OutputPath(destination)],
+    )
+    with (
+        file_output(destination, beginning=None, overwrite=overwrite) as deliver,
+        open_recording(sources, options, warn) as recording,
+    ):
+        try:
+            taken = take_shots(recording, options, count=clouds, at_ns=recording.log_times(at), level=True)
+        except NothingToConvertError as err:
+            if any(each.ros_type == LASERSCAN for each in recording.reader.connections):
+                err.hint = "figures show clouds; pc2scan view shows scans"
+            raise
+        figure = _figure(taken, title_of(sources), kind)
+        deliver(figure)
+        return Plotted(str(destination), len(figure), tuple(taken.notes), tuple(taken.warnings), recording.damage)
+
+
+def _figure(taken: Shots, title: str, kind: str) -> bytes:
+    """Draw clouds, one in each column, and return the bytes of the file."""
+    try:
+        import matplotlib as mpl  # noqa: PLC0415  # an extra, and heavy
+        from matplotlib.figure import Figure  # noqa: PLC0415
+    except ImportError as err:
+        raise UsageError("figures need matplotlib, which is not installed", hint='pip install "pc2scan[plot]"') from err
+    columns = len(taken.shots)
+    # No date, no version and no random ids, so that the same input gives the same bytes.
+    with warnings.catch_warnings(), mpl.rc_context({"svg.hashsalt": "pc2scan", "text.parse_math": False}):
+        # No warnings about letters that the font lacks.
+        warnings.simplefilter("ignore", UserWarning)
+        placed = [_place_points(shot) for shot in taken.shots]
+        limits = [_limits(values) for values in zip(*placed, strict=True)]
+        across, *heights = (high - low for low, high in limits)
+        inches = [min(_HIGHEST, max(_LOWEST, _WIDTH * height / across)) for height in heights]
+        size = (_WIDTH + _BESIDE) * columns, sum(inches) + _AROUND
+        figure = Figure(size, layout="constrained", dpi=150)
+        figure.suptitle(visible(title), fontsize=11)
+        axes: Any = figure.subplots(2, columns, squeeze=False, height_ratios=inches)
+        for column, (shot, points) in enumerate(zip(taken.shots, placed, strict=True)):
+            _draw(axes[0, column], axes[1, column], shot, points, taken.params, limits)
+        named = {
+            name: handle for each in axes[0] for handle, name in zip(*each.get_legend_handles_labels(), strict=True)
+        }
+        figure.legend(
+            list(named.values()),
+            list(named),
+            loc="outside lower center",
+            ncols=4 if columns > 1 else 2,
+            fontsize=8,
+            frameon=False,
+            markerscale=3,
+        )
+        file = io.BytesIO()
+        metadata: dict[str, dict[str, Any]] = {
+            "png": {"Software": None},
+            "svg": {"Date": None, "Creator": None},
+            "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+        }
+        figure.savefig(file, format=kind, metadata=metadata[kind])
+    return file.getvalue()
+
+
+def _draw(
+    above: Any,
+    side: Any,
+    shot: Shot,
+    points: Sequence[NDArray[np.float32]],
+    params: ProjectionParams,
+    limits: Sequence[tuple[float, float]],
+) -> None:
+    x, y, z = points
+    projection = Projector(params)
+    used, height = _outcomes(x, y, z, shot.filtered, params)
+    kept = slice(None) if shot.filtered is None else shot.filtered == 0
+    ranges = projection(x[kept], y[kept], z[kept]).ranges.astype(np.float64)
+    layout = params.layout
+    angles = layout.angle_min + np.arange(layout.count) * layout.angle_increment
+    returns = np.isfinite(ranges) & (ranges != np.float64(params.empty_range))
+    ends = ranges[returns] * np.cos(angles[returns]), ranges[returns] * np.sin(angles[returns])
+    known = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
+    step = max(1, math.ceil(len(x) / _MOST_POINTS))
+    for name, chosen, label in (
+        ("other", ~used & ~height, "rejected: range, sector, filters"),
+        ("height", height & ~used, "rejected: height"),
+        ("used", used, "used"),
+    ):
+        some = np.flatnonzero(chosen & known)[::step]
+        if not some.size:
+            continue
+        style = {"s": 1.2, "c": _COLOURS[name], "linewidths": 0, "label": label, "rasterized": True}
+        above.scatter(x[some], y[some], **style)
+        side.scatter(x[some], z[some], **style)
+    above.scatter(*ends, s=5, c=_SCAN, linewidths=0, label="scan", zorder=3)
+    above.plot(0, 0, "+", c="k", ms=8)
+    side.plot(0, 0, "+", c="k", ms=8)
+    for axes, vertical in ((above, limits[1]), (side, limits[2])):
+        axes.set(xlim=limits[0], ylim=vertical)
+        axes.set_aspect("equal", adjustable="box")
+        axes.tick_params(labelsize=8)
+        axes.grid(visible=True, lw=0.3, c="#d5dce3")
+        axes.set_axisbelow(True)
+    low, high = limits[2]
+    side.axhspan(max(low, params.min_height), min(high, params.max_height), color=_BAND, alpha=0.12, lw=0)
+    for limit in (params.min_height, params.max_height):
+        if low < limit < high:
+            side.axhline(limit, c=_BAND, lw=0.9)
+    above.set_title(f"{visible(shot.topic)}\n{shot.moment}", fontsize=8)
+    above.set_ylabel("y (m)", fontsize=8)
+    side.set_ylabel("z (m)", fontsize=8)
+    side.set_xlabel(f"x (m) in {visible(shot.place.frame_id)}", fontsize=8)
+
+
+def _limits(values: Sequence[NDArray[Any]]) -> tuple[float, float]:
+    """Return the limits of an axis in all columns, which show the sensor and all but the farthest points."""
+    low = high = 0.0
+    for column in values:
+        known = column[np.isfinite(column)].astype(np.float64)
+        if known.size:
+            ends = np.quantile(known, (_OUTLIERS, 1 - _OUTLIERS)).tolist()
+            low, high = min(low, ends[0]), max(high, ends[1])
+    margin = 0.06 * (high - low) or 0.5
+    return low - margin, high + margin
+
+
+def _place_points(shot: Shot) -> Sequence[NDArray[np.float32]]:
+    """Return the coordinates in the scan's frame, in float32 like in the projection."""
+    x, y, z = (shot.columns[axis] for axis in "xyz")
+    rigid = shot.place.target_from_source
+    if rigid is None:
+        return x, y, z
+    placed: NDArray[np.float32] = rigid.apply(np.stack((x, y, z), axis=1))
+    return placed[:, 0].copy(), placed[:, 1].copy(), placed[:, 2].copy()
+
+
+def _outcomes(
+    x: NDArray[np.float32],
+    y: NDArray[np.float32],
+    z: NDArray[np.float32],
+    filtered: NDArray[np.uint8] | None,
+    params: ProjectionParams,
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return masks of the points that are used, and of those that are rejected by their height."""
+    rule = rule_of(params)
+    bins, ranges = np.empty(x.size, np.int32), np.empty(x.size, np.float32)
+    numbers = np.empty(x.size, np.int64)
+    rejected = kernel.gather(x, y, z, rule, None, params.length, bins, ranges, numbers)
+    used = np.zeros(x.size, np.bool_)
+    used[numbers[: x.size - sum(rejected)]] = True
+    with np.errstate(invalid="ignore"):
+        height = (z < np.float32(rule[0])) | (z > np.float32(rule[1]))
+    if filtered is not None:
+        used &= filtered == 0
+        height &= filtered == 0
+    return used, height

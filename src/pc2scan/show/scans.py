@@ -1,0 +1,199 @@
+"""Describes the page of the scans of a recording."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from pc2scan.bags.topics import find_topic
+from pc2scan.errors import MessageError, RecordingError, TopicError, TransformError
+from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
+from pc2scan.messages.other_clouds import without
+from pc2scan.text import counted
+
+from .html import compress, description_of
+from .recording import moment_text, spread_messages
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from pc2scan.bags.reader import Reader
+    from pc2scan.model import Connection, RawMessage
+    from pc2scan.request.options import ConvertOptions
+    from pc2scan.transforms.buffer import TransformBuffer
+
+    from .check import Check
+
+#: The pose of a scan that is shown in its own frame.
+_HERE = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+
+
+def scan_connections(reader: Reader, asked: Sequence[str]) -> dict[str, list[Connection]]:
+    """Return the connections of each LaserScan topic: of all topics, or of the requested ones.
+
+    Raises
+    ------
+    TopicError
+        If there are none, or a requested topic is missing or has another type.
+    """
+    types: dict[str, set[str]] = {}
+    for connection in reader.connections:
+        types.setdefault(connection.topic, set()).add(connection.ros_type)
+    candidates = [topic for topic, kinds in types.items() if LASERSCAN in kinds]
+    if not candidates:
+        message, hint = without("PointCloud2 or LaserScan", reader.connections, reader)
+        raise TopicError(message, hint=hint or None)
+    chosen = [find_topic(name, types, candidates, LASERSCAN) for name in asked] or candidates
+    return {topic: [c for c in reader.connections if c.topic == topic and c.ros_type == LASERSCAN] for topic in chosen}
+
+
+def scans_page(
+    reader: Reader,
+    topics: Mapping[str, Sequence[Connection]],
+    buffer: TransformBuffer | None,
+    options: ConvertOptions,
+    *,
+    count: int,
+    at_ns: Sequence[int],
+) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """Describe a page of scans: the moments of the first topic, each with the next scan of every other topic.
+
+    Scans are shown in the target frame or, without one, in the first topic's frame, as far as transforms connect them.
+
+    Parameters
+    ----------
+    reader
+        The recording, open.
+    topics
+        The connections of each topic.
+    buffer
+        The transforms; None if there are none.
+    options
+        The options of a conversion, of which the target frame, ``start`` and ``end`` are used.
+    count
+        The number of moments, evenly spread over the recording.
+    at_ns
+        Log times: the first scan of each topic at or after each of them is shown. Empty: ``count`` decides.
+
+    Returns
+    -------
+    description, blobs
+        For `pc2scan.show.html.html`; the caller adds the findings.
+
+    Raises
+    ------
+    RecordingError
+        If no scan can be shown.
+    """
+    messages = _messages(reader, topics, options, count, at_ns)
+    blobs: dict[str, bytes] = {}
+    moments = []
+    failed: list[str] = []
+    for together in messages:
+        layers: list[dict[str, Any]] = []
+        stamps: list[int] = []
+        common = options.scan.params.target_frame
+        for number, topic in enumerate(topics):
+            message = together.get(topic)
+            if message is None:
+                continue
+            try:
+                scan = decode_laserscan(message.data, message.connection.serialization)
+            except MessageError as err:
+                failed.append(f"{topic} at {moment_text(message.log_time_ns)}: {err.message}")
+                continue
+            common = common or scan.frame_id
+            pose = _pose(buffer, common, scan.frame_id, scan.stamp_ns)
+            where = scan.frame_id if pose is not None else f"{scan.frame_id}, not connected to {common}"
+            stamps.append(scan.stamp_ns or message.log_time_ns)
+            layers.append(_layer(f"{topic} ({where})", number, scan, blobs, pose or _HERE))
+        if layers:
+            moments.append({"moment": moment_text(stamps[0]), "frame": common, "layers": layers})
+    if not moments:
+        why = f"no scan can be shown; {failed[0]}" if failed else f"no scans on {', '.join(topics)}"
+        raise RecordingError(why, path=reader.path)
+    warnings = [f"Not shown: {counted(len(failed), 'scan')}; {failed[0]}."] if failed else []
+    return {"kind": "scans", "notes": [], "warnings": warnings, "moments": moments, "findings": []}, blobs
+
+
+def _messages(
+    reader: Reader,
+    topics: Mapping[str, Sequence[Connection]],
+    options: ConvertOptions,
+    count: int,
+    at_ns: Sequence[int],
+) -> list[dict[str, RawMessage]]:
+    """Return the scans of each moment, by topic."""
+    if at_ns:
+        return [
+            {
+                topic: message
+                for topic, connections in topics.items()
+                if (message := next(iter(reader.messages(connections, time_ns)), None)) is not None
+            }
+            for time_ns in sorted(at_ns)
+        ]
+    taken: dict[str, list[RawMessage]] = {topic: [] for topic in topics}
+    for message in spread_messages(reader, topics, options, count):
+        taken[message.connection.topic].append(message)
+    most = max(map(len, taken.values()))
+    return [{topic: some[n] for topic, some in taken.items() if n < len(some)} for n in range(most)]
+
+
+def _pose(buffer: TransformBuffer | None, target: str, source: str, stamp_ns: int) -> list[float] | None:
+    """Return the 2 x 3 matrix that maps x, y and 1 in the scan's frame to x and y in another frame, row by row.
+
+    None if there is no transform.
+    """
+    if target.removeprefix("/") == source.removeprefix("/"):
+        return _HERE
+    if buffer is None:
+        return None
+    try:
+        rigid = buffer.lookup(target, source, stamp_ns)
+    except TransformError:
+        return None
+    (a, b, _), (c, d, _), _ = rigid.matrix.tolist()
+    x, y, _ = rigid.translation.tolist()
+    return [a, b, x, c, d, y]
+
+
+def _layer(name: str, colour: int, scan: LaserScan, blobs: dict[str, bytes], pose: Sequence[float]) -> dict[str, Any]:
+    """Describe a scan, and add its arrays to the page's blobs."""
+    columns = {"ranges": scan.ranges.astype("<f4")}
+    if len(scan.intensities) == len(scan.ranges) > 0:
+        columns["intensities"] = scan.intensities.astype("<f4")
+    key = f"scan-{len(blobs)}"
+    blobs[key] = compress(columns)
+    return {
+        "name": name,
+        "colour": colour,
+        "angleMin": _finite(scan.angle_min),
+        "increment": _finite(scan.angle_increment),
+        "pose": list(pose),
+        "rangeMin": _finite(scan.range_min),
+        "rangeMax": _finite(scan.range_max, math.inf),
+        "data": description_of(key, columns),
+    }
+
+
+def findings(check: Check) -> list[dict[str, Any]]:
+    """Return the results of `pc2scan check` for each topic."""
+    found = []
+    for topic in check.topics:
+        lines = [
+            {"text": f"{consumer.consumer}: {consumer.outcome}", "wrong": consumer.outcome != "accepted"}
+            for consumer in topic.consumers
+        ]
+        lines += [
+            {"text": f"{entry.level}: {entry.text}", "wrong": entry.level == "defect"} for entry in topic.findings
+        ]
+        found.append({"heading": f"pc2scan check: {topic.topic}", "lines": lines})
+    return found
+
+
+def _finite(value: float, largest: float = 0.0) -> float:
+    """Replace infinity, which JSON does not have, by the largest float64."""
+    if math.isfinite(value):
+        return float(value)
+    return math.copysign(1.7976931348623157e308, value) if largest and not math.isnan(value) else 0.0

@@ -1,0 +1,275 @@
+"""Takes clouds of a recording for pictures, at some moments, with the transforms to the scans' frame."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from pc2scan.advice.checks import clouds as checks
+from pc2scan.advice.checks import found_by
+from pc2scan.advice.measurements import Measurements
+from pc2scan.conversion.cloud_to_scan import CloudToScan
+from pc2scan.conversion.plan import make_plan
+from pc2scan.conversion.stages.placement import PlaceStage
+from pc2scan.conversion.stages.selection import SelectStage
+from pc2scan.conversion.stamps import corrected_for
+from pc2scan.core.floor import CloudSample, are_enough
+from pc2scan.core.points import NUMBER
+from pc2scan.core.rule import PointCounts
+from pc2scan.errors import DecodeError, MessageError, RecordingError
+from pc2scan.messages.clouds import CLOUDS
+from pc2scan.text import counted
+
+from .recording import moment_text, spread_messages
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from pc2scan.advice.checks.clouds import KnownTransforms
+    from pc2scan.bags.reader import Reader
+    from pc2scan.conversion.stages.placement import PlacedCloud
+    from pc2scan.core.params import ProjectionParams
+    from pc2scan.core.points import Points
+    from pc2scan.model import Connection, RawMessage
+    from pc2scan.request.options import ConvertOptions, ScanSpec
+    from pc2scan.transforms.buffer import TransformBuffer
+    from pc2scan.transforms.placing import Placement, Placer
+
+    from .recording import ShownRecording
+
+#: What is said of the first cloud that is shown, and of the first few. Heights are not: pages have sliders for them.
+_OF_ONE = (checks.target_that_moves, checks.clouds_in_fixed_frame)
+_OF_SEVERAL = (checks.frame_not_level, checks.swapped_transform, checks.clouds_in_another_unit)
+
+#: Fields that a picture can show besides x, y and z.
+_MOST_FIELDS = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shot:
+    """A cloud for a picture.
+
+    Attributes
+    ----------
+    topic
+        Its topic.
+    moment
+        Its stamp as text for users; its log time if it has no stamp.
+    stamp_ns
+        The stamp of its header.
+    frame
+        The frame of its coordinates.
+    place
+        The scan's frame, and the transform into it.
+    columns
+        Copies of its fields by name, each (points,): ``x``, ``y``, ``z`` in metres as float32, others as recorded.
+    filtered
+        (points,) uint8: 1 for points that the filters reject. None without filters.
+    """
+
+    topic: str
+    moment: str
+    stamp_ns: int
+    frame: str
+    place: Placement
+    columns: Mapping[str, NDArray[Any]]
+    filtered: NDArray[np.uint8] | None
+
+
+class Shots(NamedTuple):
+    """Clouds for pictures.
+
+    Attributes
+    ----------
+    shots
+        The clouds.
+    params
+        The parameters, with all measured values.
+    transforms
+        The transforms; None if it is not clear which to use, and none are needed.
+    notes, warnings
+        Texts for the user.
+    """
+
+    shots: list[Shot]
+    params: ProjectionParams
+    transforms: TransformBuffer | None
+    notes: list[str]
+    warnings: list[str]
+
+
+def take_shots(
+    recording: ShownRecording,
+    options: ConvertOptions,
+    *,
+    count: int,
+    at_ns: Sequence[int],
+    level: bool,
+    keep: Callable[[Shot], Shot] | None = None,
+) -> Shots:
+    """Take some clouds of each topic that a conversion converts.
+
+    Parameters
+    ----------
+    recording
+        The recording.
+    options
+        The options of the conversion.
+    count
+        The number of clouds of each topic, evenly spread over the recording.
+    at_ns
+        Log times: the first cloud of each topic at or after each of them is taken. Empty: ``count`` decides.
+    level
+        Whether clouds are placed in the frames of level scans; otherwise they are shown as recorded.
+    keep
+        Called with each cloud as soon as it is taken, and returns what is kept of it; None: all of it.
+
+    Raises
+    ------
+    RecordingError
+        If no cloud can be shown.
+    """
+    reader = recording.reader
+    options.scan.refuse_combining("pages and figures make")
+    options = options.with_scan(params=_without_times(options.scan.params))
+    plan = make_plan(reader.connections, options, reader)
+    if options.clock:
+        reader, notes = corrected_for(reader, plan, options)
+        recording.reader, plan = reader, plan._replace(notes=tuple(notes))
+    prepared = recording.prepare(plan, options)
+    conversion = prepared.conversions[options.scan]
+    assert isinstance(conversion, CloudToScan)
+    topics: dict[str, list[Connection]] = {}
+    for route in plan.routes:
+        if route.targets:
+            topics.setdefault(route.connection.topic, []).append(route.connection)
+    placer = conversion.placer if level else conversion.placer._replace(up=None)
+    stages = {topic: _Stages.of(conversion, topic, placer) for topic in topics}
+    shots: list[Shot] = []
+    samples: dict[str, list[CloudSample]] = {}
+    failed: list[str] = []
+    for message in _messages(reader, topics, options, count, at_ns):
+        try:
+            shot = _shot(message, stages[message.connection.topic], samples)
+            shots.append(shot if keep is None else keep(shot))
+        except MessageError as err:
+            failed.append(f"{message.connection.topic} at {moment_text(message.log_time_ns)}: {err.message}")
+        # Not in memory while the next one is read.
+        del message
+    if not shots:
+        why = f"no cloud can be shown; {failed[0]}" if failed else f"no clouds on {', '.join(topics)}"
+        raise RecordingError(why, path=reader.path)
+    number = counted(len(failed) + len(shots), "cloud")
+    warnings = [*prepared.firsts.warnings, *_doubts(samples, options.scan, prepared.firsts.transforms)]
+    warnings += [f"Not shown: {len(failed)} of {number}; {failed[0]}."] if failed else []
+    measured = next((each for topic in topics if (each := conversion.measurements.get(topic))), Measurements(0.0))
+    params = measured.resolve(conversion.params)
+    return Shots(shots, params, prepared.transforms, [*plan.notes, *prepared.notes], warnings)
+
+
+def _without_times(params: ProjectionParams) -> ProjectionParams:
+    """Return parameters of which only the number of beams is measured: pictures have neither times nor intensity."""
+    return replace(params, scan_time=0.0, time_increment=0.0, intensity_field="")
+
+
+def _messages(
+    reader: Reader,
+    topics: Mapping[str, Sequence[Connection]],
+    options: ConvertOptions,
+    count: int,
+    at_ns: Sequence[int],
+) -> Iterator[RawMessage]:
+    if not at_ns:
+        yield from spread_messages(reader, topics, options, count)
+        return
+    seen: set[tuple[str, int]] = set()
+    for time_ns in sorted(at_ns):
+        for topic, connections in topics.items():
+            message = next(iter(reader.messages(connections, time_ns)), None)
+            if message is not None and (topic, message.log_time_ns) not in seen:
+                seen.add((topic, message.log_time_ns))
+                yield message
+
+
+class _Stages(NamedTuple):
+    """The stages of a topic's clouds, as in a conversion.
+
+    Attributes
+    ----------
+    place
+        Places clouds in the frame of the scans.
+    place_own
+        Places points at their own times, in the frame of their cloud.
+    select
+        Numbers points, and selects some of them; None without filters.
+    """
+
+    place: PlaceStage
+    place_own: PlaceStage
+    select: SelectStage | None
+
+    @classmethod
+    def of(cls, conversion: CloudToScan, topic: str, placer: Placer) -> _Stages:
+        """Return the stages of a conversion, with other frames."""
+        deskew, filters = conversion.deskew, conversion.filters
+        place, place_own = (
+            PlaceStage(each, None if deskew is None else deskew.of(topic).within(each))
+            for each in (placer, placer._replace(target_frame="", up=None))
+        )
+        return cls(place, place_own, SelectStage(filters, placer, numbered=True) if filters else None)
+
+
+def _doubts(samples: Mapping[str, Sequence[CloudSample]], spec: ScanSpec, transforms: KnownTransforms) -> list[str]:
+    """Return warnings about the frames and the units of clouds."""
+    with np.errstate(all="ignore"):
+        return [
+            text
+            for topic, own in samples.items()
+            for group, clouds in ((_OF_ONE, own[:1]), (_OF_SEVERAL, own))
+            for text in found_by(group, checks.CloudFacts(topic, spec, transforms, clouds, [PointCounts()]))
+        ]
+
+
+def _shot(message: RawMessage, stages: _Stages, samples: dict[str, list[CloudSample]]) -> Shot:
+    """Return a cloud as it is shown; samples of a topic's first ones are added to ``samples``."""
+    connection = message.connection
+    points = CLOUDS[connection.ros_type](connection.serialization)(message.data)
+    recorded, placer = stages.place_own(points), stages.place.placer
+    moving, stamp_ns = recorded.moving, recorded.stamp_ns
+    if not are_enough(own := samples.setdefault(connection.topic, [])):
+        place = placer.place(points.frame_id, stamp_ns)
+        own.append(CloudSample.of(points).placed_in(place.frame_id, place.target_from_source))
+    return Shot(
+        connection.topic,
+        moment_text(stamp_ns or message.log_time_ns),
+        stamp_ns,
+        placer.source_frame or points.frame_id,
+        placer.place(points.frame_id, stamp_ns),
+        _columns(points, (points if moving is None else moving.place(moving.points)[0]).xyz()),
+        None if stages.select is None else _filter_mask(stages.place(points), stages.select),
+    )
+
+
+def _filter_mask(placed: PlacedCloud, select: SelectStage) -> NDArray[np.uint8]:
+    """Return a mask of the points that the filters reject, and of those that cannot be deskewed."""
+    filtered = np.ones(placed.points.xyz()[0].size, np.uint8)
+    filtered[select(placed).points.field(NUMBER).reshape(-1)] = 0
+    return filtered
+
+
+def _columns(points: Points, xyz: Sequence[NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return copies of the coordinates as float32, like the projection reads them, and of other fields as recorded."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        columns = {name: axis.reshape(-1).astype("<f4") for name, axis in zip("xyz", xyz, strict=True)}
+    for name in islice((name for name in points.fields if name not in columns), _MOST_FIELDS):
+        # Skip fields that cannot be read; the projection does not need them.
+        with suppress(DecodeError):
+            values = points.field(name).reshape(-1)
+            columns[name] = values.astype(values.dtype.newbyteorder("<"))
+    return columns

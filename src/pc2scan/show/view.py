@@ -1,0 +1,252 @@
+"""``pc2scan.view``: shows a recording as one HTML page that needs no network."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from html import escape
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from pc2scan.conversion.stamps import corrected
+from pc2scan.errors import UsageError, leading
+from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
+from pc2scan.files.text_output import text_output
+from pc2scan.files.urls import path_of
+from pc2scan.messages.clouds import CLOUDS
+from pc2scan.requests import conversion_of, first_output
+from pc2scan.result import Part, Result
+from pc2scan.text import size
+
+from .check import check
+from .clouds import Packing, clouds_page
+from .html import BEGINNING, check_page_name, html
+from .opening import Opening, opening
+from .recording import moment_text, open_recording, title_of
+from .scans import findings, scan_connections, scans_page
+from .shots import take_shots
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from pc2scan.bags.damage import Damage
+    from pc2scan.bags.reader import Reader
+    from pc2scan.options.call import Options
+    from pc2scan.options.moment import TimeBound
+    from pc2scan.request.options import ConvertOptions
+    from pc2scan.requests import Warn
+    from pc2scan.transforms.buffer import TransformBuffer
+
+    from .recording import ShownRecording
+
+#: Clouds and scans of a topic on one page. They share its size.
+_MOST_CLOUDS = 1_000
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Page(Result):
+    """A page. Notebooks show it in their cell.
+
+    Attributes
+    ----------
+    html
+        The whole HTML file.
+    notes
+        What the page says above the pictures.
+    warnings
+        What is not as the options ask.
+    damage
+        The damage in the parts of the recording that were read.
+    path
+        Its file; empty if it is not written.
+    """
+
+    kind: ClassVar[str] = "page"
+    json_names: ClassVar[tuple[str, ...]] = ("path", "bytes")
+
+    html: str
+    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    damage: tuple[Damage, ...] = ()
+    path: str = ""
+
+    @property
+    def bytes(self) -> int:
+        """The size of the file."""
+        return len(self.html) if self.html.isascii() else len(self.html.encode())
+
+    def body(self, *, verbose: bool = False) -> Iterator[Part]:
+        """Yield the file and its size."""
+        yield f"{leading(self.path) or 'a page'}: {size(self.bytes)}"
+
+    def __repr__(self) -> str:
+        return f"<pc2scan.Page of {len(self.html):,} characters>"
+
+    def _repr_html_(self) -> str:
+        """Return the page in a sandboxed frame with its own policy, so that it cannot access the notebook."""
+        frame = 'sandbox="allow-scripts" style="width: 100%; height: 860px; border: 0"'
+        return f'<iframe {frame} srcdoc="{escape(self.html)}"></iframe>'
+
+    def save(self, destination: str | Path, *, overwrite: bool = False) -> Path:
+        """Write the page; an older page of this name is replaced, any other file only with ``overwrite``.
+
+        Raises
+        ------
+        UsageError
+            If the name is not that of a page.
+        DestinationError
+            If another file exists.
+        OutputError
+            If it cannot be written.
+        """
+        path = path_of("destination", destination)
+        check_page_name(path)
+        with text_output(path, beginning=BEGINNING, overwrite=overwrite) as deliver:
+            deliver(self.html)
+        return path
+
+
+def view(sources: Sequence[Path], destination: Path | None, options: Options, *, warn: Warn | None = None) -> Page:
+    """Show a recording as a page, which is written if there is a destination; see `pc2scan.view`."""
+    conversion = first_output(conversion_of(options, warn), "shown", warn)
+    asked: dict[str, Any] = {"clouds": options.clouds, "at": options.at, "preset": options.preset or ""}
+    # The node's heights are part of its parameters, also where a file of these does not have them.
+    asked["proposed"] = not options.given.keys() & {"params", "params_file", "param", "scans"}
+    asked["said"] = conversion.notes
+    if destination is None:
+        return page_of(sources, conversion.options, **asked, warn=warn)
+    return write_page(
+        sources,
+        destination,
+        conversion.options,
+        **asked,
+        overwrite=options.overwrite,
+        also_read=conversion.files,
+        warn=warn,
+    )
+
+
+def write_page(
+    sources: Sequence[Path],
+    destination: Path,
+    options: ConvertOptions,
+    *,
+    clouds: int = 10,
+    at: Sequence[TimeBound] = (),
+    preset: str = "",
+    proposed: bool = False,
+    said: Sequence[str] = (),
+    overwrite: bool = False,
+    also_read: Mapping[str, Path] | None = None,
+    warn: Callable[[str], None] | None = None,
+) -> Page:
+    """Write a page; see `page_of`.
+
+    Parameters
+    ----------
+    overwrite
+        Whether a file that is not a page may be replaced.
+    also_read
+        Files that were read for the options, by option. They are never replaced.
+
+    Raises
+    ------
+    UsageError
+        If the name is not that of a page.
+    DestinationError
+        If a file other than a page exists.
+    OutputError
+        If the page cannot be written.
+    """
+    check_page_name(destination)
+    refuse_overlap(
+        inputs_of(sources, options.frames.tf_from, also_read),
+        [OutputPath(destination)],
+    )
+    with text_output(destination, beginning=BEGINNING, overwrite=overwrite) as deliver:
+        page = page_of(sources, options, clouds=clouds, at=at, preset=preset, proposed=proposed, said=said, warn=warn)
+        deliver(page.html)
+    return replace(page, path=str(destination))
+
+
+def page_of(
+    sources: Sequence[Path],
+    options: ConvertOptions,
+    *,
+    clouds: int = 10,
+    at: Sequence[TimeBound] = (),
+    preset: str = "",
+    proposed: bool = False,
+    said: Sequence[str] = (),
+    warn: Callable[[str], None] | None = None,
+) -> Page:
+    """Make a page of a recording: of its clouds and their projection, or of its scans if it has no clouds.
+
+    Parameters
+    ----------
+    sources
+        Recordings; several are merged in time order.
+    options
+        The options of a conversion: topics, parameters, frames, ``start`` and ``end``.
+    clouds
+        How many moments of each topic are shown, evenly spread: from 1 to 1,000.
+    at
+        Moments to show instead.
+    preset
+        The preset that the parameters come from; empty for none.
+    proposed
+        Whether a page of clouds opens with the frame and the heights that `pc2scan.info` proposes, unless heights are
+        given.
+    said
+        Warnings about the request; ``warn`` had them.
+    warn
+        Called with each warning as soon as it is known, also if an error follows; the result has all of them.
+
+    Raises
+    ------
+    UsageError
+        If there is nothing to show.
+    RecordingError
+        If no message can be read.
+    """
+    if not 1 <= clouds <= _MOST_CLOUDS:
+        raise UsageError(f"`clouds` is {clouds:,}, it must be from 1 to {_MOST_CLOUDS:,}")
+    with open_recording(sources, options, warn) as recording:
+        reader = recording.reader
+        at_ns = recording.log_times(at)
+        if any(connection.ros_type in CLOUDS for connection in reader.connections) and not options.scan.reverse:
+            opened = opening(reader, options) if proposed else Opening(options, {}, ())
+            packed = Packing()
+            taken = take_shots(recording, opened.options, count=clouds, at_ns=at_ns, level=False, keep=packed.add)
+            described, blobs = clouds_page(sources, taken, packed, opened, preset=preset)
+        else:
+            asked = [request.source for request in options.scan.topics]
+            topics, buffer = scan_connections(reader, asked), _transforms(recording)
+            if options.clock:
+                shown = [each for connections in topics.values() for each in connections]
+                reader, _ = corrected(reader, shown, options.clock, options.frames.tf_topics)
+            described, blobs = scans_page(reader, topics, buffer, options, count=clouds, at_ns=at_ns)
+            frames = replace(options.frames, static=(), source_frame="", write_static=False)
+            described["findings"] = findings(check(sources, topics=asked, frames=frames))
+        notes, warnings = described["notes"], [*said, *described.pop("warnings")]
+        # The page shows both.
+        described["notes"] = [*notes, *warnings]
+        described |= {"title": title_of(sources), "subtitle": _subtitle(reader)}
+        return Page(html(described, blobs), tuple(notes), tuple(warnings), recording.damage)
+
+
+def _transforms(recording: ShownRecording) -> TransformBuffer | None:
+    """Return all transforms; None if it is not clear which to use, and none are needed."""
+    try:
+        buffer = recording.transforms().buffer
+    except UsageError:
+        if recording.options.scan.needs_transforms:
+            raise
+        return None
+    return buffer
+
+
+def _subtitle(reader: Reader) -> str:
+    summary = reader.summary
+    if summary.start_ns is None or summary.end_ns is None:
+        return ""
+    return f"{moment_text(summary.start_ns)}, {(summary.end_ns - summary.start_ns) / 1e9:.1f} s"

@@ -1,0 +1,206 @@
+"""Every check of the table: what it finds in facts, and that none is without a case."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+import pc2scan
+from pc2scan.advice import checks
+from pc2scan.advice.checks.clouds import CloudFacts, KnownTransforms
+from pc2scan.advice.checks.request import OutputRequest
+from pc2scan.conversion import result_checks as result
+from pc2scan.conversion.combine.counts import Jump, Run, SourceCounts
+from pc2scan.conversion.report import Report, TopicReport
+from pc2scan.conversion.result_checks import JoinedResult, TopicResult
+from pc2scan.core.floor import CloudSample
+from pc2scan.core.params import ProjectionParams
+from pc2scan.core.points import Points
+from pc2scan.core.rigid import Rigid
+from pc2scan.core.rule import PointCounts
+from pc2scan.model import Summary
+from pc2scan.options.call import Options
+from pc2scan.request.options import ScanSpec
+from pc2scan.requests import conversion_of
+from pc2scan.transforms.builder import TransformBuilder
+from support.tables import rows
+from support.worlds.mounted import PLACES, cloud, mounted, write_clouds
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+TABLE = Path(__file__).with_name("checks.txt")
+
+#: Checks with cases elsewhere: of cuts, clouds that move and stamps, in `tests/transcripts`; of rebinned scans, in
+#: `tests/e2e/test_combined.py`; of whole results, in `test_report.py` and `tests/e2e`.
+ELSEWHERE = {
+    *(
+        "cut_without_effect",
+        "log_times_of_centuries",
+        "target_that_moves",
+        "clouds_in_fixed_frame",
+        "returns_at_sensor",
+        "clouds_in_another_unit",
+        "fixed_frame_of_rebinned",
+        "rebinned_beams",
+        "unordered_stamps",
+    ),
+    *("refused_scans", "lost_topics", "evenly_divided_circle", "range_of_preset", "filters_without_effect"),
+}
+
+
+def named(group: Iterable[Any], facts: Any) -> dict[str, list[str]]:
+    """What each check of a group finds."""
+    return {check.__name__: texts for check in group if (texts := checks.found_by((check,), facts))}
+
+
+#: A recording without messages.
+RECORDED = Summary("mcap", "", (), 0, 0, None, None)
+
+
+@pytest.mark.parametrize(("options", "name", "text"), rows(TABLE, "request"))
+def test_a_check_of_the_request(options: dict[str, Any], name: str, text: str) -> None:
+    request = conversion_of(Options("convert", options)).options
+    found = named(checks.REQUEST, OutputRequest(request, request.scan))
+    assert list(found) == [name]
+    assert found[name][0].startswith(text)
+    assert checks.request_warnings(request, RECORDED) == found[name]
+
+
+@pytest.mark.parametrize(("roll", "options", "used", "name", "text"), rows(TABLE, "clouds"))
+def test_a_check_of_the_first_clouds(roll: float, options: dict[str, Any], used: int, name: str, text: str) -> None:
+    request = conversion_of(Options("convert", options)).options
+    static, target = request.frames.static, request.scan.params.target_frame
+    moved = Rigid.from_pose((0, 0, -0.6, 0, 0, 0, 1)) if target else None
+    points = cloud(PLACES["hall"], "32 rings", mounted(roll, 0), 0.6)
+    lossy = "made lossy" if name == "lossy_clouds" else ""
+    sample = CloudSample.of(Points(0, 0, "lidar", dict(zip("xyz", points.T, strict=True)), lossy)).placed_in(
+        target or "lidar", moved
+    )
+    counts = PointCounts(len(points), used, height=len(points) - used)
+    known = KnownTransforms("", lambda: None, static=static)
+    facts = CloudFacts("/points", request.scan, known, [sample], [counts])
+    found = named((*checks.FRAME, *checks.FIRST_CLOUDS, *checks.FIRST_CLOUDS_NOTES), facts)
+    assert list(found) == [name]
+    assert found[name][0].startswith(text)
+
+
+@pytest.mark.parametrize(
+    ("frame", "moving", "cure"),
+    [
+        ("odom", True, "`target_frame=base_link` moves them to the robot"),
+        ("/odom", True, "`target_frame=base_link` moves them to the robot"),
+        ("camera_init", None, "convert the topic with the lidar's own clouds"),
+        # A lidar at a junction, and one on a robot.
+        ("odom", False, ""),
+        ("lidar", True, ""),
+    ],
+)
+def test_clouds_in_a_frame_that_does_not_move_with_the_robot(frame: str, moving: bool | None, cure: str) -> None:
+    builder = TransformBuilder()
+    rows_of_tf = [("odom", "base_link", stamp, float(stamp), 0.0, 0.0, 0.0, 0.0, 0.0, 1.0) for stamp in (1, 2)]
+    builder.add(rows_of_tf[: 2 if moving else 1], static=not moving)
+    known = KnownTransforms("", lambda: None if moving is None else builder.build())
+    sample = CloudSample.of(Points(0, 0, frame, dict.fromkeys("xyz", np.ones(3, np.float32))))
+    facts = CloudFacts("/points", ScanSpec(), known, [sample], [PointCounts()])
+    found = named(checks.EACH_CLOUD, facts).get("clouds_in_fixed_frame", [""])
+    assert cure in found[0]
+    assert found[0].startswith("/points: the clouds are in '") is bool(cure)
+
+
+@pytest.mark.parametrize("target", ["", "base_link"])
+@pytest.mark.parametrize(
+    ("own", "source", "moves", "told"),
+    [
+        (
+            "lidar",
+            "odom",
+            True,
+            "/points: `source_frame` is odom, in which lidar, the frame of the clouds, moves with base",
+        ),
+        (
+            "/base_link",
+            "/odom",
+            True,
+            "/points: `source_frame` is odom, in which base_link, the frame of the clouds, moves:",
+        ),
+        # A robot that stands still, a frame that no transform has, as registered clouds may have, and one on the robot.
+        ("lidar", "odom", False, ""),
+        ("cloud", "odom", True, ""),
+        ("", "odom", True, ""),
+        ("cloud", "lidar", True, ""),
+        ("lidar", "base_link", True, ""),
+        ("lidar", "", True, ""),
+    ],
+)
+def test_a_source_frame_that_the_robot_moves_in(own: str, source: str, moves: bool, told: str, target: str) -> None:
+    builder = TransformBuilder()
+    builder.add([("base_link", "lidar", 0, 0.0, 0.0, 0.6, 0.0, 0.0, 0.0, 1.0)], static=True)
+    for stamp_ns, x in ((1, 0.0), (2, 3.5 * moves)):
+        builder.add([("odom", "base_link", stamp_ns, x, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)], static=False)
+    buffer = builder.build()
+    known = KnownTransforms(source, lambda: buffer, buffer if target else None)
+    sample = CloudSample.of(Points(0, 0, own, dict.fromkeys("xyz", np.ones(3, np.float32))))
+    spec = ScanSpec(params=ProjectionParams(target_frame=target))
+    found = named(checks.EACH_CLOUD, CloudFacts("/points", spec, known, [sample], [PointCounts()]))
+    if not told and source == "odom" and not target:
+        told = "/points: the clouds are in 'odom', a frame that does not move with the robot"
+    texts = found.get("clouds_in_fixed_frame", [])
+    assert [text.startswith(told) for text in texts] == [True] * bool(told)
+
+
+def topic_report(**attributes: Any) -> TopicReport:
+    known = {"messages_in": 4, "messages_out": 4, "points": PointCounts(100, 40, height=60)}
+    return TopicReport("/points", "", "/scan", **{"action": "converted", **known, **attributes})
+
+
+@pytest.mark.parametrize(("attributes", "name", "text"), rows(TABLE, "topic"))
+def test_a_check_of_the_counts(attributes: dict[str, Any], name: str, text: str) -> None:
+    # Only the check of defaults looks at these.
+    params = ProjectionParams() if "default" in name or "empty_scans" in attributes else ProjectionParams(min_height=0)
+    topic = topic_report(**attributes)
+    report = Report([], "", (ScanSpec(params=params),), topics=[topic])
+    moved = (result.MOVED, result.MOVED_NOTES) if topic.motions or topic.tilts else ((), ())
+    found = named((*result.TOPIC, *moved[0], *result.TOPIC_NOTES, *moved[1]), TopicResult(topic, report))
+    assert found[name][0].startswith(text)
+    warnings, notes = result.result_findings(report)
+    assert [text for texts in found.values() for text in texts] == warnings + notes
+
+
+@pytest.mark.parametrize("lowest", [0.1, -1.1])
+def test_points_that_are_no_returns_are_not_outside_the_heights(lowest: float, tmp_path: Path) -> None:
+    """Every other point is at (0, 0, 0), which the default heights reject, as the node does."""
+    points = np.random.default_rng(1).uniform((-5.0, -5.0, lowest), (5.0, 5.0, lowest + 1.9), (3000, 3))
+    points[::2] = 0.0
+    outside = (points[1::2, 2] < 0).mean()
+    told = [f"/scan: {outside:.0%} of the returns were outside the heights"] if lowest < 0 else []
+    path = write_clouds(tmp_path / "drive.mcap", [points.astype(np.float32)] * 4)
+    report = pc2scan.convert(path, tmp_path / "scans.mcap", range_min=0.1)
+    (scans,) = (topic for topic in report.topics if topic.target == "/scan")
+    assert scans.points.height >= 6000
+    assert [":".join(text.split(":")[:2]) for text in report.warnings if "heights" in text] == told
+
+
+@pytest.mark.parametrize(("counts", "name", "text"), rows(TABLE, "joined"))
+def test_a_check_of_the_counts_of_several_messages(counts: dict[str, Any], name: str, text: str) -> None:
+    counts["jumps"] = [Jump(*jump) for jump in counts.get("jumps", ())]
+    counts["left"] = Run(*counts.get("left", (0, 0, 0)))
+    joined = SourceCounts(**counts)
+    topic = topic_report(action="joined", joined=joined)
+    found = named((*result.JOINED, *result.JOINED_NOTES), JoinedResult(topic, joined))
+    assert list(found) == [name]
+    assert found[name][0].startswith(text)
+    warnings, notes = result.result_findings(Report([], "", (ScanSpec(),), topics=[topic]))
+    assert warnings + notes == found[name]
+
+
+def test_every_check_has_a_case() -> None:
+    tables = {**vars(checks), **vars(result)}
+    groups = [group for name, group in tables.items() if name.isupper() and isinstance(group, tuple)]
+    known = {check.__name__ for group in groups for check in group}
+    assert len(known) == sum(map(len, groups))
+    sections = (("request", 1), ("clouds", 3), ("topic", 1), ("joined", 1))
+    assert {row[place] for section, place in sections for row in rows(TABLE, section)} | ELSEWHERE == known

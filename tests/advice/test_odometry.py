@@ -1,0 +1,171 @@
+"""Odometry that fits the clouds is never doubted, whatever else is imperfect; one that does not is, by what is seen."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+import pc2scan
+from pc2scan.advice.odometry import Odometry, odometry_of
+from pc2scan.core.rigid import Rigid
+from pc2scan.transforms.builder import TransformBuilder
+from support import sampled
+from support.worlds.moving import Drive, Lidar
+from support.worlds.weaving import REAR, RINGS, Fault, Weaving, write_weaving
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+DRIVES = {
+    "weaving": Weaving(),
+    "weaving slowly": Weaving(hertz=0.1),
+    "tilting": Weaving(tilt=0.05),
+    "circle": Drive(speed=0.5),
+    "straight": Drive(turn=0.0),
+    "standing": Drive(speed=0.0, turn=0.0),
+}
+LIDARS: dict[str, list[Lidar]] = {
+    "rings": [RINGS],
+    "packets": [replace(RINGS, kind="packets")],
+    "rosette": [replace(RINGS, kind="rosette", columns=6000)],
+    "two": [RINGS, replace(REAR, phase=-0.03)],
+}
+#: Odometry that is as good as real odometry is.
+SOUND = {"exact": Fault(), "scaled": Fault(scale=0.95), "rough": Fault(metres=0.002, degrees=0.03)}
+
+
+def warnings(source: Path, lidars: list[Lidar], **options: Any) -> list[str]:
+    joined = {"topics": [f"{lidar.topic}:=/scan" for lidar in lidars]} if len(lidars) > 1 else {}
+    words = {"target_frame": "base_link", "min_height": 0.3, "max_height": 1.9, "fixed_frame": "odom", "deskew": True}
+    destination = source.with_name("scans.mcap")
+    return pc2scan.convert(source, destination, overwrite=True, **{"jobs": 1, **words, **joined, **options}).warnings
+
+
+@pytest.mark.parametrize(
+    ("drive", "lidars", "fault"), sampled([(d, i, f) for d in DRIVES for i in LIDARS for f in SOUND], 4)
+)
+def test_sound_odometry_is_not_doubted(drive: str, lidars: str, fault: str, tmp_path: Path) -> None:
+    source = write_weaving(tmp_path / "drive.mcap", LIDARS[lidars], SOUND[fault], DRIVES[drive])
+    assert warnings(source, LIDARS[lidars]) == []
+    if lidars == "two":
+        assert warnings(source, LIDARS[lidars], deskew=False) == []
+
+
+@pytest.mark.parametrize("late", [-0.1, -0.03, 0.03, 0.1])
+def test_odometry_that_lags_is_said_with_its_lag(late: float, tmp_path: Path) -> None:
+    source = write_weaving(tmp_path / "drive.mcap", fault=Fault(late=late))
+    (text,) = warnings(source, [RINGS])
+    # What is to type leaves nothing to say.
+    assert f"`time_offset={late:.2f}s`" in text
+    assert warnings(source, [RINGS], time_offset=[f"{late:.2f}s"]) == []
+    assert (
+        f"of {1000 * abs(late):.0f} ms {'later: the odometry lags' if late > 0 else 'earlier: the odometry is ahead'}"
+        in text
+    )
+
+
+def driven(seed: int, *, wheels: bool) -> list[Rigid]:
+    """The poses of a robot for a minute: it goes ahead and back, and turns; without wheels to any side, too."""
+    random = np.random.default_rng(seed)
+    x, y, yaw = random.normal(0, 5, 3).tolist()
+    poses = []
+    for _ in range(20):
+        speed, turn = random.uniform(-0.5, 1.5), random.normal(0, 0.5)
+        aside = 0.0 if wheels else random.normal(0, 0.5)
+        for _ in range(60):
+            yaw += turn * 0.05
+            x += 0.05 * (speed * math.cos(yaw) - aside * math.sin(yaw)) + random.normal(0, 1e-4)
+            y += 0.05 * (speed * math.sin(yaw) + aside * math.cos(yaw)) + random.normal(0, 1e-4)
+            poses.append(Rigid.from_rpy(0.0, 0.0, yaw, (x, y, 0.1)))
+    return poses
+
+
+def direction(poses: Sequence[Rigid], parent: str = "odom", child: str = "base_link", every: str = "1 s") -> Odometry:
+    """Which way round poses are, twenty a second: each second is read, or one of six."""
+    builder = TransformBuilder()
+    read = [number for number in range(len(poses)) if number % (20 if every == "1 s" else 120) < 20]
+    builder.add([(parent, child, number * 50_000_000, *poses[number].pose) for number in read], static=False)
+    builder.add([("base_link", "lidar", 0, 0.3, 0.2, 0.5, 0, 0, 1, 0)], static=True)
+    return odometry_of(builder.build(), "odom", "lidar")
+
+
+SWAPPED = {"parent": "base_link", "child": "odom"}
+
+
+def test_the_way_of_a_robot_tells_which_way_round_its_odometry_is() -> None:
+    told = 0
+    for seed in range(40):
+        poses = driven(seed, wheels=True)
+        inverse = [pose.inverse() for pose in poses]
+        found = [direction(poses), direction(inverse), direction(poses, **SWAPPED), direction(inverse, **SWAPPED)]
+        assert [each.is_below for each in found] == [False, False, True, True]
+        assert [bool(each.fault) for each in found[2:]] == [True, True]
+        verdicts = [(each.way, each.is_sound) for each in found]
+        if verdicts == [("", False)] * 4:
+            # Where it drives beside odom, its inverse is not much sideways.
+            assert [bool(each.doubt) for each in found] == [False, False, True, True]
+            continue
+        assert verdicts == [("", True), ("sideways", False), ("sideways", False), ("", True)]
+        assert [bool(each.doubt) for each in found] == [False, True, True, False]
+        told += 1
+    assert told >= 30
+
+
+def test_seconds_that_are_spread_over_a_drive_tell_the_same() -> None:
+    """As `info` reads them; from one to the next the robot may have driven anywhere."""
+    told = 0
+    for seed in range(40):
+        poses = driven(seed, wheels=True)
+        right = direction(poses, every="6 s")
+        wrong = direction([pose.inverse() for pose in poses], every="6 s")
+        assert (right.way, wrong.is_sound) == ("", False)
+        told += right.is_sound and wrong.way == "sideways"
+    assert told >= 30
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_robot_that_goes_to_any_side_may_be_either_way_round(seed: int) -> None:
+    poses = driven(seed, wheels=False)
+    for each in (poses, [pose.inverse() for pose in poses]):
+        assert direction(each).doubt == ""
+        assert "if the poses are not inverted" in direction(each, **SWAPPED).doubt
+
+
+@pytest.mark.parametrize(("way", "turn"), [((1.0, 0.0), 0.0), ((0.0, 1.0), 0.0), ((0.3, 0.0), 0.1)])
+def test_a_way_that_is_straight_or_short_tells_nothing(way: tuple[float, float], turn: float) -> None:
+    """A platform on rails, across its own frame, too."""
+    steps = np.linspace(0.0, 3.0 if turn == 0 else 1.0, 60)
+    for yaw in (0.0, 1.5):
+        poses = [Rigid.from_rpy(0.0, 0.0, yaw + turn * t, (way[0] * t, way[1] * t, 0.0)) for t in steps.tolist()]
+        assert direction(poses).doubt == ""
+        assert direction([pose.inverse() for pose in poses]).doubt == ""
+
+
+def test_a_second_with_a_single_cloud_may_show_too_little(tmp_path: Path) -> None:
+    """A lidar that takes nearly a second for a turn."""
+    slow = [replace(RINGS, period=0.9, columns=3000, latency=-0.8)]
+    source = write_weaving(tmp_path / "drive.mcap", slow)
+    assert warnings(source, slow) == []
+
+
+def test_warnings_do_not_depend_on_the_number_of_threads(tmp_path: Path) -> None:
+    source = write_weaving(tmp_path / "drive.mcap", fault=Fault(late=0.06))
+    assert warnings(source, [RINGS], jobs=4) == warnings(source, [RINGS])
+
+
+@pytest.mark.parametrize("clock", [-0.06, 0.03])
+@pytest.mark.parametrize("deskew", [True, False])
+def test_clocks_of_two_lidars_that_differ_are_said(clock: float, deskew: bool, tmp_path: Path) -> None:
+    lidars = [RINGS, replace(REAR, clock=clock)]
+    source = write_weaving(tmp_path / "drive.mcap", lidars)
+    found = " ".join(warnings(source, lidars, deskew=deskew))
+    assert "rear was" not in " ".join(warnings(source, lidars, deskew=deskew, time_offset=[f"/rear={-clock:.2f}s"]))
+    assert f"`time_offset=/rear={-clock:.2f}s`" in found
+    assert (
+        f"/rear was measured {1000 * abs(clock):.0f} ms {'earlier' if clock > 0 else 'later'} than its stamps" in found
+    )

@@ -1,0 +1,206 @@
+"""Scans of several messages: equal to the scan of one cloud with all their points, where nothing moves."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pc2scan.advice.measurements import Measurements
+from pc2scan.conversion.cloud_to_scan import CloudToScan
+from pc2scan.conversion.combine import conversion as combine
+from pc2scan.conversion.combine.conversion import Contribution, MessagesToScan, common_memory
+from pc2scan.conversion.combine.grouping import Grouper
+from pc2scan.conversion.combine.rules import Nearest
+from pc2scan.conversion.steps import ConvertedMessage
+from pc2scan.core.params import ProjectionParams
+from pc2scan.core.points import Points
+from pc2scan.core.rigid import Rigid
+from pc2scan.errors import DecodeError
+from pc2scan.files.source import BorrowedBuffer, BufferPool
+from pc2scan.messages.laserscan import LaserScan, encode_laserscan
+from pc2scan.request.ground import MinHeightSlope
+from pc2scan.request.options import Combining, ScanSpec, TopicRequest
+from pc2scan.request.regions import ExcludeBox
+from pc2scan.request.where import Where
+from pc2scan.transforms.builder import TransformBuilder
+from pc2scan.transforms.placing import Placer
+
+T0 = 1_700_000_000_000_000_000
+MOUNTS = {
+    "a": Rigid.from_rpy(0.1, -0.2, 0.7, (0.3, -0.1, 0.5)),
+    "b": Rigid.from_rpy(0.0, 0.05, 3.0, (-0.4, 0.2, 0.6)),
+    "c": Rigid.from_rpy(-0.1, 0.0, -1.5, (0.0, 0.0, 1.0)),
+}
+TOPICS = tuple(f"/{frame}" for frame in MOUNTS)
+
+
+def frames() -> Placer:
+    builder = TransformBuilder()
+    builder.add([("base_link", frame, T0, *mount.pose) for frame, mount in MOUNTS.items()], static=True)
+    return Placer("base_link", "", builder.build(), 0)
+
+
+def conversion(params: ProjectionParams, **options: Any) -> MessagesToScan:
+    spec = ScanSpec(topics=tuple(TopicRequest(topic, "/scan") for topic in TOPICS), params=params, **options)
+    return MessagesToScan(spec, TOPICS, frames(), Measurements(0.1), lambda: Grouper(Nearest(windows_ns=(0, 0, 0)), 3))
+
+
+def cloud(rng: np.random.Generator, frame: str, stamp_ns: int) -> Points:
+    x, y, z = rng.normal(0, 3, (3, int(rng.integers(0, 200)))).astype(np.float32)
+    x[rng.uniform(size=x.size) < 0.05] = np.nan
+    intensity = rng.uniform(0, 100, x.size).astype(np.float32)
+    return Points(0, stamp_ns, frame, {"x": x, "y": y, "z": z, "intensity": intensity})
+
+
+def together(made: MessagesToScan, clouds: list[Any]) -> ConvertedMessage:
+    contribution: list[Contribution] = [made.stages(topic)[0](each) for topic, each in zip(TOPICS, clouds, strict=True)]
+    return made.scan(contribution[0], contribution)
+
+
+def concatenated(clouds: list[Points]) -> Points:
+    """All points in base_link, as tf2_sensor_msgs transforms clouds."""
+    fields: dict[str, Any] = {}
+    with np.errstate(invalid="ignore"):
+        placed = [MOUNTS[each.frame_id].apply(np.stack(each.xyz(), axis=1)) for each in clouds]
+    for axis, name in enumerate("xyz"):
+        fields[name] = np.concatenate([each[:, axis] for each in placed])
+    fields["intensity"] = np.concatenate([each.field("intensity") for each in clouds])
+    return Points(0, clouds[0].stamp_ns, "base_link", fields)
+
+
+def scan_of(params: ProjectionParams, points: Points, filters: Any = ()) -> ConvertedMessage:
+    result: Any = points
+    for stage in CloudToScan(params, frames(), {"/a": Measurements(0.1)}, filters).stages("/a"):
+        result = stage(result)
+    assert isinstance(result, ConvertedMessage)
+    return result
+
+
+def same(one: ConvertedMessage, other: ConvertedMessage) -> None:
+    assert encode_laserscan(one.message, "cdr") == encode_laserscan(other.message, "cdr")
+    assert one.counts == other.counts
+    assert one.empty == other.empty
+
+
+@given(
+    st.integers(0, 2**32),
+    st.sampled_from(
+        [{}, {"intensity_field": "intensity"}, {"reduce": "mean"}, {"geometry": "centered", "reduce": "surface"}]
+    ),
+    st.booleans(),
+)
+def test_without_motion_the_scan_is_that_of_joined_clouds(seed: int, choice: dict[str, Any], filtered: bool) -> None:
+    rng = np.random.default_rng(seed)
+    params = ProjectionParams(target_frame="base_link", min_height=-0.5, range_max=6.0, angle_increment=0.05, **choice)
+    filters = (Where("intensity > 20"), MinHeightSlope(-0.5, 0.05)) if filtered else ()
+    # Stamps differ, and it makes no difference: the sensors are mounted rigidly.
+    clouds = [cloud(rng, frame, T0 + number * 1_000_000) for number, frame in enumerate(MOUNTS)]
+    same(together(conversion(params, filters=filters), clouds), scan_of(params, concatenated(clouds), filters))
+
+
+def test_what_a_filter_rejects_in_its_own_frame_counts_once() -> None:
+    rng = np.random.default_rng(3)
+    box = ExcludeBox("base_link", (-1.0, 1.0), (-1.0, 1.0), (-5.0, 5.0))
+    params = ProjectionParams(target_frame="base_link", min_height=-0.5)
+    clouds = [cloud(rng, frame, T0) for frame in MOUNTS]
+    made, expected = together(conversion(params, filters=(box,)), clouds), scan_of(params, concatenated(clouds), (box,))
+    assert made.counts.exclude_box == expected.counts.exclude_box > 0
+    same(made, expected)
+
+
+@pytest.mark.parametrize(("choice", "kept"), [({}, set()), ({"reduce": "max"}, {"x", "y", "z"})])
+def test_preparing_keeps_nothing_of_the_message(choice: dict[str, Any], kept: set[str]) -> None:
+    rng = np.random.default_rng(4)
+    made = conversion(ProjectionParams(target_frame="base_link", min_height=-0.5, **choice))
+    clouds = [cloud(rng, frame, T0) for frame in MOUNTS]
+    contribution = [made.stages(topic)[0](each) for topic, each in zip(TOPICS, clouds, strict=True)]
+    before = encode_laserscan(made.scan(contribution[0], contribution).message, "cdr")
+    for each in clouds:
+        each.field("x")[:] = 1.0
+    assert encode_laserscan(made.scan(contribution[0], contribution).message, "cdr") == before
+    assert all(each.points.fields.keys() == kept for each in contribution)
+
+
+def moving_frames() -> Placer:
+    builder = TransformBuilder()
+    builder.add([("base_link", frame, T0, *mount.pose) for frame, mount in MOUNTS.items()], static=True)
+    for tick in range(40):
+        moved = Rigid.from_rpy(0.0, 0.01, 0.02 * tick, (0.03 * tick, 0.0, 0.0))
+        builder.add([("odom", "base_link", T0 + tick * 10_000_000, *moved.pose)], static=False)
+    return Placer("base_link", "", builder.build(), 0)
+
+
+@pytest.mark.parametrize("filters", [(), (MinHeightSlope(-0.5, 0.05),)])
+def test_messages_projected_for_another_scan_make_the_same(filters: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A message is projected for the scan that it seems to belong to; it may be another one."""
+
+    def scans() -> tuple[list[bytes], int]:
+        rng = np.random.default_rng(5)
+        params = ProjectionParams(target_frame="base_link", min_height=-0.5, angle_increment=0.02)
+        spec = ScanSpec(
+            topics=tuple(TopicRequest(topic, "/scan") for topic in TOPICS),
+            params=params,
+            fixed_frame="odom",
+            filters=filters,
+        )
+        made = MessagesToScan(
+            spec, TOPICS, moving_frames(), Measurements(0.1), lambda: Grouper(Nearest(windows_ns=(0, 0, 0)), 3)
+        )
+        stages = [made.stages(topic)[0] for topic in TOPICS]
+        first, second = (stages[0](cloud(rng, "a", T0 + ms * 1_000_000)) for ms in (0, 200))
+        rear: Contribution = stages[1](cloud(rng, "b", T0 + 237_000_000))
+        last = stages[0](cloud(rng, "a", T0 + 240_000_000))
+        found = [made.scan(lead, [lead, rear]) for lead in (first, second, last)]
+        counts = [result.counts for result in found]
+        assert counts[1] != counts[2]
+        assert [result.motion is not None for result in found] == [True] * 3
+        return [encode_laserscan(result.message, "cdr") + repr(result.counts).encode() for result in found], (
+            rear.nearest is not None
+        )
+
+    supposed, is_projected = scans()
+    assert is_projected
+    monkeypatch.setattr(combine, "_FEWEST_LEADS", 100)
+    late, is_projected = scans()
+    assert not is_projected
+    assert supposed == late
+
+
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_only_points_that_stay_as_they_are_are_not_copied(wrapped: bool) -> None:
+    buffers = BufferPool()
+    borrowed = BorrowedBuffer(buffers, 1 << 20)
+    rows = np.frombuffer(
+        memoryview(borrowed.buffer).toreadonly()[:960_000] if wrapped else borrowed.buffer, np.float32
+    ).reshape(-1, 4)
+    memory = common_memory(rows[:, axis] for axis in range(3))
+    assert memory is not None
+    assert common_memory([rows[:, 0], np.zeros(len(rows), np.float32)]) is None
+    # A copy of a small part takes less than all of it.
+    assert common_memory([rows[:1000, 0]]) is None
+    del borrowed
+    assert not buffers
+    del memory
+    assert len(buffers) == 1
+
+
+def test_a_missing_field_is_the_error_of_its_message() -> None:
+    made = conversion(ProjectionParams(target_frame="base_link", intensity_field="reflectivity"))
+    with pytest.raises(DecodeError, match="no field 'reflectivity'"):
+        made.stages("/a")[0](cloud(np.random.default_rng(0), "a", T0))
+
+
+def test_heights_of_beams_count_only_if_they_are_asked_for() -> None:
+    flat = LaserScan(0, T0, "a", -1.0, 1.0, 0.25, 0.0, 0.1, 0.1, 10.0, np.full(9, 2.0, np.float32))
+    for params, kept in ((ProjectionParams(), 9), (ProjectionParams(min_height=0.1), 0)):
+        spec = ScanSpec(params=params, combining=Combining(rebin=True))
+        made = MessagesToScan(spec, ["/a"], Placer(), Measurements(0.1), None)
+        result: Any = flat
+        for stage in made.stages("/a"):
+            result = stage(result)
+        assert (result.counts.used, result.counts.height) == (kept, 9 - kept)
+        assert result.rebinned is not None

@@ -1,0 +1,255 @@
+"""Scans of several messages whose stamps jump, and of topics that begin late or stop: by the public functions."""
+
+from __future__ import annotations
+
+import re
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import pytest
+
+import pc2scan
+from pc2scan.conversion.combine import grouping
+from pc2scan.errors import ResultError, UsageError, stamp_text
+from support import ROOT, sampled
+from support.builders import CLOUD, SECOND, TF, Item, Recording, Stream, cloud, transforms, write_mcap
+from support.tables import rows
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+TABLES = Path(__file__).with_name("silence.txt")
+HALL = ROOT / "fixtures" / "hall.bag"
+T0 = 1_700_000_000 * SECOND
+HOUR = 3600 * SECOND
+DAY = 86_400 * SECOND
+
+#: Each cloud has one point, and its number decides in which of so many beams.
+BEAMS = 360
+BOTH: dict[str, Any] = {"topics": ["/front:=/scan", "/rear:=/scan"], "target_frame": "base_link"}
+
+
+class Cloud(NamedTuple):
+    """A cloud on its way to a recording: seconds from the beginning, and by how much its stamp is off, nanoseconds."""
+
+    topic: str
+    at: float
+    off_ns: int = 0
+
+
+def clouds(topic: str, seconds: Iterable[float], off_ns: Callable[[float], int] = lambda _: 0) -> list[Cloud]:
+    return [Cloud(topic, at, off_ns(at)) for at in seconds]
+
+
+def tenths(begin: float, end: float, phase: float = 0.0) -> list[float]:
+    return [round(number / 10 + phase, 3) for number in range(round(begin * 10), round(end * 10))]
+
+
+def recorded(path: Path, found: Iterable[Cloud], points: int = 1, *, moving: float = 0.0) -> Path:
+    """Write an MCAP file; with ``moving`` seconds of odometry."""
+    still = (0.0, 0.0, 0.0)
+    static = [("base_link", frame, T0, still) for frame in ("front", "rear")]
+    items = [Item(Stream("/tf_static", TF), T0 - SECOND, {2: transforms(static, 2)})]
+    for number in range(round(-5 * bool(moving)), round(10 * moving)):
+        time_ns = T0 + number * SECOND // 10
+        items.append(Item(Stream("/tf", TF), time_ns, {2: transforms([("odom", "base_link", time_ns, still)], 2)}))
+    streams = {topic: Stream(topic, CLOUD) for topic in ("/front", "/rear")}
+    for number, (topic, at, off_ns) in enumerate(found):
+        time_ns = T0 + round(at * 1e9)
+        angle = np.radians(0.5 + number % BEAMS)
+        xyz = np.tile(np.array([2 * np.cos(angle), 2 * np.sin(angle), 0.5], "<f4"), (points, 1))
+        data = cloud(xyz, 2, stamp_ns=time_ns + off_ns, frame_id=topic.removeprefix("/"))
+        items.append(Item(streams[topic], time_ns + 5_000_000, {2: data}))
+    items.sort(key=lambda each: (each.log_time_ns, each.stream.topic))
+    declared = dict.fromkeys([*(each.stream for each in items), *streams.values()])
+    return write_mcap(path, Recording(tuple(declared), tuple(items)))
+
+
+class Made(NamedTuple):
+    """The scans of a conversion: their stamps as seconds from the beginning, how many clouds each has; its report."""
+
+    stamps: list[float]
+    sizes: list[int]
+    report: pc2scan.Report
+
+
+def made(source: Path, **options: Any) -> Made:
+    destination = source.with_name("scans.mcap")
+    report = pc2scan.convert(source, destination, only_scans=True, overwrite=True, beams=BEAMS, **options)
+    scans = list(pc2scan.scans(destination))
+    stamps = [round((scan.stamp_ns - T0) / 1e9, 3) for scan in scans]
+    return Made(stamps, [int(np.isfinite(scan.ranges).sum()) for scan in scans], report)
+
+
+@pytest.mark.parametrize(
+    ("jobs", "fixed"), sampled(product([3, 1], [{"fixed_frame": "odom", "target_frame": "base_link"}, {}]), 1)
+)
+def test_the_last_clouds_of_each_interval_are_all_that_is_held(
+    jobs: int, fixed: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(grouping, "MAX_HELD_BYTES", 120_000)
+    # Some 14 kB each.
+    source = recorded(tmp_path / "d.mcap", clouds("/front", tenths(0, 15)), 1000, moving=16.0)
+    found = made(source, topics="/front:=/scan", every=1, accumulate="2clouds", jobs=jobs, **fixed)
+    assert found.stamps == [round(0.9 + number, 1) for number in range(15)]
+    assert found.sizes == [2] * 15
+
+
+GATHERED: list[tuple[dict[str, Any], int, int]] = [
+    ({"accumulate": 1}, 10, 20), ({"every": 1}, 1, 20), ({"accumulate": "3clouds"}, 10, 6), ({}, 10, 2)
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("speaks", "options", "scans", "size"),
+    sampled([(speaks, *each) for each in GATHERED for speaks in ((0, 2), (10, 15))], 3),
+)
+def test_scans_are_made_while_the_leading_lidar_speaks(
+    speaks: tuple[int, int],
+    options: dict[str, Any],
+    scans: int,
+    size: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(grouping, "MAX_HELD_BYTES", 700_000)
+    begin, end = speaks
+    found = [*clouds("/front", tenths(begin, end)), *clouds("/rear", tenths(0, 15, 0.03))]
+    source = recorded(tmp_path / "d.mcap", sorted(found, key=lambda each: each.at), 1000, moving=16.0)
+    done = made(source, **BOTH, **options, fixed_frame="odom")
+    assert len(done.stamps) == (end - begin) * scans
+    assert all(begin <= stamp < end for stamp in done.stamps)
+    assert done.sizes[-2] == size
+
+
+@pytest.mark.parametrize(("speaks", "options", "left"), rows(TABLES, "silent leads"))
+def test_what_is_lost_while_the_lead_is_silent_is_said(
+    speaks: tuple[int, int], options: dict[str, Any], left: str, tmp_path: Path
+) -> None:
+    found = [*clouds("/front", tenths(*speaks)), *clouds("/rear", tenths(0, 15, 0.03))]
+    source = recorded(tmp_path / "d.mcap", sorted(found, key=lambda each: each.at))
+    report = made(source, **BOTH, **options).report
+    expected = re.sub(r"\{(.*?)\}", lambda at: stamp_text(T0 + round(float(at[1]) * 1e9)), left)
+    (warning,) = (each for each in report.warnings if "messages of /rear" in each)
+    assert warning == f"{expected}. Scans are made for messages of the leading topic, the first one of `topics`"
+    assert not any("messages of /rear are" in each for each in report.notes)
+    assert not any("messages of /front" in each for each in report.warnings)
+    (entry,) = (topic for topic in report.as_dict()["topics"] if topic["topic"] == "/rear")
+    assert entry["joined"]["longest_unmatched"]["number"] == int(expected.partition("; ")[2].partition(" ")[0])
+
+
+def test_a_lead_without_messages_is_named_as_the_cause(tmp_path: Path) -> None:
+    source = recorded(tmp_path / "d.mcap", clouds("/rear", tenths(0, 5)))
+    with pytest.raises(ResultError, match="the leading topic has none, so those of /rear are in no scan") as caught:
+        made(source, **BOTH)
+    assert "name another topic first" in str(caught.value.hint)
+
+
+def test_messages_left_out_on_purpose_are_a_note(tmp_path: Path) -> None:
+    source = recorded(tmp_path / "d.mcap", clouds("/front", tenths(0, 30)))
+    report = made(source, topics="/front:=/scan", every=10, accumulate="2clouds").report
+    (note,) = (each for each in report.notes if "in no scan" in each)
+    assert note == (
+        "294 of 300 messages of /front are in no scan on /scan; 98 in a row, from 1700000000.000000000 to "
+        "1700000009.700000000"
+    )
+    assert not any("in no scan" in each for each in report.warnings)
+
+
+def test_stamps_that_jump_back_begin_a_new_series(tmp_path: Path) -> None:
+    source = recorded(tmp_path / "d.mcap", clouds("/front", tenths(0, 30), lambda at: 0 if at < 10 else -HOUR))
+    one = {"topics": "/front:=/scan"}
+    turns = made(source, **one, every=1)
+    assert turns.sizes == [10] * 30
+    gathered = made(source, **one, accumulate=1)
+    assert gathered.sizes == [*range(1, 10), *[10] * 91, *range(1, 10), *[10] * 191]
+    for done in (turns, gathered):
+        (warning,) = (each for each in done.report.warnings if "jump" in each)
+        assert warning == (
+            "the stamps of /front jump back by 3,600 s at 1699996410.000000000, compared with their log times: no scan "
+            "on /scan has messages from before and after"
+        )
+        (entry,) = (topic for topic in done.report.as_dict()["topics"] if topic["topic"] == "/front")
+        assert entry["joined"]["jumped"] == 1
+        assert entry["joined"]["jumps"] == [{"stamp_ns": T0 + 10 * SECOND - HOUR, "by_ns": -HOUR}]
+
+
+@pytest.mark.parametrize("options", sampled([{}, {"accumulate": "100ms"}, {"every": "100ms"}], 1))
+def test_four_wrong_first_stamps_are_no_other_clock(options: dict[str, Any], tmp_path: Path) -> None:
+    rear = clouds("/rear", tenths(0, 30, 0.03), lambda at: DAY if at < 0.4 else 0)
+    source = recorded(tmp_path / "d.mcap", [*clouds("/front", tenths(0, 30)), *rear])
+    done = made(source, **BOTH, **options)
+    assert len(done.stamps) == 300
+    (entry,) = (topic for topic in done.report.topics if topic.topic == "/rear")
+    assert entry.joined is not None
+    assert (entry.joined.unmatched, entry.joined.jumped) in {(4, 1), (5, 1)}
+    assert any("the stamps of /rear jump back by 86,400 s" in each for each in done.report.warnings)
+
+
+@pytest.mark.parametrize("options", [{"every": 1}, {"every": 1, "accumulate": "10clouds"}], ids=["", "count"])
+def test_jitter_moves_no_cloud_into_another_interval(options: dict[str, Any], tmp_path: Path) -> None:
+    jittered = [at + (-0.02, 0.02)[number // 10 % 2] for number, at in enumerate(tenths(1, 9))]
+    source = recorded(tmp_path / "d.mcap", clouds("/front", [0.0, *tenths(0.1, 1), *jittered]))
+    done = made(source, topics="/front:=/scan", **options)
+    assert done.sizes == [10] * 9
+    assert done.stamps == [0.9, *(round(1.9 + number + (-0.02, 0.02)[number % 2], 2) for number in range(8))]
+
+
+def test_a_window_joins_topics_of_clocks_that_are_apart(tmp_path: Path) -> None:
+    rear = clouds("/rear", tenths(0, 20), lambda _: 5 * SECOND)
+    found = sorted([*clouds("/front", tenths(0, 20)), *rear], key=lambda each: each.at)
+    done = made(recorded(tmp_path / "d.mcap", found), **BOTH, window=5)
+    # Equal stamps, which there are after 5 s.
+    assert done.sizes == [1] * 50 + [2] * 150
+    assert not any("jump" in each for each in done.report.warnings)
+
+
+@pytest.mark.parametrize("topics", [["/front:=/scan", "/rear:=/scan"], ["/rear:=/scan", "/front:=/scan"]])
+def test_the_window_is_half_of_the_longer_period(topics: list[str], tmp_path: Path) -> None:
+    # One cloud of /rear in 0.1 s, one of /front in 0.4 s; at last they are 0.15 s apart.
+    found = [*clouds("/front", [0.0, 0.4, 0.8, 3.0]), *clouds("/rear", [*tenths(0, 1), 3.15])]
+    done = made(recorded(tmp_path / "d.mcap", found), **{**BOTH, "topics": topics})
+    assert [size for size in done.sizes if size > 1] == [2, 2, 2, 2]
+
+
+# A scan of an interval has the log time of the message that ends the interval.
+@pytest.mark.parametrize(("options", "lost"), [({"accumulate": 0.5}, 2), ({"every": 0.5}, 3)], ids=str)
+def test_scans_that_the_destination_cannot_hold_are_listed(options: dict[str, Any], lost: int, tmp_path: Path) -> None:
+    # The log times of the last two messages are beyond the 32 bits that a ROS 1 bag has for seconds.
+    late = clouds("/front", [3e9, 3e9 + 1], lambda _: -3_000_000_000 * SECOND + 2 * SECOND)
+    source = recorded(tmp_path / "d.mcap", [*clouds("/front", tenths(0, 1)), *late])
+    report = pc2scan.convert(source, tmp_path / "o.bag", topics="/front:=/scan", **options)
+    (entry,) = (topic for topic in report.topics if topic.topic == "/front")
+    assert (report.exit_status, report.skipped_count, entry.skipped) == (3, lost, lost)
+    assert [each.topic for each in report.skipped] == ["/front"] * lost
+    assert all("that a ROS 1 bag can hold" in each.reason for each in report.skipped)
+    assert len(list(pc2scan.scans(tmp_path / "o.bag"))) == entry.messages_out > 0
+
+
+def test_another_clock_is_one_in_the_whole_recording(tmp_path: Path) -> None:
+    rear = clouds("/rear", tenths(0, 10, 0.03), lambda _: DAY)
+    source = recorded(tmp_path / "d.mcap", [*clouds("/front", tenths(0, 10)), *rear])
+    with pytest.raises(UsageError, match="of different clocks"):
+        made(source, **BOTH)
+
+
+def test_many_jumps_are_counted_and_three_are_listed(tmp_path: Path) -> None:
+    source = recorded(tmp_path / "d.mcap", clouds("/front", tenths(0, 6), lambda at: -HOUR * (int(at) % 2)))
+    done = made(source, topics="/front:=/scan", every=1)
+    assert done.sizes == [10] * 6
+    (warning,) = (each for each in done.report.warnings if "jump" in each)
+    assert warning.count("by 3,600 s at") == 3
+    assert "and 2 more times, compared with" in warning
+
+
+@pytest.mark.parametrize("options", [{}, {"keep_used": "/used"}], ids=["ranges", "points"])
+def test_time_is_counted_back_from_the_last_message(options: dict[str, Any], tmp_path: Path) -> None:
+    report = pc2scan.convert(
+        HALL, tmp_path / "o.bag", every=0.4, accumulate=0.1, min_height=-0.3, topics="/points:=/scan", **options
+    )
+    (entry,) = (topic for topic in report.topics if topic.action == "converted")
+    assert entry.messages_out > 1
+    assert entry.empty_scans == 0
+    assert not any("no return" in each for each in report.warnings)

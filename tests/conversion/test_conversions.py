@@ -1,0 +1,200 @@
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from pc2scan.advice.measurements import Measurements
+from pc2scan.conversion.cloud_to_scan import CloudToScan
+from pc2scan.conversion.scan_to_cloud import ScanToCloud
+from pc2scan.core.params import ProjectionParams
+from pc2scan.core.project import project
+from pc2scan.core.unproject import UnprojectParams
+from pc2scan.errors import DecodeError, TransformError
+from pc2scan.messages.laserscan import LaserScan, decode_laserscan, encode_laserscan
+from pc2scan.messages.pointcloud2 import PointCloud2, decode_pointcloud2
+from pc2scan.transforms.builder import TransformBuilder
+from pc2scan.transforms.placing import Placer
+from support import builders
+from support.conversions import serialized_by
+from support.tables import rows
+
+if TYPE_CHECKING:
+    from pc2scan.conversion.steps import Conversion, ConvertedMessage
+
+TABLES = Path(__file__).parent / "stages/times.txt"
+SECOND = 1_000_000_000
+BAND = ProjectionParams(min_height=-1.0, max_height=1.0)
+
+
+def cloud(points: Any, ros_version: int = 1, stamp_ns: int = 5 * SECOND) -> bytes:
+    return builders.cloud(np.array(points, np.float32), ros_version, seq=9, stamp_ns=stamp_ns)
+
+
+def scan(ranges: Any, stamp_ns: int = 5 * SECOND, **changes: Any) -> bytes:
+    values = {
+        "sequence": 9,
+        "stamp_ns": stamp_ns,
+        "frame_id": "laser",
+        "angle_min": -1.0,
+        "angle_max": 1.0,
+        "angle_increment": 0.5,
+        "time_increment": 0.0,
+        "scan_time": 0.1,
+        "range_min": 0.1,
+        "range_max": 30.0,
+        "ranges": np.asarray(ranges, np.float32),
+    }
+    return encode_laserscan(LaserScan(**{**values, **changes}), "ros1")
+
+
+def frames(target: str, *rows: tuple[str, str, int, float, float]) -> Placer:
+    """Frames that move along x and turn about z: parent, child, stamp, x, yaw."""
+    builder = TransformBuilder()
+    builder.add(
+        (
+            (parent, child, stamp, x, 0.0, 0.0, 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
+            for parent, child, stamp, x, yaw in rows
+        ),
+        static=False,
+    )
+    return Placer(target, "", builder.build(), 0)
+
+
+def once(
+    conversion: Conversion, message: bytes, source: str = "ros1", target: str = "ros1", topic: str = "/topic"
+) -> ConvertedMessage:
+    made: ConvertedMessage = serialized_by(conversion, topic, source, target)(message)
+    return made
+
+
+def points_of(message: PointCloud2) -> Any:
+    return np.stack(message.xyz(), axis=1)
+
+
+@pytest.mark.parametrize(
+    ("stamp_ns", "first_beam_ns", "expected"),
+    [(5 * SECOND, -7, 5 * SECOND - 7), (5 * SECOND, 7, 5 * SECOND + 7), (5, -7, 0), (-SECOND, 0, -SECOND)],
+)
+def test_a_timed_topic_has_its_own_stamps(stamp_ns: int, first_beam_ns: int, expected: int) -> None:
+    params = ProjectionParams(scan_time="auto", time_increment="auto")
+    conversion = CloudToScan(params, Placer(), {"/front": Measurements(0.125, -0.25, first_beam_ns)})
+    ros_version, serialization = (1, "ros1") if stamp_ns >= 0 else (2, "cdr")
+    message = cloud(np.empty((0, 3)), ros_version, stamp_ns)
+    read = decode_laserscan(once(conversion, message, serialization, serialization, "/front").message, serialization)
+    assert (read.stamp_ns, read.scan_time, read.time_increment) == (expected, 0.125, -0.25)
+    other = decode_laserscan(once(conversion, message, serialization, serialization, "/rear").message, serialization)
+    assert (other.stamp_ns, other.scan_time, other.time_increment) == (stamp_ns, 0, 0)
+
+
+def test_a_cloud_is_transformed_before_the_limits_apply() -> None:
+    known = frames("base", ("base", "lidar", 4 * SECOND, 0.0, 0.0), ("base", "lidar", 6 * SECOND, 2.0, math.pi))
+    points = [[3, 0, 0.5], [2, 4, -0.5], [0, 0, 3]]
+    made = once(CloudToScan(ProjectionParams(min_height=-1, max_height=1, target_frame="base"), known), cloud(points))
+    read = decode_laserscan(made.message, "ros1")
+    moved = known.place("lidar", 5 * SECOND).target_from_source
+    assert moved is not None
+    expected = project(moved.apply(np.float32(points)), BAND)  # type: ignore[arg-type]
+    assert read.frame_id == "base"
+    assert read.ranges.tobytes() == expected.ranges.tobytes()
+    assert made.counts == expected.counts
+    # Half way: moved by 1 m and turned by 90 degrees, so that x became y.
+    np.testing.assert_allclose(np.sort(read.ranges)[:2], [math.hypot(1, 3), math.hypot(3, 2)], rtol=1e-6)
+
+
+def test_the_way_back_carries_the_header_and_all_channels() -> None:
+    every = UnprojectParams(distances=True, stamps=True, viewpoint=True)
+    ranges = [1, 2, math.nan, 40, 3, 0.01, math.inf]
+    message = scan(ranges, intensities=np.arange(7, dtype=np.float32), time_increment=0.25)
+    made = once(ScanToCloud(every, Placer()), message, "ros1", "cdr")
+    read = decode_pointcloud2(made.message, "cdr")
+    assert (read.stamp_ns, read.frame_id, read.height, read.width, read.is_dense) == (5 * SECOND, "laser", 1, 3, False)
+    names = ["x", "y", "z", "intensity", "index", "distances", "stamps", "vp_x", "vp_y", "vp_z"]
+    assert [field.name for field in read.fields] == names
+    assert read.field("index").tolist() == [0, 1, 4]
+    assert read.field("intensity").tolist() == [0, 1, 4]
+    assert read.field("stamps").tolist() == [0, 0.25, 1.0]
+    assert (made.counts.total, made.counts.used, made.counts.nan, made.counts.range) == (7, 3, 1, 3)
+
+
+def test_deskewing_takes_each_beam_from_where_the_sensor_was() -> None:
+    # 1 m/s and a quarter turn a second; five beams, a quarter of a second apart.
+    rows = [("odom", "laser", (5 + k) * SECOND, float(k), k * math.pi / 2) for k in range(2)]
+    message = scan([2.0] * 5, angle_min=0.0, angle_increment=0.0, time_increment=0.25)
+    made = once(ScanToCloud(None, frames("odom", *rows), deskewed=True), message)
+    expected = [[t + 2 * math.cos(t * math.pi / 2), 2 * math.sin(t * math.pi / 2), 0] for t in np.linspace(0, 1, 5)]
+    np.testing.assert_allclose(points_of(decode_pointcloud2(made.message, "ros1")), expected, atol=2e-6)
+    none = once(ScanToCloud(None, frames("odom", *rows), deskewed=True), scan([], time_increment=0.1))
+    assert decode_pointcloud2(none.message, "ros1").points == 0
+    plain = once(ScanToCloud(None, frames("odom", *rows)), message)
+    np.testing.assert_allclose(points_of(decode_pointcloud2(plain.message, "ros1")), [[2, 0, 0]] * 5, atol=2e-6)
+
+
+@pytest.mark.parametrize(("stamp_ns", "increment", "message"), rows(TABLES, "last beams"))
+def test_last_beams_beyond_ros_time_are_an_error(stamp_ns: int, increment: float, message: str) -> None:
+    known = frames("odom", ("odom", "laser", SECOND, 1.0, 0.0))
+    with pytest.raises(DecodeError, match=message) as caught:
+        once(ScanToCloud(None, known, deskewed=True), scan([2.0] * 3, stamp_ns, time_increment=increment))
+    assert caught.value.stamp_ns == stamp_ns
+
+
+def test_nans_that_signal_are_nans_like_any_other() -> None:
+    signalling = np.array([0x7F800001, 0xFFBFFFFF, 0x3F800000], np.uint32).view(np.float32)
+    known = frames("odom", ("odom", "laser", 5 * SECOND, 1.0, 0.5))
+    every = UnprojectParams(distances=True, stamps=True, viewpoint=True)
+    for deskewed in (False, True):
+        message = scan(signalling, intensities=signalling[::-1].copy())
+        made = once(ScanToCloud(every, known, deskewed=deskewed), message)
+        assert (made.counts.used, made.counts.nan) == (1, 2)
+        (intensity,) = decode_pointcloud2(made.message, "ros1").field("intensity").view(np.uint32)
+        # The bits are the scan's: a signalling NaN stays one.
+        assert intensity == 0x7F800001
+
+
+@pytest.mark.parametrize("static", [False, True])
+@pytest.mark.parametrize("stamp_ns", [5 * SECOND, 0])
+def test_a_transformed_cloud_has_the_header_of_the_transform(stamp_ns: int, static: bool) -> None:
+    """And a deskewed one that of the scan."""
+    builder = TransformBuilder()
+    for second in (4, 5, 6) if not static else (5,):
+        builder.add([("odom", "laser", second * SECOND, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)], static=static)
+    known = Placer("odom", "", builder.build(), 0)
+    message = scan([2.0] * 3, stamp_ns)
+    newest = stamp_ns or (0 if static else 6 * SECOND)
+    for conversion, expected in (
+        (ScanToCloud(None, known), (0, newest, "odom")),
+        (ScanToCloud(None, known, deskewed=True), (9, stamp_ns, "odom")),
+        (ScanToCloud(None, Placer()), (9, stamp_ns, "laser")),
+    ):
+        read = decode_pointcloud2(once(conversion, message).message, "ros1")
+        assert (read.sequence, read.stamp_ns, read.frame_id) == expected
+
+
+#: A time without a transform, and an intensity for one of two beams.
+NO_SCANS: list[tuple[Any, bytes, type[Exception], str]] = [
+    (
+        ScanToCloud(None, frames("odom", ("odom", "laser", 5 * SECOND, 1.0, 0.0)), deskewed=True),
+        scan([2.0] * 3, time_increment=0.1),
+        TransformError,
+        "too late",
+    ),
+    (ScanToCloud(None, Placer()), scan([1, 2], intensities=np.array([1.0], np.float32)), DecodeError, "intensities"),
+    (
+        CloudToScan(ProjectionParams(intensity_field="r"), Placer()),
+        cloud([[2, 0, 0]]),
+        DecodeError,
+        "no field 'r'; the",
+    ),
+]
+
+
+@pytest.mark.parametrize(("conversion", "message", "kind", "what"), NO_SCANS)
+def test_what_cannot_be_converted_is_an_error_with_the_stamp(
+    conversion: Any, message: bytes, kind: type[Exception], what: str
+) -> None:
+    with pytest.raises(kind, match=what) as caught:
+        once(conversion, message)
+    assert kind is TransformError or caught.value.stamp_ns == 5 * SECOND  # type: ignore[attr-defined]

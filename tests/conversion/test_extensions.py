@@ -1,0 +1,218 @@
+"""A toy message type, a toy filter and a toy output, none of which the package knows of."""
+
+from __future__ import annotations
+
+import json
+import struct
+from contextlib import closing
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+import pc2scan
+from pc2scan.bags.mcap.write import McapWriter
+from pc2scan.bags.opening import open_recording
+from pc2scan.core.points import Points
+from pc2scan.errors import DecodeError, ParameterError, UsageError
+from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.laserscan import LaserScan, decode_laserscan
+from pc2scan.messages.pointcloud2 import POINTCLOUD2
+from pc2scan.model import Connection, Definition
+from pc2scan.request.filters import Frame
+from pc2scan.request.options import ScanSpec
+from support import builders
+from support.builders import T0
+from support.command import run
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from pc2scan.messages.clouds import Decode
+    from pc2scan.model import Buffer
+    from pc2scan.request.filters import Filter
+
+TOY_CLOUD = "toy_msgs/msg/Polar"
+BAND = pc2scan.ProjectionParams(min_height=-1.0, max_height=2.0)
+FORWARD = [[2.0, 0.01, 0.5, 7], [3.0, 0.01, 0.5, 1], [0.0, 4.0, 0.5, 1], [-5.0, -1.0, 0.5, 9], [1.0, 1.0, 9.0, 9]]
+
+
+def polar_decoder(serialization: str) -> Decode:
+    """Of messages with a stamp (ns), and pairs of float32: a range and an angle."""
+    assert serialization == "cdr"
+
+    def decode(data: Buffer) -> Points:
+        if len(data) % 8:
+            raise DecodeError("it ends in the middle of a point")
+        ranges, angles = np.frombuffer(data, "<f4", offset=8).reshape(-1, 2).T
+        x, y = ranges * np.cos(angles), ranges * np.sin(angles)
+        return Points(0, struct.unpack_from("<q", data)[0], "polar", {"x": x, "y": y, "z": np.zeros_like(x)})
+
+    return decode
+
+
+@dataclass(frozen=True)
+class EveryNth:
+    """Keeps every n-th point whose ring is not too high."""
+
+    n: int
+    highest: int = 100
+
+    name = "thinned"
+    explanation = "thinned out (see n)"
+    fields = ("ring",)
+    frame = Frame.SOURCE
+
+    def __call__(self, points: Points) -> NDArray[np.bool_]:
+        ring = points.field("ring").reshape(-1)
+        kept: NDArray[np.bool_] = (np.arange(ring.size) % self.n == 0) & (ring <= self.highest)
+        return kept
+
+
+@dataclass(frozen=True)
+class Beyond:
+    """Keeps what is beyond a plane of a frame."""
+
+    frame: Any
+    x: float
+
+    name = "this_side"
+    explanation = "on this side"
+    fields = ()
+
+    def __call__(self, points: Points) -> NDArray[np.bool_]:
+        kept: NDArray[np.bool_] = ~(points.field("x") <= self.x)
+        return kept
+
+
+def recorded(path: Path, msgtype: str, messages: list[bytes]) -> Path:
+    writer = McapWriter(path, "none")
+    connection = Connection(0, "/points", msgtype, "cdr", Definition("ros2msg", b"# toy\n"))
+    handle = writer.add_connection(connection)
+    for number, data in enumerate(messages):
+        writer.write(handle, T0 + number, data, T0 + number)
+    writer.finish()
+    return path
+
+
+def cloud() -> bytes:
+    return builders.cloud(np.array(FORWARD, np.float32), 2, names=("x", "y", "z", "ring"))
+
+
+def messages_of(path: Path, topic: str = "/scan") -> list[bytes]:
+    with closing(open_recording(path)) as reader:
+        return [bytes(message.data) for message in reader.messages() if message.connection.topic == topic]
+
+
+def scan_of(path: Path) -> LaserScan:
+    (data,) = messages_of(path)
+    return decode_laserscan(data, "cdr")
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_new_cloud_type_is_one_decoder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, jobs: int) -> None:
+    monkeypatch.setitem(CLOUDS, TOY_CLOUD, polar_decoder)
+    source = recorded(tmp_path / "a.mcap", TOY_CLOUD, [struct.pack("<q4f", T0, 2.0, 0.01, 3.0, 1.5), b"broken"])
+    report = pc2scan.convert(source, tmp_path / "b.mcap", params=BAND, jobs=jobs)
+    (topic,) = report.topics
+    assert (topic.msgtype, topic.target, topic.messages_out, topic.skipped) == (TOY_CLOUD, "/scan", 1, 1)
+    assert report.skipped[0].reason == "it ends in the middle of a point"
+    assert topic.points == pc2scan.PointCounts(total=2, used=2)
+    scan = scan_of(tmp_path / "b.mcap")
+    assert (scan.frame_id, scan.stamp_ns) == ("polar", T0)
+    assert scan.ranges[np.isfinite(scan.ranges)].tolist() == pytest.approx([2.0, 3.0])
+
+
+def test_a_new_cloud_type_is_in_what_is_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(CLOUDS, TOY_CLOUD, polar_decoder)
+    source = recorded(tmp_path / "a.mcap", TOY_CLOUD, [struct.pack("<q4f", T0, 2.0, 0.0, 3.0, 0.0)])
+    (described,) = pc2scan.info([source]).clouds
+    assert (described.shape, described.points_max, described.frames) == ((1, 2), 2, ("polar",))
+    assert [name for name, *_ in described.fields] == ["x", "y", "z"]
+    printed = run("info", source).stdout
+    assert "2 a cloud (1 x 2)\n" in printed
+    assert "x float32, y float32, z float32" in printed
+    with pytest.raises(UsageError, match="the recording has no LaserScan topic") as caught:
+        pc2scan.convert(source, tmp_path / "b.mcap", reverse=True)
+    assert caught.value.hint == "it has Polar topics; without `reverse` they become scans"
+    with pytest.raises(ParameterError, match="intensity_field is 'ring', which the clouds on /points do not have"):
+        pc2scan.convert(source, tmp_path / "b.mcap", params=pc2scan.ProjectionParams(intensity_field="ring"))
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_new_filter_is_one_class(tmp_path: Path, jobs: int) -> None:
+    source = recorded(tmp_path / "a.mcap", POINTCLOUD2, [cloud(), cloud()])
+    report = pc2scan.convert(
+        source, tmp_path / "b.mcap", params=BAND, filters=[EveryNth(2, highest=8)], jobs=jobs, only_scans=True
+    )
+    (topic,) = report.topics
+    # The third and the first are kept; the fifth would be, but for its ring.
+    assert topic.points == pc2scan.PointCounts(total=10, used=4, thinned=6)
+    assert topic.points.thinned == 6
+    written = json.loads(report.as_json())
+    assert written["scans"][0]["filters"] == [{"name": "thinned", "n": 2, "highest": 8}]
+    assert list(written["topics"][0]["points"]) == [*pc2scan.PointCounts().as_dict(), "thinned"]
+    for data in messages_of(tmp_path / "b.mcap"):
+        ranges = decode_laserscan(data, "cdr").ranges
+        assert ranges[np.isfinite(ranges)].tolist() == pytest.approx([2.0, 4.0], rel=1e-4)
+
+
+@pytest.mark.parametrize("frame", [Frame.SOURCE, Frame.TARGET, "base"])
+def test_filters_work_in_the_frame_that_they_name(tmp_path: Path, frame: Any) -> None:
+    source = recorded(tmp_path / "a.mcap", POINTCLOUD2, [cloud()])
+    static = [pc2scan.StaticTransform.parse("map lidar 0 0 0 0 0 1 0")]
+    static.append(pc2scan.StaticTransform.parse("base lidar 10 0 0 0 0 0 1"))
+    static.pop(1 if frame != "base" else 0)
+    params = pc2scan.ProjectionParams(
+        min_height=-1.0, max_height=2.0, target_frame="map" if frame is Frame.TARGET else ""
+    )
+    limit = {Frame.SOURCE: 1.5, Frame.TARGET: 0.0, "base": 11.5}[frame]
+    options: dict[str, Any] = {"params": params, "static_tf": static, "filters": [Beyond(frame, limit)]}
+    points = pc2scan.convert(source, tmp_path / "b.mcap", **options).topics[0].points
+    # Turned by half a turn, the fourth is in front; the third is at -4e-16 or so.
+    expected = {"used": 1, "this_side": 4} if frame is Frame.TARGET else {"used": 2, "this_side": 3}
+    assert points.total == 5
+    assert {name: getattr(points, name) for name in expected} == expected
+
+
+def test_filters_are_applied_in_their_order(tmp_path: Path) -> None:
+    source = recorded(tmp_path / "a.mcap", POINTCLOUD2, [cloud()])
+    target = tmp_path / "b.mcap"
+
+    def points(*filters: Filter) -> Any:
+        return pc2scan.convert(source, target, params=BAND, filters=filters, overwrite=True).topics[0].points
+
+    every, far = EveryNth(2), Beyond(Frame.SOURCE, 1.5)
+    assert points(far, every) == pc2scan.PointCounts(total=5, used=1, this_side=3, thinned=1)
+    points(Beyond(Frame.SOURCE, -99.0), Beyond(Frame.TARGET, -99.0))
+    kept = target.read_bytes()
+    points()
+    assert target.read_bytes() == kept
+    (warning,) = pc2scan.convert(source, target, params=BAND, filters=[EveryNth(1, highest=0)], overwrite=True).warnings
+    assert warning == "1 of 1 scan on /scan has no return at all: 100% of all points were thinned out (see n)"
+
+
+def test_a_filter_that_cannot_be_is_an_error(tmp_path: Path) -> None:
+    @dataclass(frozen=True)
+    class Changed(EveryNth):
+        pass
+
+    for name in ("height", "total", "not a name", ""):
+        Changed.name = name
+        with pytest.raises(UsageError, match="cannot be the name of its count"):
+            ScanSpec(filters=(Changed(2),))
+    source = recorded(tmp_path / "a.mcap", POINTCLOUD2, [cloud()])
+    Changed.name, Changed.fields = "thinned", ("reflectivity",)
+    with pytest.raises(ParameterError, match="`thinned` needs the field 'reflectivity', which the clouds"):
+        pc2scan.convert(source, tmp_path / "b.mcap", params=BAND, filters=[Changed(2)])
+    assert not (tmp_path / "b.mcap").exists()
+
+    class Wrong(EveryNth):
+        def __call__(self, points: Points) -> Any:
+            return np.arange(points.field("x").size)
+
+    with pytest.raises(TypeError, match="thinned returned int64"):
+        pc2scan.convert(source, tmp_path / "b.mcap", params=BAND, filters=[Wrong(1)])

@@ -1,0 +1,263 @@
+"""What a conversion reads, copies and holds, counted: the half of speed that no machine can blur."""
+
+from __future__ import annotations
+
+import os
+import threading
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import pytest
+
+import pc2scan
+from pc2scan.bags.mcap import read as mcap_reader
+from pc2scan.bags.mcap.read import McapReader
+from pc2scan.bags.mcap.write import McapWriter
+from pc2scan.bags.rosbag1 import read as rosbag1_reader
+from pc2scan.bags.rosbag1.read import Rosbag1Reader
+from pc2scan.bags.rosbag1.write import Rosbag1Writer
+from pc2scan.conversion import cloud_to_scan, engine, recording
+from pc2scan.conversion.engine import DeferredMessage
+from pc2scan.conversion.items import Item, OpenRoute, Output
+from pc2scan.conversion.report import TopicReport
+from pc2scan.conversion.steps import ConvertedMessage
+from pc2scan.core.project import Projector
+from pc2scan.core.rule import PointCounts
+from pc2scan.files import source as files
+from pc2scan.messages.definitions import definition
+from pc2scan.messages.pointcloud2 import POINTCLOUD2
+from pc2scan.model import Connection, RawMessage
+from support import sampled
+from support.builders import cloud, transforms
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from pc2scan.bags.chunks import Segment
+
+CLOUDS = 6
+T0 = 1_600_000_000_000_000_000
+CLOUD_BYTES = 32_000
+FORMS = [
+    pytest.param(form, id="".join(form)[1:].replace(".", "-"))
+    for form in ((".bag", "lz4"), (".bag", "none"), (".mcap", "zstd"), (".mcap", "none"), (".mcap", "lz4"))
+]
+TF = "tf2_msgs/msg/TFMessage"
+PARAMS = pc2scan.ProjectionParams(min_height=-2, max_height=2)
+
+
+def record(folder: Path, suffix: str, compression: str, size: int = CLOUD_BYTES) -> Path:
+    """Three kinds of chunks: the converted clouds, other clouds, and transforms in a chunk of their own."""
+    path = folder / f"drive{suffix}"
+    serialization, ros_version = ("ros1", 1) if suffix == ".bag" else ("cdr", 2)
+    writer: Any = (
+        Rosbag1Writer(path, compression, chunk_size=8_000)
+        if ros_version == 1
+        else McapWriter(path, compression, chunk_size=8_000)
+    )
+    handles = []
+    for topic, msgtype in (("/points", POINTCLOUD2), ("/other", POINTCLOUD2), ("/tf", TF)):
+        text, digest = definition(msgtype, ros_version)
+        handles.append(writer.add_connection(Connection(0, topic, msgtype, serialization, text, digest)))
+    for number in range(CLOUDS):
+        for place, handle in enumerate(handles[:2]):
+            points = np.random.default_rng(10 * number + place).uniform(-8, 8, (size // 16, 4)).astype("<f4")
+            data = cloud(points, ros_version, seq=number, stamp_ns=T0 + 10 * number + place, names=("x", "y", "z", "w"))
+            writer.write(handle, T0 + 1000 * number + place, data, 0)
+        moved = transforms([("base_link", "lidar", T0 + number, (0.0, 0.0, 1.0))], ros_version, number)
+        writer.write(handles[2], T0 + 1000 * number + 2, moved, 0)
+    writer.finish()
+    return path
+
+
+class Extent(NamedTuple):
+    """Bytes of a file that were read."""
+
+    offset: int
+    length: int
+
+    def covers(self, segment: Segment) -> bool:
+        return self.offset <= segment.offset and self.offset + self.length >= segment.offset + segment.length
+
+
+@pytest.fixture
+def extents(monkeypatch: pytest.MonkeyPatch) -> list[Extent]:
+    """Everything that is read of any source, in order."""
+    found: list[Extent] = []
+    original = files.SourceFile.read
+
+    def counting(self: files.SourceFile, offset: int, length: int) -> bytes:
+        found.append(Extent(offset, length))
+        return original(self, offset, length)
+
+    monkeypatch.setattr(files.SourceFile, "read", counting)
+    return found
+
+
+def segments(path: Path) -> dict[str, list[Segment]]:
+    """The chunks of each topic; every chunk here has one."""
+    reader: Any = Rosbag1Reader(path) if path.suffix == ".bag" else McapReader(path)
+    topics = {connection.id: connection.topic for connection in reader.connections}
+    found: dict[str, list[Segment]] = {topic: [] for topic in topics.values()}
+    for segment in reader._index.segments:
+        (identity,) = segment.connection_ids
+        found[topics[identity]].append(segment)
+    reader.close()
+    return found
+
+
+@pytest.fixture(params=sampled(FORMS, 2))
+def drive(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    return record(tmp_path, *request.param)
+
+
+def times_read(extents: list[Extent], chunks: list[Segment]) -> list[int]:
+    return [sum(extent.covers(chunk) for extent in extents) for chunk in chunks]
+
+
+def convert(source: Path, **options: Any) -> pc2scan.Report:
+    destination = source.with_name(f"scans{source.suffix}")
+    options = {"params": PARAMS, "topics": ["/points"], "only_scans": True, "overwrite": True, **options}
+    return pc2scan.convert(source, destination, **options)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_chunks_that_nobody_wants_are_not_read(drive: Path, jobs: int, extents: list[Extent]) -> None:
+    chunks = segments(drive)
+    assert [len(chunks[topic]) for topic in ("/points", "/other", "/tf")] == [CLOUDS] * 3
+    extents.clear()
+    assert convert(drive, jobs=jobs).topics[0].messages_out == CLOUDS
+    assert times_read(extents, chunks["/points"]) == [1] * CLOUDS
+    # Transforms are small: a look at the header behind them may take them along.
+    assert times_read(extents, chunks["/other"]) == [0] * CLOUDS
+    stored = sum(chunk.length for chunk in chunks["/points"])
+    assert sum(extent.length for extent in extents) < stored + chunks["/other"][0].length * CLOUDS
+
+
+def test_a_cut_reads_only_its_own_chunks(drive: Path, extents: list[Extent]) -> None:
+    chunks = segments(drive)["/points"]
+    extents.clear()
+    convert(drive, start="0.000002", end="0.000004")
+    assert times_read(extents, chunks) == [0, 0, 1, 1, 0, 0]
+
+
+def test_transforms_are_found_without_reading_clouds(drive: Path, extents: list[Extent]) -> None:
+    chunks = segments(drive)
+    extents.clear()
+    params = pc2scan.ProjectionParams(min_height=-2, max_height=2, target_frame="base_link")
+    assert convert(drive, params=params).topics[0].messages_out == CLOUDS
+    assert times_read(extents, chunks["/points"]) == [1] * CLOUDS
+    assert times_read(extents, chunks["/other"]) == [0] * CLOUDS
+    assert min(times_read(extents, chunks["/tf"])) >= 1
+
+
+@pytest.mark.parametrize("form", sampled(FORMS, 1))
+def test_the_thread_that_decompressed_clouds_projects_them(
+    form: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drive = record(tmp_path, *form, size=1 << 20)
+    chunks: dict[int, Any] = {}
+    reader = rosbag1_reader if drive.suffix == ".bag" else mcap_reader
+    original = reader.borrow_payload
+    there: list[bool] = []
+
+    def spying(file: Any, segment: Segment, **options: Any) -> Any:
+        payload = original(file, segment, **options)
+        chunks[threading.get_ident()] = payload.data
+        return payload
+
+    class Spy:
+        def __init__(self, params: pc2scan.ProjectionParams) -> None:
+            self._project = Projector(params)
+
+        def __call__(self, x: Any, *more: Any) -> Any:
+            chunk = np.frombuffer(chunks[threading.get_ident()], np.uint8)
+            there.append(np.may_share_memory(x, chunk))
+            return self._project(x, *more)
+
+    alone = convert(drive, jobs=1)
+    expected = drive.with_name(f"scans{drive.suffix}").read_bytes()
+    monkeypatch.setattr(reader, "borrow_payload", spying)
+    monkeypatch.setattr(cloud_to_scan, "Projector", Spy)
+    together = convert(drive, jobs=2)
+    assert there == [True] * CLOUDS
+    assert together.topics == alone.topics
+    assert drive.with_name(f"scans{drive.suffix}").read_bytes() == expected
+
+
+@pytest.mark.parametrize("form", sampled(reversed(FORMS), 1))
+@pytest.mark.parametrize("options", sampled([{}, {"only_scans": False, "keep_clouds": True}], 1), ids=str)
+@pytest.mark.skipif(not hasattr(os, "preadv"), reason="this system cannot read into a buffer")
+def test_large_chunks_are_read_into_buffers_that_are_used_again(
+    form: tuple[str, str], options: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And what is made of them is the same where there are none."""
+    drive = record(tmp_path, *form, size=1 << 20)
+    monkeypatch.delattr(os, "preadv")
+    expected = convert(drive, jobs=1, **options)
+    written = drive.with_name(f"scans{drive.suffix}").read_bytes()
+    monkeypatch.undo()
+    read: list[int] = []
+    original = files.SourceFile.read
+
+    def counting(self: files.SourceFile, offset: int, length: int) -> bytes:
+        read.append(length)
+        return original(self, offset, length)
+
+    monkeypatch.setattr(files.SourceFile, "read", counting)
+    for jobs in (1, 2, 5):
+        assert convert(drive, jobs=jobs, **options).topics == expected.topics
+        assert drive.with_name(f"scans{drive.suffix}").read_bytes() == written
+    # Chunks without anything to convert are copied as they are.
+    assert (max(read) < 1 << 18) is not bool(options)
+
+
+@pytest.mark.parametrize("passes", [False, True])
+@pytest.mark.parametrize("shrinks_from", [2, 9])
+def test_a_result_larger_than_its_message_waits_for_its_turn(passes: bool, shrinks_from: int) -> None:
+    connection = Connection(1, "/points", POINTCLOUD2, "cdr")
+    converted = ConvertedMessage(b"scan", PointCounts(), False)
+    report = TopicReport("/points", "", None, "")
+    output = Output(report, 0)
+    route = OpenRoute(connection, None, [lambda _: converted], outputs=[output], shrinks_from=shrinks_from)
+    route.passing_handle = 1 if passes else -1
+    message = RawMessage(connection, 5, memoryview(bytearray(b"cloud")), 6)
+    done = engine._work({1: route}, message)
+    assert isinstance(done, DeferredMessage) is (shrinks_from == 9)
+    if isinstance(done, DeferredMessage):
+        assert done.log_time_ns == 5
+        # What waits is not borrowed.
+        assert isinstance(done.message.data, bytes)
+        done = done.work(done.message)
+    assert isinstance(done, Item)
+    assert (done.results, done.passing) == ([(output, converted)], b"cloud" if passes else None)
+    assert not isinstance(done.passing, memoryview)
+
+
+@pytest.mark.parametrize("queue_size", [1, 3])
+def test_chunks_in_flight_are_bounded(drive: Path, queue_size: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    read = written = worst = 0
+    work, write = engine._work, recording._write
+    lock = threading.Lock()
+
+    def working(*args: Any, **options: Any) -> Any:
+        nonlocal read
+        with lock:
+            read += 1
+        return work(*args, **options)
+
+    def writing(*args: Any) -> Any:
+        nonlocal written, worst
+        worst = max(worst, read - written)
+        refused = write(*args)
+        written += 1
+        return refused
+
+    monkeypatch.setattr(engine, "_work", working)
+    monkeypatch.setattr(recording, "_write", writing)
+    params = pc2scan.ProjectionParams(min_height=-2, max_height=2, queue_size=queue_size)
+    convert(drive, jobs=2, params=params)
+    # A chunk has one cloud.
+    assert read == written == CLOUDS
+    # The one that is written has been read too, and so has the one that follows it.
+    assert 1 <= worst <= queue_size + 2

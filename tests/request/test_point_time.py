@@ -1,0 +1,113 @@
+"""The times of points: every field, unit and origin that drivers write."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pc2scan.core.points import Points
+from pc2scan.request.point_time import PointTime
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+STAMP = 1_700_000_000_123_456_789
+
+
+def cloud_of(values: NDArray[Any], stamp_ns: int) -> Points:
+    return Points(0, stamp_ns, "", {"x": np.zeros(values.shape, np.float32), "t": values})
+
+
+def point_times(values: NDArray[Any], stamp_ns: int) -> NDArray[np.float64]:
+    """When the points of a cloud with these values in its field were measured, seconds after its stamp."""
+    return PointTime().read(cloud_of(values, stamp_ns)).at()
+
+
+#: 0 to 99 ms, as drivers write it.
+MILLISECONDS = np.arange(100)
+
+
+@pytest.mark.parametrize(
+    ("values", "first"),
+    [
+        ((MILLISECONDS * 1_000_000).astype("<u4"), 0.0),
+        ((MILLISECONDS * 1_000_000).astype(">i4"), 0.0),
+        ((MILLISECONDS * 1e-3).astype("<f4"), 0.0),
+        ((MILLISECONDS * 1e-3 - 0.099).astype("<f4"), -0.099),
+        (MILLISECONDS * 1.0, 0.0),
+        (MILLISECONDS * 1e3, 0.0),
+        (MILLISECONDS * 1e6, 0.0),
+        (STAMP / 1e9 + 0.5 + MILLISECONDS * 1e-3, 0.5),
+        (STAMP + MILLISECONDS * 1e6 - 0.099e9, -0.099),
+        (STAMP / 1e3 + MILLISECONDS * 1e3, 0.0),
+    ],
+)
+def test_times_of_points_in_every_unit(values: NDArray[Any], first: float) -> None:
+    times = point_times(values, STAMP)
+    # A float64 of seconds since 1970 resolves 0.24 us.
+    np.testing.assert_allclose(times, first + MILLISECONDS * 1e-3, atol=5e-7)
+
+
+UNITS = [1, 1_000, 1_000_000, 1_000_000_000]
+
+
+@given(
+    st.sampled_from(UNITS),
+    st.integers(150_000_000_000, 4_000_000_000_000_000_000),
+    st.lists(st.integers(-500_000_000, 2_000_000_000), min_size=1, max_size=6),
+    st.sampled_from([1, 1_000, 1_000_000, 2_000_000_000]),
+)
+def test_absolute_times_are_known_by_their_size(unit: int, stamp_ns: int, after: list[int], span: int) -> None:
+    after = [after[0] + each % span for each in after]
+    # Divided as whole numbers first, as drivers do.
+    values = np.array([(stamp_ns + each) / unit for each in after])
+    times = point_times(values, stamp_ns)
+    # Half a step of float64 for the values and the stamp each, and for their product.
+    step = np.spacing(values.max()) * unit / 1e9
+    np.testing.assert_allclose(times, np.array(after) / 1e9, rtol=1e-9, atol=2 * step)
+
+
+@given(
+    st.sampled_from(UNITS),
+    st.integers(0, 4_000_000_000_000_000_000),
+    st.floats(0.0025, 1.9),
+    st.floats(-1.0, 0.0),
+    st.integers(2, 6),
+)
+def test_relative_times_are_known_by_their_span(
+    unit: int, stamp_ns: int, span: float, begin: float, count: int
+) -> None:
+    # A span of 2 ms to 2 s, before the stamp, after it, or around it.
+    expected = np.linspace(begin * span, (begin + 1) * span, count)
+    np.testing.assert_allclose(point_times(expected * (1e9 / unit), stamp_ns), expected, rtol=1e-9, atol=1e-12)
+
+
+def test_times_by_a_wrong_clock_and_no_numbers() -> None:
+    for unit in UNITS:
+        assert point_times(np.array([(STAMP + 3_600 * 10**9) / unit]), STAMP) == pytest.approx([3600], abs=1e-6)
+    assert point_times(np.array([], np.float32), 0).size == 0
+    assert not np.isfinite(point_times(np.array([np.nan, np.inf], np.float32), 0)).any()
+    times = point_times(np.array([[0, 0.1], [np.nan, np.inf]], np.float32), 0)
+    np.testing.assert_allclose(times, [[0, 0.1], [math.nan, math.inf]])
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_a_zero_among_absolute_times_is_no_time(unit: int) -> None:
+    after = np.array([0, 20_000_000, 90_000_000])
+    values = (STAMP + after) / unit
+    for count in (3, 1):
+        with_zero = np.append(values[:count], 0.0)
+        times = point_times(with_zero, STAMP)
+        assert np.isnan(times[-1])
+        np.testing.assert_allclose(times[:-1], after[:count] / 1e9, atol=5e-7)
+        assert PointTime().read(cloud_of(with_zero, STAMP)).unknown == 1
+
+
+@pytest.mark.parametrize("values", [[0.0, 5e7], [0.0, 0.05, 0.05], [0.0, 50.0]])
+def test_a_zero_among_times_after_the_stamp_is_a_time(values: list[float]) -> None:
+    np.testing.assert_allclose(point_times(np.array(values), STAMP)[:2], [0.0, 0.05])

@@ -1,0 +1,328 @@
+"""``pc2scan map``: a simulated drive through two rooms, mapped, and read back by other people's readers."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from dataclasses import replace
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from ruamel.yaml import YAML
+
+import pc2scan
+from pc2scan.errors import ResultError, UsageError
+from support import ROOT
+from support.builders import T0, Item, Recording, write_mcap
+from support.command import run
+from support.scan_recordings import GOOD, scans, write
+from support.worlds.drives import (
+    ROOMS,
+    cast,
+    distance_to_wall,
+    drive,
+    drive_recording,
+    is_inside,
+    scan_message,
+    transform_message,
+)
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+HALL = ROOT / "fixtures" / "hall.bag"
+CELL = 0.05
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return drive_recording(rate=5.0, beams=361)
+
+
+@pytest.fixture(scope="module")
+def source(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_mcap(tmp_path_factory.mktemp("drive") / "drive.mcap", recording)
+
+
+def centres(made: pc2scan.Map, value: int) -> list[tuple[float, float]]:
+    rows, columns = np.nonzero(made.cells == value)
+    x, y = made.origin[0] + (columns + 0.5) * made.resolution, made.origin[1] + (rows + 0.5) * made.resolution
+    return list(zip(x.tolist(), y.tolist(), strict=True))
+
+
+def seen_wall_points(recording: Recording) -> list[tuple[float, float]]:
+    """Points of the walls, 10 cm apart, that the robot had in view from somewhere near."""
+    stands = [drive(seconds) for seconds in np.linspace(0, 7, 15)]
+    points = []
+    for x0, y0, x1, y1 in ROOMS:
+        count = int(math.hypot(x1 - x0, y1 - y0) / 0.1)
+        for share in (np.arange(count) + 0.5) / count:
+            x, y = x0 + share * (x1 - x0), y0 + share * (y1 - y0)
+            for stand in stands:
+                distance = math.hypot(x - stand.x, y - stand.y)
+                angle = math.atan2(y - stand.y, x - stand.x)
+                ahead = math.remainder(angle - stand.heading - 0.3, 2 * math.pi)
+                if distance < 2.5 and abs(ahead) < 2 and abs(cast(stand.x, stand.y, angle) - distance) < 1e-6:
+                    points.append((float(x), float(y)))
+                    break
+    assert len(recording.items) > 100
+    return points
+
+
+def test_walls_are_where_they_are(source: Path, recording: Recording) -> None:
+    made = pc2scan.map(source)
+    occupied = centres(made, 100)
+    assert max(distance_to_wall(x, y) for x, y in occupied) < CELL
+    for x, y in seen_wall_points(recording):
+        assert min(math.hypot(x - ox, y - oy) for ox, oy in occupied) < 2 * CELL, (x, y)
+    free = centres(made, 0)
+    assert all(is_inside(x, y) or distance_to_wall(x, y) < CELL for x, y in free)
+    # The area that is free is that of the rooms, but for corners that no beam reached.
+    area = len(free) * CELL**2
+    assert 0.9 < area / (10.05 * 5.01 - 0.36**2) <= 1.0
+    assert made.scans == {"/scan": 40}
+    assert (made.exit_status, made.warnings, made.skipped) == (0, (), ())
+
+
+def test_the_way_is_that_of_the_robot(source: Path) -> None:
+    made = pc2scan.map(source)
+    assert made.robot_frame == "base_link"
+    expected = [drive(number / 5)[:2] for number in range(40)]
+    np.testing.assert_allclose(made.trajectory, expected, atol=1e-9)
+    steps = [math.dist(a, b) for a, b in pairwise(expected)]
+    assert made.distance == pytest.approx(sum(steps))
+    assert pc2scan.map(source, base_frame="laser").trajectory[0] == pytest.approx((-0.8, 0.05), abs=0.01)
+
+
+def wrong_cells(made: pc2scan.Map) -> int:
+    return sum(distance_to_wall(x, y) > 1.5 * CELL for x, y in centres(made, 100))
+
+
+def test_beams_are_placed_at_their_own_times(tmp_path: Path) -> None:
+    increment = 0.09 / 361
+    told, untold = (
+        write_mcap(tmp_path / f"{name}.mcap", drive_recording(rate=5.0, beams=361, time_increment=increment, said=said))
+        for name, said in (("told", None), ("untold", 0.0))
+    )
+    assert wrong_cells(pc2scan.map(told)) == 0
+    # The robot turns by up to 8 degrees during a scan.
+    assert wrong_cells(pc2scan.map(untold)) > 100
+
+
+def occupancy_of(yaml: Path, free_thresh: float | None = None) -> tuple[NDArray[Any], list[float]]:
+    """Read a map by the rule of nav2's map_io and ROS 1's image_loader, with PIL and ruamel."""
+    image = pytest.importorskip("PIL.Image")
+    said = YAML(typ="safe").load(yaml.read_text("utf-8"))
+    assert set(said) == {"image", "mode", "resolution", "origin", "negate", "occupied_thresh", "free_thresh"}
+    assert (said["mode"], said["negate"], said["resolution"]) == ("trinary", 0, 0.05)
+    with image.open(yaml.parent / said["image"]) as picture:
+        assert (picture.format, picture.mode) == ("PPM", "L")
+        darkness = (255 - np.asarray(picture).astype(float)) / 255
+    free = darkness < (said["free_thresh"] if free_thresh is None else free_thresh)
+    return np.where(darkness > said["occupied_thresh"], 100, np.where(free, 0, -1))[::-1], said["origin"]
+
+
+def test_other_readers_read_the_map(source: Path, tmp_path: Path) -> None:
+    done = run("map", source, "-o", tmp_path / "my map.yaml")
+    assert (done.status, done.stderr) == (0, "")
+    assert "no SLAM" in done.stdout
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["my map.pgm", "my map.png", "my map.yaml"]
+    cells, origin = occupancy_of(tmp_path / "my map.yaml")
+    made = pc2scan.map(source)
+    np.testing.assert_array_equal(cells, made.cells)
+    assert origin == pytest.approx(made.origin)
+    # What nav2's default would make of it: unknown is free. That is why the file says 0.196.
+    assert (occupancy_of(tmp_path / "my map.yaml", 0.25)[0] != made.cells).any()
+    saved = made.save(tmp_path / "saved.yaml")
+    assert saved.with_suffix(".pgm").read_bytes() == (tmp_path / "my map.pgm").read_bytes()
+    assert saved.with_suffix(".png").read_bytes() == (tmp_path / "my map.png").read_bytes()
+
+
+def test_the_picture_alone(source: Path, tmp_path: Path) -> None:
+    image = pytest.importorskip("PIL.Image")
+    done = run("map", source, "-o", tmp_path / "map.png", "--json")
+    assert (done.status, done.stderr) == (0, "")
+    assert [path.name for path in tmp_path.iterdir()] == ["map.png"]
+    document = json.loads(done.stdout)
+    assert document["preview"] == "by recorded odometry, no SLAM"
+    assert (document["frame"], document["scans"], document["skipped"]) == ("odom", {"/scan": 40}, [])
+    with image.open(tmp_path / "map.png") as picture:
+        picture.load()
+        assert min(picture.size) > 500
+        colours = {colour: count for count, colour in picture.convert("RGB").getcolors(1 << 20)}
+    # Free, occupied, and the robot's way.
+    assert all(colours[colour] > 500 for colour in ((255, 255, 255), (23, 34, 46), (209, 73, 91)))
+    assert pc2scan.map(source).png == (tmp_path / "map.png").read_bytes()
+
+
+@pytest.mark.parametrize("options", [{"min_height": -0.4}, {"preset": "slam_toolbox"}])
+def test_clouds_become_scans_on_the_way(options: dict[str, Any], tmp_path: Path) -> None:
+    made = pc2scan.map(HALL, **options)
+    assert made.converted
+    pc2scan.convert(HALL, tmp_path / "scans.mcap", **options)
+    of_scans = pc2scan.map(tmp_path / "scans.mcap")
+    assert not of_scans.converted
+    np.testing.assert_array_equal(made.cells, of_scans.cells)
+    assert made.origin == of_scans.origin
+
+
+def test_scans_are_drawn_unless_clouds_are_asked_for(tmp_path: Path) -> None:
+    both = tmp_path / "both.mcap"
+    pc2scan.convert(HALL, both, min_height=-0.4, keep_clouds=True)
+    assert pc2scan.map(both).scans == {"/scan": 5}
+    assert not pc2scan.map(both).converted
+    assert pc2scan.map(both, min_height=-0.3).converted
+    assert pc2scan.map(both, topics="/points").converted
+    assert not pc2scan.map(both, topics="/scan", min_height=-0.3).converted
+    with pytest.raises(UsageError, match="scans and clouds"):
+        pc2scan.map(both, topics=["/scan", "/points"])
+
+
+def test_level_and_deskewed_clouds_have_their_place() -> None:
+    common: dict[str, Any] = {"min_height": 0.3, "max_height": 2.0, "target_frame": "base_link"}
+    plain = pc2scan.map(HALL, **common)
+    for way in ({"level"}, {"deskew"}, {"level", "deskew"}):
+        asked: dict[str, Any] = dict.fromkeys(way, True)
+        made = pc2scan.map(HALL, fixed_frame="odom", **common, **asked)
+        assert made.scans["/scan"] >= 4
+        assert made.cells.shape == pytest.approx(plain.cells.shape, abs=10)
+        assert np.count_nonzero(made.cells == 0) == pytest.approx(np.count_nonzero(plain.cells == 0), rel=0.2)
+
+
+def test_scans_without_a_place_are_counted(tmp_path: Path) -> None:
+    source = write_mcap(tmp_path / "late.mcap", drive_recording(rate=5.0, beams=91, motion_from=2.0))
+    done = run("map", source, "-o", tmp_path / "map.png")
+    assert done.status == 3
+    assert "skipped: 10 of /scan: their stamps are before the first [base_link] in [odom]" in done.stderr
+    assert pc2scan.map(source).scans == {"/scan": 30}
+    failed = run("map", source, "-o", tmp_path / "none.png", "--strict")
+    assert failed.status == 1
+    assert not (tmp_path / "none.png").exists()
+
+
+def with_scan(tmp_path: Path, ranges: NDArray[np.float32], **changes: Any) -> Path:
+    """A robot that stands still, and one scan."""
+    recording = drive_recording(seconds=0.2, rate=5.0, beams=91)
+    data = {2: scan_message(ranges, stamp_ns=T0, **changes)}
+    items = [
+        Item(item.stream, item.log_time_ns, data) if item.stream.topic == "/scan" else item for item in recording.items
+    ]
+    return write_mcap(tmp_path / "one.mcap", Recording(recording.streams, tuple(items)))
+
+
+def test_beams_without_a_return_say_nothing(tmp_path: Path) -> None:
+    ranges = np.full(91, np.inf, np.float32)
+    ranges[45] = 3.0
+    source = with_scan(tmp_path, ranges)
+    made = pc2scan.map(source)
+    assert np.count_nonzero(made.cells == 100) == 1
+    assert np.count_nonzero(made.cells == 0) < 3.2 / CELL
+
+
+def test_nothing_to_draw_is_an_error(tmp_path: Path) -> None:
+    source = with_scan(tmp_path, np.full(91, np.inf, np.float32))
+    with pytest.raises(ResultError, match="no return in 1 scan"):
+        pc2scan.map(source)
+    done = run("map", source, "-o", tmp_path / "map.yaml")
+    assert done.status == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["one.mcap"]
+
+
+def test_odd_scans_are_skipped(tmp_path: Path) -> None:
+    for changes in ({"angle_min": math.nan}, {"angle_min": math.inf}, {"frame": ""}, {"frame": "nowhere"}):
+        with pytest.raises(ResultError, match="no scan can be placed in odom"):
+            pc2scan.map(with_scan(tmp_path, np.ones(91, np.float32), **changes))
+
+
+def test_reasons_without_number_are_one(tmp_path: Path) -> None:
+    recording = drive_recording(seconds=0.2, rate=5.0, beams=91)
+    scan = next(item for item in recording.items if item.stream.topic == "/scan")
+    odd = [
+        Item(scan.stream, T0 + n, {2: scan_message(np.ones(9, np.float32), stamp_ns=T0, frame=f"frame{n}")})
+        for n in range(150)
+    ]
+    source = write_mcap(tmp_path / "odd.mcap", Recording(recording.streams, (*recording.items, *odd)))
+    made = pc2scan.map(source)
+    assert len(made.skipped) == 101
+    assert sum(each.messages for each in made.skipped) == 150
+    assert made.skipped[0].messages == 50
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 3.4e38, -1.0])
+def test_odd_ranges_are_no_trouble(value: float, tmp_path: Path) -> None:
+    ranges = np.full(91, 1.0, np.float32)
+    ranges[::2] = value
+    made = pc2scan.map(with_scan(tmp_path, ranges, range_max=np.inf if value < 1e38 else 30.0))
+    assert made.cells.size < 10_000
+
+
+def test_a_map_without_end_is_refused(tmp_path: Path) -> None:
+    recording = drive_recording(seconds=1.0, rate=5.0, beams=91)
+    far = {2: transform_message([("odom", "base_link", T0 + 600_000_000, drive(0.6)._replace(x=1e6, y=1e6))])}
+    items = [
+        Item(item.stream, item.log_time_ns, far)
+        if item.stream.topic == "/tf" and item.log_time_ns == T0 + 600_000_000
+        else item
+        for item in recording.items
+    ]
+    source = write_mcap(tmp_path / "jump.mcap", Recording(recording.streams, tuple(items)))
+    done = run("map", source, "-o", tmp_path / "map.png")
+    assert done.status == 2
+    assert "at most 67,108,864 cells are possible" in done.stderr
+    assert "--resolution" in done.stderr
+    assert not (tmp_path / "map.png").exists()
+
+
+def test_a_recording_without_transforms(tmp_path: Path) -> None:
+    recording = drive_recording(seconds=1.0, rate=5.0, beams=91)
+    scans = tuple(item for item in recording.items if item.stream.topic == "/scan")
+    source = write_mcap(tmp_path / "scans.mcap", Recording(recording.streams[:1], scans))
+    done = run("map", source, "-o", tmp_path / "map.png")
+    assert done.status == 2
+    assert "the recording has no transforms" in done.stderr
+    assert "--odom-frame laser draws all scans as if the robot stood still" in done.stderr
+    assert run("map", source, "-o", tmp_path / "map.png", "--odom-frame", "laser").status == 0
+
+
+def test_hints_about_frames_lead_somewhere(tmp_path: Path) -> None:
+    """Nobody is sent in a circle: what a hint says draws a map, or ends with what is missing."""
+    drive = drive_recording(seconds=1.0, rate=5.0, beams=91, odom="robot1/odom")
+    done = run("map", write_mcap(tmp_path / "a.mcap", drive), "-o", tmp_path / "map.png")
+    assert "hint: --odom-frame robot1/odom\n" in done.stderr
+    # Two lidars, and no transforms: the second one cannot be placed in the frame of the first.
+    front = scans(6, replace(GOOD, frame_id="front"))
+    rear = scans(6, replace(GOOD, frame_id="rear"))
+    both = [write(tmp_path / f"{name}.mcap", *own, tree=()) for name, own in (("front", front), ("rear", rear))]
+    assert run("convert", both[1], "--rebin", "--topic", "/scan:=/rear", "-o", tmp_path / "r.mcap").status == 0
+    done = run("map", both[0], tmp_path / "r.mcap", "-o", tmp_path / "b.png", "--odom-frame", "front")
+    assert '--topic /scan draws what can be placed; --static-tf "front rear X Y Z ROLL PITCH YAW"' in done.stderr
+
+
+def test_notebooks_show_the_picture(source: Path) -> None:
+    made = pc2scan.map(source)
+    assert made._repr_png_().startswith(b"\x89PNG")
+    assert "<pre>" in made._repr_html_()
+    assert repr(made).startswith("<pc2scan.Map of ")
+    assert "base_link drove" in str(made)
+
+
+def test_large_maps_become_pictures_of_bounded_size() -> None:
+    from pc2scan.core.occupancy import Occupancy
+    from pc2scan.show.map_files import picture_of
+
+    image = pytest.importorskip("PIL.Image")
+    cells = np.zeros((3001, 7003), np.int8)
+    cells[1500, :] = 100
+    with image.open(io.BytesIO(picture_of(Occupancy(cells, 0.05, -10.0, -20.0), np.zeros((0, 2))))) as picture:
+        assert max(picture.size) < 2500
+        # A wall of one cell is still there, and wide enough to be seen.
+        column = np.asarray(picture.convert("RGB"))[:780, 100]
+        assert (column == (23, 34, 46)).all(axis=1).sum() == 2
+    for shape in ((1, 1), (1, 5000), (5000, 1)):
+        odd = Occupancy(np.zeros(shape, np.int8), 10.0, 1e6, 1e6)
+        assert picture_of(odd, np.full((3, 2), np.nan)).startswith(b"\x89PNG")

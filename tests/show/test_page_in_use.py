@@ -1,0 +1,278 @@
+"""The page in a real browser: what a user sees and does, and what a hostile recording cannot do."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from pc2scan.core.params import ProjectionParams
+from pc2scan.core.presets import PRESETS
+from show.browser import needs_chromium
+from show.test_page_projects_alike import read_scans
+from support import ROOT
+from support.builders import CLOUD, T0, Item, Recording, Stream, cloud, write_mcap
+from support.command import run
+from support.scan_recordings import GOOD, recording, scans
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from show.browser import Tab
+
+pytestmark = needs_chromium
+slow = pytest.mark.slow
+
+HALL = ROOT / "fixtures" / "hall.bag"
+
+
+@pytest.fixture
+def opened(browser: Any, tmp_path: Path) -> Iterator[Callable[..., Tab]]:
+    """Returns the page of a recording, with options; at the end nothing may have gone wrong in it."""
+    tabs: list[Tab] = []
+
+    def view(source: Path, *words: str, window: tuple[Any, ...] = ()) -> Tab:
+        assert run("view", source, "-o", tmp_path / "page.html", *words).status == 0
+        tabs.append(browser(*window))
+        tabs[-1].open(tmp_path / "page.html")
+        return tabs[-1]
+
+    yield view
+    for tab in tabs:
+        tab.assert_quiet()
+        tab.page.close()
+
+
+@pytest.fixture
+def hall(opened: Callable[..., Tab]) -> Tab:
+    return opened(HALL, "--min-height=-0.3", "--max-height=1")
+
+
+def ranges(tab: Tab) -> Any:
+    found: list[str] = tab.call("window.pc2scan.scan().ranges")
+    return np.array([float(text.replace("Infinity", "inf")) for text in found], np.float32)
+
+
+def command_to(tab: Tab, destination: Path) -> list[str]:
+    """The command line that the page hands back, with another destination."""
+    words = shlex.split(tab.call("window.pc2scan.command()"))
+    words[words.index("-o") + 1] = str(destination)
+    return words
+
+
+def test_the_command_line_makes_what_the_page_shows(hall: Tab, tmp_path: Path) -> None:
+    hall.page.fill("#param-max_height", "0.5")
+    hall.page.fill("#param-beams", "90")
+    hall.page.select_option("#param-geometry", "centered")
+    hall.page.fill("#mount-z", "0.75")
+    hall.page.fill("#mount-pitch", "2")
+    words = command_to(hall, tmp_path / "scans.mcap")
+    assert words[:3] == ["pc2scan", "convert", str(HALL)]
+    shown = ranges(hall)
+    done = run(*words[1:], "--only-scans", "--overwrite")
+    assert done.status in (0, 3), done.stderr
+    first = read_scans(tmp_path / "scans.mcap")[0]
+    assert len(shown) == 90
+    assert np.array_equal(first.ranges, shown, equal_nan=True)
+    assert first.frame_id == "base_link"
+
+
+@slow
+@pytest.mark.parametrize("ros", [1, 2])
+def test_the_parameter_files_mean_what_the_page_shows(hall: Tab, tmp_path: Path, ros: int) -> None:
+    hall.page.select_option("#param-preset", "gmapping")
+    hall.page.fill("#param-range_max", "3.5")
+    (tmp_path / "params.yaml").write_text(hall.call("(ros) => window.pc2scan.file(ros)", ros))
+    done = run("convert", HALL, "-o", tmp_path / "s.mcap", "--only-scans", "--params-file", tmp_path / "params.yaml")
+    assert done.status == 0, done.stderr
+    shown = ranges(hall)
+    assert np.array_equal(read_scans(tmp_path / "s.mcap")[0].ranges, shown, equal_nan=True)
+
+
+@slow
+def test_dragging_the_band_changes_the_heights(hall: Tab) -> None:
+    box = hall.page.locator("#side").bounding_box()
+    found: list[float] = hall.call("[window.pc2scan.params().min_height, window.pc2scan.params().max_height]")
+    assert found == [-0.3, 1]
+    # Wherever the upper edge is: it is the first row at which the pointer becomes one that resizes.
+    for row in range(2, int(box["height"]), 2):
+        hall.page.mouse.move(box["x"] + 200, box["y"] + row)
+        if hall.call("document.getElementById('side').style.cursor") == "ns-resize":
+            break
+    hall.page.mouse.move(box["x"] + 200, box["y"] + row + 5)
+    hall.page.mouse.down()
+    hall.page.mouse.move(box["x"] + 200, box["y"] + row + 30, steps=4)
+    hall.page.mouse.up()
+    low, high = hall.call("[window.pc2scan.params().min_height, window.pc2scan.params().max_height]")
+    assert low == -0.3
+    assert 0 < high < 1
+
+
+@slow
+def test_a_wrong_value_is_named_and_the_last_scan_stays(hall: Tab) -> None:
+    before = ranges(hall)
+    hall.page.fill("#param-angle_min", "200")
+    assert hall.page.inner_text(".problem") == "angle_min must be below angle_max"
+    assert np.array_equal(ranges(hall), before, equal_nan=True)
+    hall.page.fill("#param-angle_min", "-180")
+    assert hall.page.inner_text(".problem") == ""
+
+
+@slow
+def test_presets_keep_what_the_user_set(hall: Tab) -> None:
+    for name, values in PRESETS.items():
+        hall.page.select_option("#param-preset", name)
+        params = hall.call("window.pc2scan.params()")
+        assert params["min_height"] == -0.3
+        expected = ProjectionParams(**values)  # type: ignore[arg-type]
+        assert {key: params[key] for key in ("geometry", "range_max", "no_return", "angle_max")} == {
+            key: getattr(expected, key) for key in ("geometry", "range_max", "no_return", "angle_max")
+        }
+        assert f"--preset {name}" in hall.call("window.pc2scan.command()")
+
+
+@slow
+def test_hovering_reads_a_point_and_its_beam(hall: Tab) -> None:
+    box = hall.page.locator("#top").bounding_box()
+    told = ""
+    for column in range(60, int(box["width"]), 7):
+        hall.page.mouse.move(box["x"] + column, box["y"] + box["height"] / 2)
+        told = hall.page.inner_text("#readout")
+        if told.startswith("Point"):
+            break
+    assert "intensity" in told
+    assert "x " in told
+
+
+@slow
+def test_keys_move_through_time_and_zoom(hall: Tab) -> None:
+    hall.page.focus("#time")
+    hall.page.keyboard.press("ArrowRight")
+    assert hall.page.inner_text("#moment").startswith("2 of 5")
+    hall.page.focus("#top")
+    drawn = int(hall.call("document.body.dataset.drawn"))
+    hall.page.keyboard.press("+")
+    hall.page.keyboard.press("ArrowLeft")
+    hall.page.wait_for_timeout(100)
+    assert int(hall.call("document.body.dataset.drawn")) > drawn
+    assert hall.page.get_attribute("#top", "aria-label").startswith("The cloud from above: 3840 points")
+
+
+@slow
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize(("width", "height"), [(1440, 900), (420, 800)])
+def test_nothing_overflows_in_any_window(opened: Callable[..., Tab], theme: str, width: int, height: int) -> None:
+    tab = opened(HALL, window=(width, height, theme))
+    assert tab.call("document.documentElement.scrollWidth") <= width
+    assert tab.call("document.documentElement.dataset.theme") == theme
+    # Something is drawn in every view: a canvas is not of one colour.
+    for name in ("top", "side", "orbit"):
+        assert tab.call(COLOURS, name) >= 3
+
+
+WRITTEN = """(changes) => {
+  const panel = document.getElementById("panel");
+  const observer = new MutationObserver(() => {});
+  observer.observe(panel, { subtree: true, childList: true, characterData: true });
+  window.pc2scan.set(changes);
+  return observer.takeRecords().map(({ target }) => target.className || target.tagName);
+}"""
+
+
+def test_only_the_texts_that_change_are_written(hall: Tab) -> None:
+    # The line with the time that the projection took.
+    assert set(hall.call(WRITTEN, {})) <= {"P"}
+    written = hall.call(WRITTEN, {"max_height": 0.5})
+    assert set(written) <= {"P", "count", "share", "PRE", "word"}
+    assert "count" in written
+
+
+@slow
+def test_reset_clears_half_a_number(hall: Tab) -> None:
+    # The browser shows what was typed, and gives an empty value, which the field also has after the reset.
+    hall.page.focus("#param-range_max")
+    hall.page.keyboard.type("1e")
+    wrong = "document.getElementById('param-range_max').validity.badInput"
+    assert hall.call(wrong)
+    hall.page.click("text=Reset all")
+    assert not hall.call(wrong)
+
+
+@slow
+def test_the_names_of_outcomes_follow_the_theme(hall: Tab) -> None:
+    swatch = "getComputedStyle(document.querySelector('.swatch')).backgroundColor"
+    assert hall.call(swatch) == "rgb(0, 114, 178)"
+    hall.page.click("#theme")
+    assert hall.call(swatch) == "rgb(86, 180, 233)"
+
+
+COLOURS = """(name) => {
+  const canvas = document.querySelector(`#${name} canvas`);
+  const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+  return new Set(new Uint32Array(data.buffer)).size;
+}"""
+
+
+HOSTILE = (
+    '"></script><script>document.title="taken"</script><img src=x onerror="document.title=\'taken\'">\u202e\x1b[31m'
+)
+
+
+def test_a_hostile_recording_runs_nothing(opened: Callable[..., Tab], tmp_path: Path) -> None:
+    topic = "/" + HOSTILE
+    stream = Stream(topic, CLOUD)
+    points = np.array([[1, 3e38, 0, 1], [2, 3e38, 1, 2], [np.nan, 0, 0, 3], [np.inf, 0, 0, 4]], np.float32)
+    names = ("x", "y", "z", HOSTILE)
+    data = {version: cloud(points, version, frame_id=HOSTILE, names=names) for version in (1, 2)}
+    source = write_mcap(tmp_path / "hostile.mcap", Recording((stream,), (Item(stream, T0, data),)))
+    tab = opened(source)
+    assert "taken" not in tab.page.title()
+    assert tab.call("document.querySelectorAll('script').length") == 3
+    assert tab.call("document.querySelectorAll('img').length") == 0
+    tab.page.select_option("#colour", index=2)
+    tab.page.mouse.move(200, 300)
+
+
+@slow
+def test_scans_of_absurd_numbers_do_not_hang_the_page(opened: Callable[..., Tab], tmp_path: Path) -> None:
+    absurd = [
+        replace(GOOD, angle_min=-1e38, angle_max=1e38, angle_increment=1e30),
+        replace(GOOD, angle_increment=0),
+        replace(GOOD, angle_min=float("nan"), range_max=float("inf")),
+        replace(GOOD, range_max=1e38, ranges=np.full(9, 3e37, np.float32)),
+        replace(GOOD, ranges=np.empty(0, np.float32)),
+    ]
+    stamped = [replace(scan, stamp_ns=10**18 + n * 10**8) for n, scan in enumerate(absurd)]
+    source = write_mcap(tmp_path / "absurd.mcap", recording({"/scan": stamped}))
+    tab = opened(source, "--clouds", "100")
+    for number in range(len(absurd)):
+        tab.call("(n) => window.pc2scan.go(n)", number)
+        tab.page.mouse.move(300 + number, 300)
+        tab.page.wait_for_timeout(50)
+
+
+@slow
+def test_scans_are_read_back_as_recorded(opened: Callable[..., Tab], tmp_path: Path) -> None:
+    source = write_mcap(tmp_path / "scans.mcap", recording({"/scan": scans(3), "/other": scans(3)}))
+    tab = opened(source)
+    found = tab.call("window.pc2scan.layers()")
+    assert [layer["name"] for layer in found] == ["/scan (laser)", "/other (laser)"]
+    assert [float(text) for text in found[0]["ranges"]] == GOOD.ranges.tolist()
+    assert "accepted" in tab.page.inner_text("#panel")
+
+
+@slow
+def test_filters_are_counted_and_coloured_and_in_the_command(opened: Callable[..., Tab], tmp_path: Path) -> None:
+    filters = ["--where", "ring > 4", "--exclude-box", "lidar -1 6 0 4 -1 1", "--min-height-slope", "0.1"]
+    tab = opened(HALL, "--min-height=-0.3", *filters)
+    shown = ranges(tab)
+    words = command_to(tab, tmp_path / "scans.mcap")
+    done = run(*words[1:], "--only-scans", "--report", tmp_path / "report.json")
+    assert done.status == 0, done.stderr
+    assert np.array_equal(read_scans(tmp_path / "scans.mcap")[0].ranges, shown, equal_nan=True)
+    assert tab.call("window.pc2scan.scan().counts[6]") > 100
+    assert "rejected by filters" in tab.page.inner_text("#panel")

@@ -1,0 +1,86 @@
+"""The page's own projection, in a real browser, against pc2scan's: every range to the bit."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from pc2scan.bags.opening import open_recording
+from pc2scan.compare.golden.case import case_folders, load_case
+from pc2scan.conversion.run import run
+from pc2scan.conversion.run_files import OutputOptions
+from pc2scan.core.params import ProjectionParams
+from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
+from pc2scan.request.options import ConvertOptions, ScanSpec, TopicRequest
+from pc2scan.request.param_sources import resolve_sources
+from pc2scan.show.view import write_page as view
+from show.browser import needs_chromium
+from support import GOLDEN, GOLDEN_EXACT, RECORDINGS, needs_shared, sampled
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from show.browser import Tab
+
+pytestmark = needs_chromium
+
+_FORWARD = [
+    (f"{root.name}/{name}", folder)
+    for root in (GOLDEN, GOLDEN_EXACT)
+    for name, folder in case_folders(root)
+    if not name.startswith(("scan_", "reverse_"))
+]
+
+
+def read_scans(path: Path) -> list[LaserScan]:
+    with closing(open_recording(path)) as reader:
+        connections = [c for c in reader.connections if c.ros_type == LASERSCAN]
+        return [decode_laserscan(m.data, m.connection.serialization) for m in reader.messages(connections)]
+
+
+def _compare(tab: Tab, tmp_path: Path, source: Path, options: ConvertOptions) -> int:
+    """Compare all clouds of a recording; returns how many there were."""
+    view([source], tmp_path / "page.html", options, clouds=1_000)
+    tab.open(tmp_path / "page.html")
+    run([source], tmp_path / "scans.mcap", options, OutputOptions())
+    scans = read_scans(tmp_path / "scans.mcap")
+    for number, scan in enumerate(scans):
+        found: dict[str, Any] = tab.call(
+            "async (n) => { await window.pc2scan.go(n); return window.pc2scan.scan(); }", number
+        )
+        ranges = np.array([float(text.replace("Infinity", "inf")) for text in found["ranges"]], np.float32)
+        assert ranges.tobytes() == scan.ranges.tobytes() or np.array_equal(ranges, scan.ranges, equal_nan=True)
+    tab.assert_quiet()
+    tab.page.close()
+    return len(scans)
+
+
+@pytest.mark.parametrize("folder", sampled([pytest.param(folder, id=name) for name, folder in _FORWARD], 1))
+def test_golden_cases(browser: Any, tmp_path: Path, folder: Path) -> None:
+    case = load_case(folder)
+    params = resolve_sources([], file=case.params).params
+    options = ConvertOptions(scans=(ScanSpec(params=params),), only_scans=True)
+    assert _compare(browser(), tmp_path, case.inputs[0], options) > 0
+
+
+@pytest.mark.slow
+@needs_shared
+@pytest.mark.parametrize("name", ["d435_depth.mcap", "luminar_highway.bag", "ouster_os1_32.mcap", "velodyne_vlp32.bag"])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"min_height": -1.0, "max_height": 1.0},
+        {"geometry": "centered", "beams": 1440, "range_min": 0.3, "reduce": "median", "min_height": -3.0},
+        {"angle_rounding": "glibc-2.40", "use_inf": False, "range_max": 40.0, "angle_min": -1.5, "angle_max": 2.0},
+    ],
+    ids=["heights", "centered", "glibc"],
+)
+def test_real_recordings(browser: Any, tmp_path: Path, name: str, changes: dict[str, Any]) -> None:
+    with closing(open_recording(RECORDINGS / name)) as reader:
+        topic = next(c.topic for c in reader.connections if c.ros_type == "sensor_msgs/msg/PointCloud2")
+    scan = ScanSpec(params=ProjectionParams(**changes), topics=(TopicRequest(topic),))
+    options = ConvertOptions(scans=(scan,), only_scans=True)
+    assert _compare(browser(), tmp_path, RECORDINGS / name, options) > 0

@@ -1,0 +1,298 @@
+"""The command that `info` proposes, pasted: what it names, and where the returns of its scans are."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from contextlib import closing
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+import pc2scan
+from pc2scan.bags.opening import open_recording
+from pc2scan.core.rigid import Rigid
+from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
+from pc2scan.show.proposals import body_of
+from support import RECORDINGS, ROOT, needs_shared
+from support.command import run
+from support.situations import hall
+from support.worlds.mounted import PLACES, cloud, mounted, write_clouds
+from support.worlds.moving import Drive, Lidar, off_the_walls, returns_in_odom, write_imu, write_world
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+STANDING = Drive(speed=0.0, turn=0.0)
+TILTING = Drive(speed=0.5, turn=0.2, tilt=math.radians(3.0))
+ROCKING = replace(TILTING, speed=0.0, turn=0.0, tilt_hz=0.1)
+FRONT = Lidar("/front", "front", columns=900)
+REAR = Lidar("/rear", "rear", columns=900, mount=Rigid.from_rpy(0.0, 0.0, math.pi, (-0.2, 0.0, 0.5)), phase=0.03)
+
+
+@dataclass(frozen=True)
+class World:
+    """A simulated recording.
+
+    Attributes
+    ----------
+    lidars, drive
+        See `write_world`.
+    options
+        The options that its command has besides heights, preset and frame, and the values that matter.
+    off
+        How far returns are from the walls at most, metres: of all but one in twenty, whose beam meets a wall at a
+        small angle.
+    drop
+        Topics that the recording lacks.
+    imu
+        Whether it has an IMU.
+    """
+
+    lidars: tuple[Lidar, ...]
+    drive: Drive
+    options: dict[str, Any]
+    off: float = 0.05
+    drop: tuple[str, ...] = ()
+    imu: bool = False
+
+
+WORLDS = {
+    "stands": World((FRONT,), STANDING, {}),
+    "drives": World((FRONT,), Drive(), {"deskew": True, "fixed_frame": "odom"}),
+    "creeps": World((FRONT,), Drive(speed=0.05, turn=0.0), {}),
+    "tilts": World((FRONT,), TILTING, {"deskew": True, "level": True, "fixed_frame": "odom"}),
+    "rocks, and only the IMU says so": World(
+        (FRONT,), ROCKING, {"level": True, "imu": "/imu"}, drop=("/tf",), imu=True
+    ),
+    "two lidars": World(
+        (FRONT, REAR),
+        Drive(),
+        {"topics": ("/front:=/scan", "/rear:=/scan"), "deskew": True, "fixed_frame": "odom"},
+    ),
+    "two lidars, stands": World((FRONT, REAR), STANDING, {"topics": ("/front:=/scan", "/rear:=/scan")}),
+    "packets": World((replace(FRONT, kind="packets"),), Drive(), {"every": 0.1, "deskew": True, "fixed_frame": "odom"}),
+    "packets, stands": World((replace(FRONT, kind="packets"),), STANDING, {"every": 0.1}),
+    "rosette": World(
+        (replace(FRONT, kind="rosette", columns=800),),
+        Drive(speed=0.3, turn=0.1),
+        {"accumulate": None, "reduce": "surface", "deskew": True, "fixed_frame": "odom"},
+    ),
+    # Half a beam is 0.75 degrees.
+    "coarse": World((replace(FRONT, columns=240),), STANDING, {"beams": "auto"}, off=0.07),
+    "neither fine nor coarse": World((replace(FRONT, columns=500),), STANDING, {}),
+}
+
+
+#: Its first cloud ends, by its stamp, where transforms begin.
+HALL: dict[str, Any] = {
+    "target_frame": "base_link", "deskew": True, "fixed_frame": "odom", "beams": "auto", "start": 0.01,
+}  # fmt: skip
+
+
+def write(world: World, folder: Path) -> Path:
+    path = write_world(folder / "drive.mcap", world.lidars, world.drive, seconds=3.0)
+    sources = [path]
+    if world.imu:
+        sources.append(write_imu(folder / "imu.mcap", world.drive, Rigid.identity(), 3.0, orientation=True))
+    if not (world.drop or world.imu):
+        return path
+    whole = folder / "whole.mcap"
+    pc2scan.convert(
+        sources,
+        whole,
+        topics="/front:=/unused",
+        keep_clouds=True,
+        min_height=0.1,
+        drop=(*world.drop, "/unused"),
+        static_tf="base_link imu_link 0 0 0 0 0 0",
+        write_static_tf=True,
+    )
+    return whole
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_in_a_simulated_world_the_returns_are_on_the_walls(name: str, tmp_path: Path) -> None:
+    world = WORLDS[name]
+    path = write(world, tmp_path)
+    found = pc2scan.info(path)
+    (call,) = found.proposals
+    special = {key: value for key, value in call.options.items() if key not in COMMON}
+    expected = {key: special.get(key) if value is None else value for key, value in world.options.items()}
+    assert special == expected
+    assert (call.options["target_frame"], call.options["preset"]) == ("base_link", "slam_toolbox")
+    (scans,) = pasted(path)
+    flat = replace(world.drive, tilt=0.0)
+    off = np.concatenate([off_the_walls(returns_in_odom(scan, flat)) for scan in scans_of(scans)])
+    assert len(off) > 3_000
+    assert np.quantile(off, 0.95) < world.off
+    if "/tf" not in world.drop:
+        (checked,) = pc2scan.check(scans).topics
+        # gmapping refuses robots that tilt.
+        assert {each.outcome for each in checked.consumers if each.consumer != "gmapping"} <= {"accepted", "shifted"}
+        assert checked.consumers[0].outcome == "accepted"
+
+
+def scans_of(path: Path) -> list[LaserScan]:
+    with closing(open_recording(path)) as reader:
+        flat = [each for each in reader.connections if each.ros_type == LASERSCAN and each.topic == "/scan"]
+        return [decode_laserscan(each.data, each.connection.serialization) for each in reader.messages(flat)]
+
+
+@pytest.mark.parametrize(
+    ("known", "lidars", "reasons"),
+    [
+        ((-0.4, 3.5), (FRONT,), {}),
+        ((0.254, 3.5), (FRONT,), {"start": "transforms to odom begin 0.25 s after the first cloud"}),
+        ((-0.4, 2.654), (FRONT,), {"end": "transforms to odom end 0.36 s before the last cloud"}),
+        (
+            (0.254, 2.654),
+            (FRONT, REAR),
+            {
+                "start": "transforms to odom begin 0.25 s after the first cloud",
+                "end": "transforms to odom end 0.36 s before the last cloud",
+            },
+        ),
+    ],
+)
+def test_clouds_without_transforms_are_left_out(
+    known: tuple[float, float], lidars: tuple[Lidar, ...], reasons: dict[str, str], tmp_path: Path
+) -> None:
+    path = write_world(tmp_path / "drive.mcap", lidars, Drive(), seconds=3.0, known=known)
+    (call,) = pc2scan.info(path).proposals
+    assert {name: why for name, why in call.reasons.items() if name in {"start", "end"}} == reasons
+    report = pc2scan.convert(path, tmp_path / "scans.mcap", **call.options)
+    assert (report.warnings, [topic.skipped for topic in report.topics if topic.skipped]) == ([], [])
+    uncut = {name: value for name, value in call.options.items() if name not in reasons}
+    whole = pc2scan.convert(path, tmp_path / "whole.mcap", **uncut)
+    # Nothing is cut that transforms place.
+    kept, every = (
+        sum(topic.messages_out for topic in each.topics if topic.target == "/scan") for each in (report, whole)
+    )
+    assert sum(topic.skipped for topic in whole.topics) > 0 or not reasons
+    assert kept == every > 10
+
+
+@pytest.mark.parametrize("degrees", [0.0, 0.5, 2.0, 4.0, 8.0])
+def test_a_recorded_mount_that_is_off_is_said_and_corrected(degrees: float, tmp_path: Path) -> None:
+    path = hall(mount=(0.2, 0.0, 0.6), turned=math.radians(degrees))(tmp_path)
+    found = pc2scan.info(path)
+    (call,) = found.proposals
+    is_off = degrees > 1.0
+    said = f"/points: frame 'base_link' is tilted by {degrees:.1f} deg by the transform of 'lidar'"
+    assert [text.startswith(said) for text in found.warnings] == [True] * is_off
+    assert (call.options["target_frame"], "static_tf" in call.options) == ("base_link", is_off)
+    assert not pc2scan.convert(path, tmp_path / "scans.mcap", **call.options).warnings
+
+
+#: What `info` proposes for recordings that other people made, and for the fixtures, besides preset and heights.
+RECORDED: dict[str, dict[str, Any]] = {
+    # Its odometry is simulated, from the year 1970.
+    "luminar_highway.bag": {"time_offset": "auto"},
+    "velodyne_vlp32.bag": {"angle_increment": "0.5deg"},
+    "ouster_os1_32.mcap": {"angle_increment": "0.5deg"},
+    # A camera's clock counts from its start.
+    "d435_depth.mcap": {
+        "static_tf": ...,
+        "target_frame": "d435_depth_optical_frame_level",
+        "time_offset": "auto",
+    },
+    "hall.bag": HALL,
+    "hall.mcap": HALL,
+    "hall": HALL,
+}
+
+
+@needs_shared
+@pytest.mark.parametrize("name", RECORDED)
+def test_real_recordings(name: str, tmp_path: Path) -> None:
+    source = next(folder / name for folder in (ROOT / "fixtures", RECORDINGS) if (folder / name).exists())
+    (call,) = pc2scan.info(source).proposals
+    special = {key: value for key, value in call.options.items() if key not in {"preset", "min_height", "max_height"}}
+    assert special == {key: special.get(key) if value is ... else value for key, value in RECORDED[name].items()}
+    report = pc2scan.convert(source, tmp_path / "scans.mcap", **call.options)
+    assert not any(topic.skipped for topic in report.topics)
+    assert not report.warnings
+    (scans,) = (each for each in pc2scan.check(tmp_path / "scans.mcap").topics if each.topic == "/scan")
+    # Without odometry, most consumers cannot place scans.
+    assert {each.outcome for each in scans.consumers if not each.verdict.unplaced} <= {"accepted", "shifted"}
+
+
+#: The options of every command.
+COMMON = {"preset", "target_frame", "min_height", "max_height", "angle_increment"}
+
+
+def pasted(path: Path) -> list[Path]:
+    """Paste what `info` shows last; return the recordings that are written."""
+    done = run("info", path)
+    assert done.status == 0, done.stderr
+    lines = done.stdout.splitlines()
+    commands = [shlex.split(line) for line in lines[lines.index("ready to convert:") + 1 :]]
+    before = set(path.parent.iterdir())
+    for program, *arguments in commands:
+        assert program == "pc2scan"
+        done = run(*arguments)
+        assert done.status == 0, done.stderr
+    return sorted(set(path.parent.iterdir()) - before)
+
+
+def test_the_heights_of_a_sparse_pattern_are_those_of_the_proposed_mount(tmp_path: Path) -> None:
+    """The same points, in a frame that is level and in one that is not, fill a scan in as many clouds."""
+    random = np.random.default_rng(1)
+    mount = mounted(15, -10)
+    whole = cloud(PLACES["hall"], "32 rings", mount, 0.6)
+    clouds = [whole[np.sort(random.choice(len(whole), 800, replace=False))] for _ in range(25)]
+    level = [(points @ mount.T).astype(np.float32) for points in clouds]
+    (one,) = pc2scan.info(write_clouds(tmp_path / "level.mcap", level)).proposals
+    (other,) = pc2scan.info(write_clouds(tmp_path / "tilted.mcap", clouds)).proposals
+    assert ("static_tf" in one.options, "static_tf" in other.options) == (False, True)
+    assert one.options["accumulate"] == other.options["accumulate"] == "0.8s"
+
+
+def test_lidars_that_do_not_measure_together_have_commands_of_their_own(tmp_path: Path) -> None:
+    late = replace(REAR, phase=2.5)
+    path = write_world(tmp_path / "drive.mcap", (FRONT, late), STANDING, seconds=6.0)
+    calls = pc2scan.info(path).proposals
+    assert [call.options["topics"] for call in calls] == ["/front", "/rear"]
+    assert [each.name for each in pasted(path)] == ["drive_front_scan.mcap", "drive_rear_scan.mcap"]
+
+
+def test_a_missing_mount_is_named_with_the_line_to_complete(tmp_path: Path) -> None:
+    path = write(replace(WORLDS["stands"], drop=("/tf_static",)), tmp_path)
+    found = pc2scan.info(path)
+    (text,) = (each for each in found.warnings if "no transform connects" in each)
+    assert "`static_tf='base_link front X Y Z ROLL PITCH YAW'`" in text
+    (call,) = found.proposals
+    assert "target_frame" not in call.options
+    assert "source_frame" not in str(call)
+    assert run("info", path).stderr.count("--static-tf") == 1
+    assert pasted(path)
+
+
+def driven_through_posts(*, moves: bool, has_body: bool) -> list[np.ndarray[Any, np.dtype[np.float64]]]:
+    """Clouds of a robot among posts, as its lidar sees them; a frame of 0.8 by 0.5 m may be in view."""
+    random = np.random.default_rng(3)
+    posts = random.uniform(-30, 30, (400, 2))
+    frame = np.array([(x, y) for x in (-0.4, 0.4) for y in np.linspace(-0.25, 0.25, 12)])
+    clouds = []
+    for number in range(10):
+        seen = posts - ([2.0 * number, 0.0] if moves else [0.0, 0.0])
+        seen = seen[np.hypot(*seen.T) > 1.0]
+        flat = np.concatenate([seen, frame]) if has_body else seen
+        clouds.append(np.column_stack([flat + random.normal(0, 0.005, flat.shape), np.full(len(flat), 0.5)]))
+    return clouds
+
+
+@pytest.mark.parametrize(("moves", "has_body"), [(True, True), (True, False), (False, True), (False, False)])
+def test_the_body_is_what_stays_while_all_else_moves(moves: bool, has_body: bool) -> None:
+    box = body_of(driven_through_posts(moves=moves, has_body=has_body), 0.1, 1.5)
+    if moves and has_body:
+        assert box is not None
+        assert (-0.7 < box.x[0] < -0.4, 0.4 < box.x[1] < 0.7) == (True, True)
+        assert (-0.5 < box.y[0] < -0.25, 0.25 < box.y[1] < 0.5) == (True, True)
+        assert box.text("base_link").startswith("base_link -0.")
+    else:
+        # What stands beside a robot that stands still may be anything.
+        assert box is None
