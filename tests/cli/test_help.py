@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import ast
+import os
 import re
 import shlex
 import signal
 from pathlib import Path
 from typing import TYPE_CHECKING
+from unittest.mock import patch
 
 import pytest
-from typer.testing import CliRunner
 
 import pc2scan
 from pc2scan.cli import app, completion
-from pc2scan.cli.app import application, parse
+from pc2scan.cli.app import parse
 from pc2scan.cli.commands import COMMANDS
 from pc2scan.options.table import options_of, spelling_of
 from support import ROOT
@@ -50,9 +51,10 @@ def test_the_shell_completes_options_and_their_values(
 def completed(typed: str) -> list[str]:
     """What bash offers."""
     shell = {"_PC2SCAN_COMPLETE": "complete_bash", "COMP_WORDS": typed, "COMP_CWORD": str(len(typed.split(" ")) - 1)}
-    done = CliRunner().invoke(application(), [], prog_name="pc2scan", env=shell)
-    assert done.exit_code == 0, done.output
-    return sorted(done.output.split())
+    with patch.dict(os.environ, shell):
+        done = run()
+    assert (done.status, done.stderr) == (0, "")
+    return sorted(done.stdout.split())
 
 
 @pytest.mark.parametrize("name", COMMANDS)

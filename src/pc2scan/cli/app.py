@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from contextlib import suppress
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
+from typer.core import TyperCommand
 
 from pc2scan.core.kernel import COMPILED
 from pc2scan.errors import OutputError, Pc2ScanError, name_list
@@ -45,6 +47,8 @@ _ROS_LOGS = tuple(
     f"--{verb}-{log}-logs" for verb in ("enable", "disable") for log in ("rosout", "stdout", "external-lib")
 )
 
+_HELP = {"help": ("--help", "-h"), "help_all": ("--help-all",)}
+
 
 class Typed(NamedTuple):
     """A command, and what was typed for its arguments and options: texts, lists of texts, and flags, by name."""
@@ -58,7 +62,7 @@ def run(words: Sequence[str]) -> int:
 
     User errors become a message and an exit status; bugs keep their traceback.
     """
-    if not words:
+    if not words and "_PC2SCAN_COMPLETE" not in os.environ:
         for line in help_of(""):
             say(line, err=True)
         return 2
@@ -111,12 +115,36 @@ def parse(words: Sequence[str]) -> Typed | int:
 
 def application(command: str = "") -> typer.Typer:
     """Make the parser, of all commands or only of the one that is going to run: to build its options takes a while."""
-    app = typer.Typer(name="pc2scan", help=ABOUT, add_help_option=False, rich_markup_mode=None)
+    names = [command] if command in COMMANDS else [*COMMANDS]
+    completes = len(names) > 1
+    app = typer.Typer(
+        name="pc2scan", help=ABOUT, add_help_option=False, rich_markup_mode=None, add_completion=completes
+    )
     app.callback()(_root)
-    for name in (command,) if command in COMMANDS else COMMANDS:
+    for name in names:
         text = COMMANDS[name].help.partition("\n")[0]
-        app.command(name, help=text, add_help_option=False, no_args_is_help=False)(_parser_of(name))
+        app.command(name, help=text, add_help_option=False, no_args_is_help=False, cls=_Command)(_parser_of(name))
     return app
+
+
+class _Command(TyperCommand):
+    """A command whose values stay text.
+
+    Typer converts each with an adapter of pydantic: 13 MB, and as much time as all imports together.
+    """
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        if ctx.resilient_parsing:
+            # A shell completes the words.
+            return super().parse_args(ctx, args)
+        values, rest, _ = self.make_parser(ctx).parse_args(args=args)
+        for key in _HELP:
+            if values.pop(key, None):
+                _show_help(self.name or "", every=key == "help_all")
+        if rest:
+            ctx.fail(f"Got unexpected extra argument(s) ({' '.join(rest)})")
+        ctx.params = values
+        return rest
 
 
 def _show_version(value: bool) -> None:
@@ -126,21 +154,20 @@ def _show_version(value: bool) -> None:
         raise typer.Exit
 
 
-def _showing_help(command: str, *, every: bool = False) -> Callable[[bool], None]:
-    """Return what shows the help, when Typer has read that it is asked for."""
+def _show_help(command: str = "", *, every: bool = False) -> None:
+    for line in help_of(command, every=every):
+        say(line)
+    raise typer.Exit
 
-    def show_help(value: bool) -> None:
-        if value:
-            for line in help_of(command, every=every):
-                say(line)
-            raise typer.Exit
 
-    return show_help
+def _show_about(value: bool) -> None:
+    if value:
+        _show_help()
 
 
 def _root(
     version: Annotated[bool, typer.Option("--version", callback=_show_version, is_eager=True)] = False,
-    help: Annotated[bool, typer.Option("--help", "-h", callback=_showing_help(""), is_eager=True)] = False,  # noqa: A002
+    help: Annotated[bool, typer.Option("--help", "-h", callback=_show_about, is_eager=True)] = False,  # noqa: A002
 ) -> None:
     pass
 
@@ -152,14 +179,15 @@ def _parser_of(name: str) -> Callable[..., Typed]:
     """
 
     def parsed(**values: Any) -> Typed:
-        return Typed(name, {key: value for key, value in values.items() if value is not None and value != []})
+        return Typed(name, {key: value for key, value in values.items() if value not in (None, [])})
 
     keywords = {argument.name: _annotation_of_own(argument) for argument in COMMANDS[name].arguments}
     keywords |= {key: _annotation(option) for key, option in options_of(name).items() if option.spelling}
-    helps = {"help": ("--help", "-h"), **({"help_all": ("--help-all",)} if has_more(name) else {})}
-    for key, spellings in helps.items():
-        show = _showing_help(name, every=key == "help_all")
-        keywords[key] = Annotated[bool | None, typer.Option(*spellings, callback=show, is_eager=True)]
+    keywords |= {
+        key: Annotated[bool | None, typer.Option(*spellings)]
+        for key, spellings in _HELP.items()
+        if key == "help" or has_more(name)
+    }
     parameters = [Keyword(key, Keyword.KEYWORD_ONLY, default=None, annotation=each) for key, each in keywords.items()]
     parsed.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
     parsed.__annotations__ = {}

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import errno
 import os
-from asyncio import run_coroutine_threadsafe
 from concurrent.futures import wait
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -96,7 +95,7 @@ class RemotePath:
         self.shown = shown
         scheme = url.partition(":")[0]
         try:
-            from fsspec.core import url_to_fs  # noqa: PLC0415  # only an extra
+            import fsspec  # noqa: PLC0415  # only an extra
         except ImportError as err:
             raise UsageError(
                 "a URL needs the library fsspec, which is not installed",
@@ -106,7 +105,8 @@ class RemotePath:
         try:
             with self._translated_errors():
                 # A listing that is cached by one thread lacks what another one writes meanwhile.
-                self._fs, self.key = url_to_fs(url, use_listings_cache=False, **_patience(scheme))
+                options = _patience(scheme, fsspec.config.conf)
+                self._fs, self.key = fsspec.url_to_fs(url, use_listings_cache=False, **options)
         except ImportError as err:
             raise UsageError(
                 f"{scheme}:// needs the library {library}, which is not installed",
@@ -191,7 +191,9 @@ class RemotePath:
         with self._translated_errors():
             if not self._fs.async_impl:
                 return getattr(self._fs, name)(self.key, *args, **options)
-            # fsspec has loaded both.
+            # fsspec has loaded it; all that reads no URL would take 5 MB for it.
+            from asyncio import run_coroutine_threadsafe  # noqa: PLC0415
+
             work = getattr(self._fs, f"_{name}")(self.key, *args, **options)
             future = run_coroutine_threadsafe(work, self._fs.loop)
             try:
@@ -229,19 +231,17 @@ def _object(found: dict[str, Any]) -> StoredObject:
     return StoredObject(size, version.strip('"'), is_folder)
 
 
-def _patience(scheme: str) -> dict[str, Any]:
+def _patience(scheme: str, configured: dict[str, Any]) -> dict[str, Any]:
     """Return options with timeouts for a store, unless the user has configured them.
 
     By default S3 takes minutes to give up, and a web server's file may not take longer than five minutes.
     """
-    from fsspec.config import conf  # noqa: PLC0415  # only an extra
-
     if scheme in {"http", "https"}:
         return {
             "client_kwargs": _web_client(_CONNECT_SECONDS, _READ_SECONDS)
-            | conf.get(scheme, {}).get("client_kwargs", {})
+            | configured.get(scheme, {}).get("client_kwargs", {})
         }
-    if scheme in {"s3", "s3a"} and not conf.get(scheme):
+    if scheme in {"s3", "s3a"} and not configured.get(scheme):
         # No retries of the S3 library: s3fs itself tries five times.
         config = {"connect_timeout": _CONNECT_SECONDS, "read_timeout": _READ_SECONDS, "retries": {"max_attempts": 0}}
         return {"config_kwargs": config}
