@@ -1,7 +1,7 @@
 """Makes the pictures of the README again: ``python docs/pictures/make.py [FOLDER]``.
 
-A cloud of the fixtures and scans of it that are wrong, the map of a drive that the tests simulate, scans of robots that
-move, and the chart of docs/benchmarks.md. Needs what the tests need.
+A cloud of the fixtures and scans of it that are wrong, the map of a drive that the tests simulate, and scans of robots
+that move. Needs what the tests need.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ ROOT = HERE.parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
 import moving  # noqa: E402  # beside this one
-import speed  # noqa: E402  # this, too
 import wrong  # noqa: E402  # and this
 
 from support.builders import write_mcap  # noqa: E402  # a folder of its own
@@ -36,7 +35,6 @@ def main(folder: Path) -> None:
         drive = write_mcap(Path(temporary) / "drive.mcap", drive_recording())
         pc2scan("map", drive, "-o", folder / "map.png")
     moving.main(folder)
-    speed.main(folder)
     wrong.main(folder)
 
 
