@@ -331,7 +331,7 @@ def map(  # noqa: A001  # the command's name
     >>> pc2scan.map("drive.bag", min_height=0.1, max_height=1.5).save("map.yaml")  # doctest: +SKIP
     """
     asked = Options("map", options)
-    return draw_map(paths_in("sources", sources), None, asked, write=False, progress=asked.progress)
+    return draw_map(paths_in("sources", sources), asked, progress=asked.progress)
 
 
 @takes_options

@@ -14,7 +14,7 @@ from pc2scan.core import kernel, plain
 from pc2scan.core.occupancy import FREE, OCCUPIED, UNSEEN, OccupancyGrid, observing_beams, place_beams
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.unproject import UnprojectParams, deskew, unproject
-from pc2scan.errors import DecodeError, ParameterError, UsageError
+from pc2scan.errors import DecodeError, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -201,9 +201,3 @@ def test_a_scan_that_would_take_too_long_is_refused() -> None:
         grid.add(np.zeros((1000, 2)), ends, np.ones(1000, bool))
     grid.add(np.zeros((100, 2)), ends[:100], np.ones(100, bool))
     assert grid.occupancy() is not None
-
-
-@pytest.mark.parametrize("resolution", [0.0, -1.0, math.nan, math.inf])
-def test_resolutions_that_cannot_be(resolution: float) -> None:
-    with pytest.raises(ParameterError):
-        OccupancyGrid(resolution, 100)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pc2scan.files.urls import path_or_url
 from pc2scan.options.call import Options
-from pc2scan.show.map import draw_map
+from pc2scan.show.map import write_map
 
 from .render import LiveWarnings, progress_bar, show
 
@@ -18,6 +18,6 @@ def map(  # noqa: A001  # the function of a command has its name
     path = None if destination is None else path_or_url(destination)
     warn = LiveWarnings()
     with progress_bar(enabled=not options.as_json) as progress:
-        result = draw_map(sources, path, options, warn=warn, progress=progress)
+        result = write_map(sources, path, options, warn=warn, progress=progress)
     show(result, as_json=options.as_json, known=warn)
     return result.exit_status

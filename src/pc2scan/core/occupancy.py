@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
-from pc2scan.errors import DecodeError, ParameterError, UsageError
+from pc2scan.errors import DecodeError, UsageError
 
 from . import kernel
 from .plain import UNKNOWN
@@ -44,6 +44,9 @@ _MOST_CROSSED = 1 << 25
 
 #: How many cells one beam may cross.
 LONGEST = 1 << 16
+
+#: Limits of the side of a cell, metres.
+_FINEST, _COARSEST = 0.001, 1.0
 
 #: A grid grows by this share of its size at least, so that it is not copied for every scan.
 _GROWTH = 4
@@ -165,13 +168,18 @@ class OccupancyGrid:
 
     Raises
     ------
-    ParameterError
-        If the resolution is not a positive number.
+    UsageError
+        If cells would be finer than any lidar measures, or so coarse that they show nothing.
     """
 
     def __init__(self, resolution: float, most: int) -> None:
-        if not (math.isfinite(resolution) and resolution > 0):
-            raise ParameterError(f"`resolution` is {resolution}, it must be more than 0 metres", name="resolution")
+        if not _FINEST <= resolution <= _COARSEST:
+            # A resolution of 5 nearly always means centimetres.
+            meant = resolution / 100
+            hint = f"for {resolution:g} cm write `resolution={meant:g}`" if _FINEST <= meant <= _COARSEST else None
+            raise UsageError(
+                f"`resolution` is {resolution:g} m, it must be from {_FINEST:g} to {_COARSEST:g}", hint=hint
+            )
         self.resolution = resolution
         self._most = most
         #: Log-odds, and the mark of a scan; see `pc2scan.core.plain.trace`.
