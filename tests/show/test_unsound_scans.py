@@ -199,6 +199,7 @@ SOUND = {
     "alternating rings": filled(*(range(i % 4, 360, 4) for i in range(60))),
     "one full turn and one half": filled(*(range(360 if i % 2 else 170) for i in range(60))),
     "one scan": filled(range(40)),
+    "two posts that a turning robot sees": filled(*((30 * i, 30 * i + 5) for i in range(20))),
 }
 
 
@@ -240,19 +241,16 @@ def two_clocks(number: int, *, switched: bool = False) -> tuple[list[LaserScan],
 
 
 @pytest.mark.parametrize("switched", [False, True], ids=["alternating", "once"])
-def test_the_rate_of_two_clocks_is_that_of_each(switched: bool, tmp_path: Path) -> None:
+def test_stamps_that_jump_are_of_another_clock(switched: bool, tmp_path: Path) -> None:
     content, logged = two_clocks(60, switched=switched)
     found = checked(tmp_path, content, "nav2", log_times_ns=logged)
     (topic,) = found.topics
-    assert topic.interval_ns == pytest.approx(STEP / 2 if switched else STEP)
+    assert topic.interval_ns == (STEP / 2 if switched else None)
     told = kinds(found)
     assert told["clocks"] == "notice"
     assert not {"rate", "scan-time"} & set(told)
-    jumps = "1 time to another time" if switched else "59 times between 2 clocks"
-    assert f"the stamps jump {jumps}, by up to 1,699,999," in text(found, "clocks")
-    wrong = [replace(scan, scan_time=1 / 30) for scan in content]
-    told_time = text(checked(tmp_path, wrong, log_times_ns=logged), "scan-time")
-    assert told_time == f"scan_time is 0.03333 s, but scans come every {0.05 if switched else 0.1} s"
+    times = "1 time" if switched else "59 times"
+    assert f"the stamps jump {times} to another time, by up to 1,699,999," in text(found, "clocks")
 
 
 def test_scans_of_a_clock_without_transforms_are_ignored(tmp_path: Path) -> None:

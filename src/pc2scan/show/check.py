@@ -15,7 +15,7 @@ from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics, unheard
 from pc2scan.conversion.engine import schedule
 from pc2scan.core.consumers import CONSUMERS
-from pc2scan.core.verdicts import OUTCOMES, Outcome
+from pc2scan.core.verdicts import OUTCOMES
 from pc2scan.errors import DecodeError, TopicError, UsageError, leading, stamp_text
 from pc2scan.files.urls import path_or_url
 from pc2scan.messages.clouds import CLOUDS, SCANS
@@ -28,21 +28,17 @@ from pc2scan.transforms.placing import FrameOptions
 from pc2scan.transforms.reading import tf_connections
 from pc2scan.transforms.robot_model import NO_MODEL
 
-from .arrivals import Arrivals
-from .findings import Finding
-from .scan_frames import ScanFrames, mounting_findings
-from .scan_topic import ScanTopic
+from .scan_frames import Arrivals, ScanFrames, mounting_findings
+from .scan_topic import ConsumerCheck, Finding, ScanTopic
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from pc2scan.advice.survey import TopicFacts
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
-    from pc2scan.core.verdicts import ConsumerScan, Verdict
+    from pc2scan.core.verdicts import ConsumerScan
     from pc2scan.model import Connection
     from pc2scan.progress import Progress
-    from pc2scan.transforms.buffer import TransformBuffer
 
 
 #: How many frames are shown as text.
@@ -61,41 +57,6 @@ _UNUSABLE: dict[str, frozenset[str]] = {
         ("few-directions", "odometry-direction", "stamps-back", "stamps-zero"), frozenset(CONSUMERS) - {"nav2"}
     ),
 }
-
-
-@dataclass(frozen=True, slots=True)
-class ConsumerCheck:
-    """What one consumer does with the scans of a topic.
-
-    Attributes
-    ----------
-    consumer
-        Its name.
-    outcome
-        The worst outcome of any scan.
-    scans
-        How many scans have this outcome.
-    verdict
-        The rule, the numbers and the cure, for the first of these scans.
-    stamp_ns
-        The stamp of the first of these scans.
-    """
-
-    consumer: str
-    outcome: Outcome
-    scans: int
-    verdict: Verdict
-    stamp_ns: int
-
-    def lines(self, scans: int) -> Iterator[str]:
-        """Yield the text of a report, given how many scans the topic has."""
-        share = "" if self.scans == scans else f" {self.scans:,} of {counted(scans, 'scan')}"
-        yield f"  {self.consumer:<14}{self.outcome}{share}"
-        verdict = self.verdict
-        if verdict.rule:
-            yield f"      rule  {verdict.rule}"
-            yield f"      here  {verdict.observed}; allowed: {verdict.allowed}"
-            yield f"      cure  {verdict.cure}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,33 +158,24 @@ class Check(Result):
         Beams that are shifted, by up to one increment, count only if consumers are given: no scan satisfies both
         slam_toolbox and gmapping, unless it is a full circle.
         """
-        return all(self.takes(topic, consumer) for topic in self.topics for consumer in self.counting)
-
-    def takes(self, topic: TopicCheck, consumer: str) -> bool:
-        """Whether a consumer accepts every scan of a topic; see `accepted`."""
         taken = ("accepted",) if self.asked else ("accepted", "shifted")
-        return {each.consumer: each.outcome for each in topic.consumers}.get(consumer) in taken
+        outcomes = [{each.consumer: each.outcome for each in topic.consumers} for topic in self.topics]
+        return all(of_topic.get(consumer) in taken for of_topic in outcomes for consumer in self.counting)
 
-    def counts(self, finding: Finding) -> bool:
-        """Whether a finding is a failure: a defect, or if consumers are given, only one that is `unusable` for them."""
-        return finding.level == "defect" and (not self.asked or self._useless(finding))
-
-    def _useless(self, finding: Finding) -> bool:
-        """Whether a defect makes scans useless for a consumer that counts."""
-        return not _UNUSABLE.get(finding.kind, frozenset()).isdisjoint(self.counting)
+    @property
+    def _defects(self) -> list[str]:
+        """The kinds of the defects of all topics."""
+        return [each.kind for topic in self.topics for each in topic.findings if each.level == "defect"]
 
     @property
     def unusable(self) -> bool:
         """Whether scans are of no use: empty, parts, in a frame that is no sensor's, or at impossible angles."""
-        return any(
-            finding.level == "defect" and self._useless(finding) for topic in self.topics for finding in topic.findings
-        )
+        return any(not _UNUSABLE.get(kind, frozenset()).isdisjoint(self.counting) for kind in self._defects)
 
     @property
     def defects(self) -> int:
         """How many findings are defects; a damaged recording counts as one."""
-        found = sum(finding.level == "defect" for topic in self.topics for finding in topic.findings)
-        return found + bool(self.damage)
+        return len(self._defects) + bool(self.damage)
 
     @property
     def exit_status(self) -> int:
@@ -342,16 +294,21 @@ def check(
             meter.following = reader.stored_bytes(wanted)
         survey.read(meter)
         transforms = reading.finish()
-        buffer = transforms.buffer
         wrong = {name: clock for name, clock in clocks.findings().items() if clock.other}
-        places = {name: ScanFrames(buffer, odom_frame, base_frame, wrong.get(name), arrivals) for name in chosen}
-        found = _check_topics(reader, chosen, places, meter, echo)
-        unheard_ones = [Finding("static-unheard", "defect", *each) for each in unheard(reader.connections)]
-        found = _with_mountings(found, clouds, buffer, unheard_ones)
+        read = {
+            name: (ScanTopic(), ScanFrames(transforms.buffer, odom_frame, base_frame, wrong.get(name), arrivals))
+            for name in chosen
+        }
+        _read_scans(reader, wanted, read, meter, echo)
+        shared = [Finding("static-unheard", "defect", *each) for each in unheard(reader.connections)]
+        frames_of_scans = dict.fromkeys(frame for scans, _ in read.values() for frame in scans.frames)
+        tilted = mounting_findings(clouds, transforms.buffer, frames_of_scans)
+        checked = []
+        for name, (scans, places) in read.items():
+            own = [tilted[frame] for frame in scans.frames if frame in tilted]
+            checked.append(_topic_check(name, scans, places, [*own, *shared]))
         damage = tuple(place for each in (reader, *others) for place in each.damage)
-    return Check(
-        tuple(map(str, paths)), asked, tuple(found), (*reader.remarks, *transforms.warnings, *transforms.notes), damage
-    )
+    return Check(tuple(map(str, paths)), asked, tuple(checked), (*transforms.warnings, *transforms.notes), damage)
 
 
 def _scan_connections(reader: Reader, topics: tuple[str, ...]) -> dict[str, list[Connection]]:
@@ -372,16 +329,14 @@ def _scan_connections(reader: Reader, topics: tuple[str, ...]) -> dict[str, list
     return {name: scans[name] for name in sorted(names)}
 
 
-def _check_topics(
+def _read_scans(
     reader: Reader,
-    chosen: dict[str, list[Connection]],
-    frames: Mapping[str, ScanFrames],
+    wanted: Sequence[Connection],
+    topics: Mapping[str, tuple[ScanTopic, ScanFrames]],
     meter: Meter | None,
     echo: str,
-) -> list[TopicCheck]:
+) -> None:
     """Read the scans once, and check them."""
-    topics = {name: (ScanTopic(), frames[name]) for name in chosen}
-    wanted = [each for group in chosen.values() for each in group]
     if meter is not None:
         meter.expect(reader.stored_bytes(wanted))
     for message in schedule(reader.units(wanted), own_message, None, path=reader.path, meter=meter):
@@ -398,28 +353,13 @@ def _check_topics(
         scans.add(scan, message.log_time_ns, places.add(scan.frame_id, scan.stamp_ns, message.log_time_ns))
     if meter is not None:
         meter.finish()
-    return [_topic_check(name, scans, places) for name, (scans, places) in topics.items()]
 
 
-def _with_mountings(
-    found: Sequence[TopicCheck], clouds: Iterable[TopicFacts], buffer: TransformBuffer, others: Sequence[Finding]
-) -> list[TopicCheck]:
-    """Add findings about the scans' frames, from the clouds of the recording, and others that all topics share."""
-    tilted = mounting_findings(clouds, buffer, [frame for topic in found for frame in topic.frames])
-    return [
-        replace(
-            topic, findings=(*(tilted[frame] for frame in topic.frames if frame in tilted), *others, *topic.findings)
-        )
-        for topic in found
-    ]
-
-
-def _topic_check(name: str, scans: ScanTopic, places: ScanFrames) -> TopicCheck:
-    own, missing = scans.findings(), places.findings(scans.interval_ns) if scans.scans else []
+def _topic_check(name: str, scans: ScanTopic, places: ScanFrames, shared: Sequence[Finding]) -> TopicCheck:
+    own, missing = list(scans.findings()), list(places.findings(scans.interval_ns)) if scans.scans else []
     if any(each.kind == "clock" for each in missing):
         # This says more than that the stamps are far from the log times.
         own = [each for each in own if each.kind != "stamps-far"]
-    findings = sorted([*own, *missing], key=lambda finding: finding.level)
     return TopicCheck(
         name,
         scans.scans,
@@ -427,19 +367,6 @@ def _topic_check(name: str, scans: ScanTopic, places: ScanFrames) -> TopicCheck:
         (min(scans.beams, default=0), max(scans.beams, default=0)),
         scans.interval_ns,
         scans.first,
-        tuple(
-            ConsumerCheck(consumer, worst[0].outcome, worst[1], _with_rebin(worst[0]), worst[2])
-            for consumer in CONSUMERS
-            if (worst := scans.worst(consumer)) is not None
-        ),
-        tuple(findings),
+        tuple(scans.consumers()),
+        (*shared, *sorted([*own, *missing], key=lambda finding: finding.level)),
     )
-
-
-def _with_rebin(verdict: Verdict) -> Verdict:
-    """Return a verdict whose cure is one for scans that a 2D lidar has measured, too."""
-    preset = f"`preset={verdict.consumer}`"
-    if preset not in verdict.cure:
-        return verdict
-    cure = verdict.cure.replace(preset, f"`rebin=True` {preset}")
-    return verdict._replace(cure=f"{cure}; without `rebin` for scans made from clouds")

@@ -1,31 +1,38 @@
-"""Checks the scans of one topic; keeps only counts and the first scan of each kind."""
+"""Checks the scans of one topic: their messages, stamps and ranges. Keeps counts, and the first scan of each kind."""
 
 from __future__ import annotations
 
+import cmath
 import math
+from array import array
 from collections import Counter
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from pc2scan.core.consumers import CONSUMERS, has_angles, judge
 from pc2scan.core.layout import TURN
 from pc2scan.core.timing import IN_SECONDS, increment_doubt
-from pc2scan.core.verdicts import OUTCOMES, ConsumerScan, Outcome, ScanTransforms, Verdict
+from pc2scan.core.verdicts import OUTCOMES, ConsumerScan, Outcome, ScanTransforms, Verdict, are_returns
+from pc2scan.errors import stamp_text
 from pc2scan.messages.laserscan import scan_for_consumers
 from pc2scan.text import agreeing, counted
 
-from .findings import Finding, Tally, few_unplaced, finding
-from .scan_filling import ScanFilling
-from .scan_stamps import ScanStamps
-
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     from pc2scan.messages.laserscan import LaserScan
 
-    from .findings import Level
+#: ``defect``: violates the definition of the message, or makes scans useless. ``notice``: worth knowing.
+Level = Literal["defect", "notice"]
+
+#: Scans without a transform are usual at the beginning and the end: as many as come within this time, nanoseconds, or
+#: this share of all scans.
+_USUAL_NS = 2_000_000_000
+_USUAL_SHARE = 0.05
 
 #: A median range from here on is taken for millimetres: no lidar sees half a kilometre in most directions.
 _MILLIMETRES = 500.0
@@ -33,48 +40,184 @@ _MILLIMETRES = 500.0
 #: Rounding of a driver's ``time_increment``.
 _ROUNDING = 1.01
 
+#: An interval that differs from the median by more than this share is reported: scans are missing or repeated.
+_STUTTER = 0.5
+
+#: A ``scan_time`` that differs from the median interval by more than this share of it is reported.
+_SCAN_TIME = 0.2
+
+#: Stamps and log times farther apart than this, nanoseconds, are reported: the difference is one of clocks, not a
+#: delay.
+_FAR_NS = 1_000_000_000
+
+#: A stamp that goes back by more than this, nanoseconds, or ahead of the log times by more than this, is of another
+#: clock than the one before.
+_JUMP_NS = 10_000_000_000
+
+#: A scan is a part of a turn if all its returns are in a sector of less than this share of its directions, and less
+#: than this share of them in directions in which the scan before it has returns.
+_PART = 0.5
+
+#: Fewer returns than these, as of two posts in a field while the robot turns, are no part of a turn.
+_FEWEST_RETURNS = 4
+
+#: How constant the steps from part to part are: the length of the mean of the steps as directions. It is 1 for a lidar
+#: that turns, and near 0 for single returns in directions by chance, such as of dust.
+_STEADY = 0.5
+
+#: If fewer than this share of the directions have a return in any scan, no consumer can match the scans.
+_FEW = 0.05
+
+#: What to do about stamps that are out of order.
+_BACK = (
+    "SLAM drops or mixes up such scans: a second publisher, or a clock that was set; pc2scan convert `stamps=log` "
+    "takes the log times, with `rebin` for scans of a 2D lidar"
+)
+
+#: Scans in more frames than this do not count for parts of a turn.
+_MOST_FRAMES = 100
+
+#: What is counted scan by scan: a verb that agrees with the count, the problem, and what the user can do.
+_EACH_SCAN: dict[str, tuple[str, str, str]] = {
+    "no-frame": ("have", "an empty frame_id", "pc2scan convert `source_frame` names it for scans made from clouds"),
+    "length": (
+        "have",
+        "another number of beams than the first: {low:,} to {high:,}",
+        "pc2scan convert `rebin=True` gives all scans one number of beams",
+    ),
+    "angles": ("have", "no angles: {angles} for {beams}", "beam i is at angle_min + i * angle_increment"),
+    "full-circle": (
+        "cover",
+        "more than a full circle: {angles} for {beams}",
+        "angles in degrees? At most 2 pi (6.28319 rad) are a circle",
+    ),
+    "intensities": (
+        "have",
+        "intensities, but not one a beam",
+        "write no intensities, or one for every beam",
+    ),
+    "stamps-back": ("have", "a stamp before that of the scan before", _BACK),
+    "stamps-repeated": ("repeat", "the stamp of the scan before", _BACK),
+    "stamps-zero": ("have", "no stamp (0)", _BACK),
+    "time-increment": (
+        "take",
+        "longer from the first beam to the last (time_increment) than from one scan to the next (scan_time)",
+        "time_increment * (beams - 1) should be at most scan_time",
+    ),
+    "times": ("have", "a scan_time or time_increment that is not a valid duration", ""),
+    "no-returns": (
+        "have",
+        "no return at all",
+        "for scans made from clouds the summary of pc2scan convert names the parameter to blame",
+    ),
+}
+
+#: Those that are notices; the others are defects. Without returns, half of the scans are a defect.
+_NOTICES = {"time-increment", "times", "no-returns"}
+
+#: What is counted range by range: the counts of `ConsumerScan`, the problem, and what the user can do.
+_EACH_RANGE = {
+    "short": ("are below range_min", "a beam without a return should be +inf"),
+    # Zeros that are not below range_min are returns.
+    "zero": (
+        "are 0, and range_min is 0 m or less: consumers take them for obstacles at the sensor",
+        "for scans made from clouds: pc2scan convert `range_min=0.1`",
+    ),
+    "long": ("are above range_max", "no consumer treats them as returns; +inf would be clearer"),
+    "nan": ("are NaN", "NaN means an erroneous measurement; a beam without a return should be +inf"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A problem of the scans of a topic, for all consumers.
+
+    Attributes
+    ----------
+    kind
+        A word for programs, such as ``stamps-back``.
+    level
+        ``defect`` or ``notice``.
+    text
+        The problem, with the numbers.
+    hint
+        What the user can do; empty if unknown.
+    count
+        How many scans have it.
+    stamp_ns
+        The stamp of the first of these scans; None if it does not concern single scans.
+    """
+
+    kind: str
+    level: Level
+    text: str
+    hint: str = ""
+    count: int = 0
+    stamp_ns: int | None = None
+
 
 @dataclass(slots=True)
-class ConsumerVerdicts:
-    """A consumer's verdicts on the scans: the number of each outcome, and its first verdict."""
+class Tally:
+    """A count, and the stamp of the first occurrence; of verdicts, also the first one."""
 
-    counts: Counter[Outcome] = field(default_factory=Counter)
-    firsts: dict[Outcome, tuple[Verdict, int]] = field(default_factory=dict)
-    unplaced: Tally = field(default_factory=Tally)
-    reason: Verdict | None = None
+    count: int = 0
+    stamp_ns: int = 0
+    verdict: Verdict | None = None
 
-    def add(self, verdict: Verdict, stamp_ns: int) -> None:
-        """Count the verdict on one more scan, without considering its transforms."""
-        self.counts[verdict.outcome] += 1
-        self.firsts.setdefault(verdict.outcome, (verdict, stamp_ns))
+    def add(self, stamp_ns: int, verdict: Verdict | None = None) -> None:
+        """Count one more."""
+        if not self.count:
+            self.stamp_ns, self.verdict = stamp_ns, verdict
+        self.count += 1
 
-    def add_unplaced(self, verdict: Verdict, stamp_ns: int) -> None:
-        """Count a scan that is ignored because of its transforms."""
-        self.unplaced.add(stamp_ns)
-        self.reason = self.reason or verdict
+    def finding(self, kind: str, level: Level, text: str, hint: str = "") -> Finding:
+        """Return the finding about what was counted."""
+        return Finding(kind, level, text, hint, self.count, self.stamp_ns)
 
-    def worst(self, interval_ns: float | None) -> tuple[Verdict, int, int] | None:
-        """Return the worst verdict, the number of scans with it, and the first one's stamp; None without scans.
 
-        A few missing transforms do not count, see `few_unplaced`. Problems of the scans themselves come first.
+@dataclass(frozen=True, slots=True)
+class ConsumerCheck:
+    """What one consumer does with the scans of a topic.
 
-        Parameters
-        ----------
-        interval_ns
-            The median interval between scans.
-        """
-        if not self.counts:
-            return None
-        outcome = max(self.counts, key=OUTCOMES.index)
-        verdict, stamp_ns = self.firsts[outcome]
-        missing = self.unplaced.count
-        if (
-            self.reason is not None
-            and outcome in {"accepted", "shifted"}
-            and not few_unplaced(missing, self.counts.total(), interval_ns)
-        ):
-            return self.reason, missing, self.unplaced.stamp_ns or 0
-        return verdict, self.counts[outcome], stamp_ns
+    Attributes
+    ----------
+    consumer
+        Its name.
+    outcome
+        The worst outcome of any scan.
+    scans
+        How many scans have this outcome.
+    verdict
+        The rule, the numbers and the cure, for the first of these scans.
+    stamp_ns
+        The stamp of the first of these scans.
+    """
+
+    consumer: str
+    outcome: Outcome
+    scans: int
+    verdict: Verdict
+    stamp_ns: int
+
+    def lines(self, scans: int) -> Iterator[str]:
+        """Yield the text of a report, given how many scans the topic has."""
+        share = "" if self.scans == scans else f" {self.scans:,} of {counted(scans, 'scan')}"
+        yield f"  {self.consumer:<14}{self.outcome}{share}"
+        verdict = self.verdict
+        if verdict.rule:
+            yield f"      rule  {verdict.rule}"
+            yield f"      here  {verdict.observed}; allowed: {verdict.allowed}"
+            yield f"      cure  {verdict.cure}"
+
+
+def few_unplaced(unplaced: int, scans: int, interval_ns: float | None) -> bool:
+    """Whether so many scans without a transform are usual in a sound recording.
+
+    They are less than half of the scans, and at most 5 % of them or as many as come within 2 s: transforms often begin
+    a little later than the scans, and end earlier.
+    """
+    at_the_ends = _USUAL_NS / interval_ns if interval_ns else 0.0
+    return 2 * unplaced < scans and unplaced <= max(_USUAL_SHARE * scans, at_the_ends)
 
 
 class ScanTopic:
@@ -90,8 +233,6 @@ class ScanTopic:
         All ``frame_id``, with their numbers of scans.
     beams
         All lengths of ``ranges``, with their numbers of scans.
-    judged
-        The verdicts by consumer.
     """
 
     def __init__(self) -> None:
@@ -99,265 +240,286 @@ class ScanTopic:
         self.first: ConsumerScan | None = None
         self.frames: Counter[str] = Counter()
         self.beams: Counter[int] = Counter()
-        self.judged = {consumer: ConsumerVerdicts() for consumer in CONSUMERS}
+        #: The verdicts of each consumer, by outcome; those about transforms are beside the others.
+        self._verdicts: dict[str, dict[str, Tally]] = {consumer: {} for consumer in CONSUMERS}
         self._undecodable = Tally()
         self._reason = ""
         self._first_of: dict[str, ConsumerScan] = {}
         self._kept_of: dict[tuple[str, str], ConsumerScan] = {}
-        self._stamps = ScanStamps()
-        self._filling = ScanFilling()
-        self._empty, self._intensities, self._length = Tally(), Tally(), Tally()
-        self._slow, self._no_frame, self._times, self._turned = Tally(), Tally(), Tally(), Tally()
-        self._angles = Tally()
-        self._at_sensor = 0
-        self._spread = (0.0, 0.0, 0.0)
+        self._tallies = {kind: Tally() for kind in _EACH_SCAN}
         self._ranges: Counter[str] = Counter()
+        self._spread: list[float] = []
+        self._stamps = _Stamps()
+        self._sectors = _Sectors()
 
     def add_undecodable(self, log_time_ns: int, reason: str) -> None:
         """Count a message that cannot be decoded; its log time is used as its stamp."""
         self._undecodable.add(log_time_ns)
         self._reason = self._reason or reason
 
-    def add(self, message: LaserScan, log_time_ns: int, placed: ScanTransforms | None = None) -> None:
-        """Add the next scan; without ``placed``, transforms are not considered."""
-        stamp_ns = message.stamp_ns
+    def add(self, message: LaserScan, log_time_ns: int, placed: ScanTransforms) -> None:
+        """Add the next scan."""
+        stamp_ns, frame = message.stamp_ns, message.frame_id
         scan = scan_for_consumers(message)
         self.scans += 1
         if self.first is None:
-            self.first, self._spread = scan, _spread(message.ranges)
-        self.frames[message.frame_id] += 1
+            self.first = scan
+            finite = np.sort(message.ranges[np.isfinite(message.ranges)])
+            self._spread = [float(finite[place]) for place in (0, len(finite) // 2, -1)] if len(finite) else []
+        self.frames[frame] += 1
         self.beams[scan.beams] += 1
-        first = self._first_of.setdefault(message.frame_id, scan)
-        for consumer, judged in self.judged.items():
-            key = consumer, message.frame_id
-            kept = self._kept_of.get(key)
+        self._judge(scan, frame, stamp_ns, placed)
+        self._ranges += Counter(beams=scan.beams, short=scan.short, long=scan.long, nan=scan.nan)
+        self._ranges += Counter({"zero" if scan.range_min <= 0 else "zero short": scan.zero})
+        angles = has_angles(scan)
+        wrong = {
+            "no-frame": not frame,
+            "length": scan.beams != self._first_of.setdefault(frame, scan).beams,
+            "angles": not angles,
+            "full-circle": angles and _turn(scan) > TURN * _ROUNDING,
+            "intensities": scan.intensities not in (0, scan.beams),
+            "time-increment": scan.time_increment * (scan.beams - 1) > scan.scan_time * _ROUNDING > 0,
+            "times": not (0 <= scan.scan_time < math.inf and abs(scan.time_increment) < math.inf),
+            "no-returns": not scan.returns,
+            **self._stamps.add(stamp_ns, log_time_ns),
+        }
+        for kind, is_wrong in wrong.items():
+            if is_wrong:
+                self._tallies[kind].add(stamp_ns)
+        if scan.returns:
+            self._sectors.add(frame, scan, message.ranges, stamp_ns)
+
+    def _judge(self, scan: ConsumerScan, frame: str, stamp_ns: int, placed: ScanTransforms) -> None:
+        for consumer, verdicts in self._verdicts.items():
+            kept = self._kept_of.get((consumer, frame))
             verdict = judge(consumer, scan, kept, placed)
             if verdict.unplaced:
-                judged.add_unplaced(verdict, stamp_ns)
+                verdicts.setdefault("unplaced", Tally()).add(stamp_ns, verdict)
                 verdict = judge(consumer, scan, kept)
             else:
-                self._kept_of.setdefault(key, scan)
-            judged.add(verdict, stamp_ns)
-        self._at_sensor += scan.zero * (scan.range_min <= 0)
-        for name in ("beams", "returns", "infinite", "nan", "zero", "short", "long"):
-            self._ranges[name] += getattr(scan, name)
-        for wrong, tally in (
-            (not message.frame_id, self._no_frame),
-            (not scan.returns, self._empty),
-            (scan.intensities not in (0, scan.beams), self._intensities),
-            (scan.beams != first.beams, self._length),
-            (not has_angles(scan), self._angles),
-            (has_angles(scan) and _turn(scan) > TURN * _ROUNDING, self._turned),
-            (scan.time_increment * (scan.beams - 1) > scan.scan_time * _ROUNDING > 0, self._slow),
-            (not (0 <= scan.scan_time < math.inf and abs(scan.time_increment) < math.inf), self._times),
-        ):
-            if wrong:
-                tally.add(stamp_ns)
-        self._filling.add(message.frame_id, scan, message.ranges, stamp_ns)
-        self._stamps.add(stamp_ns, log_time_ns)
+                self._kept_of.setdefault((consumer, frame), scan)
+            verdicts.setdefault(verdict.outcome, Tally()).add(stamp_ns, verdict)
 
     @property
     def interval_ns(self) -> float | None:
-        """The median of the intervals between stamps of one clock, to one percent; None if there are none."""
+        """The median of the intervals between stamps; None if there are none."""
         return self._stamps.interval_ns
 
-    def worst(self, consumer: str) -> tuple[Verdict, int, int] | None:
-        """Return a consumer's worst verdict, see `ConsumerVerdicts.worst`."""
-        return self.judged[consumer].worst(self.interval_ns)
+    def consumers(self) -> Iterator[ConsumerCheck]:
+        """Yield the worst verdict of each consumer.
 
-    def findings(self) -> list[Finding]:
-        """Return the problems of the scans, the defects first."""
-        found = [
-            *self._message_findings(),
-            *self._stamps.findings(self.first.scan_time if self.first is not None else 0.0),
-            *self._time_findings(),
-            *self._filling.findings(),
-            *self._range_findings(),
-        ]
-        return sorted(found, key=lambda finding: finding.level)
+        A few missing transforms do not count, see `few_unplaced`. Problems of the scans themselves come first.
+        """
+        for consumer, verdicts in self._verdicts.items() if self.scans else ():
+            outcome = [known for known in OUTCOMES if known in verdicts][-1]
+            unplaced = verdicts.get("unplaced", Tally())
+            few = few_unplaced(unplaced.count, self.scans, self.interval_ns)
+            worst = unplaced if outcome in ("accepted", "shifted") and not few else verdicts[outcome]
+            verdict = worst.verdict
+            assert verdict is not None
+            preset = f"`preset={consumer}`"
+            if preset in verdict.cure:
+                # Scans that a 2D lidar has measured, too.
+                cure = verdict.cure.replace(preset, f"`rebin=True` {preset}")
+                verdict = verdict._replace(cure=f"{cure}; without `rebin` for scans made from clouds")
+            yield ConsumerCheck(consumer, verdict.outcome, worst.count, verdict, worst.stamp_ns)
 
-    def _message_findings(self) -> list[Finding]:
-        found = []
+    def findings(self) -> Iterator[Finding]:
+        """Yield the problems of the scans."""
         if self._undecodable.count:
-            found.append(
-                finding(
-                    "undecodable",
-                    "defect",
-                    f"{counted(self._undecodable.count, 'message')} cannot be read as a scan: {self._reason}",
-                    "",
-                    self._undecodable,
-                )
-            )
+            text = f"{counted(self._undecodable.count, 'message')} cannot be read as a scan: {self._reason}"
+            yield self._undecodable.finding("undecodable", "defect", text)
         elif not self.scans:
-            found.append(Finding("no-scans", "defect", "the topic has no messages"))
-        if self._no_frame.count:
-            found.append(
-                finding(
-                    "no-frame",
-                    "defect",
-                    f"{self._of(self._no_frame, 'have')} an empty frame_id",
-                    "pc2scan convert `source_frame` names it for scans made from clouds",
-                    self._no_frame,
-                )
-            )
+            yield Finding("no-scans", "defect", "the topic has no messages")
+        first = self.first
+        if first is None:
+            return
         if len(self.frames) > 1:
             named = ", ".join(repr(name) for name in list(self.frames)[:5])
-            found.append(
-                Finding(
-                    "frames",
-                    "notice",
-                    f"{len(self.frames)} frames on one topic: {named}",
-                    "use a topic for each sensor",
-                )
-            )
-        if self._length.count:
-            found.append(
-                finding(
-                    "length",
-                    "defect",
-                    f"{self._of(self._length, 'have')} another number of beams than the first: "
-                    f"{min(self.beams):,} to {max(self.beams):,}",
-                    "pc2scan convert `rebin=True` gives all scans one number of beams",
-                    self._length,
-                )
-            )
-        if self._angles.count and self.first is not None:
-            first = self.first
-            found.append(
-                finding(
-                    "angles",
-                    "defect",
-                    f"{self._of(self._angles, 'have')} no angles: angle_min {first.angle_min:.6g}, angle_max "
-                    f"{first.angle_max:.6g}, angle_increment {first.angle_increment:.6g} rad for "
-                    f"{counted(first.beams, 'beam')}",
-                    "beam i is at angle_min + i * angle_increment",
-                    self._angles,
-                )
-            )
-        if self._turned.count and self.first is not None:
-            found.append(
-                finding(
-                    "full-circle",
-                    "defect",
-                    f"{self._of(self._turned, 'cover')} more than a full circle: "
-                    f"{counted(self.first.beams, 'beam')} by {math.degrees(self.first.angle_increment):.4g} deg, from "
-                    f"angle_min {self.first.angle_min:.6g} to angle_max {self.first.angle_max:.6g} rad",
-                    "angles in degrees? At most 2 pi (6.28319 rad) are a circle",
-                    self._turned,
-                )
-            )
-        if self._intensities.count:
-            found.append(
-                finding(
-                    "intensities",
-                    "defect",
-                    f"{self._of(self._intensities, 'have')} intensities, but not one a beam",
-                    "write no intensities, or one for every beam",
-                    self._intensities,
-                )
-            )
-        return found
+            text = f"{len(self.frames)} frames on one topic: {named}"
+            yield Finding("frames", "notice", text, "use a topic for each sensor")
+        doubt = self._increment_doubt(first)
+        increment = f"{first.angle_increment:.6g} rad ({math.degrees(first.angle_increment):.4g} deg)"
+        facts = {
+            "low": min(self.beams),
+            "high": max(self.beams),
+            "beams": counted(first.beams, "beam"),
+            "angles": f"angle_min {first.angle_min:.6g}, angle_max {first.angle_max:.6g}, angle_increment {increment}",
+        }
+        for kind, (verb, problem, hint) in _EACH_SCAN.items():
+            tally = self._tallies[kind]
+            if not tally.count or (kind == "time-increment" and doubt):
+                continue
+            of = f"{tally.count:,} of {counted(self.scans, 'scan')} {agreeing(tally.count, verb)}"
+            few = kind in _NOTICES and (kind != "no-returns" or 2 * tally.count <= self.scans)
+            yield tally.finding(kind, "notice" if few else "defect", f"{of} {problem.format(**facts)}", hint)
+        if doubt:
+            yield doubt
+        yield from self._stamps.findings(first.scan_time * 1e9)
+        yield from self._sectors.findings()
+        yield from self._range_findings()
 
-    def _time_findings(self) -> list[Finding]:
-        found = []
-        first, interval_ns, doubt = self.first, self.interval_ns, ""
-        if first is not None and interval_ns is not None and has_angles(first) and _turn(first):
-            turn = abs(first.time_increment) * (first.beams - 1) / min(1.0, _turn(first) / TURN)
-            doubt = increment_doubt(turn, interval_ns / 1e9)
-            if doubt:
-                hint = f"{IN_SECONDS}; pc2scan convert `rebin=True` writes 0"
-                level: Level = "defect" if turn > interval_ns / 1e9 else "notice"
-                found.append(Finding("time-increment", level, doubt, hint))
-        if self._slow.count and not doubt:
-            found.append(
-                finding(
-                    "time-increment",
-                    "notice",
-                    f"{self._of(self._slow, 'take')} longer from the first beam to the last (time_increment) than "
-                    "from one scan to the next (scan_time)",
-                    "time_increment * (beams - 1) should be at most scan_time",
-                    self._slow,
-                )
-            )
-        if self._times.count:
-            found.append(
-                finding(
-                    "times",
-                    "notice",
-                    f"{self._of(self._times, 'have')} a scan_time or time_increment that is not a valid duration",
-                    "",
-                    self._times,
-                )
-            )
-        return found
+    def _increment_doubt(self, first: ConsumerScan) -> Finding | None:
+        """Return what is implausible about the time_increment."""
+        if self.interval_ns is None or not has_angles(first) or not _turn(first):
+            return None
+        turn = abs(first.time_increment) * (first.beams - 1) / min(1.0, _turn(first) / TURN)
+        period = self.interval_ns / 1e9
+        doubt = increment_doubt(turn, period)
+        hint = f"{IN_SECONDS}; pc2scan convert `rebin=True` writes 0"
+        return Finding("time-increment", "defect" if turn > period else "notice", doubt, hint) if doubt else None
 
-    def _range_findings(self) -> list[Finding]:
-        found = []
-        if self._empty.count:
-            every = 2 * self._empty.count > self.scans
-            found.append(
-                finding(
-                    "no-returns",
-                    "defect" if every else "notice",
-                    f"{self._of(self._empty, 'have')} no return at all",
-                    "for scans made from clouds the summary of pc2scan convert names the parameter to blame",
-                    self._empty,
-                )
-            )
-        low, middle, high = self._spread
-        if middle >= _MILLIMETRES:
+    def _range_findings(self) -> Iterator[Finding]:
+        if self._spread and self._spread[1] >= _MILLIMETRES:
+            low, middle, high = self._spread
             text = f"ranges of the first scan are {low:,.0f} to {high:,.0f} m (median {middle:,.0f} m)"
             hint = "ranges are metres; if the clouds are in millimetres: pc2scan convert `cloud_scale=0.001`"
-            found.append(Finding("units", "notice", text, hint))
+            yield Finding("units", "notice", text, hint)
+        for name, (problem, hint) in _EACH_RANGE.items():
+            if count := self._ranges[name]:
+                zeros = self._ranges["zero short"] if name == "short" else 0
+                text = f"{self._share(count)} of the ranges {problem}" + f" ({self._share(zeros)} are 0)" * bool(zeros)
+                yield Finding(f"ranges-{name}", "notice", text, hint)
+
+    def _share(self, count: int) -> str:
         total = self._ranges["beams"]
-        zero, short = self._ranges["zero"], self._ranges["short"]
-        if short:
-            found.append(
-                Finding(
-                    "ranges-short",
-                    "notice",
-                    f"{_share(short, total)} of the ranges are below range_min"
-                    + (f" ({_share(zero, total)} are 0)" if zero else ""),
-                    "a beam without a return should be +inf",
-                )
-            )
-        # Zeros that are not below range_min are returns.
-        if self._at_sensor:
-            found.append(
-                Finding(
-                    "ranges-zero",
-                    "notice",
-                    f"{_share(self._at_sensor, total)} of the ranges are 0, and range_min is 0 m or less: consumers "
-                    "take them for obstacles at the sensor",
-                    "for scans made from clouds: pc2scan convert `range_min=0.1`",
-                )
-            )
-        if long := self._ranges["long"]:
-            hint = "no consumer treats them as returns; +inf would be clearer"
-            found.append(
-                Finding("ranges-long", "notice", f"{_share(long, total)} of the ranges are above range_max", hint)
-            )
-        if nan := self._ranges["nan"]:
-            hint = "NaN means an erroneous measurement; a beam without a return should be +inf"
-            found.append(Finding("ranges-nan", "notice", f"{_share(nan, total)} of the ranges are NaN", hint))
-        return found
-
-    def _of(self, tally: Tally, verb: str = "") -> str:
-        """Return "N of M scans", with the verb in singular or plural."""
-        of = f"{tally.count:,} of {counted(self.scans, 'scan')}"
-        return f"{of} {agreeing(tally.count, verb)}" if verb else of
+        return f"{count / total:.1%}" if count / total >= 0.001 else f"{count:,} of {total:,}"
 
 
-def _spread(ranges: NDArray[np.floating[Any]]) -> tuple[float, float, float]:
-    """Return the smallest, the median and the largest of the finite ranges; zeros if there are none."""
-    found = np.sort(ranges[np.isfinite(ranges)])
-    return (float(found[0]), float(found[len(found) // 2]), float(found[-1])) if len(found) else (0.0, 0.0, 0.0)
+class _Stamps:
+    """The stamps of the scans of one topic: their order, their clocks and their rate."""
+
+    def __init__(self) -> None:
+        self._last: tuple[int, int] | None = None
+        self._offsets: list[int] = []
+        self._intervals = array("q")
+        self._longest = (0, 0)
+        self._jumps, self._farthest = Tally(), 0
+
+    def add(self, stamp_ns: int, log_time_ns: int) -> dict[str, bool]:
+        """Add the next scan's stamp and log time; return what is wrong with the stamp."""
+        if stamp_ns == 0:
+            return {"stamps-zero": True}
+        late = log_time_ns - stamp_ns
+        self._offsets = [min([late, *self._offsets]), max([late, *self._offsets])]
+        last_ns, last_log_ns = self._last or (stamp_ns, log_time_ns)
+        is_first, self._last = self._last is None, (stamp_ns, log_time_ns)
+        interval = stamp_ns - last_ns
+        # A stamp of the same clock has advanced at most as far as the log times.
+        if not -_JUMP_NS <= interval <= max(0, log_time_ns - last_log_ns) + _JUMP_NS:
+            self._jumps.add(stamp_ns)
+            self._farthest = max(self._farthest, abs(interval))
+        elif interval > 0:
+            self._intervals.append(interval)
+            self._longest = max(self._longest, (interval, last_ns))
+        return {"stamps-back": interval < 0, "stamps-repeated": interval == 0 and not is_first}
+
+    @property
+    def interval_ns(self) -> float | None:
+        """The median of the intervals between stamps; None if there are none."""
+        middle = (len(self._intervals) - 1) // 2
+        return float(np.partition(np.array(self._intervals), middle)[middle]) if self._intervals else None
+
+    def findings(self, scan_time_ns: float) -> Iterator[Finding]:
+        """Yield the problems, given the ``scan_time`` of the first scan."""
+        if self._jumps.count:
+            text = (
+                f"the stamps jump {counted(self._jumps.count, 'time')} to another time, by up to "
+                f"{self._farthest / 1e9:,.3f} s, but the log times do not"
+            )
+            hint = "a second publisher with another clock, or a clock that was set"
+            yield self._jumps.finding("clocks", "notice", text, hint)
+        if self._offsets and max(map(abs, self._offsets)) > _FAR_NS:
+            side = "after" if sum(self._offsets) >= 0 else "before"
+            low, high = sorted(offset / (1e9 if side == "after" else -1e9) for offset in self._offsets)
+            text = f"log times lie {low:,.3f} to {high:,.3f} s {side} the stamps"
+            hint = "transforms are looked up by stamp: they must come from the same clock"
+            yield Finding("stamps-far", "notice", text, hint)
+        median = self.interval_ns
+        if median is None:
+            return
+        if off := int(np.count_nonzero(np.abs(np.array(self._intervals) - median) > _STUTTER * median)):
+            longest, after = self._longest
+            text = (
+                f"the rate stutters: {off} of {len(self._intervals)} intervals are not the usual {median / 1e9:.3f} s; "
+                f"the longest is {longest / 1e9:.3f} s, after {stamp_text(after)}"
+            )
+            yield Finding("rate", "notice", text, "scans are missing, or were stamped on arrival", off)
+        if scan_time_ns > 0 and abs(scan_time_ns - median) > _SCAN_TIME * median:
+            text = f"scan_time is {scan_time_ns / 1e9:.4g} s, but scans come every {median / 1e9:.4g} s"
+            hint = f"pc2scan convert `scan_time={median / 1e9:.3g}`, with `rebin` for scans of a 2D lidar"
+            yield Finding("scan-time", "notice", text, hint)
+
+
+class _Sectors:
+    """The directions that scans with returns fill: packets are parts of a turn."""
+
+    def __init__(self) -> None:
+        #: By frame: the last scan's directions with a return; None if it is no part.
+        self._last: dict[str, NDArray[np.bool_] | None] = {}
+        #: By frame: the directions with a return in any scan, as long as these are few.
+        self._ever: dict[str, NDArray[np.bool_]] = {}
+        self._few = True
+        self._pairs = 0
+        self._parts = Tally()
+        self._steps = 0j
+        self._returns = self._beams = 0
+
+    def add(self, frame_id: str, scan: ConsumerScan, ranges: NDArray[np.float32], stamp_ns: int) -> None:
+        """Add the next scan, and its ranges, float32, shape (beams,), metres."""
+        self._few = self._few and scan.returns < _FEW * scan.beams
+        if frame_id not in self._last and len(self._last) == _MOST_FRAMES:
+            return
+        self._returns += scan.returns
+        self._beams += scan.beams
+        self._pairs += frame_id in self._last
+        last, self._last[frame_id] = self._last.get(frame_id), None
+        if scan.returns >= _PART * scan.beams:
+            return
+        returns = are_returns(ranges, scan.range_min, scan.range_max)
+        if self._few:
+            ever = self._ever.setdefault(frame_id, returns)
+            self._ever[frame_id] = ever | returns if len(ever) == len(returns) else returns
+        if scan.returns < _FEWEST_RETURNS:
+            return
+        self._last[frame_id] = returns
+        if last is None or len(last) != len(returns):
+            return
+        if np.count_nonzero(last & returns) >= _PART * min(np.count_nonzero(last), np.count_nonzero(returns)):
+            return
+        (start, size), (other, other_size) = _sector(returns), _sector(last)
+        if max(size, other_size) < _PART * len(returns):
+            self._parts.add(stamp_ns)
+            self._steps += cmath.rect(1.0, (start - other) / len(returns) * TURN)
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield the problems."""
+        parts, ever = self._parts.count, sum(int(np.count_nonzero(filled)) for filled in self._ever.values())
+        beams = sum(map(len, self._ever.values()))
+        if parts > self._pairs / 2 and abs(self._steps) > _STEADY * parts:
+            text = (
+                f"the scans are parts of a turn: on average {self._returns / self._beams:.1%} of the directions have a "
+                f"return, and {parts:,} of {self._pairs:,} scans have them in another sector than the scan before"
+            )
+            hint = (
+                "packets of a lidar? For scans made from clouds, pc2scan convert `accumulate` with the time of a turn, "
+                "such as `accumulate=0.1`, joins them"
+            )
+            yield self._parts.finding("parts", "defect", text, hint)
+        elif self._few and ever < _FEW * beams:
+            text = f"only {ever:,} of {beams:,} directions ever have a return: SLAM and localisation cannot match scans"
+            hint = "a sector as wide as the sensor sees, or other heights: pc2scan info suggests them"
+            yield Finding("few-directions", "defect", text, hint)
+
+
+def _sector(returns: NDArray[np.bool_]) -> tuple[int, int]:
+    """Return the first beam and the number of beams of the smallest sector with all returns; the beams are a circle."""
+    filled = np.flatnonzero(returns)
+    gaps = np.diff(filled, prepend=filled[-1] - len(returns))
+    widest = int(gaps.argmax())
+    return int(filled[widest]), len(returns) - int(gaps[widest]) + 1
 
 
 def _turn(scan: ConsumerScan) -> float:
     """Return the angle from a scan's first beam to its last, or between its advertised angles, radians."""
     return max(abs(scan.angle_max - scan.angle_min), (scan.beams - 1) * abs(scan.angle_increment))
-
-
-def _share(count: int, total: int) -> str:
-    return f"{count / total:.1%}" if count / total >= 0.001 else f"{count:,} of {total:,}"
