@@ -15,7 +15,7 @@ from pc2scan.bags.chunks import (
     ChunkedReader,
     Segment,
     Segments,
-    segment_units,
+    segment_chunks,
     times_around,
     whole_chunks,
 )
@@ -99,14 +99,14 @@ def test_units_are_in_the_order_in_which_they_are_due() -> None:
 
     late, early = segment(10, 5, 9), replace(segment(30, 1, 9), compression="none")
     due = np.array([4, 1], np.uint64)
-    units = list(segment_units(Segments([late, early]), load, file, np.array([True, False]), due))
-    assert [(unit.start_ns, unit.place, unit.is_quick, unit.may_be_whole) for unit in units] == [
-        (1, (30,), True, False),
-        (4, (10,), False, True),
+    units = list(segment_chunks(Segments([late, early]), load, file, np.array([True, False]), due))
+    assert [(unit.start_ns, unit.place, unit.is_quick) for unit in units] == [
+        (1, (30,), True),
+        (4, (10,), False),
     ]
-    assert [unit.extent for unit in units] == [(file, 30, 10), (file, 10, 10)]
+    assert [(unit.file, unit.offset, unit.length) for unit in units] == [(file, 30, 10), (file, 10, 10)]
     large = replace(early, uncompressed_size=1 << 20)
-    assert not next(segment_units(Segments([large]), load, file, np.array([False]), due[:1])).is_quick
+    assert not next(segment_chunks(Segments([large]), load, file, np.array([False]), due[:1])).is_quick
 
 
 # --- Against lists of segments, one at a time ---
@@ -207,7 +207,7 @@ class Compared(ChunkedReader):
         self.compared.add(place)
         return True
 
-    _contained_span = units = None  # type: ignore[assignment]
+    _contained_span = chunks = None  # type: ignore[assignment]
 
 
 Compared.__abstractmethods__ = frozenset()

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pc2scan.bags.observers import Observer, observe
+from pc2scan.bags.observers import FirstTimes, Observer, observe
 from pc2scan.bags.opening import open_recording
-from pc2scan.bags.units import FirstTimes
 from pc2scan.errors import DecodeError
 from pc2scan.model import Connection, RawMessage
 from support.builders import CONTENT, SOURCES
@@ -21,7 +20,7 @@ from support.memory_reader import MemoryReader
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pc2scan.bags.units import Unit
+    from pc2scan.bags.loading import Chunk
 
 A, B = (Connection(number, topic, "std_msgs/msg/String", "cdr") for number, topic in enumerate(("/a", "/b")))
 
@@ -90,12 +89,12 @@ class Chunked(MemoryReader):
         super().__init__(*args)
         self.loaded: list[tuple[int, ...]] = []
 
-    def units(self, *args: Any, **further: Any) -> Any:
-        for unit in super().units(*args, **further):
+    def chunks(self, *args: Any, **further: Any) -> Any:
+        for unit in super().chunks(*args, **further):
 
-            def load(callback: Callable[[RawMessage], Any], *, whole: bool, unit: Unit = unit) -> Any:
+            def load(callback: Callable[[RawMessage], Any], unit: Chunk = unit) -> Any:
                 self.loaded.append(unit.place)
-                return unit.load(callback, whole=whole)
+                return unit.load(callback)
 
             yield unit._replace(load=load)
 

@@ -652,7 +652,9 @@ def cut_of(path: Path, start: float | None, end: float | None) -> tuple[list[Row
             with closing(open_recording(path)) as reader:
                 begin_ns = reader.summary.start_ns or 0
                 cut = [None if time is None else begin_ns + round(time * SECOND) for time in (start, end)]
-                rows = [(m.connection.topic, m.log_time_ns, bytes(m.data)) for m in reader.messages(None, *cut)]
+                rows = [
+                    (m.connection.topic, m.log_time_ns, bytes(m.data)) for m in reader.messages(None, cut[0], cut[1])
+                ]
                 return rows, bool(reader.damage)
         for damage in report.damage:
             assert "of log time" in damage.what or (

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pc2scan.bags.loading import Chunk
 from pc2scan.bags.observers import Observer, Spread, observe
-from pc2scan.bags.units import Unit
 from pc2scan.model import Connection, RawMessage, copied_message
 from pc2scan.show.sampling import sampled
 from support.memory_reader import MemoryReader
@@ -31,36 +31,35 @@ class Chunks(MemoryReader):
     def __init__(self, rows: list[tuple[int, int, bytes]], in_a_chunk: int) -> None:
         super().__init__(Path("made"), CONNECTIONS, rows)
         # Not sorted: chunks may overlap.
-        self.chunks = [rows[begin : begin + in_a_chunk] for begin in range(0, len(rows), in_a_chunk)]
-        self.loads = [0] * len(self.chunks)
+        self.content = [rows[begin : begin + in_a_chunk] for begin in range(0, len(rows), in_a_chunk)]
+        self.loads = [0] * len(self.content)
 
-    def units(
+    def chunks(
         self,
         connections: Collection[Connection] | None = None,
         start_ns: int | None = None,
         stop_ns: int | None = None,
         rule: ChunkRule | None = None,
-    ) -> Iterator[Unit]:
+    ) -> Iterator[Chunk]:
         del rule
         held = self.is_wanted(connections, start_ns, stop_ns)
 
         def load(number: int) -> Any:
-            def loaded(callback: Callable[[RawMessage], Any], *, whole: bool) -> list[Any]:
-                assert not whole
+            def loaded(callback: Callable[[RawMessage], Any]) -> list[Any]:
                 self.loads[number] += 1
-                rows = filter(held, self.chunks[number])
+                rows = filter(held, self.content[number])
                 return [callback(RawMessage(CONNECTIONS[own], time, data, time)) for own, time, data in rows]
 
             return loaded
 
-        listed = [number for number, chunk in enumerate(self.chunks) if any(map(held, chunk))]
-        listed.sort(key=lambda number: min(time for _, time, _ in self.chunks[number]))
+        listed = [number for number, chunk in enumerate(self.content) if any(map(held, chunk))]
+        listed.sort(key=lambda number: min(time for _, time, _ in self.content[number]))
         for number in listed:
             times, ids = (
-                [time for _, time, _ in self.chunks[number]],
-                frozenset(own for own, _, _ in self.chunks[number]),
+                [time for _, time, _ in self.content[number]],
+                frozenset(own for own, _, _ in self.content[number]),
             )
-            yield Unit(min(times), (number,), 100, load(number), end_ns=max(times), connection_ids=ids)
+            yield Chunk(min(times), (number,), 100, load(number), end_ns=max(times), connection_ids=ids)
 
 
 def one_by_one(rows: list[tuple[int, int, bytes]], samples: int, stop_ns: int) -> list[tuple[int, bytes]]:

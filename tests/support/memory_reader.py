@@ -6,8 +6,8 @@ import math
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from pc2scan.bags.loading import Chunk
 from pc2scan.bags.reader import Reader
-from pc2scan.bags.units import Unit
 from pc2scan.model import RawMessage, Summary
 
 if TYPE_CHECKING:
@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["MemoryReader"]
 
 
-def _load(message: RawMessage, callback: Callable[[RawMessage], Any], *, whole: bool) -> list[Any]:
-    assert not whole, "there are no chunks"
+def _load(message: RawMessage, callback: Callable[[RawMessage], Any]) -> list[Any]:
     return [callback(message)]
 
 
@@ -56,13 +55,13 @@ class MemoryReader(Reader):
         times = -math.inf if start_ns is None else start_ns, math.inf if stop_ns is None else stop_ns
         return lambda row: row[0] in known and times[0] <= row[1] < times[1]
 
-    def units(
+    def chunks(
         self,
         connections: Collection[Connection] | None = None,
         start_ns: int | None = None,
         stop_ns: int | None = None,
         rule: ChunkRule | None = None,
-    ) -> Iterator[Unit]:
+    ) -> Iterator[Chunk]:
         assert rule is None, "there are no chunks to be copied"
         self.log.append(f"open {self.path.name}")
         known = {each.id: each for each in (self.connections if connections is None else connections)}
@@ -73,7 +72,7 @@ class MemoryReader(Reader):
                     number, time_ns, data = row
                     message = RawMessage(known[number], time_ns, data, time_ns, 7)
                     load, ids = partial(_load, message), frozenset([number])
-                    yield Unit(time_ns, (place,), len(data), load, end_ns=time_ns, connection_ids=ids)
+                    yield Chunk(time_ns, (place,), len(data), load, end_ns=time_ns, connection_ids=ids)
         finally:
             self.log.append(f"close {self.path.name}")
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pc2scan.bags.units import FirstTimes
+from pc2scan.bags.observers import FirstTimes
 from pc2scan.core.floor import JUDGED_CLOUDS, CloudSample
 
 from .checks import EACH_CLOUD, FIRST_CLOUDS, FIRST_CLOUDS_NOTES, FRAME, found_by

@@ -7,7 +7,7 @@ module             contents
 ``opening``        detects a recording's format by content, and opens it
 ``destinations``   plans destinations from their names and options
 ``reader``         the base class of readers
-``units``          loads the units of a recording, and merges their messages by log time
+``loading``        loads the chunks of a recording, and merges their messages by log time
 ``merged``         reads several recordings as one
 ``topics``         finds topics by the names that users give
 ``damage``         the damage of a recording, noted by its reader

@@ -7,15 +7,15 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from functools import partial
 from operator import attrgetter
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from pc2scan.errors import stamp_text
 from pc2scan.model import declared_counts
 
+from .loading import Chunk
 from .reader import Reader
-from .units import Extent, Unit
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pc2scan.files.source import SourceFile
-    from pc2scan.model import ChunkRule, Connection, RawMessage
+    from pc2scan.model import ChunkRule, Connection
 
-    from .units import Item, Loaded
+    from .loading import Loaded
 
     Span = tuple[int, int]
     Bools = NDArray[np.bool_]
@@ -248,31 +248,25 @@ def times_around(segments: Segments) -> Callable[[int, int], dict[str, int | Non
     return around
 
 
-class LoadSegment(Protocol):
-    """Loads a segment; see `pc2scan.bags.units.Load`."""
+def segment_chunks(
+    segments: Segments, load: Callable[..., Loaded], file: SourceFile, whole: Bools, due: Numbers
+) -> Iterator[Chunk]:
+    """Yield the segments of a file as chunks, in the order in which `whole_chunks` says that they are due.
 
-    def __call__(self, segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool) -> Loaded[Item]:
-        """Return the callback's result for each message, or the chunk as a whole."""
-        ...
-
-
-def segment_units(
-    segments: Segments, load: LoadSegment, file: SourceFile, whole: Bools, due: Numbers
-) -> Iterator[Unit]:
-    """Yield the segments of a file as units, in the order in which `whole_chunks` says that they are due.
-
-    The segments are in the order of the file. Each unit is made when it is due: it takes more memory than its segment.
+    ``load`` loads a segment for a callback, ``whole`` if it may be copied; see `Chunk`. The segments are in the order
+    of the file. Each chunk is made when it is due: it takes more memory than its segment.
     """
     for place in np.argsort(due, kind="stable").data:
         segment = segments[place]
-        yield Unit(
+        yield Chunk(
             start_ns=int(due[place]),
             place=(segment.offset,),
             size=segment.uncompressed_size,
-            load=partial(load, segment),
+            load=partial(load, segment, whole=bool(whole[place])),
             is_quick=segment.compression == "none" and segment.uncompressed_size < _WORTH_A_THREAD,
-            may_be_whole=bool(whole[place]),
-            extent=Extent(file, segment.offset, segment.length),
+            file=file,
+            offset=segment.offset,
+            length=segment.length,
             end_ns=segment.end_ns,
             connection_ids=segment.connection_ids,
         )

@@ -14,8 +14,8 @@ from pc2scan.bags.reader import ConnectionLimit
 from pc2scan.errors import UsageError
 from pc2scan.model import Summary
 
+from .loading import UNKNOWN_START_NS
 from .reader import Reader
-from .units import UNKNOWN_START_NS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Attachment, ChunkRule, Connection, Metadata, RawMessage
 
     from .damage import Damage
-    from .units import Item, Load, Loaded, Unit
+    from .loading import Chunk
 
 
 class MergedReader(Reader):
@@ -93,21 +93,21 @@ class MergedReader(Reader):
         """The remarks of all sources."""
         return [remark for reader in self._readers for remark in reader.remarks]
 
-    def units(
+    def chunks(
         self,
         connections: Collection[Connection] | None = None,
         start_ns: int | None = None,
         stop_ns: int | None = None,
         rule: ChunkRule | None = None,
-    ) -> Iterable[Unit]:
-        """Return the units of all sources; equal log times are in the order of the sources.
+    ) -> Iterable[Chunk]:
+        """Return the chunks of all sources; equal log times are in the order of the sources.
 
         A source is read when its first message is due, if its summary has that time. Chunks stay whole if no other
         source has messages at their time and their ids are unchanged.
         """
         if self._unchanged:
-            return self._readers[0].units(connections, start_ns, stop_ns, rule)
-        return _units_in_turn(self._sources(connections, start_ns, stop_ns, rule))
+            return self._readers[0].chunks(connections, start_ns, stop_ns, rule)
+        return _chunks_in_turn(self._sources(connections, start_ns, stop_ns, rule))
 
     def _sources(
         self,
@@ -194,39 +194,31 @@ class _Source(NamedTuple):
         start_ns = self.reader.summary.start_ns
         return UNKNOWN_START_NS if start_ns is None else start_ns
 
-    def units(self) -> Iterator[Unit]:
-        """Yield its units, with messages of the merged connections."""
-        for unit in self.reader.units(*self.selection):
-            if (ids := unit.connection_ids) is not None:
+    def chunks(self) -> Iterator[Chunk]:
+        """Yield its chunks, with messages of the merged connections."""
+        for chunk in self.reader.chunks(*self.selection):
+            if (ids := chunk.connection_ids) is not None:
                 ids = frozenset(self.known[own].id for own in ids & self.known.keys())
-            load = _ConnectionReplacer(unit.load, self.known)
-            yield unit._replace(place=(self.number, *unit.place), load=load, connection_ids=ids)
+            place = (self.number, *chunk.place)
+            yield chunk._replace(place=place, connection_ids=ids).changed(self._merged)
+
+    def _merged(self, message: RawMessage) -> RawMessage:
+        return message._replace(connection=self.known[message.connection.id])
 
 
-class _ConnectionReplacer(NamedTuple):
-    """Loads a unit and replaces its connections."""
-
-    load: Load
-    known: Mapping[int, Connection]
-
-    def __call__(self, callback: Callable[[RawMessage], Item], *, whole: bool) -> Loaded[Item]:
-        known = self.known
-        return self.load(lambda m: callback(m._replace(connection=known[m.connection.id])), whole=whole)
-
-
-def _units_in_turn(sources: Iterable[_Source]) -> Iterator[Unit]:
-    """Yield the units of all sources by start; a source is read from its start on."""
+def _chunks_in_turn(sources: Iterable[_Source]) -> Iterator[Chunk]:
+    """Yield the chunks of all sources by start; a source is read from its start on."""
     waiting = sorted(sources, key=attrgetter("start_ns"), reverse=True)
     # Places differ, as they begin with the number of the source.
-    heap: list[tuple[tuple[int, tuple[int, ...]], Unit, Iterator[Unit]]] = []
+    heap: list[tuple[tuple[int, tuple[int, ...]], Chunk, Iterator[Chunk]]] = []
     while waiting or heap:
         if waiting and (not heap or waiting[-1].start_ns <= heap[0][0][0]):
-            units = waiting.pop().units()
+            chunks = waiting.pop().chunks()
         else:
-            _, unit, units = heapq.heappop(heap)
-            yield unit
-        if (following := next(units, None)) is not None:
-            heapq.heappush(heap, (following.due, following, units))
+            _, chunk, chunks = heapq.heappop(heap)
+            yield chunk
+        if (following := next(chunks, None)) is not None:
+            heapq.heappush(heap, (following.due, following, chunks))
 
 
 def unify_connections(sources: Sequence[Sequence[Connection]]) -> tuple[list[Connection], list[dict[int, int]]]:

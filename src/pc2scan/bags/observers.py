@@ -6,6 +6,7 @@ while the message is in memory; nothing else of it is kept.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 from pc2scan.errors import MessageError
 from pc2scan.model import RawMessage, copied_message
 
-from .units import FirstTimes, merge_by_time
+from .loading import merge_by_time
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
@@ -22,13 +23,43 @@ if TYPE_CHECKING:
     from pc2scan.model import Connection
     from pc2scan.progress import Meter
 
+    from .loading import Chunk, Loaded
     from .reader import Reader
-    from .units import Loaded, Unit
 
 #: Rows are listed for each part, to skip those between; of more parts, all are listed.
 _MOST_PARTS = 1_000
 
 _Value = TypeVar("_Value")
+
+
+class FirstTimes:
+    """The earliest log times of the messages so far: a chunk may have later messages before earlier ones.
+
+    Parameters
+    ----------
+    most
+        How many messages are wanted.
+    """
+
+    __slots__ = ("_most", "_times")
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._times: list[int] = []
+
+    def may_have(self, log_time_ns: int) -> bool:
+        """Add a message; return whether it may be among the first ones. False is certain. On any thread.
+
+        Equal log times count once, because a chunk may be loaded again. If two threads add messages at once, one is not
+        added, and more messages may be among the first.
+        """
+        times = self._times
+        number = bisect_left(times, log_time_ns)
+        if number == self._most:
+            return False
+        if number == len(times) or times[number] != log_time_ns:
+            self._times = [*times[:number], log_time_ns, *times[number:]][: self._most]
+        return True
 
 
 class Spread(NamedTuple):
@@ -128,18 +159,18 @@ class Observer(Generic[_Value]):
         limits = (self.most, self.start_ns, self.stop_ns, self.spread, self.is_needless)
         return self.take is copied_message and limits == (None,) * 5
 
-    def wants(self, unit: Unit) -> bool:
-        """Return whether messages of a unit are wanted, by their times."""
-        if self.is_done or (self.stop_ns is not None and unit.start_ns >= self.stop_ns):
+    def wants(self, chunk: Chunk) -> bool:
+        """Return whether messages of a chunk are wanted, by their times."""
+        if self.is_done or (self.stop_ns is not None and chunk.start_ns >= self.stop_ns):
             return False
-        if unit.end_ns is None:
+        if chunk.end_ns is None:
             return True
-        if self.start_ns is not None and unit.end_ns < self.start_ns:
+        if self.start_ns is not None and chunk.end_ns < self.start_ns:
             return False
         if self.spread is None:
             return True
-        first = self.spread.part_of(max(unit.start_ns, self.spread.start_ns))
-        last = self.spread.part_of(min(unit.end_ns, self.spread.stop_ns - 1))
+        first = self.spread.part_of(max(chunk.start_ns, self.spread.start_ns))
+        last = self.spread.part_of(min(chunk.end_ns, self.spread.stop_ns - 1))
         return last - first >= len(self.filled) or any(part not in self.filled for part in range(first, last + 1))
 
     def value_of(self, message: RawMessage) -> tuple[Observer[Any], _Value | None] | None:
@@ -232,7 +263,7 @@ def observing(reader: Reader, observers: Iterable[Observer[Any]], meter: Meter |
     reader, observers
         The recording, and what takes its messages.
     meter
-        Gets the bytes of each unit that was read; None: nothing is reported.
+        Gets the bytes of each chunk that was read; None: nothing is reported.
 
     Raises
     ------
@@ -276,31 +307,31 @@ def _observe_together(reader: Reader, observers: Sequence[Observer[Any]], meter:
         found = [each for observer in by_connection[key] if (each := observer.value_of(message))]
         return _Seen(message.log_time_ns, len(message.data), found)
 
-    def is_wanted(unit: Unit) -> bool:
-        """Whether an observer wants messages of a unit by now."""
-        ids = connections.keys() if unit.connection_ids is None else connections.keys() & unit.connection_ids
-        return any(observer.wants(unit) for key in ids for observer in by_connection[key])
+    def is_wanted(chunk: Chunk) -> bool:
+        """Whether an observer wants messages of a chunk by now."""
+        ids = connections.keys() if chunk.connection_ids is None else connections.keys() & chunk.connection_ids
+        return any(observer.wants(chunk) for key in ids for observer in by_connection[key])
 
-    def load(unit: Unit, callback: Callable[[RawMessage], Any], *, whole: bool) -> Loaded[Any]:
-        """Load a unit whose messages are due, if any observer wants them by then."""
-        if not is_wanted(unit):
+    def load(chunk: Chunk, callback: Callable[[RawMessage], Any]) -> Loaded:
+        """Load a chunk whose messages are due, if any observer wants them by then."""
+        if not is_wanted(chunk):
             return []
         if meter is not None:
-            meter.add(unit.stored)
-        return unit.load(callback, whole=whole)
+            meter.add(chunk.stored)
+        return chunk.load(callback)
 
     sort_out()
     starts, stops = zip(*((observer.start_ns, observer.stop_ns) for observer in observers), strict=True)
     spread = next((observer for observer in observers if observer.spread is not None), None)
     if spread is not None and not reader.has_chunks:
-        units: Iterable[Unit] = _units_of_parts(reader, spread)
+        chunks: Iterable[Chunk] = _chunks_of_parts(reader, spread)
     else:
-        units = reader.units(
+        chunks = reader.chunks(
             list(connections.values()), None if None in starts else min(starts), None if None in stops else max(stops)
         )
-    # Twice: when units are announced to the system, and when they are due.
-    chosen = (unit._replace(load=partial(load, unit)) for unit in units if is_wanted(unit))
-    with closing(merge_by_time(chosen, take, holds_units=False, path=reader.path)) as messages:
+    # Twice: when chunks are announced to the system, and when they are due.
+    chosen = (chunk._replace(load=partial(load, chunk)) for chunk in chunks if is_wanted(chunk))
+    with closing(merge_by_time(chosen, take, holds_chunks=False, path=reader.path)) as messages:
         for seen in messages:
             if isinstance(seen, RawMessage):
                 lone[seen.connection.id](seen)
@@ -308,7 +339,7 @@ def _observe_together(reader: Reader, observers: Sequence[Observer[Any]], meter:
                 continue
             assert isinstance(seen, _Seen)
             has_enough = True in [observer.add(value, seen.log_time_ns) for observer, value in seen.values]
-            # What was handed out is not kept while the next unit is loaded.
+            # What was handed out is not kept while the next chunk is loaded.
             del seen
             yield
             if has_enough:
@@ -317,15 +348,15 @@ def _observe_together(reader: Reader, observers: Sequence[Observer[Any]], meter:
                     return
 
 
-def _units_of_parts(reader: Reader, observer: Observer[Any]) -> Iterator[Unit]:
-    """Yield the units of the parts of a recording with rows, up to the first message of each."""
+def _chunks_of_parts(reader: Reader, observer: Observer[Any]) -> Iterator[Chunk]:
+    """Yield the chunks of the parts of a recording with rows, up to the first message of each."""
     spread = observer.spread
     assert spread is not None
     if spread.parts > _MOST_PARTS:
-        yield from reader.units(observer.connections, observer.start_ns, observer.stop_ns)
+        yield from reader.chunks(observer.connections, observer.start_ns, observer.stop_ns)
         return
     for part in range(spread.parts):
-        for unit in reader.units(observer.connections, spread.begin_ns(part), spread.begin_ns(part + 1)):
+        for chunk in reader.chunks(observer.connections, spread.begin_ns(part), spread.begin_ns(part + 1)):
             if part in observer.filled or observer.is_done:
                 break
-            yield unit
+            yield chunk

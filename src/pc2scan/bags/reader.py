@@ -8,16 +8,18 @@ from typing import TYPE_CHECKING, cast
 from pc2scan.errors import RecordingError
 from pc2scan.files.compression import allowed_bytes
 
-from .units import merge_by_time
+from .loading import merge_by_time
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Generator, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.model import Attachment, ChunkRule, Connection, Metadata, RawMessage, Summary
+    from pc2scan.progress import Meter
+    from pc2scan.threads import Threads
 
     from .damage import Damage, DamageLog
-    from .units import Unit
+    from .loading import Chunk
 
 
 #: Connections of a recording: as many as MCAP has numbers for. One takes up to 3 kB of memory in a conversion.
@@ -25,7 +27,7 @@ MAX_CONNECTIONS = 65_536
 
 
 class Reader(ABC):
-    """Reads an open recording, unit by unit.
+    """Reads an open recording, chunk by chunk.
 
     Attributes
     ----------
@@ -56,14 +58,14 @@ class Reader(ABC):
         return ()
 
     @abstractmethod
-    def units(
+    def chunks(
         self,
         connections: Collection[Connection] | None = None,
         start_ns: int | None = None,
         stop_ns: int | None = None,
         rule: ChunkRule | None = None,
-    ) -> Iterable[Unit]:
-        """Return the units of the recording, by start.
+    ) -> Iterable[Chunk]:
+        """Return the chunks of the recording, by start.
 
         Parameters
         ----------
@@ -97,9 +99,9 @@ class Reader(ABC):
     def stored_bytes(
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
     ) -> int:
-        """Return about how many bytes of the file are read for these messages, for progress; see `units`."""
+        """Return about how many bytes of the file are read for these messages, for progress; see `chunks`."""
         if self.has_chunks:
-            return sum(unit.stored for unit in self.units(connections, start_ns, stop_ns))
+            return sum(chunk.stored for chunk in self.chunks(connections, start_ns, stop_ns))
         # To list the rows of a database is to read them.
         messages = sum(self.counts(connections, start_ns, stop_ns).values())
         return self.summary.size_bytes * messages // max(1, self.summary.message_count or 0)
@@ -113,6 +115,8 @@ class Reader(ABC):
         connections: Collection[Connection] | None = None,
         start_ns: int | None = None,
         stop_ns: int | None = None,
+        threads: Threads | None = None,
+        meter: Meter | None = None,
     ) -> Generator[RawMessage]:
         """Yield messages in the order of log time; those of one log time in the order of the file.
 
@@ -122,6 +126,8 @@ class Reader(ABC):
             Only messages of these; None means all.
         start_ns, stop_ns
             Only messages with ``start_ns <= log_time_ns < stop_ns``.
+        threads, meter
+            See `pc2scan.bags.loading.merge_by_time`.
 
         Yields
         ------
@@ -135,8 +141,8 @@ class Reader(ABC):
         DamageError
             If the file is damaged, and damage is an error.
         """
-        units = self.units(connections, start_ns, stop_ns)
-        return cast("Generator[RawMessage]", merge_by_time(units, path=self.path))
+        chunks = self.chunks(connections, start_ns, stop_ns)
+        return cast("Generator[RawMessage]", merge_by_time(chunks, threads=threads, path=self.path, meter=meter))
 
     def attachments(self) -> Iterator[Attachment]:
         """Yield MCAP attachments; other containers have none."""
@@ -171,15 +177,15 @@ class WrappedReader(Reader):
         """See `Reader`."""
         return self._inner.remarks
 
-    def units(
+    def chunks(
         self,
         connections: Collection[Connection] | None = None,
         start_ns: int | None = None,
         stop_ns: int | None = None,
         rule: ChunkRule | None = None,
-    ) -> Iterable[Unit]:
+    ) -> Iterable[Chunk]:
         """See `Reader`."""
-        return self._inner.units(connections, start_ns, stop_ns, rule)
+        return self._inner.chunks(connections, start_ns, stop_ns, rule)
 
     def counts(
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
@@ -198,6 +204,49 @@ class WrappedReader(Reader):
     def metadata(self) -> Iterator[Metadata]:
         """See `Reader`."""
         return self._inner.metadata()
+
+
+class ChangedReader(WrappedReader):
+    """Reads an open recording, and changes the messages of some connections: whoever reads it gets the changed ones.
+
+    Parameters
+    ----------
+    reader
+        The recording; `close` closes it.
+    changes
+        What returns a message instead of another one of the same connection and log time, by the id of the connection.
+        Called on any thread, and again. Chunks with such messages are never copied.
+    remarks
+        What changes notice about the messages that were read.
+    """
+
+    def __init__(
+        self, reader: Reader, changes: Mapping[int, Callable[[RawMessage], RawMessage]], remarks: Sequence[str] = ()
+    ) -> None:
+        super().__init__(reader)
+        self._changes = changes
+        self._remarks = remarks
+
+    @property
+    def remarks(self) -> Sequence[str]:
+        """What the other reader and the changes noticed."""
+        return [*super().remarks, *self._remarks]
+
+    def chunks(
+        self,
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+        rule: ChunkRule | None = None,
+    ) -> Iterable[Chunk]:
+        """Return the chunks of the recording, with changed messages."""
+        if rule is not None:
+            rule = rule._replace(connection_ids=rule.connection_ids - self._changes.keys())
+        return (chunk.changed(self._changed) for chunk in self._inner.chunks(connections, start_ns, stop_ns, rule))
+
+    def _changed(self, message: RawMessage) -> RawMessage:
+        change = self._changes.get(message.connection.id)
+        return message if change is None else change(message)
 
 
 class ConnectionLimit:

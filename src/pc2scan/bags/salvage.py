@@ -8,7 +8,7 @@ from itertools import islice
 from operator import le
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.units import LazyItems, filter_items
+from pc2scan.bags.loading import LazyItems
 
 if TYPE_CHECKING:
     from collections.abc import Container, Sequence
@@ -49,7 +49,8 @@ class SalvagedMessages(NamedTuple):
                 and (stop_ns is None or message.log_time_ns < stop_ns)
             )
 
-        return filter_items(is_wanted, self.messages)
+        found = self.messages
+        return found.filter(is_wanted) if isinstance(found, LazyItems) else list(filter(is_wanted, found))
 
 
 def clamp_times(

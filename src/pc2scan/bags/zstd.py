@@ -16,8 +16,8 @@ from pc2scan.files.source import open_bytes
 from pc2scan.model import own_message
 
 from .damage import RECOVER, DamageLog
+from .loading import LazyItems
 from .reader import WrappedReader
-from .units import LazyItems
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pc2scan.bags.changed import ChangedReader
+from pc2scan.bags.reader import ChangedReader
 from pc2scan.errors import DecodeError, UsageError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, CloudFields, encode_cloud, pack_cloud

@@ -10,7 +10,7 @@ from threading import Lock
 from typing import TYPE_CHECKING
 
 from pc2scan.advice.clocks import measure_offsets
-from pc2scan.bags.changed import ChangedReader
+from pc2scan.bags.reader import ChangedReader
 from pc2scan.bags.topics import by_topic, find_topic
 from pc2scan.errors import DecodeError
 from pc2scan.messages.clouds import CLOUDS

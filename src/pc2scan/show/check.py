@@ -13,14 +13,13 @@ from pc2scan.bags.damage import mention
 from pc2scan.bags.observers import Observer
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics, unheard
-from pc2scan.conversion.engine import schedule
 from pc2scan.core.consumers import CONSUMERS
 from pc2scan.core.verdicts import OUTCOMES
 from pc2scan.errors import DecodeError, TopicError, UsageError, leading, stamp_text
 from pc2scan.files.urls import path_or_url
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.other_clouds import without
-from pc2scan.model import StoredChunk, copied_message, own_message
+from pc2scan.model import copied_message
 from pc2scan.progress import Meter
 from pc2scan.result import Part, Result
 from pc2scan.text import counted
@@ -339,9 +338,7 @@ def _read_scans(
     """Read the scans once, and check them."""
     if meter is not None:
         meter.expect(reader.stored_bytes(wanted))
-    for message in schedule(reader.units(wanted), own_message, None, path=reader.path, meter=meter):
-        # No rule allows whole chunks here.
-        assert not isinstance(message, StoredChunk)
+    for message in reader.messages(wanted, meter=meter):
         if meter is not None:
             meter.messages += 1
         scans, places = topics[message.connection.topic]

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from pc2scan.bags.loading import Chunk
     from pc2scan.bags.reader import Reader
-    from pc2scan.bags.units import Unit
 
 #: Options of MCAP's library with which there is nothing to count by, at least for a part of the time.
 SILENT = {"unchunked", "unchunked without summary", "no indexes", "only chunk indexes", "no message indexes",
@@ -267,25 +267,25 @@ def long_recording(name: str, folder: Path) -> Path:
     return recorded(LONG[name], folder, [(f"/{number % 5}", 10 * number, DATA) for number in range(10)])
 
 
-def units_read(reader: Reader) -> list[Unit]:
+def units_read(reader: Reader) -> list[Chunk]:
     """Return a list that gets each unit when it is read; rows are read when they are listed."""
-    read: list[Unit] = []
-    listed = reader.units
+    read: list[Chunk] = []
+    listed = reader.chunks
 
-    def units(*selection: Any) -> Iterator[Unit]:
+    def chunks(*selection: Any) -> Iterator[Chunk]:
         for unit in listed(*selection):
-            if unit.is_in_memory:
+            if unit.file is None:
                 read.append(unit)
                 yield unit
                 continue
 
-            def load(callback: Any, *, whole: bool, unit: Unit = unit) -> Any:
+            def load(callback: Any, unit: Chunk = unit) -> Any:
                 read.append(unit)
-                return unit.load(callback, whole=whole)
+                return unit.load(callback)
 
             yield unit._replace(load=load)
 
-    reader.units = units  # type: ignore[method-assign, assignment]
+    reader.chunks = chunks  # type: ignore[method-assign, assignment]
     return read
 
 
@@ -322,7 +322,7 @@ def test_the_bytes_to_read_are_known_before(
 ) -> None:
     with closing(open_recording(long_recording(name, tmp_path))) as reader:
         connections = reader.connections[:topics]
-        read = sum(unit.stored for unit in reader.units(connections, start, stop))
+        read = sum(unit.stored for unit in reader.chunks(connections, start, stop))
         assert reader.stored_bytes(connections, start, stop) == pytest.approx(read, rel=0.1)
 
 

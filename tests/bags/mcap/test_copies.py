@@ -11,10 +11,10 @@ import zstandard
 from mcap.records import MessageIndex
 
 from pc2scan.bags import chunks
+from pc2scan.bags.loading import merge_by_time
 from pc2scan.bags.mcap.chunks import whole_chunk
 from pc2scan.bags.mcap.read import McapReader
 from pc2scan.bags.mcap.records import RecordFile
-from pc2scan.bags.units import merge_by_time
 from pc2scan.model import ChunkRule, StoredChunk
 from support.mcap_files import encoded, raw_channel, raw_chunk, raw_file, raw_message, record, write
 
@@ -68,7 +68,7 @@ def test_messages_packed_by_themselves_are_not_copied(tmp_path: Path, monkeypatc
     packed = [(channel, time_ns, zstandard.compress(data)) for channel, time_ns, data in ROWS]
     assert isinstance(Chunk(tmp_path / "packed.mcap", packed).whole(), memoryview)
     with closing(McapReader(tmp_path / "packed.mcap")) as reader:
-        found: list[Any] = list(merge_by_time(reader.units(rule=RULE)))
+        found: list[Any] = list(merge_by_time(reader.chunks(rule=RULE)))
     assert [bytes(message.data) for message in found] == [row[2] for row in ROWS]
 
 

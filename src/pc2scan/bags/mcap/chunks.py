@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.bags.chunks import Segment
 from pc2scan.bags.formats import and_list
-from pc2scan.bags.units import MAX_LISTED_ITEMS
+from pc2scan.bags.loading import MAX_LISTED_ITEMS
 from pc2scan.files.compression import ZSTD_MAGIC, CompressionError, allowed_bytes, crc32, decompress
 from pc2scan.files.source import BorrowedBytes
 from pc2scan.model import StoredChunk, own_data

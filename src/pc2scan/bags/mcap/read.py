@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pc2scan.bags.chunks import ChunkedReader, segment_units, whole_chunks
+from pc2scan.bags.chunks import ChunkedReader, segment_chunks, whole_chunks
 from pc2scan.bags.damage import AnotherRecordingError, DamageLog
+from pc2scan.bags.loading import LazyItems, map_items
 from pc2scan.bags.reader import MAX_CONNECTIONS
 from pc2scan.bags.salvage import note_salvaged
 from pc2scan.bags.topics import latches
-from pc2scan.bags.units import LazyItems, map_items
 from pc2scan.bags.zstd import decompress_messages
 from pc2scan.errors import DamageError, stamp_text
 from pc2scan.files.compression import combine_crc32, crc32
@@ -42,9 +42,9 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.chunks import Segment, Segments
     from pc2scan.bags.formats import ReadOptions
+    from pc2scan.bags.loading import Chunk, Item, Loaded
     from pc2scan.bags.reader import Reader
     from pc2scan.bags.salvage import SalvagedMessages
-    from pc2scan.bags.units import Item, Loaded, Unit
     from pc2scan.model import Buffer, ChunkRule, RawMessage
 
     from .records import Messages
@@ -144,13 +144,13 @@ class McapReader(ChunkedReader):
             return index
         return recover_index(self._file, problem, self._log)
 
-    def units(
+    def chunks(
         self,
         connections: Collection[Connection] | None = None,
         start_ns: int | None = None,
         stop_ns: int | None = None,
         rule: ChunkRule | None = None,
-    ) -> Iterator[Unit]:
+    ) -> Iterator[Chunk]:
         """Return chunks, and segments of records outside chunks, by start; see `pc2scan.bags.reader.Reader`."""
         known = wanted = self._known
         if connections is not None:
@@ -164,12 +164,12 @@ class McapReader(ChunkedReader):
         whole, due = whole_chunks(segments, rule, start_ns, stop_ns)
         times = (0 if start_ns is None else start_ns, 1 << 64 if stop_ns is None else stop_ns)
         selection = _Selection(wanted, *times, rule)
-        return segment_units(segments, partial(self._load, selection), self._file, whole, due)
+        return segment_chunks(segments, partial(self._load, selection), self._file, whole, due)
 
     def _load(
         self, selection: _Selection, segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool
-    ) -> Loaded[Item]:
-        """Load a segment; see `pc2scan.bags.units.Load`."""
+    ) -> Loaded:
+        """Load a segment; see `pc2scan.bags.loading.Load`."""
         found: StoredChunk | Messages | None = None
         payload: BorrowedBytes | None = None
         # A damaged segment is read again to recover its messages; a damaged chunk is not copied.

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
 from pc2scan.bags.damage import RECOVER
 from pc2scan.bags.formats import FORMATS
-from pc2scan.bags.units import MAX_LISTED_ITEMS, LazyItems
+from pc2scan.bags.loading import MAX_LISTED_ITEMS, LazyItems
 from pc2scan.errors import DamageError
 from pc2scan.files.compression import crc32
 from pc2scan.files.source import SourceFile

@@ -21,8 +21,8 @@ import numpy as np
 
 from pc2scan.bags.chunks import Segments, times_around
 from pc2scan.bags.damage import AnotherRecordingError
+from pc2scan.bags.loading import LazyItems
 from pc2scan.bags.salvage import SalvagedMessages, clamp_times
-from pc2scan.bags.units import LazyItems
 from pc2scan.errors import DamageError
 from pc2scan.files.salvage import decompressed_prefix
 

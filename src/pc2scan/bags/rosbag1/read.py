@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pc2scan.bags.chunks import ChunkedReader, segment_units, whole_chunks
+from pc2scan.bags.chunks import ChunkedReader, segment_chunks, whole_chunks
 from pc2scan.bags.damage import AnotherRecordingError, DamageLog
+from pc2scan.bags.loading import MAX_LISTED_ITEMS, LazyItems, map_items
 from pc2scan.bags.salvage import note_salvaged
-from pc2scan.bags.units import MAX_LISTED_ITEMS, LazyItems, map_items
 from pc2scan.errors import stamp_text
 from pc2scan.files.compression import LZ4_MAGIC
 from pc2scan.files.source import BorrowedBytes
@@ -50,8 +50,8 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.chunks import Numbers, Segment, Segments
     from pc2scan.bags.formats import ReadOptions
+    from pc2scan.bags.loading import Chunk, Item, Loaded
     from pc2scan.bags.reader import Reader
-    from pc2scan.bags.units import Item, Loaded, Unit
     from pc2scan.model import Buffer, ChunkRule, Connection
 
     from .index import BagIndex
@@ -156,13 +156,13 @@ class Rosbag1Reader(ChunkedReader):
 
         return recover_index(self._file, problem, self._log)
 
-    def units(
+    def chunks(
         self,
         connections: Collection[Connection] | None = None,
         start_ns: int | None = None,
         stop_ns: int | None = None,
         rule: ChunkRule | None = None,
-    ) -> Iterator[Unit]:
+    ) -> Iterator[Chunk]:
         """Return chunks by start; see `pc2scan.bags.reader.Reader`. Whole chunks are decompressed to be checked."""
         rule = rule if rule and rule.container == "rosbag1" else None
         ids = None if connections is None else frozenset(connection.id for connection in connections)
@@ -171,12 +171,12 @@ class Rosbag1Reader(ChunkedReader):
         whole, due = whole_chunks(segments, rule, start_ns, stop_ns)
         needed = first_uses(segments, due, start_ns) if whole.any() else {}
         selection = _Selection(wanted, start_ns, stop_ns, rule, needed)
-        return segment_units(segments, partial(self._load, selection), self._file, whole, due)
+        return segment_chunks(segments, partial(self._load, selection), self._file, whole, due)
 
     def _load(
         self, selection: _Selection, segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool
-    ) -> Loaded[Item]:
-        """Load a chunk; see `pc2scan.bags.units.Load`."""
+    ) -> Loaded:
+        """Load a chunk; see `pc2scan.bags.loading.Load`."""
         try:
             if selection.rule and whole:
                 found = self._load_whole(selection, selection.rule, segment)

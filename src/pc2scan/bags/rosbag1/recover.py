@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.chunks import Segment, Segments, times_around
 from pc2scan.bags.damage import AnotherRecordingError
+from pc2scan.bags.loading import LazyItems
 from pc2scan.bags.salvage import SalvagedMessages, clamp_times
-from pc2scan.bags.units import LazyItems
 from pc2scan.files.salvage import decompressed_prefix
 
 from .index import BagIndex, Connections, chunk_segment

@@ -148,10 +148,10 @@ def test_a_unit_may_be_loaded_again(script: str, tmp_path: Path) -> None:
     """Its rows are not kept for that."""
     rows = [(1, TIMES[-1] + 5, bytes([number]) * 300_000) for number in range(9)]
     with closing(Sqlite3Reader(build(tmp_path / "x.db3", script=script, rows=rows))) as reader:
-        units = list(reader.units(start_ns=TIMES[-1]))
-        loaded = [unit.load(lambda message: message, whole=False) for unit in units]
+        units = list(reader.chunks(start_ns=TIMES[-1]))
+        loaded = [unit.load(lambda message: message) for unit in units]
         assert [len(found) for found in loaded] == [5, 2, 2, 2, 1]  # type: ignore[arg-type]
-        assert [unit.load(lambda message: message, whole=False) for unit in reversed(units)] == loaded[::-1]
+        assert [unit.load(lambda message: message) for unit in reversed(units)] == loaded[::-1]
         assert [message for found in loaded for message in found] == list(reader.messages(start_ns=TIMES[-1]))  # type: ignore[union-attr]
 
 

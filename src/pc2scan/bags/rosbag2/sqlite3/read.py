@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags import zstd
 from pc2scan.bags.damage import DamageLog
+from pc2scan.bags.loading import Chunk
 from pc2scan.bags.reader import Reader
-from pc2scan.bags.units import Unit
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.model import RawMessage, Summary, declared_counts
 
@@ -24,10 +24,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.bags.formats import ReadOptions
-    from pc2scan.bags.units import Item
     from pc2scan.model import ChunkRule, Connection
 
-#: Limits of a unit's bytes and rows. Loading less takes less time than handing it to another thread.
+#: Limits of a chunk's bytes and rows. Loading less takes less time than handing it to another thread.
 _UNIT_BYTES = 1 << 19
 _UNIT_ROWS = 256
 _WORTH_A_THREAD = 1 << 20
@@ -51,7 +50,7 @@ class _Rows:
     read_again: Callable[[], Iterator[tuple[list[Row], int]]]
     known: Mapping[int, Connection]
 
-    def __call__(self, callback: Callable[[RawMessage], Item], *, whole: bool) -> list[Item]:  # noqa: ARG002
+    def __call__(self, callback: Callable[[RawMessage], Any]) -> list[Any]:
         rows = self.rows or list(islice(chain.from_iterable(rows for rows, _ in self.read_again()), self.count))
         topics, times, _, data = zip(*rows, strict=True)
         rows.clear()
@@ -115,17 +114,17 @@ class Sqlite3Reader(Reader):
             end_ns=end_ns,
         )
 
-    def units(
+    def chunks(
         self,
         connections: Collection[Connection] | None = None,
         start_ns: int | None = None,
         stop_ns: int | None = None,
         rule: ChunkRule | None = None,  # noqa: ARG002  # there are no chunks
-    ) -> Iterator[Unit]:
-        """Yield rows by log time, as units; equal log times are in the order of writing.
+    ) -> Iterator[Chunk]:
+        """Yield rows by log time, as chunks; equal log times are in the order of writing.
 
-        Rows are read while the units are iterated over, by the thread that does so: a database is read in order. A unit
-        that is loaded again, which also happens on that thread, reads its rows again.
+        Rows are read while the chunks are iterated over, by the thread that does so: a database is read in order. A
+        chunk that is loaded again, which also happens on that thread, reads its rows again.
         """
         wanted = None if connections is None else {connection.id for connection in connections}
         known = {own.id: own for own in self.connections if wanted is None or own.id in wanted}
@@ -134,7 +133,7 @@ class Sqlite3Reader(Reader):
         for number, (rows, size) in enumerate(read()):
             load = _Rows(rows, len(rows), partial(read, before), known)
             before = rows[-1][1:3]
-            yield Unit(rows[0][1], (number,), size, load, is_quick=size < _WORTH_A_THREAD, is_in_memory=True)
+            yield Chunk(rows[0][1], (number,), size, load, is_quick=size < _WORTH_A_THREAD)
 
     def _batches(
         self,

@@ -1,0 +1,447 @@
+"""Loads the chunks of a recording, and merges their messages by log time.
+
+A chunk is a part of a recording that can be loaded by itself: a chunk of a file, consecutive records outside chunks, or
+some rows of a database. A reader lists them. Each is loaded, on any thread, when its first message is due or some way
+ahead, and its messages are merged with those of others, because chunks overlap in time if the recorder had several
+buffers. Sorting a whole index would need memory that grows with the recording.
+
+A message without data takes 31 bytes in a chunk, next to none where it is compressed, and ten times as much as an
+object. So of a chunk with very many messages only the log times and the places are kept (`LazyItems`).
+"""
+
+from __future__ import annotations
+
+import heapq
+from array import array
+from collections import deque
+from contextlib import closing
+from functools import partial
+from itertools import compress, islice
+from operator import attrgetter, le
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeAlias, TypeVar, overload
+
+from pc2scan.errors import RecordingError
+from pc2scan.model import RawMessage, StoredChunk, own_message
+from pc2scan.threads import InOrder
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Generator, Iterable, Iterator
+    from pathlib import Path
+
+    from pc2scan.files.source import SourceFile
+    from pc2scan.progress import Meter
+    from pc2scan.threads import Threads
+
+#: Limit of loaded chunks; beyond it, those needed last are dropped and later loaded again.
+MAX_OPEN_BYTES = 96 << 20
+
+#: Bytes that are loaded ahead for every thread. Of chunks up to the second size, always one more than threads.
+AHEAD_BYTES = 6 << 20
+LARGEST_AHEAD = 20 << 20
+
+#: Bytes of messages that are passed to another thread together: for fewer, passing them takes longer than the work.
+_PIECE_BYTES = 1 << 20
+
+#: The start of a chunk with an unknown first log time: it is due at once.
+UNKNOWN_START_NS = -1 << 63
+
+#: Later than everything.
+_NEVER = (1 << 64, ())
+
+#: Limit for loading chunks again, as a multiple of the size of all chunks; a gigabyte is always allowed.
+_MAX_AGAIN = 4
+
+#: Maximum number of messages in a recording, whatever its size; one more is allowed for each stored byte.
+_MAX_FREE_MESSAGES = 1_000_000
+
+#: Bytes that are announced to the system before they are read: it reads them while others are decompressed.
+_ANNOUNCED_BYTES = 32 << 20
+
+#: How many chunks are announced at most: each takes half a kilobyte.
+_ANNOUNCED_CHUNKS = 1_000
+
+#: Chunks with at most this distance are announced together: an index may be between them.
+_GAP_BYTES = 64 << 10
+
+#: Up to this number, the messages of a chunk are all created at once. Usual chunks have fewer.
+MAX_LISTED_ITEMS = 1 << 15
+
+#: Bytes that an item takes besides its data.
+ITEM_BYTES = 400
+
+_Value = TypeVar("_Value")
+_Other = TypeVar("_Other")
+
+
+class TimedItem(Protocol):
+    """Anything with a log time and a size: a message, or a callback's result."""
+
+    @property
+    def log_time_ns(self) -> int:
+        """When the message was recorded."""
+        ...
+
+    @property
+    def size(self) -> int:
+        """Bytes that it takes."""
+        ...
+
+
+Item = TypeVar("Item", bound=TimedItem)
+
+
+class LazyItems(Generic[_Value]):
+    """Items that are created from messages one by one; only the last one is kept.
+
+    Parameters
+    ----------
+    times
+        Log times, ns.
+    places
+        The messages' positions, in the same order.
+    make
+        Creates the item at a position. Each call for a position gives an equal item.
+    kept_bytes
+        Bytes that ``make`` keeps in memory.
+    """
+
+    __slots__ = ("_kept_bytes", "_last", "_make", "_places", "times")
+
+    def __init__(self, times: array[int], places: array[int], make: Callable[[int], _Value], kept_bytes: int) -> None:
+        self.times = times
+        self._places = places
+        self._make = make
+        self._kept_bytes = kept_bytes
+        self._last: tuple[int, _Value] | None = None
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __getitem__(self, number: int) -> _Value:
+        if self._last is None or self._last[0] != number:
+            # Not two at the same time.
+            self._last = None
+            self._last = (number, self._make(self._places[number]))
+        return self._last[1]
+
+    def __iter__(self) -> Iterator[_Value]:
+        return map(self._make, self._places)
+
+    @property
+    def size(self) -> int:
+        """Bytes of memory that it takes."""
+        return self._kept_bytes + 16 * len(self._places)
+
+    def map(self, callback: Callable[[_Value], _Other], times: array[int] | None = None) -> LazyItems[_Other]:
+        """Return the callback's results for the items, with their log times or the given ones."""
+        make = self._make
+        times = self.times if times is None else times
+        return LazyItems(times, self._places, lambda place: callback(make(place)), self._kept_bytes)
+
+    def filter(self, test: Callable[[_Value], bool]) -> LazyItems[_Value]:
+        """Return the items for which ``test`` is true."""
+        return self._select(array("Q", compress(range(len(self)), map(test, self))))
+
+    def as_list(self) -> list[_Value] | LazyItems[_Value]:
+        """Return a list of all items if they are few enough; else itself."""
+        return self if len(self) > MAX_LISTED_ITEMS else list(self)
+
+    def sort_by_time(self) -> LazyItems[_Value]:
+        """Return the items sorted by log time; items with equal times keep their order."""
+        if all(map(le, self.times, islice(self.times, 1, None))):
+            return self
+        return self._select(array("Q", sorted(range(len(self)), key=self.times.__getitem__)))
+
+    def _select(self, numbers: array[int]) -> LazyItems[_Value]:
+        times, places = (array("Q", map(values.__getitem__, numbers)) for values in (self.times, self._places))
+        return LazyItems(times, places, self._make, self._kept_bytes)
+
+
+@overload
+def map_items(callback: Callable[[_Value], _Other], items: list[_Value]) -> list[_Other]: ...
+@overload
+def map_items(
+    callback: Callable[[_Value], _Other], items: list[_Value] | LazyItems[_Value]
+) -> list[_Other] | LazyItems[_Other]: ...
+def map_items(
+    callback: Callable[[_Value], _Other], items: list[_Value] | LazyItems[_Value]
+) -> list[_Other] | LazyItems[_Other]:
+    """Return the callback's results for items."""
+    return items.map(callback) if isinstance(items, LazyItems) else list(map(callback, items))
+
+
+#: What a chunk is loaded as: items in the order of the file, or the chunk as a whole.
+Loaded: TypeAlias = list[Any] | LazyItems[Any] | StoredChunk
+
+
+class Chunk(NamedTuple):
+    """A part of a recording that can be loaded by itself.
+
+    Attributes
+    ----------
+    start_ns
+        Log time of its first message, or earlier. Of a chunk that may be copied as a whole: when it is due.
+    place
+        Order among chunks: messages of one log time are in this order.
+    size
+        Bytes of memory when it is loaded.
+    load
+        Returns the callback's result for each message, in the order of the file, or a chunk that is copied as a whole.
+        May be called on any thread, and again. The callback is called with each wanted message on the thread that read
+        it, while it is still in that core's cache. The message's data may be borrowed: a message that is kept must be
+        copied by `pc2scan.model.own_message`.
+    is_quick
+        Whether loading it takes less time than handing it to another thread.
+    file, offset, length
+        Its place; no file if it is not in one piece.
+    end_ns
+        Log time of its last message, or later; None if that is unknown.
+    connection_ids
+        The connections with messages in it; None if they are unknown, or those that were asked for.
+    """
+
+    start_ns: int
+    place: tuple[int, ...]
+    size: int
+    load: Callable[[Callable[[RawMessage], Any]], Loaded]
+    is_quick: bool = False
+    file: SourceFile | None = None
+    offset: int = 0
+    length: int = 0
+    end_ns: int | None = None
+    connection_ids: frozenset[int] | None = None
+
+    @property
+    def stored(self) -> int:
+        """Its bytes in the file, or those of its messages if it is not in one piece."""
+        return self.size if self.file is None else self.length
+
+    def changed(self, change: Callable[[RawMessage], RawMessage]) -> Chunk:
+        """Return the chunk with other messages: ``change`` is called with each."""
+        load = self.load
+        return self._replace(load=lambda callback: load(lambda message: callback(change(message))))
+
+    @property
+    def due(self) -> tuple[int, tuple[int, ...]]:
+        """When it is loaded: at its start; chunks that start together, in the order of their places."""
+        return self.start_ns, self.place
+
+
+class _OpenChunk:
+    """The items of a chunk on the heap, by the next one's log time and the chunk's place; None if they were dropped."""
+
+    __slots__ = ("chunk", "items", "key", "position", "size")
+
+    def __init__(self, chunk: Chunk, items: list[Any] | LazyItems[Any], max_open_bytes: int) -> None:
+        self.chunk = chunk
+        self.items: list[Any] | LazyItems[Any] | None = items
+        self.position = 0
+        self.key = (items[0].log_time_ns, chunk.place)
+        if isinstance(items, LazyItems):
+            self.size = items.size
+        else:
+            self.size = chunk.size
+            if chunk.size > max_open_bytes:
+                # A damaged chunk may declare any size: its actual size counts, so that others are not dropped for it.
+                # So does what is left of a chunk that is not held.
+                self.size = min(chunk.size, sum(item.size for item in items))
+            self.size += ITEM_BYTES * len(items)
+
+    def __lt__(self, other: _OpenChunk) -> bool:
+        return self.key < other.key
+
+
+def merge_by_time(
+    chunks: Iterable[Chunk],
+    callback: Callable[[RawMessage], Item] = own_message,  # type: ignore[assignment]  # the default makes messages of messages
+    threads: Threads | None = None,
+    *,
+    window: int | None = None,
+    max_open_bytes: int = MAX_OPEN_BYTES,
+    holds_chunks: bool = True,
+    path: Path | None = None,
+    meter: Meter | None = None,
+) -> Generator[Item | StoredChunk]:
+    """Load chunks, and merge the messages of those that overlap in time.
+
+    Parameters
+    ----------
+    chunks
+        In the order in which they are due. They may come from a generator.
+    callback
+        Makes the items of messages; see `Chunk.load`. Called once a message, except that a chunk is loaded again if
+        more than ``max_open_bytes`` of chunks overlap at one time.
+    threads
+        All threads, or None for the caller's alone. The items do not depend on it.
+    window
+        How many chunks may be loaded ahead; None: as many as memory allows.
+    max_open_bytes
+        Bound on the chunks held at one time (one is always held).
+    holds_chunks
+        Whether items may keep the memory of their chunk. Otherwise it counts as much as its items.
+    path
+        The recording, for the error.
+    meter
+        Gets the bytes of each chunk that is loaded.
+
+    Yields
+    ------
+    Item | StoredChunk
+        By log time; equal log times in the order of places. Whole chunks when they are due. An exception of the
+        callback is raised in the place of its item.
+
+    Raises
+    ------
+    RecordingError
+        If chunks that overlap would have to be loaded again and again.
+    """
+    with closing(_load_ahead(_announce(chunks), callback, threads, window)) as loading:
+        heap: list[_OpenChunk] = []
+        coming = next(loading, None)
+        total = again = 0
+        most = _MAX_FREE_MESSAGES
+        while heap or coming is not None:
+            while coming is not None and (not heap or coming[0].due < heap[0].key):
+                chunk, result = coming
+                total += chunk.size
+                # Makes room before loading.
+                _evict(heap, max_open_bytes - chunk.size)
+                loaded = result()
+                if isinstance(loaded, StoredChunk):
+                    yield loaded
+                elif loaded:
+                    most += chunk.length - len(loaded) if chunk.file else 0
+                    if most < 0:
+                        raise RecordingError("has more messages than bytes, which no recording does", path=path)
+                    heapq.heappush(heap, _OpenChunk(chunk, _sort(loaded), max_open_bytes if holds_chunks else 0))
+                    _evict(heap, max_open_bytes)
+                if meter is not None:
+                    meter.add(chunk.stored)
+                del loaded, chunk, result, coming
+                coming = next(loading, None)
+            if not heap:
+                continue
+            current = heapq.heappop(heap)
+            if current.items is None:
+                again += current.chunk.size
+                if again > _MAX_AGAIN * total + (1 << 30):
+                    raise RecordingError(
+                        f"its chunks overlap in time so much that each would have to be read {_MAX_AGAIN} times",
+                        path=path,
+                    )
+                _evict(heap, max_open_bytes - current.chunk.size)
+                current.items = _sort(current.chunk.load(callback))
+            # All items up to the next chunk's turn are from this one, without a heap operation for each.
+            limit = min(heap[0].key if heap else _NEVER, coming[0].due if coming else _NEVER)
+            items, position, place = current.items, current.position, current.chunk.place
+            if isinstance(items, list) and (items[-1].log_time_ns, place) < limit:
+                yield from islice(items, position, None)
+                position = len(items)
+            while position < len(items) and (items[position].log_time_ns, place) < limit:
+                yield items[position]
+                position += 1
+            if position < len(items):
+                current.position = position
+                current.key = (items[position].log_time_ns, place)
+                heapq.heappush(heap, current)
+                _evict(heap, max_open_bytes)
+            # The generator's frame must not keep a used chunk in memory while the next one is loaded.
+            del items, current
+
+
+def _sort(items: Any) -> Any:
+    """Return items sorted by log time."""
+    if isinstance(items, LazyItems):
+        return items.sort_by_time()
+    # A stable sort, which takes almost no time if the messages are in order.
+    items.sort(key=attrgetter("log_time_ns"))
+    return items
+
+
+def _evict(heap: list[_OpenChunk], max_open_bytes: int) -> None:
+    """Drop the items of the chunks that are needed last, until the rest fits."""
+    if len(heap) <= 1:
+        return
+    held = sorted((entry for entry in heap if entry.items is not None), reverse=True)
+    total = sum(entry.size for entry in held)
+    for entry in held[:-1]:
+        if total <= max_open_bytes:
+            return
+        entry.items = None
+        total -= entry.size
+
+
+def _load_ahead(
+    chunks: Iterable[Chunk], callback: Callable[[RawMessage], Any], threads: Threads | None, window: int | None
+) -> Generator[tuple[Chunk, Callable[[], Loaded]]]:
+    """Yield each chunk, and a function that returns what it is loaded as, by now or ahead on another thread."""
+    if threads is None:
+        for chunk in chunks:
+            yield chunk, partial(chunk.load, callback)
+        return
+    waiting: deque[Chunk] = deque()
+    results: InOrder[Loaded] = InOrder(threads, AHEAD_BYTES, threads.jobs + 1, window)
+    try:
+        for chunk in chunks:
+            too_large = chunk.size > LARGEST_AHEAD
+            while waiting and (too_large or not results.has_room(chunk.size)):
+                yield waiting.popleft(), results.take
+            if too_large:
+                yield chunk, partial(_load_together, threads, chunk, callback)
+            else:
+                results.put(partial(chunk.load, callback), chunk.size, at_its_turn=chunk.is_quick)
+                waiting.append(chunk)
+        while waiting:
+            yield waiting.popleft(), results.take
+    finally:
+        results.cancel()
+
+
+def _load_together(threads: Threads, chunk: Chunk, callback: Callable[[RawMessage], Any]) -> Loaded:
+    """Load a chunk on this thread, and call back for its messages on all threads."""
+    loaded = chunk.load(own_message)
+    if isinstance(loaded, StoredChunk):
+        return loaded
+    if isinstance(loaded, LazyItems):
+        return loaded.map(callback)
+    step = max(1, len(loaded) * _PIECE_BYTES // chunk.size)
+    pieces = (loaded[start : start + step] for start in range(0, len(loaded), step))
+    tasks = [threads.submit(list[Any], map(callback, piece)) for piece in pieces]
+    return [item for task in tasks for item in task.result()]
+
+
+def _announce(chunks: Iterable[Chunk]) -> Iterator[Chunk]:
+    """Yield the chunks, and announce their places to the system ahead of their turn.
+
+    Chunks that follow each other are announced by one call, because every call lets other threads take the
+    interpreter's lock.
+    """
+    source = iter(chunks)
+    coming: deque[Chunk] = deque()
+    announced = 0
+    while True:
+        if announced <= _ANNOUNCED_BYTES // 2 and len(coming) <= _ANNOUNCED_CHUNKS // 2:
+            extents: list[tuple[SourceFile, int, int]] = []
+            while (
+                announced < _ANNOUNCED_BYTES
+                and len(coming) < _ANNOUNCED_CHUNKS
+                and (chunk := next(source, None)) is not None
+            ):
+                coming.append(chunk)
+                if chunk.file is None:
+                    break
+                start, end = chunk.offset, chunk.offset + chunk.length
+                announced += chunk.length
+                if extents and extents[-1][0] is chunk.file and 0 <= start - extents[-1][2] <= _GAP_BYTES:
+                    start = extents.pop()[1]
+                extents.append((chunk.file, start, end))
+            for file, start, end in extents:
+                file.expect(start, end - start)
+        if not coming:
+            return
+        due = coming.popleft()
+        announced -= due.length if due.file else 0
+        yield due
+        # The chunk may hold rows of a database, which must not stay in memory while the next one is made.
+        chunk = None
+        del due

@@ -1,0 +1,303 @@
+"""Chunks: loaded ahead within bounds, merged in the order of time, dropped and loaded again where many overlap."""
+
+from __future__ import annotations
+
+import time
+from array import array
+from contextlib import closing, nullcontext
+from dataclasses import replace
+from operator import attrgetter, itemgetter
+from threading import get_ident
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pc2scan.bags import loading
+from pc2scan.bags.chunks import MIN_WHOLE_BYTES, Segment, Segments, segment_chunks, whole_chunks
+from pc2scan.bags.loading import AHEAD_BYTES, LARGEST_AHEAD, Chunk, LazyItems, merge_by_time
+from pc2scan.bags.opening import open_recording
+from pc2scan.errors import RecordingError
+from pc2scan.model import ChunkRule, Connection, RawMessage, StoredChunk
+from pc2scan.threads import Threads
+from support import mcap_files, rosbag1_files
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+    from contextlib import AbstractContextManager
+    from pathlib import Path
+
+TOPIC = Connection(1, "/a", "a/msg/A", "cdr")
+
+
+class Load:
+    """A chunk in memory; counts how often it is loaded."""
+
+    def __init__(self, number: int, times_ns: list[int], size: int = 1, *, whole: bool = False) -> None:
+        self.number, self.times_ns, self.size, self.whole = number, times_ns, size, whole
+        self.calls = 0
+
+    def __call__(self, callback: Callable[[RawMessage], Any]) -> list[Any] | StoredChunk:
+        self.calls += 1
+        if self.whole:
+            return StoredChunk("zstd", b"", self.number, 0, {1: [(time_ns, 0) for time_ns in self.times_ns]})
+        data = bytes([self.number]) * self.size
+        return [callback(RawMessage(TOPIC, time_ns, data, time_ns)) for time_ns in self.times_ns]
+
+
+def chunk(number: int, times_ns: Iterable[int] = (), *, size: int = 1, quick: bool = False) -> Chunk:
+    times = list(times_ns) or [10 * number]
+    # Sizes of a chunk that are not those of its messages are declared.
+    data = size // len(times) if size <= 1 << 26 else 1
+    return Chunk(min(times), (number,), size, Load(number, times, data), is_quick=quick)
+
+
+def found(items: Iterator[Any]) -> list[tuple[int, int]]:
+    """Log times, and the chunk that each is of."""
+    places: list[tuple[int, int]] = []
+    for item in items:
+        if isinstance(item, StoredChunk):
+            places += ((time_ns, item.size) for time_ns, _ in item.index[1])
+        else:
+            places.append((item.log_time_ns, item.data[0]))
+    return places
+
+
+def threads_of(jobs: int | None) -> AbstractContextManager[Threads | None]:
+    return nullcontext() if jobs is None else Threads(jobs)
+
+
+CHUNKS = st.lists(st.lists(st.integers(0, 60), min_size=1, max_size=4), min_size=1, max_size=8)
+
+
+@given(CHUNKS, st.integers(1, 9), st.sampled_from([None, 1, 2]))
+def test_the_order_is_that_of_a_stable_sort(times: list[list[int]], room: int, jobs: int | None) -> None:
+    chunks = sorted((chunk(number, each, size=len(each)) for number, each in enumerate(times)), key=attrgetter("due"))
+    expected = sorted((time_ns, number) for number, each in enumerate(times) for time_ns in each)
+    with threads_of(jobs) as threads:
+        assert found(merge_by_time(chunks, threads=threads, max_open_bytes=room)) == expected
+
+
+@given(CHUNKS, st.lists(st.booleans(), min_size=8, max_size=8), st.integers(1, 9))
+def test_an_index_finds_the_order_of_the_source_in_whole_chunks(
+    chunks: list[list[int]], may: list[bool], room: int
+) -> None:
+    """A stable sort of what is written is one of what is read; outside of chunks it is written sorted."""
+    segments = Segments(
+        Segment(number, 1, MIN_WHOLE_BYTES, min(times), max(times), connection_ids=frozenset({int(copied)}))
+        for number, (times, copied) in enumerate(zip(chunks, may, strict=False))
+    )
+    whole, due = whole_chunks(segments, ChunkRule("mcap", frozenset(), frozenset({1})), None, None)
+    file: Any = None
+
+    def load(segment: Segment, callback: Callable[[RawMessage], Any], *, whole: bool) -> list[Any] | StoredChunk:
+        return Load(segment.offset, chunks[segment.offset], whole=whole)(callback)
+
+    listed = [made._replace(size=1) for made in segment_chunks(segments, load, file, whole, due)]
+    written = found(merge_by_time(listed, max_open_bytes=room))
+    read = [(time_ns, number) for number, times in enumerate(chunks) for time_ns in times]
+    assert sorted(written, key=itemgetter(0)) == sorted(read, key=itemgetter(0))
+    copied = set(np.flatnonzero(whole).tolist())
+    single = [time_ns for time_ns, number in written if number not in copied]
+    assert single == sorted(single)
+
+
+# --- Bounds ---
+
+
+def test_a_chunk_that_declares_too_much_drives_no_other_out() -> None:
+    chunks = [chunk(0, [0, 50, 100], size=1 << 60), *(chunk(number, [number, 100 + number]) for number in range(1, 9))]
+    assert len(list(merge_by_time(chunks, max_open_bytes=20_000))) == 3 + 16
+    assert [each.load.calls for each in chunks] == [1] * 9  # type: ignore[attr-defined]
+
+
+def test_what_would_be_loaded_again_and_again_is_refused() -> None:
+    def overlapping(count: int) -> list[Chunk]:
+        return [chunk(n, range(n, 2 * count, 2))._replace(size=1 << 26) for n in range(2)]
+
+    # A gigabyte, and four times their size: one of them may be loaded 24 times more.
+    assert len(list(merge_by_time(overlapping(25), max_open_bytes=1))) == 50
+    with pytest.raises(RecordingError, match="overlap in time"):
+        list(merge_by_time(overlapping(26), max_open_bytes=1))
+
+
+@pytest.mark.parametrize("jobs", [2, 4])
+@pytest.mark.parametrize("size", [1 << 10, 5 << 20, LARGEST_AHEAD])
+def test_what_is_loaded_ahead_is_bounded_and_enough(size: int, jobs: int) -> None:
+    """However large chunks are, there is one for every thread, and one more for the first that is done."""
+    chunks = [chunk(number)._replace(size=size) for number in range(40)]
+    most = 0
+    with Threads(jobs) as threads:
+        for taken, _ in enumerate(merge_by_time(chunks, threads=threads), 1):
+            time.sleep(0.001)
+            most = max(most, sum(each.load.calls for each in chunks) - taken)  # type: ignore[attr-defined]
+    # One more is loaded to know what is due first.
+    assert jobs <= most <= max(min(threads.ahead, jobs * AHEAD_BYTES // size), jobs + 1) + 1
+
+
+class File:
+    """Notes what is announced."""
+
+    def __init__(self) -> None:
+        self.announced: list[tuple[int, int]] = []
+
+    def expect(self, offset: int, length: int) -> None:
+        self.announced.append((offset, length))
+
+
+def test_what_will_be_loaded_is_announced_some_way_ahead() -> None:
+    size = 10 << 20
+    file: Any = File()
+    # Some other records in the middle.
+    places = [n * size + (n >= 7) * (1 << 20) for n in range(12)]
+    chunks = [chunk(n)._replace(file=file, offset=at, length=size - 100) for n, at in enumerate(places)]
+    announced = [max(offset + length for offset, length in file.announced) for _ in merge_by_time(chunks)]
+    for at, end in zip(places, announced, strict=True):
+        assert at + size - 100 <= end <= at + (53 << 20)
+    ends = [at + size - 100 for at in places]
+    # Four bring it beyond 32 MiB, and when no more than half of that is left, the next ones follow.
+    middle = [(places[n], ends[n + 2] - places[n]) for n in (4, 7)]
+    assert file.announced == [(0, ends[3]), *middle, (places[10], ends[11] - places[10])]
+
+
+def test_few_chunks_are_listed_ahead() -> None:
+    # Chunks of a hundred bytes, of which there may be a million.
+    file: Any = File()
+    listed = []
+
+    def chunks() -> Iterator[Chunk]:
+        for number in range(5_000):
+            listed.append(number)
+            yield chunk(number % 256, [number])._replace(place=(number,), file=file, offset=100 * number, length=100)
+
+    messages = merge_by_time(chunks())
+    next(messages)
+    assert len(listed) == 1_000
+    assert len(list(messages)) == 4_999
+    # A thousand, then five hundred at a time.
+    assert len(file.announced) == 9
+
+
+# --- Threads ---
+
+
+@pytest.mark.parametrize("jobs", [None, 2])
+def test_an_error_is_raised_in_its_turn(jobs: int | None) -> None:
+    def work(message: RawMessage) -> RawMessage:
+        if message.log_time_ns == 50:
+            raise ValueError("five")
+        return message
+
+    with threads_of(jobs) as threads:
+        items = merge_by_time(map(chunk, range(10)), work, threads)
+        assert [next(items).log_time_ns for _ in range(5)] == [0, 10, 20, 30, 40]  # type: ignore[union-attr]
+        with pytest.raises(ValueError, match="five"):
+            next(items)
+
+
+def test_leaving_early_gives_up_what_has_not_begun() -> None:
+    chunks = [chunk(number) for number in range(100)]
+    with Threads(1) as threads:
+        items = merge_by_time(chunks, threads=threads)
+        next(items)
+        items.close()
+    assert sum(each.load.calls for each in chunks) < 6  # type: ignore[attr-defined]
+
+
+def test_quick_chunks_are_loaded_by_the_caller() -> None:
+    loaders: dict[int, int] = {}
+
+    def work(message: RawMessage) -> RawMessage:
+        loaders[message.log_time_ns // 10] = get_ident()
+        return message
+
+    chunks = [chunk(number, size=2 << 20, quick=number % 2 == 1) for number in range(12)]
+    with Threads(2) as threads:
+        assert len(list(merge_by_time(chunks, work, threads))) == 12
+    assert {loaders[number] for number in range(1, 12, 2)} == {get_ident()}
+
+
+@pytest.mark.parametrize("jobs", [None, 2])
+def test_messages_of_a_large_chunk_are_the_work_of_all_threads(jobs: int | None) -> None:
+    workers = set()
+
+    def work(message: RawMessage) -> RawMessage:
+        if len(message.data) > 1:
+            workers.add(get_ident())
+            time.sleep(0.01)
+        return message._replace(data=b"")
+
+    with threads_of(jobs) as threads:
+        items = merge_by_time([chunk(2), chunk(3, range(30, 38), size=LARGEST_AHEAD + 8), chunk(4)], work, threads)
+        assert [item.log_time_ns for item in items] == [20, *range(30, 38), 40]  # type: ignore[union-attr]
+    assert len(workers) == (jobs or 1)
+
+
+# --- Chunks of very many messages: the same messages in the same order, with next to none of them in memory ---
+
+#: Of two topics, not in order, some at the same time.
+ROWS = [
+    (number % 2, 1000 + 10 * (number // 2) + (number * 7) % 40, bytes([0, 1, 0, 0, number])) for number in range(99)
+]
+BAG = [replace(rosbag1_files.connection(f"/topic{number}"), id=number) for number in range(2)]
+WRITERS: dict[str, Callable[[Path, str], Path]] = {
+    "a.mcap": lambda path, compression: mcap_files.write(path, ROWS, compression=compression),
+    "a.bag": lambda path, compression: rosbag1_files.write(path, BAG, ROWS, compression),
+}
+
+
+def read(path: Path, start_ns: int | None, stop_ns: int | None) -> tuple[list[tuple[str, int, bytes]], list[str]]:
+    with closing(open_recording(path)) as reader:
+        rows = [(m.connection.topic, m.log_time_ns, bytes(m.data)) for m in reader.messages(None, start_ns, stop_ns)]
+        return rows, [place.what for place in reader.damage]
+
+
+@pytest.mark.parametrize("cut", [(None, None), (1100, 1300)])
+@pytest.mark.parametrize("kind", ["none", "lz4", "damaged"])
+@pytest.mark.parametrize("name", WRITERS)
+def test_the_messages_of_very_many_are_the_same(
+    name: str, kind: str, cut: tuple[int | None, int | None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = WRITERS[name](tmp_path / name, "none" if kind == "damaged" else kind)
+    if kind == "damaged":
+        # A length.
+        data = bytearray(path.read_bytes())
+        data[data.index(ROWS[30][2]) - (30 if name == "a.mcap" else 3)] ^= 0x40
+        path.write_bytes(data)
+    expected = read(path, *cut)
+    for module in (
+        "pc2scan.bags.loading",
+        "pc2scan.bags.mcap.records",
+        "pc2scan.bags.mcap.chunks",
+        "pc2scan.bags.rosbag1.read",
+    ):
+        monkeypatch.setattr(f"{module}.MAX_LISTED_ITEMS", 7)
+    assert read(path, *cut) == expected
+    assert expected[0]
+    with closing(open_recording(path)) as reader:
+        loaded = [each.load(lambda message: message) for each in reader.chunks(None, *cut)]
+    assert any(isinstance(each, LazyItems) and len(each) > 7 for each in loaded)
+
+
+def test_an_item_is_made_once_while_it_is_due() -> None:
+    made: list[int] = []
+
+    def make(place: int) -> int:
+        made.append(place)
+        return place
+
+    items = LazyItems(array("Q", [1, 2]), array("Q", [0, 1]), make, 0)
+    assert [items[0], items[0], items[1], items[1]] == [0, 0, 1, 1]
+    assert made == [0, 1]
+
+
+def test_more_messages_than_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A few bytes unpack to a million of messages; how many such chunks there are must not decide on the time."""
+    monkeypatch.setattr(loading, "_MAX_FREE_MESSAGES", 10)
+    with closing(open_recording(mcap_files.write(tmp_path / "a.mcap", ROWS, compression="zstd"))) as reader:
+        (only,) = reader.chunks()
+        assert len(list(merge_by_time([only]))) == 99
+        with pytest.raises(RecordingError, match="more messages than bytes"):
+            list(merge_by_time([only._replace(length=80)]))
