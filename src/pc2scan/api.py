@@ -22,7 +22,7 @@ from .options.call import Options
 from .options.effects import refuse_idle
 from .options.keywords import takes_options
 from .options.table import options_of
-from .requests import OF_FRAMES, conversion_of, frames_of, selection_of
+from .requests import conversion_of, frames_of, selection_of
 from .requests import convert as convert_by
 from .requests import repair as repair_by
 from .show.check import check as judge
@@ -208,14 +208,7 @@ def info(
     RecordingError
         If a source cannot be read.
     """
-    asked = Options("info", options)
-    return describe(
-        paths_in("sources", sources),
-        described=asked.topics,
-        frames=frames_of(asked),
-        given=asked.among({*OF_FRAMES, "cloud_scale"}),
-        **asked.among(("target_frame", "cloud_scale")),
-    )
+    return describe(paths_in("sources", sources), Options("info", options))
 
 
 @takes_options

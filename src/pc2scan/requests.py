@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple
 
 from .arguments import refuse_unknown
 from .conversion.run import report_failure, run
@@ -38,9 +38,6 @@ if TYPE_CHECKING:
     from .transforms.trajectory import Trajectory
 
     Warn: TypeAlias = Callable[[str], None]
-
-#: A result that is a dataclass with warnings: a page, a figure, a map.
-_Shown = TypeVar("_Shown", bound="Any")
 
 #: Options that are attributes of a conversion, as they are.
 _OF_ALL = ConvertOptions.__dataclass_fields__.keys() - {"scans", "frames", "clock"}
@@ -146,11 +143,6 @@ def first_output(request: ConversionRequest, verb: str, warn: Warn | None) -> Co
         _pass_on([only], warn)
         request = request._replace(notes=(*request.notes, only))
     return request._replace(options=options.with_scan())
-
-
-def with_notes(result: _Shown, request: ConversionRequest) -> _Shown:
-    """Return a page, figure or map with the notes of its request among its warnings."""
-    return replace(result, warnings=(*request.notes, *result.warnings))
 
 
 def conversion_of(options: Options, warn: Warn | None = None) -> ConversionRequest:

@@ -218,7 +218,7 @@ def test_how_far_a_comparison_is(tmp_path: Path) -> None:
         assert diff(path, path, progress=lambda *step: told.append(step)).same
         assert told == [(number, count, number) for number in (*range(count + 1), count)]
     told.clear()
-    check(many, progress=lambda *step: told.append(step))
+    check([many], progress=lambda *step: told.append(step))
     # The scans are 0 until the transforms, and the first scans' headers, are read. A chunk of 16 is done when the next
     # one is due.
     assert [messages for _, _, messages in told] == [0, 0, 0, 0, *range(0, 200, 16), 200]

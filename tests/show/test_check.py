@@ -114,7 +114,7 @@ def test_verdicts_say_which_rule_decides(tmp_path: Path) -> None:
     topic = looked(tmp_path, *scans(3, replace(GOOD, ranges=GOOD.ranges[:7])), tree=())
     assert "len(ranges)" in topic.consumers[0].verdict.rule
     mount = FrameOptions(static=(StaticTransform.parse("base_link laser 0 0 0.3 0 7.6deg 0"),))
-    tilted = only(check_scans(write(tmp_path / "b.mcap", *scans(3), tree=(("odom", "base_link"),)), frames=mount))
+    tilted = only(check_scans([write(tmp_path / "b.mcap", *scans(3), tree=(("odom", "base_link"),))], frames=mount))
     assert "does not start" in tilted.consumers[2].verdict.rule
 
 

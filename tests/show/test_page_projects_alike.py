@@ -8,15 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+import pc2scan
 from pc2scan.bags.opening import open_recording
 from pc2scan.compare.golden.case import case_folders, load_case
-from pc2scan.conversion.run import run
-from pc2scan.conversion.run_files import OutputOptions
-from pc2scan.core.params import ProjectionParams
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
-from pc2scan.request.options import ConvertOptions, ScanSpec, TopicRequest
-from pc2scan.request.param_sources import resolve_sources
-from pc2scan.show.view import write_page as view
 from show.browser import needs_chromium
 from support import GOLDEN, GOLDEN_EXACT, RECORDINGS, needs_shared, sampled
 
@@ -41,11 +36,11 @@ def read_scans(path: Path) -> list[LaserScan]:
         return [decode_laserscan(m.data, m.connection.serialization) for m in reader.messages(connections)]
 
 
-def _compare(tab: Tab, tmp_path: Path, source: Path, options: ConvertOptions) -> int:
+def _compare(tab: Tab, tmp_path: Path, source: Path, **options: Any) -> int:
     """Compare all clouds of a recording; returns how many there were."""
-    view([source], tmp_path / "page.html", options, clouds=1_000)
+    pc2scan.view(source, clouds=1_000, **options).save(tmp_path / "page.html")
     tab.open(tmp_path / "page.html")
-    run([source], tmp_path / "scans.mcap", options, OutputOptions())
+    pc2scan.convert(source, tmp_path / "scans.mcap", only_scans=True, **options)
     scans = read_scans(tmp_path / "scans.mcap")
     for number, scan in enumerate(scans):
         found: dict[str, Any] = tab.call(
@@ -61,9 +56,7 @@ def _compare(tab: Tab, tmp_path: Path, source: Path, options: ConvertOptions) ->
 @pytest.mark.parametrize("folder", sampled([pytest.param(folder, id=name) for name, folder in _FORWARD], 1))
 def test_golden_cases(browser: Any, tmp_path: Path, folder: Path) -> None:
     case = load_case(folder)
-    params = resolve_sources([], file=case.params).params
-    options = ConvertOptions(scans=(ScanSpec(params=params),), only_scans=True)
-    assert _compare(browser(), tmp_path, case.inputs[0], options) > 0
+    assert _compare(browser(), tmp_path, case.inputs[0], params_file=case.params) > 0
 
 
 @pytest.mark.slow
@@ -81,6 +74,4 @@ def test_golden_cases(browser: Any, tmp_path: Path, folder: Path) -> None:
 def test_real_recordings(browser: Any, tmp_path: Path, name: str, changes: dict[str, Any]) -> None:
     with closing(open_recording(RECORDINGS / name)) as reader:
         topic = next(c.topic for c in reader.connections if c.ros_type == "sensor_msgs/msg/PointCloud2")
-    scan = ScanSpec(params=ProjectionParams(**changes), topics=(TopicRequest(topic),))
-    options = ConvertOptions(scans=(scan,), only_scans=True)
-    assert _compare(browser(), tmp_path, RECORDINGS / name, options) > 0
+    assert _compare(browser(), tmp_path, RECORDINGS / name, topics=topic, **changes) > 0

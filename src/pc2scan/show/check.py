@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from os import PathLike
 from typing import TYPE_CHECKING, ClassVar
 
 from pc2scan.advice.clocks import Clocks
@@ -15,8 +14,7 @@ from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics, unheard
 from pc2scan.core.consumers import CONSUMERS
 from pc2scan.core.verdicts import OUTCOMES
-from pc2scan.errors import DecodeError, TopicError, UsageError, leading, stamp_text
-from pc2scan.files.urls import path_or_url
+from pc2scan.errors import DecodeError, TopicError, leading, stamp_text
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.other_clouds import without
 from pc2scan.model import copied_message
@@ -32,6 +30,7 @@ from .scan_topic import ConsumerCheck, Finding, ScanTopic
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
 
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
@@ -217,7 +216,7 @@ class Check(Result):
 
 
 def check(
-    sources: str | PathLike[str] | Sequence[str | PathLike[str]],
+    sources: Sequence[Path],
     *,
     consumers: Iterable[str] = (),
     topics: Iterable[str] = (),
@@ -260,12 +259,9 @@ def check(
     The scans are read once, and are not held in memory; the transforms are read before them.
     """
     asked = tuple(dict.fromkeys(consumers))
-    paths = [sources] if isinstance(sources, str | PathLike) else list(sources)
-    if not paths:
-        raise UsageError("no source given")
     options = frames or FrameOptions()
     with ExitStack() as stack:
-        readers = open_recordings(map(path_or_url, paths), stack)
+        readers = open_recordings(sources, stack)
         reader = as_one(readers)
         try:
             chosen = _scan_connections(reader, tuple(topics))
@@ -307,7 +303,7 @@ def check(
             own = [tilted[frame] for frame in scans.frames if frame in tilted]
             checked.append(_topic_check(name, scans, places, [*own, *shared]))
         damage = tuple(place for each in (reader, *others) for place in each.damage)
-    return Check(tuple(map(str, paths)), asked, tuple(checked), (*transforms.warnings, *transforms.notes), damage)
+    return Check(tuple(map(str, sources)), asked, tuple(checked), (*transforms.warnings, *transforms.notes), damage)
 
 
 def _scan_connections(reader: Reader, topics: tuple[str, ...]) -> dict[str, list[Connection]]:

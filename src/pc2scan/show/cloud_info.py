@@ -30,9 +30,6 @@ if TYPE_CHECKING:
 _BAR = 40
 _BINS = 12
 
-#: How many heights are counted together.
-_TOGETHER = 65_536
-
 
 @dataclass(slots=True)
 class CloudInfo:
@@ -129,11 +126,12 @@ class CloudLook:
     """
 
     def __init__(self, topic: str, most: int) -> None:
-        self._result = CloudInfo(topic)
+        self._topic = topic
         self._most = most
         self.parts: list[NDArray[np.floating[Any]]] = []
         self._problems: dict[str, None] = {}
-        self._sampled: list[_Sampled] = []
+        self._sampled = 0
+        self._clouds: list[_Sampled] = []
 
     def take(self, message: RawMessage) -> _Sampled | str:
         """Return what is kept of a cloud, or why it cannot be described."""
@@ -143,32 +141,29 @@ class CloudLook:
             count = coordinates[0].size
             step = -(-count // self._most) or 1
             with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
-                x, y, z = (_as_floats(_thinned(c, step)) for c in coordinates)
+                x, y, z = (_thinned(column, step) for column in coordinates)
                 # Points at the sensor are no returns, wherever the sensor is in the target frame.
                 zero = (x == 0) & (y == 0) & (z == 0)
                 good = ~(zero | np.isnan(x) | np.isnan(y) | np.isnan(z))
-            described = CloudInfo(self._result.topic)
-            _describe(described, cloud, message)
+            layout = _layout(cloud, message)
         except DecodeError as err:
             return _problem(err)
         points, zeros = np.stack([x[good], y[good], z[good]]), int(np.count_nonzero(zero))
-        return _Sampled(cloud.frame_id, cloud.stamp_ns, count, points, x.size - zeros, zeros, described)
+        return _Sampled(cloud.frame_id, cloud.stamp_ns, count, points, x.size - zeros, zeros, layout)
 
     def add(self, sampled: _Sampled | str) -> None:
         """Add what was kept of a cloud."""
-        self._result.sampled += 1
+        self._sampled += 1
         if isinstance(sampled, str):
             self._problems[sampled] = None
         else:
-            self._sampled.append(sampled)
+            self._clouds.append(sampled)
 
     def described(self, places: Placer, mounting: Mounting | None) -> CloudInfo:
         """Return the properties of the clouds in the frame of scans, with the mounting of the first clouds."""
-        result = self._result
-        result.target_frame = places.target_frame
         placed: list[_Sampled] = []
-        while self._sampled:
-            each = self._sampled.pop(0)
+        while self._clouds:
+            each = self._clouds.pop(0)
             try:
                 place = places.place(each.frame_id, each.stamp_ns)
             except TransformError as err:
@@ -179,10 +174,15 @@ class CloudLook:
                 # Of infinite coordinates.
                 each = each._replace(points=points[:, ~np.isnan(points).any(axis=0)])
             placed.append(each)
-        result.frames, result.problems = tuple(dict.fromkeys(each.frame_id for each in placed)), tuple(self._problems)
+        result = CloudInfo(
+            self._topic,
+            self._sampled,
+            tuple(dict.fromkeys(each.frame_id for each in placed)),
+            target_frame=places.target_frame,
+            problems=tuple(self._problems),
+        )
         if placed:
-            first = placed[0].described
-            result.shape, result.point_step, result.fields = first.shape, first.point_step, first.fields
+            result.shape, result.point_step, result.fields = placed[0].layout
             result.points_min = min(each.size for each in placed)
             result.points_max = max(each.size for each in placed)
             self.parts = [each.points for each in placed]
@@ -200,6 +200,8 @@ class _Sampled(NamedTuple):
         (3, N), without those at (0, 0, 0) or with NaN.
     returns, zeros
         How many are not at (0, 0, 0), with NaN or not, and how many are.
+    layout
+        The first attributes of `CloudInfo`: shape, point_step and fields.
     """
 
     frame_id: str
@@ -208,40 +210,31 @@ class _Sampled(NamedTuple):
     points: NDArray[np.floating[Any]]
     returns: int
     zeros: int
-    described: CloudInfo
+    layout: tuple[tuple[int, int], int, tuple[tuple[str, str, int], ...]]
 
 
 def _problem(err: DecodeError | TransformError) -> str:
     return f"{err.message} ({err.hint})" if err.hint else err.message
 
 
-def _as_floats(column: NDArray[Any]) -> NDArray[np.floating[Any]]:
-    """Return float32 coordinates unchanged, all others as float64, which represents them exactly."""
+def _thinned(column: NDArray[Any], step: int) -> NDArray[np.floating[Any]]:
+    """Return every ``step``-th coordinate: float32 unchanged, all others as float64, which represents them exactly.
+
+    Rows with gaps between them have no flat view, so their columns are thinned.
+    """
+    column = column[::step] if column.ndim == 1 else column[:, ::step].ravel()
     return column.astype(np.float32 if column.dtype.kind == "f" and column.dtype.itemsize == 4 else np.float64)
 
 
-def _thinned(column: NDArray[Any], step: int) -> NDArray[Any]:
-    """Return every ``step``-th point. Rows with gaps between them have no flat view, so their columns are thinned."""
-    return column[::step] if column.ndim == 1 else column[:, ::step].ravel()
-
-
-def _describe(result: CloudInfo, points: Points, message: RawMessage) -> None:
+def _layout(points: Points, message: RawMessage) -> tuple[tuple[int, int], int, tuple[tuple[str, str, int], ...]]:
     if message.connection.ros_type != POINTCLOUD2:
         shape = points.field("x").shape
-        result.shape = (shape[0] if len(shape) > 1 else 1, shape[-1])
-        result.fields = tuple((name, values.dtype.name, 0) for name, values in points.fields.items())
-        return
+        fields = tuple((name, values.dtype.name, 0) for name, values in points.fields.items())
+        return (shape[0] if len(shape) > 1 else 1, shape[-1]), 0, fields
     cloud = decode_pointcloud2(message.data, message.connection.serialization)
-    result.shape = (cloud.height, cloud.width)
-    result.point_step = cloud.point_step
-    result.fields = tuple(
-        (
-            f.name,
-            np.dtype(DATATYPES[f.datatype]).name if f.datatype in DATATYPES else f"datatype {f.datatype}",
-            f.offset,
-        )
-        for f in cloud.fields
-    )
+    kinds = {number: np.dtype(code).name for number, code in DATATYPES.items()}
+    fields = tuple((f.name, kinds.get(f.datatype, f"datatype {f.datatype}"), f.offset) for f in cloud.fields)
+    return (cloud.height, cloud.width), cloud.point_step, fields
 
 
 def _measure(result: CloudInfo, parts: Sequence[NDArray[np.floating[Any]]], returns: int, zeros: int) -> None:
@@ -257,7 +250,7 @@ def _measure(result: CloudInfo, parts: Sequence[NDArray[np.floating[Any]]], retu
     result.above_zero_share = sum(int((part[2] > 0).sum()) for part in parts) / count if count else 0.0
     result.x, result.y = (spread_of(np.concatenate([part[axis] for part in parts])) for axis in range(2))
     with np.errstate(over="ignore"):
-        result.range = spread_of(_ranges(parts, count))
+        result.range = spread_of(np.concatenate([np.hypot(x, y, dtype=np.float64) for x, y, _ in parts]))
     heights = finite(np.concatenate([part[2] for part in parts]))
     result.z = spread_of(heights)
     if heights.size:
@@ -266,21 +259,6 @@ def _measure(result: CloudInfo, parts: Sequence[NDArray[np.floating[Any]]], retu
         least = max(1e-9 * max(abs(low), abs(high)), 0.0 if high > low else 1.0)
         if high - low < least:
             low, high = low - least / 2, high + least / 2
-        counts = np.zeros(_BINS, np.intp)
-        for begin in range(0, heights.size, _TOGETHER):
-            # As float64, like the edges.
-            some = heights[begin : begin + _TOGETHER].astype(np.float64)
-            more, edges = np.histogram(np.clip(some, low, high, out=some), _BINS, (low, high))
-            counts += more
-        result.height_edges = tuple(map(float, edges))
-        result.height_counts = tuple(map(int, counts))
-
-
-def _ranges(parts: Sequence[NDArray[np.floating[Any]]], count: int) -> NDArray[np.float64]:
-    """Return hypot(x, y) of the points of all clouds, so many."""
-    ranges = np.empty(count)
-    rest = ranges
-    for x, y, _ in parts:
-        np.hypot(x, y, out=rest[: x.size], dtype=np.float64)
-        rest = rest[x.size :]
-    return ranges
+        heights = heights.astype(np.float64)
+        counts, edges = np.histogram(np.clip(heights, low, high, out=heights), _BINS, (low, high))
+        result.height_edges, result.height_counts = tuple(edges.tolist()), tuple(counts.tolist())

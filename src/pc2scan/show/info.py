@@ -7,7 +7,8 @@ import shlex
 from collections import Counter
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
 from pc2scan.advice.checks.request import Cut, log_times_of_centuries
 from pc2scan.advice.clocks import Clocks
@@ -28,6 +29,7 @@ from pc2scan.messages.poses import POSES
 from pc2scan.messages.tfmessage import TF_TYPES
 from pc2scan.model import copied_message
 from pc2scan.request.point_time import PointTime
+from pc2scan.requests import OF_FRAMES, frames_of
 from pc2scan.result import Call, Part, Result
 from pc2scan.tables import Table
 from pc2scan.text import count, counted, height_text, size, stamp
@@ -42,7 +44,7 @@ from .sampling import spread_over
 from .scan_info import ScanInfo, ScanLook
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.advice.clocks import ClockFinding
@@ -50,9 +52,12 @@ if TYPE_CHECKING:
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, Summary
+    from pc2scan.options.call import Options
     from pc2scan.transforms.buffer import TransformBuffer
-    from pc2scan.transforms.imu import ImuReading, UpEstimate
+    from pc2scan.transforms.imu import UpEstimate
     from pc2scan.transforms.mounting import Mounting
+
+_Value = TypeVar("_Value")
 
 #: How many of the first messages of an IMU are read.
 _MAX_IMU = 1_000
@@ -81,6 +86,12 @@ class FileInfo:
     profile: str
     compression: tuple[str, ...]
     size_bytes: int
+
+    @classmethod
+    def of(cls, path: Path, summary: Summary) -> FileInfo:
+        """Return the description of a source."""
+        names = ("container", "storage", "profile", "compression", "size_bytes")
+        return cls(str(path), *map(summary.__getattribute__, names))
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,8 +273,29 @@ def _ground_text(mounting: Mounting) -> str:
     return f"floor at z = {height_text(heights.floor)} m in frame {frame!r}{ceiling}{sensor}"
 
 
-def info(
-    sources: Sequence[Path],
+def info(sources: Sequence[Path], options: Options) -> Info:
+    """Inspect a recording; see `pc2scan.info`.
+
+    Parameters
+    ----------
+    sources
+        Recordings; several are read as one.
+    options
+        The options of the call.
+    """
+    with ExitStack() as stack:
+        return info_of(
+            open_recordings(sources, stack),
+            described=options.topics,
+            target_frame=options.target_frame,
+            frames=frames_of(options),
+            cloud_scale=options.cloud_scale,
+            given=options.among({*OF_FRAMES, "cloud_scale"}),
+        )
+
+
+def info_of(
+    readers: Sequence[Reader],
     *,
     samples: int = 10,
     described: Sequence[str] = (),
@@ -272,12 +304,12 @@ def info(
     cloud_scale: float = 1.0,
     given: Mapping[str, Any] | None = None,
 ) -> Info:
-    """Inspect a recording.
+    """Inspect recordings that are open.
 
     Parameters
     ----------
-    sources
-        Recordings; several are read as one.
+    readers
+        Several are read as one.
     samples
         How many clouds and scans of each topic to read, spread evenly over its time.
     described
@@ -300,30 +332,6 @@ def info(
     TopicError
         If there is no such topic.
     """
-    with ExitStack() as stack:
-        readers = open_recordings(sources, stack)
-        return info_of(
-            readers,
-            samples=samples,
-            described=described,
-            target_frame=target_frame,
-            frames=frames,
-            cloud_scale=cloud_scale,
-            given=given,
-        )
-
-
-def info_of(
-    readers: Sequence[Reader],
-    *,
-    samples: int = 10,
-    described: Sequence[str] = (),
-    target_frame: str = "",
-    frames: FrameOptions | None = None,
-    cloud_scale: float = 1.0,
-    given: Mapping[str, Any] | None = None,
-) -> Info:
-    """Inspect recordings that are open; see `info`."""
     asked = frames or FrameOptions()
     with ExitStack() as stack:
         reader = scaled(as_one(readers), cloud_scale)
@@ -392,7 +400,7 @@ def info_of(
             has_scans=any(topic.topic == "/scan" for topic in topics),
         )
         return Info(
-            tuple(_file_info(r.path, r.summary) for r in readers),
+            tuple(FileInfo.of(each.path, each.summary) for each in readers),
             start_ns,
             end_ns,
             sum(counts.values()),
@@ -528,7 +536,7 @@ def _survey(
     for each in facts.values():
         ask_facts(each, end_ns)
     clocks = Clocks(survey, facts.values())
-    readings = {topic: _imu_reading(survey, topic) for topic in imus}
+    readings = {topic: _tried(partial(survey.imu, topic, _MAX_IMU)) for topic in imus}
     if reads_all:
         survey.ask_transforms((places.target_frame,))
     elif has_clouds:
@@ -545,7 +553,7 @@ def _survey(
     warnings += filter(None, (each.unit_warning(moved=moved) for each in facts.values()))
     warnings += filter(None, (increment_warning(each) for each in flat.values()))
     warnings += (text for each in (*facts.values(), *flat.values()) for text in stamp_faults(each))
-    ups = {topic: _up(reading) for topic, reading in readings.items()}
+    ups = {topic: of if isinstance(of, UsageError) else _tried(of.up) for topic, of in readings.items()}
     places = places._replace(buffer=buffer if moved else None)
     return _Surveyed({**facts, **flat}, places, buffer, ups, wrong, warnings, knows_end)
 
@@ -563,34 +571,18 @@ def _with_own_rate(
     return replace(topic, rate_hz=1e9 / period_ns)
 
 
-def _file_info(path: Path, summary: Summary) -> FileInfo:
-    return FileInfo(
-        str(path),
-        summary.container,
-        summary.storage,
-        summary.profile,
-        summary.compression,
-        summary.size_bytes,
-    )
-
-
 def _message_counts(reader: Reader) -> tuple[Counter[int], int | None, int | None]:
     """Return messages by connection, and the first and the last log time; the messages are read only if necessary."""
-    summary = reader.summary
-    if summary.start_ns is not None and summary.end_ns is not None and not reader.damage:
-        known = {c.id: c.message_count for c in reader.connections}
+    summary, counts = reader.summary, Counter[int]()
+    if summary.end_ns is not None and not reader.damage:
+        known = {each.id: each.message_count for each in reader.connections}
         if None not in known.values():
-            return (
-                Counter({key: value or 0 for key, value in known.items()}),
-                summary.start_ns,
-                summary.end_ns,
-            )
-    counts: Counter[int] = Counter()
+            return Counter({key: value or 0 for key, value in known.items()}), summary.start_ns, summary.end_ns
     start_ns = end_ns = None
     for message in reader.messages():
         counts[message.connection.id] += 1
-        start_ns = message.log_time_ns if start_ns is None else start_ns
         end_ns = message.log_time_ns
+        start_ns = end_ns if start_ns is None else start_ns
     return counts, start_ns, end_ns
 
 
@@ -611,18 +603,10 @@ def _topic_infos(
     return topics
 
 
-def _imu_reading(survey: Survey, topic: str) -> ImuReading | UsageError:
-    """Return what reads the first messages of an IMU, or why they cannot be read."""
+def _tried(call: Callable[[], _Value]) -> _Value | UsageError:
+    """Return the result of a call, or its error."""
     try:
-        return survey.imu(topic, _MAX_IMU)
-    except UsageError as err:
-        return err
-
-
-def _up(reading: ImuReading | UsageError) -> UpEstimate | UsageError:
-    """Return the direction of up, or why it is not known."""
-    try:
-        return reading if isinstance(reading, UsageError) else reading.up()
+        return call()
     except UsageError as err:
         return err
 

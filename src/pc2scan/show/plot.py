@@ -18,7 +18,7 @@ from pc2scan.errors import NothingToConvertError, UsageError, leading, visible
 from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.text_output import file_output
 from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.requests import conversion_of, first_output, with_notes
+from pc2scan.requests import conversion_of, first_output
 from pc2scan.result import Part, Result
 from pc2scan.text import size
 
@@ -26,7 +26,7 @@ from .recording import open_recording, title_of
 from .shots import take_shots
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from pc2scan.bags.damage import Damage
     from pc2scan.core.params import ProjectionParams
     from pc2scan.options.call import Options
-    from pc2scan.options.moment import TimeBound
-    from pc2scan.request.options import ConvertOptions
     from pc2scan.requests import Warn
 
     from .shots import Shot, Shots
@@ -96,61 +94,7 @@ class Plotted(Result):
 
 def plot(sources: Sequence[Path], destination: Path, options: Options, *, warn: Warn | None = None) -> Plotted:
     """Draw clouds; see `pc2scan.plot`."""
-    conversion = first_output(conversion_of(options, warn), "shown", warn)
-    drawn = write_figure(
-        sources,
-        destination,
-        conversion.options,
-        clouds=options.clouds,
-        at=options.at,
-        overwrite=options.overwrite,
-        also_read=conversion.files,
-        warn=warn,
-    )
-    return with_notes(drawn, conversion)
-
-
-def write_figure(
-    sources: Sequence[Path],
-    destination: Path,
-    options: ConvertOptions,
-    *,
-    clouds: int = 1,
-    at: Sequence[TimeBound] = (),
-    overwrite: bool = False,
-    also_read: Mapping[str, Path] | None = None,
-    warn: Callable[[str], None] | None = None,
-) -> Plotted:
-    """Draw clouds of a recording into a file.
-
-    Parameters
-    ----------
-    sources
-        Recordings; several are merged in time order.
-    destination
-        The figure; its suffix, one of `FORMATS`, decides its format.
-    options
-        The options of a conversion: topics, parameters, frames, filters, ``start`` and ``end``.
-    clouds
-        Number of clouds of each topic, side by side, evenly spread over the recording.
-    at
-        Moments to show instead.
-    overwrite
-        Whether an existing file may be replaced.
-    also_read
-        Files that were read for the options, by option. They are never replaced.
-    warn
-        Called with each warning as soon as it is known, also if an error follows; the result has all of them.
-
-    Raises
-    ------
-    UsageError
-        If the suffix is another one, there is nothing to show, or matplotlib is not installed.
-    DestinationError, OutputError
-        If there is such a file, or it cannot be written.
-    RecordingError
-        If nothing of the recording can be read.
-    """
+    request = first_output(conversion_of(options, warn), "shown", warn)
     kind = destination.suffix.lower().removeprefix(".")
     if kind not in FORMATS:
         shown = f"'.{kind}'" if kind else "no suffix"
@@ -159,25 +103,29 @@ def write_figure(
             path=destination,
             hint=f"such as `destination={shlex.quote(f'{destination.stem}.png')}`",
         )
-    if not 1 <= clouds <= _MOST_CLOUDS:
-        raise UsageError(f"`clouds` is {clouds}, it must be from 1 to {_MOST_CLOUDS}")
-    refuse_overlap(
-        inputs_of(sources, options.frames.tf_from, also_read),
-        [OutputPath(destination)],
-    )
+    if not 1 <= options.clouds <= _MOST_CLOUDS:
+        raise UsageError(f"`clouds` is {options.clouds}, it must be from 1 to {_MOST_CLOUDS}")
+    refuse_overlap(inputs_of(sources, options.tf_from, request.files), [OutputPath(destination)])
     with (
-        file_output(destination, beginning=None, overwrite=overwrite) as deliver,
-        open_recording(sources, options, warn) as recording,
+        file_output(destination, beginning=None, overwrite=options.overwrite) as deliver,
+        open_recording(sources, request.options, warn) as recording,
     ):
+        at_ns = recording.log_times(options.at)
         try:
-            taken = take_shots(recording, options, count=clouds, at_ns=recording.log_times(at), level=True)
+            taken = take_shots(recording, request.options, count=options.clouds, at_ns=at_ns, level=True)
         except NothingToConvertError as err:
             if any(each.ros_type == LASERSCAN for each in recording.reader.connections):
                 err.hint = "figures show clouds; pc2scan view shows scans"
             raise
         figure = _figure(taken, title_of(sources), kind)
         deliver(figure)
-        return Plotted(str(destination), len(figure), tuple(taken.notes), tuple(taken.warnings), recording.damage)
+        return Plotted(
+            str(destination),
+            len(figure),
+            tuple(taken.notes),
+            (*request.notes, *taken.warnings),
+            recording.damage,
+        )
 
 
 def _figure(taken: Shots, title: str, kind: str) -> bytes:

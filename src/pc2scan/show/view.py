@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from html import escape
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from pc2scan.conversion.stamps import corrected
 from pc2scan.errors import UsageError, leading
@@ -25,15 +25,13 @@ from .scans import findings, scan_connections, scans_page
 from .shots import take_shots
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
     from pc2scan.options.call import Options
-    from pc2scan.options.moment import TimeBound
-    from pc2scan.request.options import ConvertOptions
-    from pc2scan.requests import Warn
+    from pc2scan.requests import ConversionRequest, Warn
     from pc2scan.transforms.buffer import TransformBuffer
 
     from .recording import ShownRecording
@@ -107,127 +105,42 @@ class Page(Result):
 
 def view(sources: Sequence[Path], destination: Path | None, options: Options, *, warn: Warn | None = None) -> Page:
     """Show a recording as a page, which is written if there is a destination; see `pc2scan.view`."""
-    conversion = first_output(conversion_of(options, warn), "shown", warn)
-    asked: dict[str, Any] = {"clouds": options.clouds, "at": options.at, "preset": options.preset or ""}
-    # The node's heights are part of its parameters, also where a file of these does not have them.
-    asked["proposed"] = not options.given.keys() & {"params", "params_file", "param", "scans"}
-    asked["said"] = conversion.notes
+    request = first_output(conversion_of(options, warn), "shown", warn)
     if destination is None:
-        return page_of(sources, conversion.options, **asked, warn=warn)
-    return write_page(
-        sources,
-        destination,
-        conversion.options,
-        **asked,
-        overwrite=options.overwrite,
-        also_read=conversion.files,
-        warn=warn,
-    )
-
-
-def write_page(
-    sources: Sequence[Path],
-    destination: Path,
-    options: ConvertOptions,
-    *,
-    clouds: int = 10,
-    at: Sequence[TimeBound] = (),
-    preset: str = "",
-    proposed: bool = False,
-    said: Sequence[str] = (),
-    overwrite: bool = False,
-    also_read: Mapping[str, Path] | None = None,
-    warn: Callable[[str], None] | None = None,
-) -> Page:
-    """Write a page; see `page_of`.
-
-    Parameters
-    ----------
-    overwrite
-        Whether a file that is not a page may be replaced.
-    also_read
-        Files that were read for the options, by option. They are never replaced.
-
-    Raises
-    ------
-    UsageError
-        If the name is not that of a page.
-    DestinationError
-        If a file other than a page exists.
-    OutputError
-        If the page cannot be written.
-    """
+        return _page(sources, request, options, warn)
     check_page_name(destination)
-    refuse_overlap(
-        inputs_of(sources, options.frames.tf_from, also_read),
-        [OutputPath(destination)],
-    )
-    with text_output(destination, beginning=BEGINNING, overwrite=overwrite) as deliver:
-        page = page_of(sources, options, clouds=clouds, at=at, preset=preset, proposed=proposed, said=said, warn=warn)
+    refuse_overlap(inputs_of(sources, options.tf_from, request.files), [OutputPath(destination)])
+    with text_output(destination, beginning=BEGINNING, overwrite=options.overwrite) as deliver:
+        page = _page(sources, request, options, warn)
         deliver(page.html)
     return replace(page, path=str(destination))
 
 
-def page_of(
-    sources: Sequence[Path],
-    options: ConvertOptions,
-    *,
-    clouds: int = 10,
-    at: Sequence[TimeBound] = (),
-    preset: str = "",
-    proposed: bool = False,
-    said: Sequence[str] = (),
-    warn: Callable[[str], None] | None = None,
-) -> Page:
-    """Make a page of a recording: of its clouds and their projection, or of its scans if it has no clouds.
-
-    Parameters
-    ----------
-    sources
-        Recordings; several are merged in time order.
-    options
-        The options of a conversion: topics, parameters, frames, ``start`` and ``end``.
-    clouds
-        How many moments of each topic are shown, evenly spread: from 1 to 1,000.
-    at
-        Moments to show instead.
-    preset
-        The preset that the parameters come from; empty for none.
-    proposed
-        Whether a page of clouds opens with the frame and the heights that `pc2scan.info` proposes, unless heights are
-        given.
-    said
-        Warnings about the request; ``warn`` had them.
-    warn
-        Called with each warning as soon as it is known, also if an error follows; the result has all of them.
-
-    Raises
-    ------
-    UsageError
-        If there is nothing to show.
-    RecordingError
-        If no message can be read.
-    """
-    if not 1 <= clouds <= _MOST_CLOUDS:
-        raise UsageError(f"`clouds` is {clouds:,}, it must be from 1 to {_MOST_CLOUDS:,}")
+def _page(sources: Sequence[Path], request: ConversionRequest, asked: Options, warn: Warn | None) -> Page:
+    """Make a page of a recording: of its clouds and their projection, or of its scans if it has no clouds."""
+    options = request.options
+    if not 1 <= asked.clouds <= _MOST_CLOUDS:
+        raise UsageError(f"`clouds` is {asked.clouds:,}, it must be from 1 to {_MOST_CLOUDS:,}")
     with open_recording(sources, options, warn) as recording:
         reader = recording.reader
-        at_ns = recording.log_times(at)
+        at_ns = recording.log_times(asked.at)
         if any(connection.ros_type in CLOUDS for connection in reader.connections) and not options.scan.reverse:
-            opened = opening(reader, options) if proposed else Opening(options, {}, ())
+            # The node's heights are part of its parameters, also where a file of these does not have them.
+            is_given = bool(asked.given.keys() & {"params", "params_file", "param", "scans"})
+            opened = Opening(options, {}, ()) if is_given else opening(reader, options)
             packed = Packing()
-            taken = take_shots(recording, opened.options, count=clouds, at_ns=at_ns, level=False, keep=packed.add)
-            described, blobs = clouds_page(sources, taken, packed, opened, preset=preset)
+            taken = take_shots(recording, opened.options, count=asked.clouds, at_ns=at_ns, level=False, keep=packed.add)
+            described, blobs = clouds_page(sources, taken, packed, opened, preset=asked.preset or "")
         else:
-            asked = [request.source for request in options.scan.topics]
-            topics, buffer = scan_connections(reader, asked), _transforms(recording)
+            names = [each.source for each in options.scan.topics]
+            topics, buffer = scan_connections(reader, names), _transforms(recording)
             if options.clock:
                 shown = [each for connections in topics.values() for each in connections]
                 reader, _ = corrected(reader, shown, options.clock, options.frames.tf_topics)
-            described, blobs = scans_page(reader, topics, buffer, options, count=clouds, at_ns=at_ns)
+            described, blobs = scans_page(reader, topics, buffer, options, count=asked.clouds, at_ns=at_ns)
             frames = replace(options.frames, static=(), source_frame="", write_static=False)
-            described["findings"] = findings(check(sources, topics=asked, frames=frames))
-        notes, warnings = described["notes"], [*said, *described.pop("warnings")]
+            described["findings"] = findings(check(sources, topics=names, frames=frames))
+        notes, warnings = described["notes"], [*request.notes, *described.pop("warnings")]
         # The page shows both.
         described["notes"] = [*notes, *warnings]
         described |= {"title": title_of(sources), "subtitle": _subtitle(reader)}
