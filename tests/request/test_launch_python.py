@@ -97,12 +97,12 @@ def test_what_is_not_read_is_refused_by_name(body: str, said: str, hint: str | N
     assert (caught.value.hint or "").startswith((hint or "").format(path=path))
 
 
-@pytest.mark.parametrize(("body", "doubt"), rows(TABLE, "doubtful", text=True))
-def test_a_node_that_may_not_be_launched_once_is_read_if_it_is_named(body: str, doubt: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("body", [body for (body,) in rows(TABLE, "doubtful", text=True)])
+def test_a_node_that_may_not_be_launched_once_is_read_if_it_is_named(body: str, tmp_path: Path) -> None:
     path = described(tmp_path, body)
     with pytest.raises(ParameterError) as caught:
         load_params_file(path)
-    assert f"/a is {doubt}" in caught.value.message
+    assert "/a is under a condition, or not plainly launched once" in caught.value.message
     assert caught.value.hint == "`node=/a`"
     assert load_params_file(path, node="a").node == "/a"
 

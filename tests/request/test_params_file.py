@@ -112,7 +112,7 @@ REFUSED: list[tuple[str | bytes, str, str]] = [
     (ros2() + ros2(BACK), f"{HERE}, /{BACK}", ""),
     (
         ros2("front", min_height=1) + ros2("rear", min_height=2),
-        "several have only their parameters; found /front, /rear",
+        "several nodes match: /front, /rear",
         "choose one, for example `node=/front`",
     ),
     ("x" * 1_000_001, "params.yaml: larger than 1,000,000 bytes", ""),

@@ -49,12 +49,9 @@ def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str |
         file = (python_nodes if path.suffix == ".py" else xml_nodes)(text, path, arguments)
     except (RecursionError, MemoryError) as err:
         raise ParameterError(f"{path}: nested too deeply") from err
-    if unused := sorted(arguments.keys() - file.arguments):
-        declared = sorted(file.arguments)
-        raise ParameterError(
-            f"{path}: it has no argument {unused[0]!r}",
-            hint=f"{did_you_mean(unused[0], declared)} its arguments are {name_list(declared)}".strip(),
-        )
+    for unused in sorted(arguments.keys() - file.arguments):
+        known = f"{did_you_mean(unused, file.arguments)} its arguments are {name_list(sorted(file.arguments))}"
+        raise ParameterError(f"{path}: it has no argument {unused!r}", hint=known.strip())
     names = [each.name or f"one without a readable name (line {each.line})" for each in file.nodes]
     if not names:
         hint = f"not followed: {name_list(file.ignored)}; name the file that has the node" if file.ignored else None
@@ -64,21 +61,22 @@ def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str |
         raise ParameterError(message, hint=ELSEWHERE)
     chosen = file.nodes
     if node is not None:
-        wanted = "/" + node.strip("/")
-        chosen = [each for each in chosen if each.name == wanted or each.name.endswith(f"/{node}")]
+        chosen = [each for each in chosen if f"{each.name}/".endswith(f"/{node.strip('/')}/")]
         if not chosen:
-            near = did_you_mean(node, names) or None
-            raise ParameterError(f"{path}: no node {node!r} (from `node`); found {name_list(names)}", hint=near)
-    elif doubtful := next((each for each in chosen if each.doubt), None):
-        what = f"{doubtful.name or 'a node'} is {doubtful.doubt}"
-        raise ParameterError(
-            f"{path}, line {doubtful.line}: {what}, and read only if `node` names it",
-            hint=doubtful.hint or (f"`node={doubtful.name}`" if names.count(doubtful.name) == 1 else ELSEWHERE),
-        )
+            message = f"{path}: no node {node!r} (from `node`); found {name_list(names)}"
+            raise ParameterError(message, hint=did_you_mean(node, names) or None)
+    for each in chosen if node is None else ():
+        if each.doubt:
+            message = f"{path}, line {each.line}: {each.name or 'a node'} is {each.doubt}"
+            hint = each.hint or (f"`node={each.name}`" if names.count(each.name) == 1 else ELSEWHERE)
+            raise ParameterError(f"{message}, and read only if `node` names it", hint=hint)
     if len(chosen) > 1:
-        names = [each.name for each in chosen]
-        message, hint = f"{path}: several nodes match: {name_list(names)}", f"choose one, for example `node={names[0]}`"
-        if any(each.direction == "laserscan_to_pointcloud" for each in chosen) or len(set(names)) < len(names):
-            raise ParameterError(message, hint=hint if len(set(names)) > 1 else ELSEWHERE)
-        raise SeveralNodesError(message, nodes=tuple(names), hint=hint)
+        nodes = tuple(each.name for each in chosen)
+        message = f"{path}: several nodes match: {name_list(nodes)}"
+        if len({*nodes}) < len(nodes):
+            raise ParameterError(message, hint=ELSEWHERE)
+        hint = f"choose one, for example `node={nodes[0]}`"
+        if any(each.direction == "laserscan_to_pointcloud" for each in chosen):
+            raise ParameterError(message, hint=hint)
+        raise SeveralNodesError(message, nodes=nodes, hint=hint)
     return chosen[0], file

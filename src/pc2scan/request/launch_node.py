@@ -6,34 +6,18 @@ import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import ParameterError
-
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
+    from collections.abc import Callable, Iterable
     from pathlib import Path
 
     from .parameters import Direction
-
-#: Topics whose remappings are read.
-_TOPICS: dict[Direction, frozenset[str]] = {
-    "pointcloud_to_laserscan": frozenset({"cloud_in", "scan", "tf", "tf_static"}),
-    "laserscan_to_pointcloud": frozenset({"scan_in", "cloud", "tf", "tf_static"}),
-}
 
 #: What gives the parameters of a node that is not read.
 ELSEWHERE = "give its parameters without the launch file: `params_file=FILE` of YAML, or `param=NAME:=VALUE`"
 
 
 class UnreadError(Exception):
-    """A text of a launch file is not read.
-
-    Attributes
-    ----------
-    problem, line
-        What is not read, and where.
-    hint
-        What to type instead; None: that depends on what the text is for.
-    """
+    """A text of a launch file is not read: the problem, the line, and what to type if any use of it needs the same."""
 
     def __init__(self, problem: str, line: int, hint: str | None = None) -> None:
         super().__init__(problem)
@@ -104,33 +88,13 @@ class LaunchNode:
     doubt: str
     direction: Direction = "pointcloud_to_laserscan"
     namespace: str = ""
-    values: Collection[LaunchValue] = ()
+    values: tuple[LaunchValue, ...] = ()
     hint: str | None = None
 
     @classmethod
     def unclear(cls, err: UnreadError) -> LaunchNode:
         """Return what may be a node of pointcloud_to_laserscan."""
         return cls("", err.line, f"unclear: {err.problem}", hint=err.hint)
-
-    def remaps(self, path: Path, overridden: Collection[str]) -> tuple[str, ...]:
-        """Return the remappings of the node's topics, ``cloud_in:=/points``.
-
-        Raises
-        ------
-        ParameterError
-            If a new name is not read, and is not given elsewhere.
-        """
-        found = []
-        for remap in self.values:
-            topic = remap.name.strip("~/")
-            if remap.kind != "remap" or topic not in _TOPICS[self.direction]:
-                continue
-            if isinstance(remap.value, str):
-                found.append(f"{remap.name}:={qualified(self.namespace, remap.value)}")
-            elif topic not in overridden:
-                message = f"{remap.name}: {remap.value.problem} (from {path}, line {remap.value.line})"
-                raise ParameterError(message, hint=remap.value.hint or f"give it: `remap={topic}:=/TOPIC`")
-        return tuple(found)
 
 
 @dataclass(slots=True)
@@ -154,64 +118,51 @@ class LaunchFile:
     ignored: list[str] = field(default_factory=list)
     changing: list[UnreadError] = field(default_factory=list)
 
+    def add_node(
+        self, text: Callable[[str], str], values: Iterable[LaunchValue], line: int, doubt: str, above: str = ""
+    ) -> None:
+        """Add a node, if it is one of pointcloud_to_laserscan.
 
-def values_of_words(words: str, line: int) -> Iterator[LaunchValue]:
-    """Yield what arguments of roslaunch and ros2 say: _name:=value, -p name:=value, -r from:=to, from:=to."""
-    if "--params-file" in words:
-        yield LaunchValue("file", "arguments", UnreadError.of(words, line), line)
-    for option, word in re.findall(r"(?:(-[pr]|--param|--remap)\s+)?(\S+:=\S*)", words):
-        left, _, right = word.partition(":=")
-        if option in {"-p", "--param"} or (left.startswith("_") and not left.startswith("__")):
-            yield LaunchValue("value", left.lstrip("_"), right, line)
-        elif not left.startswith("__"):
-            yield LaunchValue("remap", left, right, line)
-
-
-def is_converter(package: str, programs: str, words: str) -> bool:
-    """Whether a node is one of pointcloud_to_laserscan, by its package, executable or plugin, and arguments."""
-    said = programs + words if "nodelet" in programs else programs or package
-    return "pointcloud_to_laserscan" in said or "laserscan_to_pointcloud" in said
-
-
-def direction_of(programs: str) -> Direction:
-    """Return which of the two nodes it is, by its executable or plugin."""
-    said = (
-        programs.lower().replace("_", "").replace("pointcloudtolaserscan/", "").replace("pointcloudtolaserscan::", "")
-    )
-    return "laserscan_to_pointcloud" if "laserscantopointcloud" in said else "pointcloud_to_laserscan"
+        Parameters
+        ----------
+        text
+            Returns the package, program, arguments, namespace or name, if it is given.
+        values
+            Its parameters and remappings.
+        line, doubt
+            See `LaunchNode`.
+        above
+            The namespace around it.
+        """
+        try:
+            program = text("program")
+            said = program + text("arguments") if "nodelet" in program else program or text("package")
+            if not re.search("pointcloud_?to_?laserscan|laserscan_?to_?pointcloud", said, re.IGNORECASE):
+                return
+            words = text("arguments")
+            if ":=" in words or "--params-file" in words:
+                values = [LaunchValue("file", "arguments", UnreadError.of(words, line), line)]
+            is_back = re.search("laserscan_?to_?pointcloud", said, re.IGNORECASE)
+            direction: Direction = "laserscan_to_pointcloud" if is_back else "pointcloud_to_laserscan"
+            namespace = qualified(above, text("namespace"))
+            name = qualified(namespace, text("name") or direction)
+            self.nodes.append(LaunchNode(name, line, doubt, direction, namespace, tuple(values)))
+        except UnreadError as err:
+            self.nodes.append(LaunchNode.unclear(err))
 
 
 def qualified(above: str, name: str) -> str:
     """Return a name inside a namespace."""
-    if name.startswith("/"):
-        return name.rstrip("/")
-    return "/".join(filter(None, (above, name.strip("/")))) if above else f"/{name}".rstrip("/")
+    return ("" if name.startswith("/") else above) + "/" * bool(name) + name.strip("/")
 
 
 def package_folder(path: Path, name: str, line: int) -> str:
-    """Return the folder of the package that a launch file is in. Other packages would need a ROS installation.
-
-    Raises
-    ------
-    UnreadError
-        If it is another package.
-    """
+    """Return the folder of the package that a launch file is in; raise UnreadError if it is another package."""
     for folder in path.resolve().parents:
         if folder.name == name:
             return str(folder)
-        if (folder / "package.xml").exists():
-            if _package_name(folder / "package.xml") in {name, ""}:
-                return str(folder)
-            break
+        if (folder / "package.xml").is_file():
+            with (folder / "package.xml").open("rb") as file:
+                if f"<name>{name}</name>".encode() in file.read(100_000):
+                    return str(folder)
     raise UnreadError(f"the package {name!r} was not found", line)
-
-
-def _package_name(file: Path) -> str:
-    """Return the name in a ``package.xml``; empty if it cannot be read."""
-    try:
-        with file.open("rb") as opened:
-            text = opened.read(100_000)
-    except OSError:
-        return ""
-    found = re.search(rb"<name>\s*([\w-]+)\s*</name>", text)
-    return found[1].decode("ascii", "replace") if found else ""

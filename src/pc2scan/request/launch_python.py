@@ -10,51 +10,40 @@ from __future__ import annotations
 import ast
 import posixpath
 import warnings
-from collections import Counter, defaultdict
+from collections import Counter
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import ParameterError
 
-from .launch_node import (
-    LaunchFile,
-    LaunchNode,
-    LaunchValue,
-    UnreadError,
-    direction_of,
-    is_converter,
-    package_folder,
-    qualified,
-    shortened,
-    values_of_words,
-)
+from .launch_node import LaunchFile, LaunchNode, LaunchValue, UnreadError, package_folder, shortened
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-#: Maximum size of a file: it bounds how deeply Python's parser recurses.
-_MAX_CHARACTERS = 40_000
+#: Maximum size of a file, which bounds how deeply Python's parser recurses, and of texts that are read one for another.
+_MAX_CHARACTERS, _MAX_TEXTS = 40_000, 10_000
 
 _ENTRY = "generate_launch_description"
 
 #: Where the functions and classes are from that are read.
-_PACKAGES = frozenset({"launch", "launch_ros", "ament_index_python", "os"})
+_PACKAGES = {"launch", "launch_ros", "ament_index_python", "os"}
 
-_NODES = frozenset({"Node", "ComposableNode"})
+_NODES = {"Node", "ComposableNode"}
 _PROGRAMS = ("pointcloud_to_laserscan_node", "laserscan_to_pointcloud_node", "pointcloud_to_laserscan::")
 
-#: Actions that launch what is among their arguments, once.
-_ACTIONS = frozenset(
-    {"LaunchDescription", "GroupAction", "TimerAction", "ComposableNodeContainer", "LoadComposableNodes"}
-)
+#: Actions that launch what is among their arguments, once; and the names of such arguments.
+_ACTIONS = {"LaunchDescription", "GroupAction", "TimerAction", "ComposableNodeContainer", "LoadComposableNodes"}
+_LAUNCHED = {"actions", "initial_entities", "composable_node_descriptions"}
+_READ = _NODES | _ACTIONS
+
+#: What changes nodes or arguments beside it, and what may change names unseen.
+_CHANGING = {"PushRosNamespace", "PushROSNamespace", "SetRemap", "SetParameter", "SetParametersFromFile"}
+_CHANGING |= {"SetLaunchConfiguration", "UnsetLaunchConfiguration", "launch_configurations", "forwarding"}
+_CHANGING |= {"exec", "eval", "globals", "locals", "vars", "setattr"}
 
 #: What may be changed in place.
-_CHANGEABLE = (ast.List, ast.Tuple, ast.Dict)
-
-#: What changes the nodes beside it, what sets arguments, and what may change names unseen.
-_CHANGING = frozenset({"PushRosNamespace", "PushROSNamespace", "SetRemap", "SetParameter", "SetParametersFromFile"})
-_SETTING = frozenset({"SetLaunchConfiguration", "UnsetLaunchConfiguration", "launch_configurations", "forwarding"})
-_UNSEEN = frozenset({"exec", "eval", "globals", "locals", "vars", "setattr"})
+_CHANGEABLE = ast.List | ast.Tuple | ast.Dict
 
 
 def python_nodes(text: str, path: Path, arguments: Mapping[str, str]) -> LaunchFile:
@@ -66,111 +55,109 @@ def python_nodes(text: str, path: Path, arguments: Mapping[str, str]) -> LaunchF
             warnings.simplefilter("ignore")
             tree = ast.parse(text)
     except (SyntaxError, ValueError) as err:
-        line = getattr(err, "lineno", None)
-        problem = getattr(err, "msg", None) or err.args[0]
+        line, problem = getattr(err, "lineno", None), getattr(err, "msg", None) or err.args[0]
         raise ParameterError(f"{path}{f', line {line}' if line else ''}: not valid Python: {problem}") from err
     return _PythonReader(tree, path, arguments).read()
 
 
 class _PythonReader:
     def __init__(self, tree: ast.Module, path: Path, arguments: Mapping[str, str]) -> None:
-        self._path, self._given = path, arguments
+        self._path, self._given, self._texts = path, arguments, 0
         self._tree = list(ast.walk(tree))
         self._parents = {child: node for node in self._tree for child in ast.iter_child_nodes(node)}
-        bound = Counter(name for node in self._tree for name in _bound(node))
+        self._bound = Counter(name for node in self._tree for name in _bound(node))
         entry = next((node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == _ENTRY), None)
-        if entry is None or entry.decorator_list or bound[_ENTRY] > 1:
+        if entry is None or entry.decorator_list or self._bound[_ENTRY] > 1:
             raise ParameterError(f"{path}: is not a launch file: it has no function {_ENTRY}(), or several")
-        self._body = entry.body
-        self._foreign = bound.keys()
-        self._words = set(map(_word, self._tree))
-        self._uses: dict[str, list[ast.Name]] = defaultdict(list)
-        for node in self._tree:
-            if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
-                self._uses[node.id].append(node)
+        used = (node for node in self._tree if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load))
+        changed = {node.id for node in used if self._user(node) not in _READ}
         # What names are assigned that count.
         self._values: dict[str, ast.expr] = {}
-        for statement in () if _UNSEEN & self._words or "*" in bound else (*tree.body, *self._body):
-            name, value = _assigned(statement)
-            users = map(self._user, self._uses[name]) if isinstance(value, _CHANGEABLE) else ()
-            if value and bound[name] == 1 and {*users} <= _NODES | _ACTIONS:
-                self._values[name] = value
-        # By name of an argument, its declarations; an empty name: that is not read.
-        self._declared: dict[str, list[ast.Call]] = defaultdict(list)
-        for call in self._calls("DeclareLaunchArgument"):
-            self._declared[self._argument(call)].append(call)
+        for statement in (*tree.body, *entry.body):
+            match statement:
+                case ast.Assign([ast.Name(name)], value) | ast.AnnAssign(ast.Name(name), _, value):
+                    if value and self._bound[name] == 1 and not (isinstance(value, _CHANGEABLE) and name in changed):
+                        self._values[name] = value
+        if "*" in self._bound:
+            self._values = {}
+        self._declared = self._calls("DeclareLaunchArgument")
+        # What is launched once, and under no condition.
+        self._launched: set[ast.AST] = set()
+        if not any(map(_returns, entry.body[:-1])):
+            for statement in entry.body:
+                match statement:
+                    case ast.Return(value) | ast.Expr(ast.Call(ast.Attribute(attr="add_action"), [value])):
+                        self._launch(value)
+
+    def _launch(self, node: ast.AST | None) -> None:
+        """Collect what a description launches."""
+        if node is None or node in self._launched or _is_conditional(node):
+            return
+        self._launched.add(node)
+        match node:
+            case ast.Name(name):
+                self._launch(self._values.get(name))
+            case ast.List(items) | ast.Tuple(items):
+                for item in items:
+                    self._launch(item)
+            case ast.Call(_, arguments, keywords) if self._function(node) in _ACTIONS:
+                for item in (*arguments, *(keyword.value for keyword in keywords if keyword.arg in _LAUNCHED)):
+                    self._launch(item)
 
     def read(self) -> LaunchFile:
         """Return the nodes, in the order of the file."""
-        used = map(self._argument, self._calls("LaunchConfiguration"))
-        nodes = [self._node(call) for call in self._calls(*_NODES)]
-        nodes += [
-            LaunchNode.unclear(_unread(node))
-            for node in self._tree
-            if isinstance(node, ast.Constant)
-            and str(node.value).startswith(_PROGRAMS)
-            and self._user(node) not in _NODES
-        ]
+        calls = [*self._declared, *self._calls("LaunchConfiguration")]
         included = self._calls("IncludeLaunchDescription")
-        return LaunchFile(
-            sorted((node for node in nodes if node), key=lambda node: node.line),
-            {*self._declared, *used} - {""},
-            [f"{self._path}, line {call.lineno}, {shortened(ast.unparse(call))}" for call in included],
-            [
-                UnreadError.of(code, getattr(node, "lineno", 1))
-                for node in self._tree
-                if _word(node) in _CHANGING and "'use_sim_time'" not in (code := ast.unparse(self._parents[node]))
-            ],
+        file = LaunchFile(
+            arguments={*map(self._argument, calls)} - {""},
+            ignored=[f"{self._path}, line {call.lineno}, {shortened(ast.unparse(call))}" for call in included],
         )
+        for call in self._calls(*_NODES):
+            self._add_node(call, file)
+        for node in self._tree:
+            match node:
+                case ast.Constant(str() as text) if text.startswith(_PROGRAMS) and self._user(node) not in _NODES:
+                    file.nodes.append(LaunchNode.unclear(_unread(node)))
+                case ast.Name(word) | ast.Attribute(_, word) | ast.keyword(str() as word) | ast.alias(word, str()):
+                    if word in _CHANGING and "'use_sim_time'" not in (code := ast.unparse(self._parents[node])):
+                        file.changing.append(UnreadError.of(code, node.lineno))
+        file.nodes.sort(key=lambda node: node.line)
+        return file
 
-    def _node(self, call: ast.Call) -> LaunchNode | None:
-        """Return a node, if it is one of pointcloud_to_laserscan."""
+    def _add_node(self, call: ast.Call, file: LaunchFile) -> None:
         given = {(keyword.arg or "").removeprefix("node_"): keyword.value for keyword in call.keywords}
 
         def text(name: str) -> str:
-            return self._text(given[name]) if name in given else ""
-
-        try:
             if call.args or "" in given:
                 raise _unread(call)
-            program = text("executable") + text("plugin")
-            if not is_converter(text("package"), program, ""):
-                return None
-            direction, namespace = direction_of(program), qualified("", text("namespace"))
-            name = qualified(namespace, text("name") or direction)
-        except UnreadError as err:
-            return LaunchNode.unclear(err)
-        values = [*self._settings(given, call.lineno)]
-        return LaunchNode(name, call.lineno, self._doubt(call), direction, namespace, values)
+            if name == "arguments":
+                return " ".join(
+                    self._text(item) for part in (name, "ros_arguments") for item in self._items(given.get(part))
+                )
+            parts = ("executable", "plugin") if name == "program" else (name,)
+            return "".join(self._text(given[part]) for part in parts if part in given)
 
-    def _settings(self, given: Mapping[str, ast.expr], line: int) -> Iterator[LaunchValue]:
-        part, words = "", ""
+        doubt = "" if call in self._launched else "under a condition, or not plainly launched once"
+        file.add_node(text, self._settings(given), call.lineno, doubt)
+
+    def _settings(self, given: Mapping[str, ast.expr]) -> Iterator[LaunchValue]:
+        """Yield the remappings and parameters of a node."""
+        part = ""
         try:
-            for part in ("remappings", "parameters", "arguments", "ros_arguments"):
-                for item in self._items(given[part]) if part in given else ():
-                    if part == "remappings":
-                        source, target = self._items(item, 2)
-                        yield LaunchValue("remap", self._text(source), self._read(target), item.lineno)
-                    elif part == "parameters":
-                        yield from self._params(item)
-                    else:
-                        words += f"{self._text(item)} "
-            yield from values_of_words(words, line)
+            for part in ("remappings", "parameters"):
+                for item in self._items(given.get(part)):
+                    match found := self._value(item):
+                        case ast.Tuple([source, target]) | ast.List([source, target]) if part == "remappings":
+                            yield LaunchValue("remap", self._text(source), self._read(target), item.lineno)
+                        case ast.Dict(keys, values) if part == "parameters":
+                            for key, value in zip(keys, values, strict=True):
+                                yield LaunchValue("value", self._text(key or value), self._read(value), value.lineno)
+                        case ast.expr() if part == "parameters":
+                            yield LaunchValue("file", part, str(self._path.parent / self._text(found)), item.lineno)
+                        case _:
+                            raise _unread(item)
         except UnreadError as err:
             yield LaunchValue("file", part, err, err.line)
-
-    def _params(self, item: ast.expr) -> Iterator[LaunchValue]:
-        """Yield the parameters of a dictionary, or the file that has them."""
-        found = self._value(item)
-        if not isinstance(found, ast.Dict):
-            yield LaunchValue("file", "parameters", str(self._path.parent / self._text(found)), item.lineno)
-            return
-        for key, value in zip(found.keys, found.values, strict=True):
-            if key is None:
-                raise _unread(value)
-            yield LaunchValue("value", self._text(key), self._read(value), key.lineno)
-
-    # Values.
 
     def _value(self, node: ast.expr) -> ast.expr:
         """Return what a name is assigned, or the expression itself."""
@@ -180,11 +167,11 @@ class _PythonReader:
             raise UnreadError(f"`{node.id}`, which is not assigned once and left as it is, is not read", node.lineno)
         return self._value(self._values[node.id])
 
-    def _items(self, node: ast.expr, count: int | None = None) -> list[ast.expr]:
-        found = self._value(node)
-        if not isinstance(found, ast.List | ast.Tuple) or len(found.elts) != (count or len(found.elts)):
-            raise _unread(node)
-        return found.elts
+    def _items(self, node: ast.expr | None) -> list[ast.expr]:
+        found = ast.List([]) if node is None else self._value(node)
+        if isinstance(found, ast.List | ast.Tuple):
+            return found.elts
+        raise _unread(found)
 
     def _read(self, node: ast.expr) -> str | UnreadError:
         try:
@@ -194,18 +181,19 @@ class _PythonReader:
 
     def _text(self, node: ast.expr) -> str:
         """Return the text of a literal; a list with substitutions is their concatenation, as in ROS."""
+        self._texts += 1
         match found := self._value(node):
-            case ast.Constant(value=bool() | float() | str() as value):
-                return str(value)
-            case ast.Constant(value=int() as value) if value < 1 << 63:
-                return str(value)
-            case ast.UnaryOp(op=ast.USub(), operand=ast.Constant(value=int() | float()) as operand):
+            case ast.Constant(str() as text):
+                return text
+            case ast.Constant(int() | float() as number) if number < 1 << 63:
+                return str(number)
+            case ast.UnaryOp(ast.USub(), ast.Constant(int() | float()) as operand):
                 return f"-{self._text(operand)}"
-            case ast.List(elts=items) if not all(isinstance(item, ast.Constant) for item in items):
+            case ast.List(items) if not all(isinstance(item, ast.Constant) for item in items):
                 return "".join(map(self._text, items))
-            case ast.Call():
+            case ast.Call() if self._texts < _MAX_TEXTS:
                 return self._called(found)
-        raise _unread(node)
+        raise _unread(found)
 
     def _called(self, call: ast.Call) -> str:
         first = _argument(call, 0, "variable_name", "package", "package_name", "substitutions")
@@ -222,24 +210,15 @@ class _PythonReader:
 
     def _configuration(self, call: ast.Call, name: str) -> str:
         """Return the value of an argument."""
-        declared = self._declared.get(name, [])
-        defaults = [_argument(call, 1, "default"), *(_argument(each, 1, "default_value") for each in declared)]
-        literals = [default for default in defaults if default]
-        if (
-            _SETTING & self._words
-            or "" in self._declared
-            or len(literals) > 1
-            or any(map(_is_conditional, (call, *declared)))
-        ):
+        calls = [call, *(declared for declared in self._declared if self._argument(declared) in {name, ""})]
+        defaults = [default for each in calls if (default := _argument(each, 1, "default", "default_value"))]
+        if len(defaults) > 1 or any(map(_is_conditional, calls)):
             raise _unread(call)
         if name in self._given:
             return self._given[name]
-        if not literals:
+        if not defaults:
             raise UnreadError.no_value(name, call.lineno)
-        try:
-            return self._text(literals[0])
-        except UnreadError as err:
-            raise UnreadError(err.problem, err.line, UnreadError.no_value(name, 0).hint) from None
+        return self._text(defaults[0])
 
     def _argument(self, call: ast.Call) -> str:
         """Return the name of the argument that a call is about; empty if that is not read."""
@@ -247,87 +226,34 @@ class _PythonReader:
         found = self._read(name) if name else ""
         return found if isinstance(found, str) else ""
 
-    def _calls(self, *names: str) -> Iterator[ast.Call]:
-        return (node for node in self._tree if isinstance(node, ast.Call) and self._function(node) in names)
+    def _calls(self, *names: str) -> list[ast.Call]:
+        return [node for node in self._tree if isinstance(node, ast.Call) and self._function(node) in names]
 
     def _function(self, call: ast.AST) -> str:
         """Return the name of a function or class of ROS or of ``os.path`` that is called; empty for others."""
-        root = func = call.func if isinstance(call, ast.Call) else None
-        while isinstance(root, ast.Attribute):
-            root = root.value
-        return _word(func) if isinstance(root, ast.Name) and root.id not in self._foreign else ""
+        words = ast.unparse(call.func).split(".") if isinstance(call, ast.Call) else [""]
+        return words[-1] if words[0].isidentifier() and words[0] not in self._bound else ""
 
     def _user(self, node: ast.AST) -> str:
         """Return the function that something is an argument of, also inside lists; empty: it is used otherwise."""
-        while isinstance(node := self._parents[node], (*_CHANGEABLE, ast.keyword)):
+        while isinstance(node := self._parents[node], _CHANGEABLE | ast.keyword):
             pass
         return self._function(node)
-
-    # What is launched.
-
-    def _doubt(self, node: ast.AST) -> str:
-        """Return why it is not known whether something is launched once; empty: it is."""
-        if isinstance(node, ast.Call) and _is_conditional(node):
-            return "under a condition"
-        parent = self._parents[node]
-        match parent:
-            case ast.Return() if parent is self._body[-1] and not any(map(_returns, self._body[:-1])):
-                return ""
-            case ast.List() | ast.keyword(arg="actions" | "initial_entities" | "composable_node_descriptions"):
-                return self._doubt(parent)
-            case ast.Call() if self._function(parent) in _ACTIONS:
-                return self._doubt(parent)
-            case ast.Assign(targets=[ast.Name(id=name)]) if self._values.get(name) is node:
-                return self._doubt_of(name)
-            case ast.Call(func=ast.Attribute(value=ast.Name(id=name), attr="add_action")):
-                if self._parents[parent] in self._body:
-                    return self._doubt_of(name)
-                parent = self._parents[self._parents[parent]]
-        return f"in `{shortened(ast.unparse(parent))}`"
-
-    def _doubt_of(self, name: str) -> str:
-        """Return the doubt about what a name is assigned, beside additions to it."""
-        uses = [use for use in self._uses[name] if _word(self._parents[use]) != "add_action"]
-        if name not in self._values or len(uses) != 1:
-            return f"in `{name}`, which is not assigned and used once"
-        return self._doubt(uses[0])
 
 
 def _bound(node: ast.AST) -> list[str]:
     """Return the names that a part of the tree binds, but for those that are imported from ROS."""
     match node:
-        case ast.Name(id=name, ctx=context):
-            return [] if isinstance(context, ast.Load) else [name]
-        case ast.ImportFrom(module=str() as module, level=0, names=names) if module.partition(".")[0] in _PACKAGES:
-            return [alias.asname for alias in names if alias.asname]
-        case ast.ImportFrom(names=names):
-            return [alias.asname or alias.name for alias in names]
-        case ast.Import(names=names):
-            roots = [(alias.asname, alias.name.partition(".")[0]) for alias in names]
-            return [asname or root for asname, root in roots if asname or root not in _PACKAGES]
-        case ast.Global(names=names) | ast.Nonlocal(names=names):
-            return names
-        case ast.alias() | ast.keyword():
+        case ast.Name(_, ast.Load()) | ast.alias() | ast.keyword():
             return []
-    # Functions, classes, arguments, exceptions that are caught, and patterns.
-    found = (getattr(node, attribute, None) for attribute in ("name", "arg", "rest"))
-    return [name for name in found if isinstance(name, str)]
-
-
-def _assigned(statement: ast.stmt) -> tuple[str, ast.expr | None]:
-    """Return the name that a plain assignment binds, and its value."""
-    match statement:
-        case ast.Assign(targets=[ast.Name(id=name)], value=value) | ast.AnnAssign(ast.Name(id=name), value=value):
-            return name, value
-    return "", None
-
-
-def _word(node: ast.AST | None) -> str:
-    """Return the name that a part of the tree uses."""
-    match node:
-        case ast.Name(id=word) | ast.Attribute(attr=word) | ast.keyword(arg=str(word)) | ast.alias(word, asname=str()):
-            return word
-    return ""
+        case ast.ImportFrom(str() as module, names, 0) if module.partition(".")[0] in _PACKAGES:
+            return [alias.asname for alias in names if alias.asname]
+        case ast.Import(names) | ast.ImportFrom(_, names):
+            bound = {alias.asname or alias.name.partition(".")[0] for alias in names}
+            return [*(bound - _PACKAGES)]
+    # Names, functions, classes, arguments, exceptions that are caught, and patterns.
+    found = [getattr(node, attribute, None) for attribute in ("id", "name", "arg", "rest")]
+    return [name for name in (*found, *getattr(node, "names", ())) if isinstance(name, str)]
 
 
 def _returns(statement: ast.stmt) -> bool:
@@ -339,9 +265,9 @@ def _unread(node: ast.expr) -> UnreadError:
     return UnreadError.of(ast.unparse(node), node.lineno)
 
 
-def _is_conditional(call: ast.Call) -> bool:
+def _is_conditional(node: ast.AST) -> bool:
     """Whether what a call makes depends on a condition, or on arguments that are not read."""
-    return any(keyword.arg in {"condition", None} for keyword in call.keywords)
+    return isinstance(node, ast.Call) and any(keyword.arg in {"condition", None} for keyword in node.keywords)
 
 
 def _argument(call: ast.Call, position: int, *names: str) -> ast.expr | None:

@@ -10,17 +10,7 @@ from xml.parsers import expat
 from pc2scan.errors import ParameterError
 from pc2scan.options.table import PARAMETERS
 
-from .launch_node import (
-    LaunchFile,
-    LaunchNode,
-    LaunchValue,
-    UnreadError,
-    direction_of,
-    is_converter,
-    package_folder,
-    qualified,
-    values_of_words,
-)
+from .launch_node import LaunchFile, LaunchValue, UnreadError, package_folder, qualified
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -31,10 +21,19 @@ _MAX_TEXT = 10_000
 
 _SUBSTITUTION = re.compile(r"\$\((arg|var|find|find-pkg-share) +([^()$\s]+) *\)")
 
-_TRUE, _FALSE = frozenset({"1", "true", "True", "yes"}), frozenset({"0", "false", "False", "no", ""})
+_TRUE, _FALSE = {"1", "true", "True", "yes"}, {"0", "false", "False", "no", ""}
 
 #: Elements that change the nodes beside them.
-_CHANGING = frozenset({"push_ros_namespace", "set_remap", "set_parameter", "set_parameters_from_file"})
+_CHANGING = {"push_ros_namespace", "set_remap", "set_parameter", "set_parameters_from_file"}
+
+#: What nodes have in attributes of ROS 1 and ROS 2.
+_ATTRIBUTES = {
+    "package": ("pkg",),
+    "program": ("type", "exec", "plugin"),
+    "arguments": ("args",),
+    "namespace": ("ns", "namespace"),
+    "name": ("name",),
+}
 
 
 @dataclass(slots=True)
@@ -48,8 +47,7 @@ class _Element:
 
 def _tree(text: str, path: Path) -> _Element:
     """Return the root element. ElementTree has no line numbers, and always expands entities."""
-    root = _Element("", {}, 0)
-    stack = [root]
+    stack = [_Element("", {}, 0)]
     parser = expat.ParserCreate()
 
     def start(tag: str, attributes: dict[str, str]) -> None:
@@ -61,10 +59,8 @@ def _tree(text: str, path: Path) -> _Element:
         stack[-1].text += data
 
     def refuse(*_declared: object) -> None:
-        raise ParameterError(
-            f"{path}, line {parser.CurrentLineNumber}: it declares a document type, which is not supported",
-            hint="remove the <!DOCTYPE ...>; launch files need none",
-        )
+        message = f"{path}, line {parser.CurrentLineNumber}: it declares a document type, which is not supported"
+        raise ParameterError(message, hint="remove the <!DOCTYPE ...>; launch files need none")
 
     parser.buffer_text = True
     parser.StartElementHandler = start
@@ -75,15 +71,16 @@ def _tree(text: str, path: Path) -> _Element:
         parser.Parse(text, True)
     except expat.ExpatError as err:
         raise ParameterError(f"{path}, line {err.lineno}: not valid XML: {expat.ErrorString(err.code)}") from err
-    if root.children[0].tag != "launch":
-        raise ParameterError(f"{path}: is not a launch file: its root is <{root.children[0].tag}>, not <launch>")
-    return root.children[0]
+    root = stack[0].children[0]
+    if root.tag != "launch":
+        raise ParameterError(f"{path}: is not a launch file: its root is <{root.tag}>, not <launch>")
+    return root
 
 
 def xml_nodes(text: str, path: Path, arguments: Mapping[str, str]) -> LaunchFile:
     """Read an XML launch file; see `pc2scan.request.launch_file.launch_node`."""
     reader = _XmlReader(path, arguments)
-    reader.read(_tree(text, path), "", "", [])
+    reader.read(_tree(text, path), "", "", ())
     return reader.file
 
 
@@ -93,100 +90,79 @@ class _XmlReader:
         self._path, self._given = path, arguments
         self._arguments: dict[str, str | UnreadError] = {}
 
-    def read(self, parent: _Element, namespace: str, doubt: str, remaps: list[LaunchValue]) -> None:
+    def read(self, parent: _Element, namespace: str, doubt: str, remaps: tuple[LaunchValue, ...]) -> None:
         """Read the elements of a group, in their order; the rest is what applies to its nodes."""
         try:
-            namespace, remaps = qualified(namespace, self._text(parent, "ns")), list(remaps)
+            namespace = qualified(namespace, self._expanded(parent.attributes.get("ns", ""), parent))
         except UnreadError as err:
             self.file.changing.append(err)
         for element in parent.children:
-            unsure, place = doubt, f"{self._path}, line {element.line}, <{element.tag}"
+            get, unsure, place = element.attributes.get, doubt, f"{self._path}, line {element.line}, <{element.tag}"
             try:
                 if not self._applies(element):
                     continue
             except UnreadError as err:
                 unsure = f"under a condition ({err.problem}, line {err.line})"
-            name = element.attributes.get("name", "").rpartition("/")[2]
             match element.tag:
                 case "include":
-                    self.file.ignored.append(f"{place} file={element.attributes.get('file', '')!r}>")
+                    self.file.ignored.append(f"{place} file={get('file', '')!r}>")
                 case "arg" | "let":
                     self._declare(element, unsure)
                 case "remap" if parent.tag in {"launch", "group"}:
-                    remaps += self._values(element)
+                    remaps = (*remaps, *self._values(element))
                 case "node" | "composable_node":
                     self._add_node(element, namespace, unsure, remaps)
-                case "param" | "rosparam" if not name or name in PARAMETERS:
+                case "param" | "rosparam" if get("name", "").rpartition("/")[2] in {"", *PARAMETERS}:
                     self.file.ignored.append(f"{place}> outside of a node")
-                case tag if tag in _CHANGING:
-                    if name != "use_sim_time":
-                        self.file.changing.append(UnreadError(f"<{tag}> is not read", element.line))
+                case tag if tag in _CHANGING and get("name") != "use_sim_time":
+                    self.file.changing.append(UnreadError(f"<{tag}> is not read", element.line))
                 case _:
                     self.read(element, namespace, unsure, remaps)
 
     def _declare(self, element: _Element, doubt: str) -> None:
-        name, given = element.attributes.get("name", ""), element.attributes.get("value")
-        value: str | UnreadError
+        get, name = element.attributes.get, element.attributes.get("name", "")
+        text = get("value", get("default"))
         try:
             if element.tag == "let" or doubt or name in self._arguments:
                 problem = f"the argument {name!r}, which <let> sets, or which depends on a condition, is not read"
-                raise UnreadError(problem, element.line)
-            if given is None and name in self._given:
-                value = self._given[name]
-            elif given is None and "default" not in element.attributes:
-                raise UnreadError.no_value(name, element.line)
-            else:
-                value = self._text(element, "default" if given is None else "value")
+                self._arguments[name] = UnreadError(problem, element.line)
+            elif name in self._given and "value" not in element.attributes:
+                self._arguments[name] = self._given[name]
+            elif text is not None:
+                self._arguments[name] = self._expanded(text, element)
         except UnreadError as err:
-            value = err
-        self._arguments[name] = value
+            self._arguments[name] = err
 
-    def _add_node(self, element: _Element, namespace: str, doubt: str, remaps: list[LaunchValue]) -> None:
-        words = element.attributes.get("args", "")
-        try:
-            programs = "".join(self._text(element, name) for name in ("type", "exec", "plugin"))
-            if not is_converter(self._text(element, "pkg"), programs, words):
-                return
-            direction = direction_of(programs + words)
-            for attribute in ("ns", "namespace"):
-                namespace = qualified(namespace, self._text(element, attribute))
-            name = qualified(namespace, self._text(element, "name") or direction)
-        except UnreadError as err:
-            self.file.nodes.append(LaunchNode.unclear(err))
-            return
+    def _add_node(self, element: _Element, above: str, doubt: str, remaps: tuple[LaunchValue, ...]) -> None:
+        def text(name: str) -> str:
+            given = (element.attributes.get(attribute, "") for attribute in _ATTRIBUTES[name])
+            return self._expanded("".join(given), element)
+
         values = [*remaps, *(value for child in element.children for value in self._values(child))]
-        try:
-            values += values_of_words(self._text(element, "args"), element.line)
-        except UnreadError as err:
-            values.append(LaunchValue("file", "args", err, err.line))
-        self.file.nodes.append(LaunchNode(name, element.line, doubt, direction, namespace, values))
+        self.file.add_node(text, values, element.line, doubt, above)
 
     def _values(self, element: _Element) -> Iterator[LaunchValue]:
         """Yield the parameter or remapping of an element, if it applies."""
         get = element.attributes.get
-        text: str | None
+        kind, name, text = "value", get("name", get("param", "")), get("value")
+        file = get("from", get("file"))
         match element.tag:
             case "remap":
                 kind, name, text = "remap", get("from", ""), get("to")
-            case "param" if "from" not in element.attributes:
-                kind, name, text = "value", get("name", ""), get("value")
-            case "rosparam" if get("command", "load") != "load" or "ns" in element.attributes:
-                kind, name, text = "file", "parameters", None
-            case "param" | "rosparam" if file := get("from", get("file")):
+            case "param" | "rosparam" if file:
                 kind, name, text = "file", "parameters", str(self._path.parent / file)
             case "rosparam":
-                kind, name = "value" if get("param") else "yaml", get("param", "parameters")
-                is_plain = "$(" not in element.text or get("subst_value", "").lower() in {"1", "true"}
-                text = element.text if is_plain else None
-            case _:
+                kind, name = "value" if name else "yaml", name or "parameters"
+                text = element.text if "$(" not in element.text or get("subst_value") == "true" else None
+            case tag if tag != "param":
                 return
         value: str | UnreadError
         try:
             if not self._applies(element):
                 return
-            if text is None:
+            if text is None or get("command", "load") != "load" or "ns" in element.attributes:
                 raise UnreadError(f"<{element.tag}> has no value here", element.line)
-            name, value = self._expanded(name, element.line), self._expanded(text, element.line)
+            name, value = self._expanded(name, element), self._expanded(text, element)
         except UnreadError as err:
             kind, value = "file" if "$(" in name else kind, err
         yield LaunchValue(kind, name, value, element.line, get("type", ""))
@@ -194,30 +170,27 @@ class _XmlReader:
     def _applies(self, element: _Element) -> bool:
         for attribute, wanted in (("if", _TRUE), ("unless", _FALSE)):
             if attribute in element.attributes:
-                text = self._text(element, attribute).strip()
+                text = self._expanded(element.attributes[attribute], element).strip()
                 if text not in _TRUE | _FALSE:
                     raise UnreadError(f"{attribute}={text!r} is neither true nor false", element.line)
                 if text not in wanted:
                     return False
         return True
 
-    def _text(self, element: _Element, attribute: str) -> str:
-        return self._expanded(element.attributes.get(attribute, ""), element.line)
-
-    def _expanded(self, text: str, line: int) -> str:
+    def _expanded(self, text: str, element: _Element) -> str:
         """Replace substitutions such as ``$(arg ...)``."""
 
         def value(found: re.Match[str]) -> str:
             kind, name = found.groups()
             if kind.startswith("find"):
-                return package_folder(self._path, name, line)
+                return package_folder(self._path, name, element.line)
             self.file.arguments.add(name)
-            known = self._arguments.get(name, self._given.get(name, UnreadError.no_value(name, line)))
-            if isinstance(known, UnreadError):
-                raise known
-            return known
+            known = self._arguments.get(name, self._given.get(name))
+            if isinstance(known, str):
+                return known
+            raise known or UnreadError.no_value(name, element.line)
 
         text = _SUBSTITUTION.sub(value, text)
         if "$(" in text or len(text) > _MAX_TEXT:
-            raise UnreadError.of(text[max(text.find("$("), 0) :], line)
+            raise UnreadError.of(text[max(text.find("$("), 0) :], element.line)
         return text

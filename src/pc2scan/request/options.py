@@ -68,7 +68,7 @@ class TopicRequest(NamedTuple):
         """
         source, remapped, target = text.partition(":=")
         if not source or (remapped and not target):
-            raise UsageError(f"{text!r} is not a topic", hint="write /points or /points:=/scan")
+            raise UsageError(f"`topics`: {text!r} is not a topic", hint="write /points or /points:=/scan")
         return cls(source, new_topic(target, f"`topics={text}`") if target else None)
 
 

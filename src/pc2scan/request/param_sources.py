@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import ParameterError, UsageError
+from pc2scan.errors import UsageError
 
 from .parameters import ALIASES, preset_settings, resolve
-from .redaction import may_quote, redact_file
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -56,7 +55,6 @@ def resolve_sources(
     ignored: tuple[str, ...] = ()
     remaps: tuple[str, ...] = ()
     files: tuple[Path, ...] = ()
-    hidden: tuple[tuple[str, str], ...] = ()
     if assignments:
         from .yaml_nodes import parse_params  # noqa: PLC0415
 
@@ -69,21 +67,14 @@ def resolve_sources(
             file, node=node, arguments=_launch_arguments(launch_args), overridden={*given, *remapped}
         )
         found += loaded.settings
-        ignored, remaps, files, hidden = loaded.ignored, loaded.remaps, loaded.files, loaded.hidden
+        ignored, remaps, files = loaded.ignored, loaded.remaps, loaded.files
         if reverse and loaded.direction == "pointcloud_to_laserscan":
             raise UsageError(f"{loaded.node} is for pointcloud_to_laserscan, `reverse=True` is not", path=file)
         reverse = reverse or loaded.direction == "laserscan_to_pointcloud"
     if preset is not None:
         found += preset_settings(preset)
     direction: Direction = "laserscan_to_pointcloud" if reverse else "pointcloud_to_laserscan"
-    try:
-        resolved = resolve(found, direction=direction)
-    except ParameterError as err:
-        for named, named_in in hidden:
-            if may_quote(err, named):
-                raise redact_file(err, named, named_in) from None
-        raise
-    return resolved._replace(ignored=ignored, remaps=remaps, files=files)
+    return resolve(found, direction=direction)._replace(ignored=ignored, remaps=remaps, files=files)
 
 
 def _launch_arguments(texts: Sequence[str]) -> dict[str, str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from pc2scan.errors import ParameterError, SeveralNodesError
 from pc2scan.files.places import missing_hint
@@ -14,13 +14,23 @@ from pc2scan.options.table import PARAMETERS
 from pc2scan.text import did_you_mean, nearest
 
 from .launch_file import is_launch_xml, launch_node
-from .launch_node import ELSEWHERE, UnreadError
-from .parameters import ALIASES, TOPICS, Direction, Setting, is_every_nodes, names_of, plain_scalar, unknown_parameter
-from .redaction import may_quote, redact_file
+from .launch_node import ELSEWHERE, UnreadError, qualified
+from .parameters import (
+    ALIASES,
+    TOPICS,
+    Direction,
+    Setting,
+    is_every_nodes,
+    names_of,
+    plain_scalar,
+    resolve,
+    unknown_parameter,
+)
+from .redaction import not_quoting
 from .yaml_nodes import compose, is_empty, is_mapping, is_scalar, place_of, scalar_value
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping
+    from collections.abc import Collection, Iterator, Mapping
 
     from .launch_node import LaunchNode, LaunchValue
 
@@ -36,6 +46,12 @@ _EXAMPLE = "name a ROS parameter file or a launch file; each parameter is an opt
 #: Names that identify a section as one of upstream's nodes. pc2scan's own names (``geometry``, ``beams``) do not: any
 #: node may use them, also for groups of parameters.
 _OF_UPSTREAM = {name for name, parameter in PARAMETERS.items() if parameter.upstreams} | ALIASES.keys()
+
+#: Topics of the two nodes whose remappings are read.
+_REMAPPED: dict[Direction, set[str]] = {
+    "pointcloud_to_laserscan": {"cloud_in", "scan", "tf", "tf_static"},
+    "laserscan_to_pointcloud": {"scan_in", "cloud", "tf", "tf_static"},
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +74,6 @@ class ParamsFile:
         The remappings of a launch file, ``cloud_in:=/points``, of the node's topics and of the transforms'.
     files
         Other files that a launch file names, and that were read.
-    hidden
-        Files that the launch file names, whose content errors must not show, and the places that name them.
     """
 
     direction: Direction | None
@@ -68,7 +82,6 @@ class ParamsFile:
     ignored: tuple[str, ...] = ()
     remaps: tuple[str, ...] = ()
     files: tuple[Path, ...] = ()
-    hidden: tuple[tuple[str, str], ...] = ()
 
 
 def load_params_file(
@@ -86,9 +99,8 @@ def load_params_file(
 
     The section of ``node`` is read. Without ``node``, it is the section of the only node with
     ``pointcloud_to_laserscan`` or ``laserscan_to_pointcloud`` in its name; otherwise the only section whose parameters
-    are all upstream's. Sections with wildcards that match the node are merged into it; the specific section overrides
-    the wildcard (like in ROS 2 until Galactic; since Humble, the later one in the file overrides). Parameters of every
-    ROS 2 node (``use_sim_time``, ``qos_overrides``) are ignored.
+    are all upstream's. Sections with wildcards that match the node apply, too; the later one in the file overrides.
+    Parameters of every ROS 2 node (``use_sim_time``, ``qos_overrides``) are ignored.
 
     Parameters
     ----------
@@ -121,124 +133,84 @@ def load_params_file(
     return _from_yaml(text, path, node)
 
 
-def _from_yaml(text: str, path: Path, node: str | None) -> ParamsFile:
-    root = compose(text, str(path))
-    if root is None or is_empty(root):
-        raise ParameterError(f"{path}: the file is empty")
-    if not is_mapping(root):
-        found = "a list" if root.id == "sequence" else "only a text"
-        raise ParameterError(f"{path}: expected parameters as 'name: value', got {found}")
-    leaves = []
-    for leaf in _leaves(root, path, ()):
-        leaves.append(leaf)
-        if len(leaves) > len(text):  # only aliases of aliases can do this
-            raise ParameterError(f"{path}: its aliases multiply to more values than the file has characters")
-    ros1 = not any(_MARK in leaf.path for leaf in leaves)
-    sections = _ros1_sections(leaves) if ros1 else _ros2_sections(leaves, path)
-    target = _node_to_read(sections, node, path)
-    if ros1:
-        sections = _add_nested(sections, target)
-    return _merge_sections(sections, target, ros1=ros1)
-
-
 def _from_launch(
     text: str, path: Path, node: str | None, arguments: Mapping[str, str], overridden: Collection[str]
 ) -> ParamsFile:
     """Read a node's parameters from a launch file; a later value replaces an earlier one."""
     found, file = launch_node(text, path, arguments, node)
-    remaps = found.remaps(path, overridden)
     settings: dict[str, Setting] = {}
-    ignored = list(file.ignored)
-    files: list[Path] = []
-    hidden: list[tuple[str, str]] = []
+    remaps: list[str] = []
+    ignored, files = file.ignored, list[Path]()
     for param in found.values:
-        place = f"{path}, line {param.line}"
-        if param.kind == "remap":
+        place, name = f"{path}, line {param.line}", param.name.strip("~/")
+        if param.kind == "remap" and name not in _REMAPPED[found.direction]:
             continue
         if isinstance(param.value, UnreadError):
-            name = ALIASES.get(param.name, param.name)
-            if param.kind != "value" or (name in PARAMETERS and name not in overridden):
-                raise _unread(name, param.value, path)
-            continue
-        if param.kind == "file":
-            loaded = _named_file(Path(param.value), place, found)
-            files.append(Path(param.value))
-            hidden.append((param.value, place))
+            name = ALIASES.get(name, name)
+            if name not in overridden and (param.kind != "value" or name in PARAMETERS):
+                raise _unread(param, name, param.value, path)
+        elif param.kind == "remap":
+            remaps.append(f"{name}:={qualified(found.namespace, param.value)}")
+        elif param.kind == "file":
+            named = Path(param.value)
+            loaded = _named_file(named, place, found)
+            files.append(named)
             # Their names are content of the file.
             ignored += [re.sub(r"(, line \d+), .*", r"\1", origin) for origin in loaded.ignored]
             settings |= {setting.name: setting for setting in loaded.settings}
-            continue
-        for written, value in _launch_values(param, param.value, path, place):
-            name, origin = ALIASES.get(written, written), f"{place}, {written}"
-            if is_every_nodes(written):
-                continue
-            if name in names_of(found.direction):
-                settings[name] = Setting(name, _as_bool(name, value), origin, "file")
-            elif written not in TOPICS and nearest(written, PARAMETERS):
-                raise unknown_parameter(written, origin, found.direction)
-            else:
-                # The node ignores a parameter that it does not declare.
-                ignored.append(origin)
+        else:
+            for written, value in _launch_values(param, param.value, path, place):
+                name, origin = ALIASES.get(written, written), f"{place}, {written}"
+                if name in names_of(found.direction):
+                    settings[name] = Setting(name, _as_bool(name, value), origin, "file")
+                elif written not in TOPICS and nearest(written, PARAMETERS):
+                    raise unknown_parameter(written, origin, found.direction)
+                elif not is_every_nodes(written):
+                    # The node ignores a parameter that it does not declare.
+                    ignored.append(origin)
     return ParamsFile(
-        found.direction,
-        tuple(settings.values()),
-        found.name,
-        tuple(ignored),
-        remaps,
-        tuple(files),
-        tuple(hidden),
+        found.direction, tuple(settings.values()), found.name, tuple(ignored), tuple(remaps), tuple(files)
     )
 
 
-def _unread(name: str, err: UnreadError, path: Path) -> ParameterError:
+def _unread(param: LaunchValue, name: str, err: UnreadError, path: Path) -> ParameterError:
     """Return the error about a value that is not read of a launch file."""
-    hint = err.hint or (f"give its value: `{name}=...`" if name in PARAMETERS else ELSEWHERE)
-    return ParameterError(f"{name}: {err.problem} (from {path}, line {err.line})", name=name, hint=hint)
+    hint = f"give its value: `{name}=...`" if name in PARAMETERS else ELSEWHERE
+    if param.kind == "remap":
+        hint = f"give it: `remap={name}:=/TOPIC`"
+    return ParameterError(f"{name}: {err.problem} (from {path}, line {err.line})", name=name, hint=err.hint or hint)
 
 
 def _named_file(file: Path, place: str, node: LaunchNode) -> ParamsFile:
     """Read a parameter file that a launch file names. Errors do not quote it, because it may be any file."""
-    try:
+    with not_quoting([(file, place, "params_file")]):
         text = read_text(file)
         if not is_launch_xml(text):
-            return _section_for(node.name, text, file)
-    except ParameterError as err:
-        if may_quote(err, file):
-            raise redact_file(err, file, place) from None
-        raise
+            try:
+                found = _from_yaml(text, file, node.name)
+            except ParameterError:
+                found = _from_yaml(text, file, None)
+            resolve(found.settings, direction=node.direction)
+            return found
     raise ParameterError(f"{file}: is a launch file, where parameters are expected (from {place})")
 
 
 def _launch_values(param: LaunchValue, text: str, path: Path, place: str) -> list[tuple[str, object]]:
     """Return the names and values of a parameter of a launch file."""
-    if param.kind != "yaml":
-        return [(param.name, _launch_value(param, text))]
-    root = compose(text, place)
-    if root is None or not is_mapping(root):
-        raise ParameterError(f"{place}: expected parameters as 'name: value' in <rosparam>")
-    return [
-        (".".join(leaf.path), scalar_value(leaf.node, leaf.path[-1], f"{place}, {'.'.join(leaf.path)}", ros1=True))
-        for leaf in _leaves(root, path, ())
-    ]
-
-
-def _section_for(node: str, text: str, file: Path) -> ParamsFile:
-    """Return the section of a node that a launch file starts, or the section that is read without a launch file."""
-    try:
-        return _from_yaml(text, file, node)
-    except ParameterError:
-        return _from_yaml(text, file, None)
-
-
-def _launch_value(param: LaunchValue, written: str) -> object:
-    text = written.strip()
-    quoted = re.fullmatch(r"'(.*)'|\"(.*)\"", text)
-    if quoted:
-        return quoted[1] if quoted[1] is not None else quoted[2]
+    if param.kind == "yaml":
+        root = compose(text, place)
+        if root is None or not is_mapping(root):
+            raise ParameterError(f"{place}: expected parameters as 'name: value' in <rosparam>")
+        return [
+            (".".join(leaf.path), scalar_value(leaf.node, leaf.path[-1], f"{place}, {'.'.join(leaf.path)}", ros1=True))
+            for leaf in _leaves(root, path, ())
+        ]
+    plain = text.strip()
     parameter = PARAMETERS.get(ALIASES.get(param.name, param.name))
-    if param.type in {"str", "string"} or (parameter and parameter.value.kind == "str"):
-        return written
-    return plain_scalar(text)
+    if quoted := re.fullmatch(r"(['\"])(.*)\1", plain):
+        return [(param.name, quoted[2])]
+    is_text = param.type in {"str", "string"} or (parameter and parameter.value.kind == "str")
+    return [(param.name, text if is_text else plain_scalar(plain))]
 
 
 def _as_bool(name: str, value: object) -> object:
@@ -262,8 +234,8 @@ def read_text(path: Path, example: str = _EXAMPLE) -> str:
         raise ParameterError(f"{path}: cannot be read: {err.strerror or err}") from err
     if len(data) > MAX_FILE_BYTES:
         raise ParameterError(
-            f"{path}: larger than {MAX_FILE_BYTES:,} bytes, the maximum for parameter files",
-            hint="was a recording given as the parameter file?",
+            f"{path}: larger than {MAX_FILE_BYTES:,} bytes, the maximum for such files",
+            hint="was a recording given in its place?",
         )
     refuse_pointer(data, path)
     try:
@@ -292,6 +264,28 @@ class _Leaf:
 _Sections = dict[str, dict[str, _Leaf]]
 
 
+def _from_yaml(text: str, path: Path, node: str | None) -> ParamsFile:
+    root = compose(text, str(path))
+    if root is None or is_empty(root):
+        raise ParameterError(f"{path}: the file is empty")
+    if not is_mapping(root):
+        found = "a list" if root.id == "sequence" else "only a text"
+        raise ParameterError(f"{path}: expected parameters as 'name: value', got {found}")
+    leaves = []
+    for leaf in _leaves(root, path, ()):
+        leaves.append(leaf)
+        if len(leaves) > len(text):  # only aliases of aliases can do this
+            raise ParameterError(f"{path}: its aliases multiply to more values than the file has characters")
+    ros1 = not any(_MARK in leaf.path for leaf in leaves)
+    sections: _Sections = {}
+    for leaf in leaves:
+        full, name = _ros1_name(leaf) if ros1 else _ros2_name(leaf, path)
+        sections.setdefault(full, {})
+        if name:
+            sections[full][name] = leaf
+    return _merge_sections(sections, _node_to_read(sections, node, path), ros1=ros1)
+
+
 def _leaves(mapping: Any, file: Path, above: tuple[str, ...]) -> Iterator[_Leaf]:
     """Yield every value below a mapping. Empty mappings and the values of parameters are not divided further."""
     if len(above) > MAX_DEPTH:
@@ -302,10 +296,11 @@ def _leaves(mapping: Any, file: Path, above: tuple[str, ...]) -> Iterator[_Leaf]
             raise ParameterError(f"{file}, {place_of(key)}: a name must be plain text")
         name, line = str(key.value), key.start_mark.line + 1
         if name in first_lines:
-            raise ParameterError(
-                f"{file}, {place_of(key)}: {name!r} is given twice, first in line {first_lines[name]}",
-                name=name,
-            )
+            message = f"{file}, {place_of(key)}: {name!r} is given twice, first in line {first_lines[name]}"
+            raise ParameterError(message, name=name)
+        if name == "<<":
+            message = f"{file}, {place_of(key)}: YAML's merge key (<<) is not supported"
+            raise ParameterError(message, hint="write the parameters out")
         first_lines[name] = line
         keys = (*above, name)
         if is_mapping(value) and value.value and name not in _OF_UPSTREAM:
@@ -314,131 +309,67 @@ def _leaves(mapping: Any, file: Path, above: tuple[str, ...]) -> Iterator[_Leaf]
             yield _Leaf(keys, value, f"{file}, line {line}, {'.'.join(keys)}")
 
 
-def _qualified(parts: Iterable[str]) -> str:
+def _full_name(parts: tuple[str, ...]) -> str:
     """Return the fully qualified name of a node from the keys above it."""
-    return "/" + "/".join(token for part in parts for token in part.split("/") if token)
+    return "/" + "/".join(token for part in parts for token in part.removeprefix("~").split("/") if token)
 
 
-def _ros2_sections(leaves: Iterable[_Leaf], file: Path) -> _Sections:
-    sections: _Sections = {}
-    for leaf in leaves:
-        if _MARK not in leaf.path:
-            if is_empty(leaf.node):
-                continue
-            raise ParameterError(
-                f"{leaf.path[-1]!r} is outside of any ros__parameters (from {leaf.origin})",
-                name=leaf.path[-1],
-                hint="in a ROS 2 file the parameters of a node are below 'node_name: ros__parameters:'",
-            )
-        mark = leaf.path.index(_MARK)
-        section = sections.setdefault(_qualified(leaf.path[:mark]), {})
-        name = ".".join(leaf.path[mark + 1 :])
-        if name:
-            section[name] = leaf
-        elif not is_empty(leaf.node):
-            raise ParameterError(
-                f"{file}, {place_of(leaf.node)}: expected parameters below ros__parameters, got a single value"
-            )
-    return sections
+def _ros1_name(leaf: _Leaf) -> tuple[str, str]:
+    """Return a node and its parameter; in ROS 1, ``a: {b: 1}`` equals ``a/b: 1``."""
+    full = _full_name(leaf.path)
+    above, _, name = full.rpartition("/")
+    return (full, "") if is_empty(leaf.node) and name not in _OF_UPSTREAM else (above or "/", name)
 
 
-def _ros1_sections(leaves: Iterable[_Leaf]) -> _Sections:
-    """Return the sections of a ROS 1 file, where ``a: {b: 1}`` equals ``a/b: 1``; the last part is the parameter."""
-    sections: _Sections = {}
-    for leaf in leaves:
-        full = _qualified(key.removeprefix("~") for key in leaf.path)
-        above, _, name = full.rpartition("/")
-        if is_empty(leaf.node) and name not in _OF_UPSTREAM:
-            sections.setdefault(full, {})
-        else:
-            sections.setdefault(above or "/", {})[name] = leaf
-    return sections
-
-
-def _add_nested(sections: _Sections, target: str) -> _Sections:
-    """Add to a ROS 1 node the parameters in namespaces below it, whose names have slashes."""
-    below = target.rstrip("/") + "/"
-    own = dict(sections[target])
-    for full, parameters in sections.items():
-        if full.startswith(below) and full != target:
-            inner = full.removeprefix(below)
-            own |= {f"{inner}/{name}": leaf for name, leaf in parameters.items()}
-    return {target: own}
+def _ros2_name(leaf: _Leaf, file: Path) -> tuple[str, str]:
+    """Return a node and its parameter."""
+    if _MARK not in leaf.path and not is_empty(leaf.node):
+        raise ParameterError(
+            f"{leaf.path[-1]!r} is outside of any ros__parameters (from {leaf.origin})",
+            name=leaf.path[-1],
+            hint="in a ROS 2 file the parameters of a node are below 'node_name: ros__parameters:'",
+        )
+    mark = leaf.path.index(_MARK) if _MARK in leaf.path else len(leaf.path)
+    name = ".".join(leaf.path[mark + 1 :])
+    if not name and not is_empty(leaf.node):
+        message = f"{file}, {place_of(leaf.node)}: expected parameters below ros__parameters, got a single value"
+        raise ParameterError(message)
+    return _full_name(leaf.path[:mark]), name
 
 
 def _node_to_read(sections: _Sections, node: str | None, file: Path) -> str:
     """Return the name of the node to read: a key of ``sections``, or a name that wildcards match."""
-    if node is not None:
-        return _asked_for(sections, node, file)
-    named = _most_specific([full for full in sections if _direction_of(full)])
-    if len(named) == 1:
-        return named[0]
-    if named:
-        _raise_several(f"{file}: several nodes match: {', '.join(named)}", named)
-    own = {full: _own_names(parameters) for full, parameters in sections.items()}
-    upstreams = _most_specific([full for full, names in own.items() if _only_upstreams(names)])
-    if len(upstreams) == 1:
-        return upstreams[0]
-    # A single section with some known names is used; its unknown names are reported later.
-    if len(own) == 1:
-        [(only, names)] = own.items()
-        if len(_foreign(names)) < len(names) or not names:
-            return only
-    message = f"{file}: no section is named pointcloud_to_laserscan or laserscan_to_pointcloud, and "
-    if upstreams:
-        _raise_several(f"{message}several have only their parameters; found {_section_names(sections)}", upstreams)
-    raise ParameterError(
-        f"{message}none has only their parameters; found {_section_names(sections)}",
-        hint=f"choose one, for example `node={min(sections)}`" if sections else None,
-    )
-
-
-def _raise_several(message: str, nodes: list[str]) -> NoReturn:
-    """Raise because several nodes match. The error lists them as nodes of one conversion if all make scans."""
-    hint = f"choose one, for example `node={nodes[0]}`"
-    if any("*" in node or _direction_of(node) == "laserscan_to_pointcloud" for node in nodes):
+    found = _matching_nodes(sections, node)
+    found = [full for full in found if "*" not in full] or found
+    if len(found) == 1:
+        return found[0]
+    names = sorted(found or sections)
+    listed = ", ".join(names[:10]) + (f" and {len(names) - 10} more" if names[10:] else "")
+    hint = f"choose one, for example `node={names[0]}`"
+    if not found and node is not None:
+        message = f"{file}: no section is for the node {node!r} (from `node`); found {listed}"
+        raise ParameterError(message, hint=did_you_mean(node, names) or None)
+    if not found:
+        message = f"{file}: no section is named pointcloud_to_laserscan or laserscan_to_pointcloud, and none has only "
+        raise ParameterError(f"{message}their parameters; found {listed}", hint=hint)
+    message = f"{file}: several nodes match: {', '.join(found)}"
+    if node or any("*" in full or _direction_of(full) == "laserscan_to_pointcloud" for full in found):
         raise ParameterError(message, hint=hint)
-    raise SeveralNodesError(message, nodes=tuple(nodes), hint=hint)
+    raise SeveralNodesError(message, nodes=tuple(found), hint=hint)
 
 
-def _asked_for(sections: _Sections, node: str, file: Path) -> str:
-    wanted = _qualified([node])
-    if wanted in sections:
-        return wanted
-    if "/" not in node:
-        ending = [full for full in sections if full.endswith(f"/{node}")]
-        literal = _most_specific(ending)
-        if len(literal) == 1:
-            return literal[0]
-        if literal:
-            raise ParameterError(
-                f"{file}: several nodes are named {node!r}: {', '.join(literal)}",
-                hint="give the full name in `node`, with its namespace",
-            )
-    if any(_matches(pattern, wanted) for pattern in sections):
-        return wanted
-    near = did_you_mean(node, sections) or None
-    raise ParameterError(
-        f"{file}: no section is for the node {node!r} (from `node`); found {_section_names(sections)}", hint=near
-    )
-
-
-def _section_names(sections: Iterable[str]) -> str:
-    names = sorted(sections)
-    more = f" and {len(names) - 10} more" if len(names) > 10 else ""
-    return (", ".join(names[:10]) or "none") + more
-
-
-def _own_names(parameters: Iterable[str]) -> list[str]:
-    return [name for name in parameters if not is_every_nodes(name)]
-
-
-def _foreign(names: Iterable[str]) -> list[str]:
-    return [name for name in names if name not in PARAMETERS and name not in ALIASES and name not in TOPICS]
-
-
-def _only_upstreams(names: Collection[str]) -> bool:
-    return not _foreign(names) and any(name in _OF_UPSTREAM for name in names)
+def _matching_nodes(sections: _Sections, node: str | None) -> list[str]:
+    """Return the nodes that may be read: those that are asked for, else those of pointcloud_to_laserscan."""
+    if node is not None:
+        wanted = _full_name((node,))
+        ending = [wanted] if wanted in sections else [full for full in sections if full.endswith(f"/{node}")]
+        return ending or [wanted] * any(_matches(pattern, wanted) for pattern in sections)
+    own = {full: [name for name in parameters if not is_every_nodes(name)] for full, parameters in sections.items()}
+    foreign = {full: [name for name in own[full] if name not in {*PARAMETERS, *ALIASES, *TOPICS}] for full in own}
+    upstreams = [full for full in own if not foreign[full] and _OF_UPSTREAM.intersection(own[full])]
+    # A single section with some known names is used; its unknown names are reported later.
+    only = [full for full in own if len(own) == 1 and (not own[full] or len(foreign[full]) < len(own[full]))]
+    return [full for full in sections if _direction_of(full)] or upstreams or only
 
 
 def _direction_of(full: str) -> Direction | None:
@@ -446,13 +377,6 @@ def _direction_of(full: str) -> Direction | None:
     directions: tuple[Direction, ...] = get_args(Direction)
     last = full.rpartition("/")[2]
     return next((direction for direction in directions if direction in last), None)
-
-
-def _vagueness(pattern: str) -> tuple[int, int, int]:
-    """Return a sort key of patterns: larger for less specific ones."""
-    tokens = pattern.split("/")
-    any_number, one = tokens.count("**"), tokens.count("*")
-    return any_number, one, any_number + one - len(tokens)
 
 
 def _matches(pattern: str, full: str) -> bool:
@@ -465,49 +389,28 @@ def _matches(pattern: str, full: str) -> bool:
     return pattern == full or re.fullmatch(expression, full) is not None
 
 
-def _most_specific(patterns: Collection[str]) -> list[str]:
-    """Return the names without wildcards that match another name."""
-    return [
-        one
-        for one in patterns
-        if not any(_vagueness(other) < _vagueness(one) and _matches(one, other) for other in patterns)
-    ]
-
-
 def _merge_sections(sections: _Sections, target: str, *, ros1: bool) -> ParamsFile:
-    """Merge the sections that apply to a node, wildcards below, and check the names."""
-    # The sort is stable, so that the later one of two equally specific sections is used, like in ROS 2.
-    applying = sorted((s for s in sections if _matches(s, target)), key=_vagueness, reverse=True)
+    """Merge the sections that apply to a node, of which the later one overrides as in ROS 2, and check the names."""
+    applying = {full: parameters for full, parameters in sections.items() if _matches(full, target)}
+    given = {name for parameters in applying.values() for name in parameters} & PARAMETERS.keys()
     direction = _direction_of(target)
-    if direction is None and any(
-        not PARAMETERS[name].is_shared
-        for section in applying
-        for name in sections[section]
-        if name in PARAMETERS and PARAMETERS[name].upstreams
-    ):
+    if direction is None and any(PARAMETERS[name].upstreams and not PARAMETERS[name].is_shared for name in given):
         direction = "pointcloud_to_laserscan"
     known = names_of(direction)
-    merged: dict[str, _Leaf] = {}
+    settings: dict[str, Setting] = {}
     ignored: list[str] = []
-    for section in applying:
-        parameters = sections[section]
-        for written in _own_names(parameters):
-            leaf = parameters[written]
+    for full, parameters in applying.items():
+        # In a section for several nodes, an unknown name belongs to another node.
+        is_own = full == target or _direction_of(full) is not None
+        for written, leaf in parameters.items():
             name = ALIASES.get(written, written)
-            # In a section for several nodes, an unknown name belongs to another node.
-            named = section == applying[-1] or _direction_of(section) is not None
-            ours = name in known and (named or PARAMETERS[name].upstreams)
-            if ours and (name == written or name not in parameters):
-                merged[name] = leaf
-            elif written in TOPICS or name in known or section != applying[-1]:
-                ignored.append(leaf.origin)
-            else:
+            is_ours = name in known and (is_own or PARAMETERS[name].upstreams)
+            if is_ours and (name == written or name not in parameters):
+                value = scalar_value(leaf.node, name, leaf.origin, ros1=ros1)
+                # roscpp reads 0 and 1 as a bool, rclcpp does not.
+                settings[name] = Setting(name, _as_bool(name, value) if ros1 else value, leaf.origin, "file")
+            elif written in TOPICS or name in known or not is_own:
+                ignored += [leaf.origin] * (not is_every_nodes(written))
+            elif not is_every_nodes(written):
                 raise unknown_parameter(written, leaf.origin, direction)
-    settings = tuple(_file_setting(name, leaf, ros1=ros1) for name, leaf in merged.items())
-    return ParamsFile(direction, settings, target, tuple(ignored))
-
-
-def _file_setting(name: str, leaf: _Leaf, *, ros1: bool) -> Setting:
-    value = scalar_value(leaf.node, name, leaf.origin, ros1=ros1)
-    # roscpp reads 0 and 1 as a bool, rclcpp does not.
-    return Setting(name, _as_bool(name, value) if ros1 else value, leaf.origin, "file")
+    return ParamsFile(direction, tuple(settings.values()), target, tuple(ignored))
