@@ -22,7 +22,7 @@ from .options.call import Options
 from .options.effects import refuse_idle
 from .options.keywords import takes_options
 from .options.table import options_of
-from .requests import conversion_of, frames_of, selection_of
+from .requests import conversion_of, frames_of, reading_of
 from .requests import convert as convert_by
 from .requests import repair as repair_by
 from .show.check import check as judge
@@ -567,7 +567,8 @@ def scans(
             "transforms, filters, `node`, `deskew`, `level` and `remove` have no effect: no clouds are converted",
             hint="to convert clouds, give `preset`, `params_file`, or a parameter by name, `target_frame=base_link`",
         )
-    return Scans(selection_of(sources, names, asked), conversion)
+    paths = paths_in("sources", sources)
+    return Scans(paths, conversion or reading_of(names, asked), conversion is not None)
 
 
 @takes_options
@@ -610,4 +611,5 @@ def clouds(
     >>> for cloud in pc2scan.clouds("drive.bag", topics="/points"):  # doctest: +SKIP
     ...     print(cloud.stamp, cloud.xyz().shape, cloud["intensity"].max())
     """
-    return Clouds(selection_of(sources, names_in("topics", topics), Options("clouds", options)))
+    asked = reading_of(names_in("topics", topics), Options("clouds", options))
+    return Clouds(paths_in("sources", sources), asked)

@@ -13,7 +13,7 @@ from .conversion.run_files import OutputOptions
 from .core.params import ProjectionParams
 from .core.unproject import UnprojectParams
 from .errors import Pc2ScanError, SeveralNodesError, UsageError, name_list
-from .files.urls import path_of, path_or_url, path_text, paths_in
+from .files.urls import path_of, path_or_url, path_text
 from .options.call import CALL, Options
 from .options.conversion import ConversionFrames, StampCorrection
 from .options.effects import refuse_idle
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from .conversion.report import Report
     from .files.urls import PathText
     from .progress import Progress
-    from .streams.stream import Selection
     from .transforms.robot_model import RobotModel
     from .transforms.sources import PoseTopic
     from .transforms.static import StaticTransform
@@ -356,19 +355,10 @@ def _channels(channels: tuple[str, ...] | UnprojectParams) -> UnprojectParams:
     return UnprojectParams(**{name: name in channels for name in ("distances", "stamps", "viewpoint")})
 
 
-def selection_of(sources: PathText | Iterable[PathText], topics: tuple[str, ...], options: Options) -> Selection:
-    """Return which messages are read, as one object."""
-    from .streams.stream import Selection  # noqa: PLC0415
-
-    return Selection(
-        paths=tuple(paths_in("source", sources)),
-        topics=topics,
-        start=options.start,
-        end=options.end,
-        strict=options.strict,
-        clock=clock_of(options),
-        cloud_scale=options.cloud_scale,
-    )
+def reading_of(topics: tuple[str, ...], options: Options) -> ConvertOptions:
+    """Return the options of messages that are read as they are."""
+    scan = ScanSpec(topics=tuple(map(TopicRequest, topics)))
+    return ConvertOptions(scans=(scan,), clock=clock_of(options), **options.among(_OF_ALL))
 
 
 def convert(

@@ -124,10 +124,3 @@ def test_what_carmen_cannot_say_is_refused(tmp_path: Path) -> None:
         written(tmp_path, static_tf="base_link laser 0 0 0 180deg 0 0")
     with pytest.raises(UsageError, match="carmen needs poses"):
         written(tmp_path, pose_frame="")
-
-
-def test_long_lines_are_warned_of(tmp_path: Path) -> None:
-    scan = replace(sick(1441, math.radians(0.125)), range_max=60.0)
-    source = write_mcap(tmp_path / "drive.mcap", drive({"/scan": [scan]}))
-    report = pc2scan.export(source, tmp_path / "drive.log", pose_frame="odom")
-    assert "1 lines have more than 9,998 characters" in report.warnings[0]

@@ -10,21 +10,26 @@ from threading import Lock
 from typing import TYPE_CHECKING
 
 from pc2scan.advice.clocks import measure_offsets
+from pc2scan.bags.opening import open_recordings
 from pc2scan.bags.reader import ChangedReader
 from pc2scan.bags.topics import by_topic, find_topic
 from pc2scan.errors import DecodeError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.stamps import STAMPED, move_times, set_stamp, stamp_in
 from pc2scan.request.options import TRAJECTORY
+from pc2scan.transforms.reading import read_transforms
 
 from .preparation import span_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
+    from contextlib import ExitStack
 
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, RawMessage
+    from pc2scan.progress import Meter
     from pc2scan.request.options import ConvertOptions, StampOptions
+    from pc2scan.transforms.reading import FoundTransforms
 
     from .plan import Plan
 
@@ -169,6 +174,27 @@ def corrected_for(reader: Reader, plan: Plan, options: ConvertOptions) -> tuple[
         stop_ns=span.stop_ns,
         fields=fields,
     )
+
+
+def corrected_transforms(
+    reader: Reader, options: ConvertOptions, stack: ExitStack, needed: Collection[str], meter: Meter | None = None
+) -> tuple[FoundTransforms, Sequence[Reader]]:
+    """Return all transforms of a recording, and the opened recordings of ``tf_from``, which have some of them.
+
+    Parameters
+    ----------
+    stack
+        Closes these.
+    needed
+        Frames that they must have.
+    meter
+        Counts the bytes; None: nothing is reported.
+    """
+    others = open_recordings(options.frames.tf_from, stack, strict=options.strict)
+    if options.clock:
+        # Of topics with poses that have an offset of their own.
+        reader, _ = corrected(reader, [], options.clock, options.frames.tf_topics)
+    return read_transforms([reader, *others], options.frames, needed=needed, meter=meter), others
 
 
 def _is_stamped(connection: Connection) -> bool:

@@ -25,8 +25,6 @@ from pc2scan.exports.run import run as export
 from pc2scan.files.system import copying_to, is_full
 from pc2scan.files.urls import UrlPath, absolute, path_or_url
 from pc2scan.options.call import Options
-from pc2scan.options.conversion import FailureConditions, OtherTopics
-from pc2scan.options.running import Container
 from pc2scan.options.table import conversion_options, options_of
 from pc2scan.requests import conversion_of, output_of
 from pc2scan.result import json_value
@@ -98,7 +96,7 @@ def request_of(keywords: Mapping[str, Any], origins: Mapping[str, str] | None = 
     conversion = conversion_of(options)
     export = None
     if options.format is not None:
-        export = ExportOptions.of(options, conversion.options, options.format)
+        export = ExportOptions.of(options, conversion.options)
     # Absolute: another process may have another current folder.
     frames = conversion.options.frames
     frames = replace(frames, tf_from=tuple(map(absolute, frames.tf_from)))
@@ -127,8 +125,10 @@ def _check_export(options: Options) -> None:
     name, given = options.format, options.given
     if name is None:
         return
-    of_recordings = {word for group in (Container, OtherTopics, FailureConditions) for word in group.__annotations__}
-    if idle := [f"`{word}`" for word in options_of("convert") if word in given and word in of_recordings]:
+    exported, known = options_of("export"), conversion_options()
+    if idle := [
+        f"`{word}`" for word in options_of("convert") if word in given and word in known and word not in exported
+    ]:
         raise UsageError(f"{', '.join(idle)} would have no effect: `format` writes no recordings")
     if FORMATS[name].needs_poses and not given.keys() & {"pose_frame", "odom_topic"}:
         raise UsageError(f"`format={name}` needs poses", hint="give `pose_frame=odom`, or `odom_topic=/odom`")

@@ -5,113 +5,83 @@ Poses are interpolated by tf2's rules (see `pc2scan.transforms.buffer`) and neve
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.advice.odometry import odometry_of
 from pc2scan.errors import TransformError, UsageError, name_list
 from pc2scan.text import did_you_mean
-from pc2scan.transforms.reading import read_transforms
+from pc2scan.transforms.summary import BODIES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator
 
-    from pc2scan.bags.reader import Reader
     from pc2scan.core.rigid import Rigid
-    from pc2scan.progress import Meter
-    from pc2scan.transforms.buffer import TransformBuffer
-    from pc2scan.transforms.placing import FrameOptions
-    from pc2scan.transforms.sources import Attachment
-
-#: Usual names of the robot's frame, the best one first.
-_BASES = ("base_link", "base_footprint")
+    from pc2scan.streams.clouds import Cloud
+    from pc2scan.streams.scans import Scan
+    from pc2scan.transforms.reading import FoundTransforms
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PoseOptions:
-    """The requested poses.
-
-    Attributes
-    ----------
-    pose_frame
-        The frame of reference of the poses, such as ``odom`` or ``map``.
-    base_frame
-        The frame that has these poses. Empty: found from the transforms (see `Poses`).
-    odom_topic
-        Topics whose poses are used as transforms: without ``pose_frame``, the poses are those of the first one.
-    """
-
-    pose_frame: str = ""
-    base_frame: str = ""
-    odom_topic: tuple[str, ...] = ()
-
-    @property
-    def is_requested(self) -> bool:
-        """Whether poses are requested."""
-        return bool(self.pose_frame or self.odom_topic)
-
-
-@dataclass(frozen=True, slots=True)
-class PosesAtStamp:
+class Posed(NamedTuple):
     """The poses of the robot, and of a message's sensor, at the message's stamp.
 
     Attributes
     ----------
-    pose_frame, base_frame
-        The frame of reference of the pose, and the frame that has it.
+    pose_frame, base_frame, sensor_frame
+        The frame of reference of the poses, the robot's frame, and the message's own.
     robot
-        The pose of ``base_frame`` in ``pose_frame``.
+        The pose of ``base_frame``.
+    sensor
+        Returns the pose of the message's own frame, or raises a `TransformError` if ``base_frame`` has no transform to
+        it.
     """
 
     pose_frame: str
     base_frame: str
+    sensor_frame: str
     robot: Rigid
-    _buffer: TransformBuffer
-    _sensor_frame: str
-    _stamp_ns: int
-
-    def sensor(self) -> Rigid:
-        """Return the pose of the message's own frame in ``pose_frame``.
-
-        Raises
-        ------
-        TransformError
-            If there is no transform from ``base_frame`` to the message's frame.
-        """
-        mount = self._buffer.lookup(self.base_frame, self._sensor_frame, self._stamp_ns)
-        return self.robot.compose(mount)
+    sensor: Callable[[], Rigid]
 
 
 class Poses:
     """The poses of a recording.
 
-    The base frame, if none is given: ``base_link``, or else ``base_footprint``, if it is between the pose frame and the
-    message's frame; otherwise the frame farthest up that is fixed to the message's frame. With ``odom_topic`` alone it
-    is the frame that its poses move.
+    The base frame, if none is given: with poses of a topic and no ``pose_frame``, the frame that these poses move;
+    otherwise ``base_link`` or ``base_footprint``, or without these, the frame farthest up that the message's frame is
+    fixed to.
 
     Parameters
     ----------
-    options
-        The requested poses.
-    transforms
+    found
         All transforms of the recording.
-    odometry
-        What the poses of ``odom_topic`` became; None without.
+    pose_frame, base_frame
+        As given; empty for none.
+    source_frame
+        Replaces the frame of messages; empty for their own.
+
+    Raises
+    ------
+    UsageError
+        If a frame does not exist.
     """
 
-    def __init__(
-        self,
-        options: PoseOptions,
-        transforms: TransformBuffer,
-        odometry: Attachment | None = None,
-    ) -> None:
-        self._options = options
-        self._transforms = transforms
-        self._odometry = None if options.pose_frame else odometry
+    def __init__(self, found: FoundTransforms, pose_frame: str, base_frame: str, source_frame: str) -> None:
+        self._transforms = found.buffer
+        known = sorted(found.buffer.frames)
+        for option, name in (("pose_frame", pose_frame), ("base_frame", base_frame)):
+            if name and name.removeprefix("/") not in known:
+                hint = f"{did_you_mean(name, known)} frames: {name_list(known)}".strip()
+                if not known:
+                    hint = "the recording has no transforms; `odom_topic` uses the poses of an odometry topic"
+                raise UsageError(f"`{option}`: no transforms have the frame {name!r}", hint=hint)
+        moved = (each for added in found.poses if added.reading for each in added.attachments.values())
+        odometry = None if pose_frame else next(moved, None)
+        self.pose_frame = pose_frame.removeprefix("/") or (odometry.parent if odometry else "")
+        self._base_frame = base_frame.removeprefix("/") or (odometry.frame if odometry else "")
+        self._source_frame = source_frame
+        #: The robot's frame, by the frame of the sensor.
         self._bases: dict[str, str] = {}
-        self.pose_frame = options.pose_frame.removeprefix("/") or ("" if odometry is None else odometry.parent)
 
-    def at(self, sensor_frame: str, stamp_ns: int) -> PosesAtStamp:
+    def at(self, item: Scan | Cloud) -> Posed:
         """Return the poses at the stamp of a message.
 
         Raises
@@ -119,84 +89,28 @@ class Poses:
         TransformError
             If there is no pose at the stamp, or the stamp is 0.
         """
+        frame, stamp_ns = (self._source_frame or item.frame).removeprefix("/"), item.stamp_ns
         if stamp_ns == 0:
-            raise TransformError("its stamp is 0, so the robot's pose is unknown", stamp_ns=0)
-        base = self._base_of(sensor_frame)
-        robot = self._transforms.lookup(self.pose_frame, base, stamp_ns)
-        return PosesAtStamp(self.pose_frame, base, robot, self._transforms, sensor_frame, stamp_ns)
+            raise TransformError("its stamp is 0, so the robot's pose is unknown")
+        if frame not in self._bases:
+            self._bases[frame] = self._base_frame or self._find_base(frame)
+        base, lookup = self._bases[frame], self._transforms.lookup
+        robot = lookup(self.pose_frame, base, stamp_ns)
+        return Posed(self.pose_frame, base, frame, robot, lambda: robot.compose(lookup(base, frame, stamp_ns)))
+
+    def _find_base(self, frame: str) -> str:
+        frames = self._transforms.frames
+        if usual := [name for name in BODIES if name in frames]:
+            return usual[0]
+        for _ in frames:
+            history = self._transforms.history(frame)
+            if history is None or not history.static or frames[history.parent_at(None)] == self.pose_frame:
+                break
+            frame = frames[history.parent_at(None)]
+        return frame
 
     def doubts(self) -> Iterator[str]:
         """Yield what may be wrong with the poses that were read."""
         for base in dict.fromkeys(self._bases.values()):
             if doubt := odometry_of(self._transforms, self.pose_frame, base).doubt:
                 yield doubt
-
-    def _base_of(self, sensor_frame: str) -> str:
-        found = self._bases.get(sensor_frame)
-        if found is None:
-            found = self._options.base_frame.removeprefix("/") or (
-                "" if self._odometry is None else self._odometry.frame
-            )
-            self._bases[sensor_frame] = found = found or find_base(self._transforms, self.pose_frame, sensor_frame)
-        return found
-
-
-def find_base(transforms: TransformBuffer, pose_frame: str, sensor_frame: str) -> str:
-    """Return the robot's frame, between a frame that it moves in and one of its sensors; see `Poses`."""
-    frame = sensor_frame.removeprefix("/")
-    below, fixed = [frame], frame
-    is_fixed = True
-    while (history := transforms.history(frame)) is not None:
-        frame = transforms.frames[history.parent_at(None)]
-        if frame == pose_frame or frame in below:
-            break
-        below.append(frame)
-        is_fixed &= history.static
-        fixed = frame if is_fixed else fixed
-    if len(below) == 1 and frame not in transforms.frames:
-        # The frame has no transforms, for example a level frame that was made for the scans.
-        below += transforms.frames
-    return next((name for name in _BASES if name in below), fixed)
-
-
-def open_poses(
-    readers: Sequence[Reader],
-    frames: FrameOptions,
-    options: PoseOptions,
-    meter: Meter | None = None,
-) -> tuple[Poses, list[str]]:
-    """Read the poses of recordings; return them and warnings.
-
-    Parameters
-    ----------
-    readers
-        The source first, then the recordings of ``tf_from``.
-    frames
-        The source of transforms.
-    options
-        The requested poses.
-    meter
-        Counts the bytes; None: nothing is reported.
-
-    Raises
-    ------
-    UsageError
-        If a frame or the topic does not exist, or if it is not clear which transforms to use.
-    RecordingError
-        If the topic has no poses.
-    """
-    if options.base_frame and frames.odometry:
-        unnamed = options.base_frame.removeprefix("/")
-        frames = replace(frames, odometry=tuple(each._replace(unnamed=unnamed) for each in frames.odometry))
-    needed = (options.pose_frame, options.base_frame)
-    found = read_transforms(readers, frames, needed=needed, meter=meter)
-    known = set(found.buffer.frames)
-    for option, name in (("pose_frame", options.pose_frame), ("base_frame", options.base_frame)):
-        if name and name.removeprefix("/") not in known:
-            near = did_you_mean(name, sorted(known))
-            hint = f"{near} frames: {name_list(sorted(known))}".strip()
-            if not known:
-                hint = "the recording has no transforms; `odom_topic` uses the poses of an odometry topic"
-            raise UsageError(f"`{option}`: no transforms have the frame {name!r}", path=readers[0].path, hint=hint)
-    own = next((each for added in found.poses if added.reading for each in added.attachments.values()), None)
-    return Poses(options, found.buffer, own), [*found.warnings, *found.notes]

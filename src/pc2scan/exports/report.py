@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
-from pc2scan.errors import stamp_text, visible
+from pc2scan.errors import visible
 from pc2scan.result import MAX_LISTED, SHOWN, Part, Remark, Result, Skipped, listed
 from pc2scan.tables import Table
 from pc2scan.text import count, counted
@@ -31,8 +31,6 @@ class ExportedTopic:
         Numbers of messages.
     pose_frame, base_frame
         The frame of reference of the poses, and the frame that has them; empty without poses.
-    first_ns, last_ns
-        Stamps of the first and the last message written; None without any.
     """
 
     topic: str
@@ -41,8 +39,6 @@ class ExportedTopic:
     skipped: int = 0
     pose_frame: str = ""
     base_frame: str = ""
-    first_ns: int | None = None
-    last_ns: int | None = None
 
 
 @dataclass(repr=False)
@@ -82,6 +78,7 @@ class ExportReport(Result):
     topics: list[ExportedTopic] = field(default_factory=list)
     skipped: list[Skipped] = field(default_factory=list)
     skipped_reasons: Counter[str] = field(default_factory=Counter)
+    #: The first message that was skipped for each reason.
     _examples: dict[str, Skipped] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
@@ -102,9 +99,8 @@ class ExportReport(Result):
         """The command's exit status: 3 if messages were skipped or a source is damaged, else 0."""
         return 3 if self.skipped_reasons or self.damage else 0
 
-    def skip(self, entry: Skipped, reason: str = "") -> None:
-        """Count a message that is not written; ``reason`` groups it with others, and is by default its own."""
-        reason = reason or entry.reason
+    def skip(self, entry: Skipped, reason: str) -> None:
+        """Count a message that is not written; ``reason`` groups it with others."""
         self.skipped_reasons[reason] += 1
         self._examples.setdefault(reason, entry)
         if len(self.skipped) < MAX_LISTED:
@@ -115,24 +111,19 @@ class ExportReport(Result):
         rows = []
         for topic in self.topics:
             poses = f"{topic.base_frame} in {topic.pose_frame}" if topic.pose_frame else ""
-            span = ""
-            if topic.first_ns is not None and topic.last_ns is not None:
-                span = f"{stamp_text(topic.first_ns)} to {stamp_text(topic.last_ns)}"
-            rows.append([topic.topic, topic.path or "", count(topic.written), count(topic.skipped), poses, span])
-        columns = ("topic", "file", "written", "skipped", "poses", "stamps")
-        yield Table(columns, rows, left=("topic", "file", "poses", "stamps"))
+            rows.append([topic.topic, topic.path or "", count(topic.written), count(topic.skipped), poses])
+        yield Table(("topic", "file", "written", "skipped", "poses"), rows, left=("topic", "file", "poses"))
 
     def remarks(self, *, verbose: bool = False) -> Iterator[Remark]:
         """Yield why messages were skipped, damage and warnings."""
-        reasons = [*map(self.explained, self.skipped_reasons.most_common())]
+        reasons = [self.explained(*each) for each in self.skipped_reasons.most_common()]
         yield from listed("skipped", reasons, None if verbose else SHOWN)
         if hint := next((entry.hint for entry in self.skipped if entry.hint), ""):
             yield Remark("hint", hint)
         yield from self.usual_remarks(verbose=verbose)
 
-    def explained(self, found: tuple[str, int]) -> str:
+    def explained(self, reason: str, number: int) -> str:
         """Return why messages were skipped, with the first of them."""
-        reason, number = found
         example = self._examples.get(reason)
         first = "" if example is None or example.reason == reason else f"; {example}"
         return f"{counted(number, 'message')}: {reason}{first}"

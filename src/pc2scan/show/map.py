@@ -32,7 +32,6 @@ from pc2scan.request.options import TopicRequest
 from pc2scan.requests import conversion_of, first_output
 from pc2scan.result import Skipped, tell_early
 from pc2scan.streams.scans import Scans
-from pc2scan.streams.stream import Selection
 from pc2scan.text import counted, did_you_mean
 from pc2scan.transforms.lookup_errors import mount_text, named_in_namespace
 from pc2scan.transforms.summary import BODIES
@@ -118,20 +117,8 @@ def _draw(
     with open_recording(sources, options) as recording:
         topics, converted = _topics(recording.reader, options)
         meter = None if progress is None else Meter(progress)
-        selection = Selection(
-            paths=tuple(sources),
-            topics=tuple(topic.source for topic in topics),
-            start=options.start,
-            end=options.end,
-            strict=options.strict,
-            clock=options.clock,
-            cloud_scale=options.cloud_scale,
-        )
-        if converted:
-            alone = replace(options, only_scans=True, keep=(), keep_clouds=False)
-            stream = Scans(selection, alone.with_scan(topics=topics), transform_frames=frames, meter=meter)
-        else:
-            stream = Scans(selection, meter=meter)
+        reading = replace(options, only_scans=True, keep=(), keep_clouds=False) if converted else options
+        stream = Scans(sources, reading.with_scan(topics=topics), converted, transform_frames=frames, meter=meter)
         buffer = stream.transforms
         if buffer is None:
             # Recorded scans are read as they are.

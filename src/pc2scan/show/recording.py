@@ -12,9 +12,8 @@ from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.conversion.cloud_scale import scaled
 from pc2scan.conversion.preparation import prepare, span_of
 from pc2scan.conversion.refusals import refuse_outside
-from pc2scan.conversion.stamps import corrected
+from pc2scan.conversion.stamps import corrected_transforms
 from pc2scan.errors import TopicError, UsageError, stamp_text
-from pc2scan.transforms.reading import read_transforms
 
 from .sampling import sampled
 
@@ -119,13 +118,8 @@ class ShownRecording:
         RecordingError
             If a recording cannot be read.
         """
-        options = self.options
-        self.others = open_recordings(options.frames.tf_from, self.stack, strict=options.strict)
-        reader = self.reader
-        if options.clock:
-            # Of topics with poses that have an offset of their own.
-            reader, _ = corrected(reader, [], options.clock, options.frames.tf_topics)
-        return read_transforms([reader, *self.others], options.frames, needed=needed, meter=meter)
+        found, self.others = corrected_transforms(self.reader, self.options, self.stack, needed, meter)
+        return found
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import DATATYPES, PointCloud2, recorded_cloud
 
-from .stream import NumpyTimes, Stream, StreamSource, import_pandas, import_xarray
+from .stream import NumpyTimes, Stream, StreamSource, package
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -153,7 +153,7 @@ class Cloud(NumpyTimes):
         ImportError
             If pandas is not installed.
         """
-        pandas = import_pandas()
+        pandas = package("pandas", "to_dataframe")
         return pandas.DataFrame(self._columns(), pandas.RangeIndex(len(self), name="point"))
 
     def to_xarray(self) -> Any:
@@ -166,7 +166,7 @@ class Cloud(NumpyTimes):
         ImportError
             If xarray is not installed.
         """
-        xarray = import_xarray()
+        xarray = package("xarray", "to_xarray")
         data = {name: ("point", values) for name, values in self._columns().items()}
         names = ("topic", "frame", "stamp_ns", "log_time_ns")
         return xarray.Dataset(data, attrs={name: getattr(self, name) for name in names})
@@ -216,7 +216,7 @@ class Clouds(Stream[Cloud]):
     """
 
     def _source(self, stack: ExitStack, reader: Reader) -> StreamSource:
-        return self._source_of_type(stack, reader, CLOUDS, _hint_scans, _decoder)
+        return self._recorded(stack, reader, CLOUDS, _hint_scans, _decoder)
 
     def _object(self, topic: str, log_time_ns: int, message: PointCloud2) -> Cloud:
         return Cloud(topic, log_time_ns, message)
@@ -231,7 +231,7 @@ class Clouds(Stream[Cloud]):
         ImportError
             If pandas is not installed.
         """
-        pandas = import_pandas()
+        pandas = package("pandas", "to_dataframe")
         clouds = list(self)
         parts = [cloud._columns() for cloud in clouds]  # noqa: SLF001  # they make one table
         sizes = [len(cloud) for cloud in clouds]

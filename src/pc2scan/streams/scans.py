@@ -21,23 +21,21 @@ from pc2scan.errors import UsageError, stamp_text, visible
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, as_message, decode_laserscan
 
-from .stream import NumpyTimes, Stream, StreamSource, import_pandas, import_xarray
+from .stream import NumpyTimes, Stream, StreamSource, package
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
     from contextlib import ExitStack
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from pc2scan.advice.first_clouds import FirstClouds
     from pc2scan.bags.reader import Reader
     from pc2scan.conversion.steps import ConvertedMessage
     from pc2scan.model import Buffer
     from pc2scan.progress import Meter
     from pc2scan.request.options import ConvertOptions
     from pc2scan.transforms.buffer import TransformBuffer
-
-    from .stream import Selection
 
 #: The attributes that all scans of one Dataset must share, because they describe the beams.
 _GEOMETRY = ("angle_min", "angle_max", "angle_increment")
@@ -143,7 +141,7 @@ class Scan(NumpyTimes):
         ImportError
             If pandas is not installed.
         """
-        pandas = import_pandas()
+        pandas = package("pandas", "to_dataframe")
         index = pandas.RangeIndex(len(self.ranges), name="beam")
         return pandas.DataFrame(self._columns(), index)
 
@@ -194,43 +192,44 @@ class Scans(Stream[Scan]):
 
     def __init__(
         self,
-        selection: Selection,
-        conversion: ConvertOptions | None = None,
+        paths: Sequence[Path],
+        options: ConvertOptions,
+        converting: bool = False,  # for pickles
         *,
         transform_frames: Collection[str] | None = None,
+        all_topics: bool = False,
         meter: Meter | None = None,
     ) -> None:
-        self._conversion = conversion
+        self._converting = converting
         self._transform_frames = transform_frames
         self.transforms: TransformBuffer | None = None
-        self.notes: tuple[str, ...] = ()
-        super().__init__(selection, meter)
+        super().__init__(paths, options, all_topics=all_topics, meter=meter)
 
     def __reduce__(self) -> tuple[object, ...]:
-        return type(self), (self._selection, self._conversion)
+        return type(self), (self._paths, self._options, self._converting)
 
     def _source(self, stack: ExitStack, reader: Reader) -> StreamSource:
-        if self._conversion is not None:
-            return self._converting(stack, reader, self._conversion)
-        return self._source_of_type(
+        if self._converting:
+            return self._converted(stack, reader)
+        return self._recorded(
             stack, reader, (LASERSCAN,), _hint_clouds, lambda connection: partial(_decode, connection.serialization)
         )
 
     def _object(self, topic: str, log_time_ns: int, message: Any) -> Scan:
         return Scan(topic, log_time_ns, *map(message.__getattribute__, _DECODED))
 
-    def _converting(self, stack: ExitStack, reader: Reader, options: ConvertOptions) -> StreamSource:
+    def _converted(self, stack: ExitStack, reader: Reader) -> StreamSource:
         """Convert clouds as `pc2scan.convert` does."""
-        if not options.scan.topics:
-            # Returns the only topic, or raises.
-            self._selection.select_connections(reader, options.scan.source_types, _hint_scans)
+        options = self._options
+        if not options.scan.topics and not self._all_topics:
+            # Raises if there are several.
+            self._choose(reader, options.scan.source_types, _hint_scans)
         refuse_unusable(options)
         plan = make_plan(reader.connections, options, reader)
         if options.clock:
             reader, notes = corrected_for(reader, plan, options)
             plan = plan._replace(notes=tuple(notes))
-        sources = [str(path) for path in self._selection.paths]
-        report = Report(sources, "", plan.specs)
+        report = Report([str(path) for path in self._paths], "", plan.specs)
         report.source_frame = options.frames.source_frame
         report.warnings += (*plan.warnings, *request_warnings(options, reader.summary))
         prepared = prepare(
@@ -248,18 +247,24 @@ class Scans(Stream[Scan]):
         self.notes = tuple(report.notes)
         opened = open_routes(plan.routes, prepared.conversions, last=_as_in_message)
         report.topics += opened.entries
-        found = _ScanWarnings(report, prepared.firsts, reader)
-        topics = tuple(dict.fromkeys(target for route in plan.routes for target in route.targets))
+
+        def conclude() -> None:
+            firsts = prepared.firsts
+            firsts.finish()
+            report.add((), firsts.notes, firsts.advice)
+            report.add(reader.remarks)
+            report.add(*result_findings(report))
+
         return StreamSource(
             stack,
             [reader, *prepared.others],
-            topics,
+            tuple(dict.fromkeys(target for route in plan.routes for target in route.targets)),
             opened.by_id,
             prepared.span,
-            found,
             options.jobs,
+            report.warnings,
+            conclude,
             opened.combiners,
-            options.window,
         )
 
     def to_dataframe(self) -> Any:
@@ -273,7 +278,7 @@ class Scans(Stream[Scan]):
         ImportError
             If pandas is not installed.
         """
-        pandas = import_pandas()
+        pandas = package("pandas", "to_dataframe")
         parts = [(scan, scan._columns()) for scan in self]  # noqa: SLF001  # they make one table
         names = ["angle", "range", "intensity"]
         if not all("intensity" in columns for scan, columns in parts if len(scan.ranges)):
@@ -304,12 +309,12 @@ class Scans(Stream[Scan]):
         UsageError
             If there is no scan, or the beams of the scans are not the same. `to_dataframe` accepts any scans.
         """
-        import_xarray()
+        package("xarray", "to_xarray")
         return _dataset(list(self))
 
 
 def _dataset(scans: Sequence[Scan]) -> Any:
-    xarray = import_xarray()
+    xarray = package("xarray", "to_xarray")
     if not scans:
         raise UsageError("there is no scan to make a Dataset of", hint="check topic, `start` and `end`")
     first = scans[0]
@@ -356,28 +361,6 @@ def _as_in_message(serialization: str, result: ConvertedMessage) -> ConvertedMes
     result.message = as_message(result.message, serialization)
     result.size = result.message.ranges.nbytes + result.message.intensities.nbytes
     return result
-
-
-class _ScanWarnings:
-    """The warnings of a conversion to `Scan`; see `ConversionWarnings`."""
-
-    def __init__(self, report: Report, firsts: FirstClouds, reader: Reader) -> None:
-        self._report = report
-        self._reader = reader
-        self._firsts = firsts
-        self._told = 0
-
-    def new(self) -> Sequence[str]:
-        begin, self._told = self._told, len(self._report.warnings)
-        return self._report.warnings[begin:]
-
-    def conclude(self) -> Sequence[str]:
-        firsts, report = self._firsts, self._report
-        firsts.finish()
-        report.add((), firsts.notes, firsts.advice)
-        report.add(self._reader.remarks)
-        report.add(*result_findings(report))
-        return self.new()
 
 
 def _hint_clouds(reader: Reader) -> str | None:

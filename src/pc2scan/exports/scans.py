@@ -1,0 +1,283 @@
+"""The formats of scans: a function each, which writes the scans of a topic.
+
+Each yields a function that writes one scan, and completes the file when its block ends.
+"""
+
+from __future__ import annotations
+
+import math
+import shutil
+import zipfile
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from tempfile import TemporaryFile
+from typing import IO, TYPE_CHECKING, Any
+
+import numpy as np
+
+from pc2scan.errors import UnwritableError, UsageError, stamp_text
+from pc2scan.tables import csv_cell
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+    from pathlib import Path
+    from typing import TypeAlias
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from pc2scan.core.rigid import Rigid
+    from pc2scan.streams.scans import Scan
+
+    from .poses import Posed
+
+    #: Writes a message, a `pc2scan.Scan` or a `pc2scan.Cloud`, with the poses at its stamp; None without poses.
+    Write: TypeAlias = Callable[[Any, Posed | None], None]
+
+#: Numbers of a scan that are float32 in the message.
+_GEOMETRY = ("angle_min", "angle_increment", "time_increment", "scan_time", "range_min", "range_max")
+
+
+def lines_file(path: Path) -> IO[str]:
+    """Create a text file."""
+    return path.open("x", encoding="utf-8", errors="surrogateescape", newline="\n")
+
+
+def _texts(values: ArrayLike) -> list[str]:
+    """Return the shortest texts that float32 reads back as these values: ``nan``, ``inf``, ``1.5707964``."""
+    return list(map(str, np.atleast_1d(np.asarray(values, np.float32))))
+
+
+def _planar(rigid: Rigid) -> Sequence[float]:
+    """Return x, y and yaw of a pose: metres and radians."""
+    x, y, _ = rigid.translation.tolist()
+    return x, y, rigid.rpy[2]
+
+
+def _has_intensities(scan: Scan) -> bool:
+    return len(scan.intensities) == len(scan.ranges) > 0
+
+
+def _refuse_other_beams(scan: Scan, first: Scan, what: str, *, angles: bool) -> None:
+    """Raise if a scan has other beams than the first, or if only one of the two has intensities."""
+
+    def layout(scan: Scan) -> str:
+        text = f"{len(scan.ranges)} beams {'with' if _has_intensities(scan) else 'without'} intensities"
+        return text + (f" from {scan.angle_min:.9g} rad on, {scan.angle_increment:.9g} rad apart" if angles else "")
+
+    if layout(scan) != layout(first):
+        raise UsageError(
+            f"{what} needs scans with the same beams, but the scan at {stamp_text(scan.stamp_ns)} has {layout(scan)}, "
+            f"and the first {layout(first)}",
+            topic=scan.topic,
+            hint="`pc2scan convert` with `rebin` gives all scans the same beams; `start` and `end` export a part",
+        )
+
+
+@contextmanager
+def write_csv(path: Path) -> Iterator[Write]:
+    """Write a row for each scan: stamps, pose, geometry, ``range_0`` and so on, ``intensity_0`` and so on.
+
+    Numbers have the fewest digits from which float32 (for poses float64) reads the recorded value.
+    """
+    first: Scan | None = None
+    with lines_file(path) as file:
+
+        def write(scan: Scan, posed: Posed | None) -> None:
+            nonlocal first
+            if first is None:
+                first = scan
+                beams = range(len(scan.ranges))
+                names = ["stamp_ns", "log_time_ns", "frame", *(("x", "y", "yaw") if posed else ()), *_GEOMETRY]
+                names += [f"range_{i}" for i in beams] + [f"intensity_{i}" for i in beams if _has_intensities(scan)]
+                file.write(",".join(names) + "\n")
+            _refuse_other_beams(scan, first, "a CSV file", angles=False)
+            row = [str(scan.stamp_ns), str(scan.log_time_ns), csv_cell(scan.frame)]
+            row += map(repr, _planar(posed.robot) if posed else ())
+            row += _texts([getattr(scan, name) for name in _GEOMETRY]) + _texts(scan.ranges)
+            row += _texts(scan.intensities) if _has_intensities(scan) else ()
+            file.write(",".join(row) + "\n")
+
+        yield write
+
+
+@contextmanager
+def write_npz(path: Path) -> Iterator[Write]:
+    """Write an archive: ``ranges`` (scans, beams), ``angles`` (beams,), ``stamps`` (scans,), ``poses`` (scans, 3), ...
+
+    The number of scans, which is at the beginning of each array, is known only at the end. So each array is collected
+    in a temporary file. The archive is not compressed, and its bytes depend on the scans alone.
+    """
+    count = 0
+    first: Scan | None = None
+    row: dict[str, NDArray[Any]] = {}
+    alone: dict[str, ArrayLike] = {}
+    files: dict[str, IO[bytes]] = {}
+    with ExitStack() as stack:
+
+        def write(scan: Scan, posed: Posed | None) -> None:
+            nonlocal count, first, row
+            row = {"ranges": np.asarray(scan.ranges, "<f4")}
+            if _has_intensities(scan):
+                row["intensities"] = np.asarray(scan.intensities, "<f4")
+            row |= {"stamps": np.asarray(scan.stamp_ns, "<i8"), "log_times": np.asarray(scan.log_time_ns, "<i8")}
+            if posed:
+                row["poses"] = np.asarray(_planar(posed.robot), "<f8")
+            for name in ("range_min", "range_max", "time_increment", "scan_time"):
+                row[name] = np.asarray(getattr(scan, name), "<f4")
+            if first is None:
+                first = scan
+                alone.update(angles=scan.angles, topic=scan.topic, frame=scan.frame)
+                if posed:
+                    alone.update(pose_frame=posed.pose_frame, base_frame=posed.base_frame)
+                files.update({name: stack.enter_context(TemporaryFile(dir=path.parent)) for name in row})
+            _refuse_other_beams(scan, first, "an .npz archive", angles=True)
+            for name, values in row.items():
+                files[name].write(values.tobytes())
+            count += 1
+
+        yield write
+        with zipfile.ZipFile(path, "x") as archive:
+            for name, values in (row | alone).items():
+                # The earliest time of the format, so that the same scans give the same bytes.
+                info = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
+                with archive.open(info, "w", force_zip64=True) as member:
+                    if name in alone:
+                        np.lib.format.write_array(member, np.asarray(values), allow_pickle=False)
+                        continue
+                    shape = (count, *row[name].shape)
+                    header = {"descr": row[name].dtype.str, "fortran_order": False, "shape": shape}
+                    np.lib.format.write_array_header_1_0(member, header)
+                    files[name].seek(0)
+                    shutil.copyfileobj(files[name], member)
+
+
+@contextmanager
+def write_tum(path: Path) -> Iterator[Write]:
+    """Write a line for each scan, as evo reads it: ``timestamp x y z qx qy qz qw``, seconds and metres."""
+    last_ns: int | None = None
+    with lines_file(path) as file:
+
+        def write(scan: Scan, posed: Posed | None) -> None:
+            nonlocal last_ns
+            assert posed is not None
+            if last_ns is not None and scan.stamp_ns <= last_ns:
+                raise UnwritableError(
+                    f"its stamp is not later than the one before, {stamp_text(last_ns)}, but stamps have to ascend"
+                )
+            last_ns = scan.stamp_ns
+            file.write(" ".join((stamp_text(scan.stamp_ns), *map(repr, posed.robot.pose))) + "\n")
+
+        yield write
+
+
+# CARMEN's logs: ROBOTLASER1 has the directions of beams, for FLASER readers assume them. Sources of the rules: "Logger
+# and Playback" of CARMEN's manual (carmen.sourceforge.net/logger_playback.html), what CARMEN's readlog does (order of
+# the fields, guesses about FLASER), and MRPT's carmen_log_parse_line.
+
+#: What readers of FLASER assume, by the number of readings: degrees from one to the next. For any other number: 180
+#: degrees from the first to the last.
+_GUESSED_DEGREES = {180: 1.0, 181: 1.0, 360: 0.5, 361: 0.5, 400: 0.25, 401: 0.25}
+
+#: The range from which on readers of FLASER see no return, and the range of a SICK laser without a return.
+_FLASER_LIMIT, _FLASER_NONE = 80.0, 81.91
+
+#: How far a beam may be from the place that a reader of FLASER assumes, in beam widths.
+_MOST_OFF = 0.1
+
+
+@contextmanager
+def write_carmen(path: Path, body: Callable[[Scan], str] | None = None) -> Iterator[Write]:
+    """Write a line for each scan: readings, the poses of the laser and the robot; see `_robotlaser` and `_flaser`."""
+    first_ns: int | None = None
+    with lines_file(path) as file:
+
+        def line(text: str, stamp_ns: int) -> None:
+            assert first_ns is not None
+            file.write(f"{text} {stamp_text(stamp_ns)} pc2scan {stamp_text(stamp_ns - first_ns)}\n")
+
+        def write(scan: Scan, posed: Posed | None) -> None:
+            nonlocal first_ns
+            assert posed is not None
+            if not (math.isfinite(scan.angle_min) and math.isfinite(scan.angle_increment)):
+                raise UnwritableError(
+                    f"its angles are not finite: angle_min {scan.angle_min}, angle_increment {scan.angle_increment}"
+                )
+            laser = posed.sensor()
+            if laser.matrix[2, 2] <= 0:
+                raise UsageError(
+                    f"the laser {scan.frame!r} is upside down in {posed.pose_frame!r}, but x, y and yaw cannot say so",
+                    topic=scan.topic,
+                    hint="scans that are made of clouds may be in any frame: `target_frame=base_link`",
+                )
+            text = (body or _robotlaser)(scan)
+            poses = " ".join(map(repr, (*_planar(laser), *_planar(posed.robot))))
+            if first_ns is None:
+                first_ns = scan.stamp_ns
+                file.write("# CARMEN Logfile\n# file format is one message per line\n")
+                file.write("# message_name [message contents] ipc_timestamp ipc_hostname logger_timestamp\n")
+                if body is not None:
+                    degrees = math.degrees(_guess_step(len(scan.ranges)))
+                    line(f"PARAM laser_front_laser_resolution {degrees:.6g}", first_ns)
+                    line(f"PARAM robot_front_laser_max {_FLASER_LIMIT:g}", first_ns)
+            # laser_tv, laser_rv, forward_safety_dist, side_safety_dist and turn_axis are of CARMEN's own robot.
+            line(f"{text} {poses}" + (" 0 0 0 0 0" if body is None else ""), scan.stamp_ns)
+
+        yield write
+
+
+def write_flaser(path: Path) -> AbstractContextManager[Write]:
+    """Write CARMEN's older lines."""
+    return write_carmen(path, _flaser)
+
+
+def _robotlaser(scan: Scan) -> str:
+    if not math.isfinite(scan.range_max):
+        raise UsageError(
+            "range_max is infinite, but the format writes beams without a return as the maximum range",
+            topic=scan.topic,
+            stamp_ns=scan.stamp_ns,
+            hint="for scans that are made of clouds, `range_max=30` sets it",
+        )
+    start, step, order = _counterclockwise(scan)
+    readings = _texts(np.where(scan.valid, scan.ranges, np.float32(scan.range_max))[order])
+    remissions = _texts(scan.intensities[order]) if _has_intensities(scan) else []
+    sweep = (len(readings) - 1) * step if readings else 0
+    # laser_type 99: no laser that CARMEN has a number for. 0.01: accuracy. The last one is the remission_mode.
+    numbers = ("99", *_texts([start, sweep, step, scan.range_max]), "0.01", str(int(bool(remissions))))
+    return " ".join(("ROBOTLASER1", *numbers, str(len(readings)), *readings, str(len(remissions)), *remissions))
+
+
+def _flaser(scan: Scan) -> str:
+    start, step, order = _counterclockwise(scan)
+    count = len(scan.ranges)
+    guessed = _guess_step(count)
+    off = max(abs(start + math.pi / 2), abs(start + (count - 1) * step + math.pi / 2 - (count - 1) * guessed))
+    if count < 2 or off > _MOST_OFF * guessed:
+        difference = (
+            f"FLASER has no directions of beams: readers assume that {count} readings begin at -90 degrees and are "
+            f"{math.degrees(guessed):.6g} degrees apart, those of this scan begin at {math.degrees(start):.6g} and "
+            f"are {math.degrees(step):.6g} apart"
+        )
+    elif (farthest := float(scan.ranges[scan.valid].max(initial=0))) >= _FLASER_LIMIT:
+        difference = f"a reading of {farthest:.6g} m: in FLASER, readings from {_FLASER_LIMIT:g} m on mean no return"
+    else:
+        readings = np.where(scan.valid, scan.ranges, np.float32(_FLASER_NONE))[order]
+        return " ".join(("FLASER", str(count), *_texts(readings)))
+    raise UsageError(
+        difference,
+        topic=scan.topic,
+        stamp_ns=scan.stamp_ns,
+        hint="`format=carmen` writes ROBOTLASER1, which has the directions and the maximum range",
+    )
+
+
+def _guess_step(count: int) -> float:
+    """Return the radians from one reading to the next, as readers of FLASER assume them."""
+    return math.radians(_GUESSED_DEGREES.get(count, 180 / max(count - 1, 1)))
+
+
+def _counterclockwise(scan: Scan) -> tuple[float, float, slice]:
+    """Return the first angle, the step, and the order of the beams, as CARMEN counts them."""
+    step = scan.angle_increment
+    if step >= 0:
+        return scan.angle_min, step, slice(None)
+    return scan.angle_min + (len(scan.ranges) - 1) * step, -step, slice(None, None, -1)
