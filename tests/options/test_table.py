@@ -81,7 +81,7 @@ def shown(command: str, how: str) -> set[str]:
 def test_the_short_help_has_what_people_use() -> None:
     short, long = shown("convert", "--help"), shown("convert", "--help-all")
     common = {option.spelling for option in options_of("convert").values() if option.common}
-    assert len(common) <= 20
+    assert len(common) <= 25
     assert short == {*common, "--help-all"} | (short & {"--output", "--help"})
     assert {options_of("convert")[name].spelling for name in RARE} & short == set()
     every = {option.spelling for option in options_of("convert").values()}

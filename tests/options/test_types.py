@@ -28,6 +28,8 @@ CALLS = {
     'pc2scan.batch("a/", "b/", min_height=0.1, jobs=2, dask=True, format="npz", pose_frame="odom")': "",
     'pc2scan.export("a", "b.npz", pose_frame="odom", min_height=0.1, format="npz")': "",
     'pc2scan.view("a", clouds=3, at=["1", 2.5], reduce="median").save("page.html")': "",
+    'pc2scan.scans("a", reduce="kth=3")': "",
+    'pc2scan.scans("a", reduce="kth")': 'Argument "reduce" to "scans" has incompatible type "Literal[\'kth\']"',
     'pc2scan.plot("a", "b.png", at=1, overwrite=True)': "",
     'pc2scan.map("a", resolution="5cm", min_height=0.1)': "",
     'pc2scan.check("a", consumers=["nav2"], tf_from="b")': "",

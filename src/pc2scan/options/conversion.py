@@ -148,6 +148,7 @@ class PointSelection(TypedDict, total=False):
         Option(
             Texts("BOX"),
             "Reject points in this box, such as the robot's own body: 'frame x0 x1 y0 y1 z0 z1' (m).",
+            common=True,
             makes="regions:ExcludeBox",
         ),
     ]
@@ -223,6 +224,7 @@ class TransformInputs(TransformTopics, total=False):
             "Use the poses of this topic as transforms: nav_msgs/Odometry, TransformStamped, PoseStamped or "
             "PoseWithCovarianceStamped. FRAME has the poses, if the messages do not name it or name a wrong one: "
             "/pose:base_link, or with both frames /pose:map:base_link.",
+            common=True,
             offers=("topics", "/Odometry", "/TransformStamped", "/PoseStamped", "/PoseWithCovarianceStamped"),
         ),
     ]
@@ -324,7 +326,6 @@ class RobotMotion(TypedDict, total=False):
             "Make scans in a frame without the roll and pitch of the target frame, which come from `fixed_frame` or "
             "`imu`. This frame has the target frame's name with _stabilized appended; its transforms are written to "
             "/tf.",
-            common=True,
         ),
     ]
     imu: Annotated[

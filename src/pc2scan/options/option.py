@@ -34,6 +34,21 @@ Period: TypeAlias = str | float | timedelta
 Tolerance: TypeAlias = float | Mapping[str, float]
 Progress: TypeAlias = Callable[..., object]
 Preset: TypeAlias = Literal["slam_toolbox", "cartographer", "gmapping", "amcl", "nav2", "mrpt"]
+Reduce: TypeAlias = Literal[
+    "min",
+    "max",
+    "mean",
+    "median",
+    "surface",
+    "kth=2",
+    "kth=3",
+    "kth=4",
+    "kth=5",
+    "kth=6",
+    "kth=7",
+    "kth=8",
+    "kth=9",
+]
 Storage: TypeAlias = Literal["mcap", "sqlite3"]
 Compression: TypeAlias = Literal["none", "lz4", "zstd", "bz2"]
 FileFormat: TypeAlias = Literal["npz", "csv", "tum", "carmen", "flaser", "pcd", "kitti"]

@@ -20,6 +20,7 @@ from .option import (
     Path,
     Preset,
     Quantity,
+    Reduce,
 )
 from .values import Count, Flag, Instance, Number, Outputs, PathName, Reduction, Text, Texts
 
@@ -54,9 +55,11 @@ class Projection(TypedDict, total=False):
     ]
     angle_min: Annotated[
         Quantity,
-        Parameter(Number("rad"), "Angle at which the scan begins; 0 is straight ahead, positive is to the left."),
+        Parameter(
+            Number("rad"), "Angle at which the scan begins; 0 is straight ahead, positive is to the left.", common=True
+        ),
     ]
-    angle_max: Annotated[Quantity, Parameter(Number("rad"), "Angle at which the scan ends.")]
+    angle_max: Annotated[Quantity, Parameter(Number("rad"), "Angle at which the scan ends.", common=True)]
     angle_increment: Annotated[Quantity, Parameter(Number("rad"), "Angle from one beam to the next.")]
     scan_time: Annotated[
         Quantity,
@@ -66,9 +69,11 @@ class Projection(TypedDict, total=False):
         ),
     ]
     range_min: Annotated[
-        Quantity, Parameter(Number("m"), "Shortest horizontal distance of the points used, inclusive.")
+        Quantity, Parameter(Number("m"), "Shortest horizontal distance of the points used, inclusive.", common=True)
     ]
-    range_max: Annotated[Quantity, Parameter(Number("m"), "Longest horizontal distance of the points used, inclusive.")]
+    range_max: Annotated[
+        Quantity, Parameter(Number("m"), "Longest horizontal distance of the points used, inclusive.", common=True)
+    ]
     use_inf: Annotated[
         bool,
         Parameter(
@@ -109,11 +114,10 @@ class Projection(TypedDict, total=False):
             Text(words=CHOICES["no_return"]),
             "Range of beams without a return. Default: set by `use_inf`.",
             panel=SLAM,
-            common=True,
         ),
     ]
     reduce: Annotated[
-        str,
+        Reduce,
         Parameter(
             Reduction(words=CHOICES["reduce"]),
             "What a beam's range is made of: its closest or farthest return, their mean or median, the closest "

@@ -87,6 +87,7 @@ class ThreadCount(TypedDict, total=False):
             default=0,
             default_text="number of cores",
             short="-j",
+            common=True,
         ),
     ]
 

@@ -63,7 +63,7 @@ class RemoveGround:
 
 @dataclass(frozen=True, slots=True)
 class MinHeightSlope:
-    """Rejects points below ``min_height + slope * hypot(x, y)`` in the scan's frame.
+    """Rejects points from ``min_height`` to ``min_height + slope * hypot(x, y)`` in the scan's frame.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ class MinHeightSlope:
     slope: float
 
     name = "min_height_slope"
-    explanation = "below min_height and `min_height_slope`"
+    explanation = "below `min_height_slope`"
     fields = ()
     frame = Frame.TARGET
 
@@ -106,8 +106,8 @@ class MinHeightSlope:
         return repr(self.slope)
 
     def __call__(self, points: Points) -> NDArray[np.bool_]:
-        """Return which points are not below the limit; see `pc2scan.request.filters.Filter`."""
+        """Return which points are outside of the wedge; see `pc2scan.request.filters.Filter`."""
         x, y, z = (axis.astype(np.float64) for axis in points.xyz())
         # NumPy's hypot takes ten times as long; squares of float32 cannot overflow in float64.
         below: NDArray[np.bool_] = z < self.min_height + self.slope * np.sqrt(x * x + y * y)
-        return ~below
+        return ~below | (z < self.min_height)

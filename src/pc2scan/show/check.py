@@ -209,7 +209,8 @@ class Check(Result):
             parts.append(counted(self.defects, "defect"))
         if not parts:
             return f"ok: accepted by {', '.join(self.counting)}"
-        return f"{'not ok' if self.exit_status else 'ok'}; {'; '.join(parts)}"
+        verdict = "not ok" if self.exit_status else "accepted" if self.defects else "ok"
+        return "; ".join((verdict, *parts))
 
     def __repr__(self) -> str:
         return f"<Check of {', '.join(map(repr, self.sources))}: {self._conclusion()}>"
