@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from itertools import accumulate
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -48,9 +47,9 @@ def transforms(needs: tuple[str, ...], placed: ScanTransforms) -> bool:
     return not any(getattr(placed, role) is False for role in needs)
 
 
-def worst(off: float, increment: float, least: float = 0.1) -> str:
+def worst(off: float, increment: float) -> str:
     share = off / abs(increment) if increment else (math.inf if off else 0.0)
-    if share <= least:
+    if share <= 0.1:
         return "accepted"
     return "shifted" if share <= 1.1 else "misplaced"
 
@@ -112,22 +111,7 @@ def cartographer(scan: ConsumerScan, _first: ConsumerScan | None, placed: ScanTr
     # AddRangeData: the second point is earlier than the pose that the first one was placed at.
     if hits > 1 and f(scan.time_increment) < f(0):
         return "misplaced"
-    found = infinite_hits(scan)
-    return found if found != "accepted" else added_up(scan)
-
-
-def added_up(scan: ConsumerScan) -> str:
-    """``float angle = msg.angle_min; ...; angle += msg.angle_increment;`` of Cartographer and of Nav2."""
-    off = drift(scan.angle_min, scan.angle_increment, scan.beams)
-    return worst(off, float(f(scan.angle_increment)), 0.5)
-
-
-@cache
-def drift(low: float, step: float, beams: int) -> float:
-    increment = f(step)
-    angles = list(accumulate(range(1, beams), lambda angle, _: angle + increment, initial=f(low)))
-    right = float(f(low)) + np.arange(beams) * float(increment)
-    return float(np.abs(np.array(angles[:beams], np.float64) - right).max(initial=0.0))
+    return infinite_hits(scan)
 
 
 def infinite_hits(scan: ConsumerScan) -> str:
@@ -186,19 +170,13 @@ def amcl(scan: ConsumerScan, _first: ConsumerScan | None, placed: ScanTransforms
     # addNewScanner: the laser's place is that of the first scan.
     if placed.moved > 0.1:
         return "misplaced"
-    # The angle of the second beam is a sum of floats; the yaws of both are doubles.
-    angle_min = float(f(scan.angle_min))
-    angle_increment = float(f(scan.angle_min) + f(scan.angle_increment)) - angle_min
-    angle_increment = math.fmod(angle_increment + 5 * math.pi, 2 * math.pi) - math.pi
-    between = math.remainder(angle_increment - float(f(scan.angle_increment)), 2 * math.pi)
-    return worst(abs(between) * max(0, scan.beams - 1), float(f(scan.angle_increment)), 0.5)
+    return "accepted"
 
 
 def nav2(scan: ConsumerScan, _first: ConsumerScan | None, placed: ScanTransforms) -> str:
     if not transforms(("robot",), placed):
         return "ignored"
-    found = infinite_hits(scan)
-    return found if found != "accepted" else added_up(scan)
+    return infinite_hits(scan)
 
 
 RULES: dict[str, Callable[[ConsumerScan, ConsumerScan | None, ScanTransforms], str]] = {

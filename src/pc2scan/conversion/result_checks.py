@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.advice.checks import Checks, found_by
 from pc2scan.advice.checks.clouds import NOTABLE_SHARE, notable_share
-from pc2scan.core.consumers import CONSUMERS, judge, refusal
+from pc2scan.core.consumers import CONSUMERS, judge
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import name_list, stamp_text
 from pc2scan.messages.laserscan import decode_laserscan, scan_for_consumers
@@ -161,7 +161,7 @@ def _refusal(data: Buffer, serialization: str, consumer: str = "") -> str:
         verdict = judge(consumer, scan)
         return "" if verdict.outcome == "accepted" else f"{consumer} {_DOES[verdict.outcome]}: {_explanation(verdict)}"
     scan = replace(scan, infinite=0, short=0)
-    verdicts = list(filter(None, (refusal(consumer, scan) for consumer in CONSUMERS)))
+    verdicts = [verdict for name in CONSUMERS if (verdict := judge(name, scan)).refused]
     if not verdicts:
         return ""
     first = verdicts[0]

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import numpy as np
 
 from .layout import float32
 from .params import range_max_minus
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
 Outcome = Literal["accepted", "shifted", "misplaced", "ignored", "aborts"]
@@ -71,52 +72,25 @@ class ConsumerScan:
     full: int = 0
 
     def __post_init__(self) -> None:
-        for name in (
-            "angle_min",
-            "angle_max",
-            "angle_increment",
-            "range_min",
-            "range_max",
-            "scan_time",
-            "time_increment",
-        ):
+        floats = ("angle_min", "angle_max", "angle_increment", "range_min", "range_max", "scan_time", "time_increment")
+        for name in floats:
             object.__setattr__(self, name, float32(getattr(self, name)))
 
     @classmethod
-    def of(
-        cls,
-        ranges: NDArray[np.float32],
-        *,
-        angle_min: float,
-        angle_max: float,
-        angle_increment: float,
-        range_min: float,
-        range_max: float,
-        scan_time: float = 0.0,
-        time_increment: float = 0.0,
-        intensities: int = 0,
-    ) -> ConsumerScan:
+    def of(cls, ranges: NDArray[np.float32], **header: Any) -> ConsumerScan:
         """Count the values of the ranges, float32, shape (beams,), metres; the other parameters as in the class."""
-        infinite = int((ranges == math.inf).sum())
-        nan = int((ranges != ranges).sum())  # noqa: PLR0124  # NaN is what does not equal itself
-        low, high = float32(range_min), float32(range_max)
+        low, high = float32(header["range_min"]), float32(header["range_max"])
+        full = (ranges == high) | (ranges == range_max_minus(high))
         return cls(
-            angle_min=angle_min,
-            angle_max=angle_max,
-            angle_increment=angle_increment,
-            range_min=range_min,
-            range_max=range_max,
-            scan_time=scan_time,
-            time_increment=time_increment,
+            **header,
             beams=len(ranges),
-            intensities=intensities,
             returns=int(are_returns(ranges, low, high).sum()),
-            infinite=infinite,
-            nan=nan,
+            infinite=int((ranges == math.inf).sum()),
+            nan=int(np.isnan(ranges).sum()),
             zero=int((ranges == 0).sum()),
             short=int((ranges < low).sum()),
             long=int(((ranges > high) & (ranges < math.inf)).sum()),
-            full=int(((ranges == high) | (ranges == range_max_minus(high))).sum()) if 0 < high < math.inf else 0,
+            full=int(full.sum()) if 0 < high < math.inf else 0,
         )
 
 

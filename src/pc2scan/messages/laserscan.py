@@ -179,14 +179,6 @@ def as_message(scan: LaserScan, serialization: str) -> LaserScan:
 
 def scan_for_consumers(message: LaserScan) -> ConsumerScan:
     """Return a decoded scan in the form that the consumers' rules need."""
-    return ConsumerScan.of(
-        message.ranges,
-        angle_min=message.angle_min,
-        angle_max=message.angle_max,
-        angle_increment=message.angle_increment,
-        range_min=message.range_min,
-        range_max=message.range_max,
-        scan_time=message.scan_time,
-        time_increment=message.time_increment,
-        intensities=len(message.intensities),
-    )
+    names = ("angle_min", "angle_max", "angle_increment", "range_min", "range_max", "scan_time", "time_increment")
+    header = {name: getattr(message, name) for name in names}
+    return ConsumerScan.of(message.ranges, **header, intensities=len(message.intensities))
