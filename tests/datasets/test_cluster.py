@@ -162,7 +162,6 @@ KILLER = """
 import os
 import shutil
 import signal
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -180,11 +179,10 @@ class Killer:
     def __call__(self, points):
         x, _, _ = points.xyz()
         if x.size == 13:
-            os.kill(os.getppid(), signal.SIGKILL)
-            time.sleep(30)
+            os.kill(os.getpid(), signal.SIGKILL)
         if x.size == 14 and not os.path.exists(MARK):
             open(MARK, "w").close()
-            os.kill(os.getppid(), signal.SIGKILL)
+            os.kill(os.getpid(), signal.SIGKILL)
         return np.ones(x.shape, bool)
 """
 

@@ -12,7 +12,7 @@ from unittest.mock import patch
 import pytest
 
 import pc2scan
-from pc2scan.datasets.jobs import Event, convert_one
+from pc2scan.datasets.jobs import convert_one
 from pc2scan.errors import OutputError
 from support import sampled
 from support.batches import KEYWORDS, batch, contents, manifest_of, place
@@ -117,11 +117,11 @@ class World:
         before = contents(self.out)
         begun: list[str] = []
 
-        def killed(jobs: Any, **_: object) -> Iterator[Event]:
+        def killed(jobs: Any, **_: object) -> Iterator[ManifestRecord]:
             begun.append(jobs[0].key)
-            yield Event("begun", jobs[0].key)
             convert_one(jobs[0])
             raise KeyboardInterrupt
+            yield
 
         if kind == "killed" and "convert" in expected.values():
             with patch("pc2scan.datasets.run.run_jobs", killed), pytest.raises(KeyboardInterrupt):
@@ -219,10 +219,9 @@ def test_a_result_whose_line_cannot_be_written_is_known(tmp_path: Path) -> None:
     drives, out = place(tmp_path / "drives", "a.bag"), tmp_path / "out"
 
     def execute(jobs: Any, **_: object) -> Iterator[Any]:
-        yield Event("begun", jobs[0].key)
         done = convert_one(jobs[0])
         (out / "manifest.jsonl").mkdir()
-        yield Event("done", jobs[0].key, done)
+        yield done
 
     with (
         patch("pc2scan.datasets.run.run_jobs", execute),
@@ -238,9 +237,9 @@ def test_a_result_that_is_edited_between_plan_and_turn_stays(tmp_path: Path) -> 
     source, result = place(tmp_path / "in", "a.bag"), tmp_path / "out" / "a_scan.bag"
     batch(source, tmp_path / "out")
 
-    def edit_and_convert(job: Job, *more: Any) -> ManifestRecord:
+    def edit_and_convert(job: Job) -> ManifestRecord:
         result.write_bytes(b"edited")
-        return convert_one(job, *more)
+        return convert_one(job)
 
     with patch("support.batches.convert_one", edit_and_convert):
         (failed,) = batch(source, tmp_path / "out", beams=90).outcomes

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
 import pc2scan
-from pc2scan.datasets.jobs import Event, convert_one
+from pc2scan.datasets.jobs import convert_one
 from support.builders import CONTENT, write_db3, write_mcap, write_rosbag1, write_rosbag2
 from support.command import Finished, run
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator, Sequence
 
     from pc2scan.datasets.jobs import Job
+    from pc2scan.datasets.manifest import ManifestRecord
     from pc2scan.datasets.summary import BatchReport
 
 __all__ = ["HEIGHTS", "KEYWORDS", "batch", "contents", "in_this_process", "manifest_of", "place", "run_batch"]
@@ -30,12 +31,11 @@ HEIGHTS = ("--min-height", "-2", "--max-height", "2")
 KEYWORDS: dict[str, Any] = {"min_height": -2, "max_height": 2}
 
 
-def _execute(waiting: Sequence[Job], jobs: list[str], **_: object) -> Generator[Event]:
+def _execute(waiting: Sequence[Job], jobs: list[str], **_: object) -> Generator[ManifestRecord]:
     """Run jobs one after the other."""
     for job in waiting:
         jobs.append(job.key)
-        yield Event("begun", job.key)
-        yield Event("done", job.key, convert_one(job))
+        yield convert_one(job)
 
 
 @contextmanager

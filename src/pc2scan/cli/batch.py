@@ -10,7 +10,7 @@ from pc2scan.files.urls import path_or_url
 from pc2scan.options.call import Options
 from pc2scan.text import counted, size
 
-from .render import as_typed, limit_width, progress_bar, say, show, warn
+from .render import as_typed, limit_width, progress_bar, say, show
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -31,8 +31,6 @@ def batch(sources: list[str], destination: str, *, options: Options) -> int:
             progress=progress,
             done=lambda outcome: _show_outcome(outcome, hints, quiet=quiet, dry_run=options.dry_run),
             shown=_show_text if verbose and not quiet else None,
-            warn=warn,
-            inform=lambda text: None if quiet else say(as_typed(text), err=True),
         )
         try:
             out, how = path_or_url(destination), BatchOptions.of(options)

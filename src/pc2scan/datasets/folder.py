@@ -110,7 +110,6 @@ class BatchFolder:
         self._lines = data[: self._whole] if isinstance(path, UrlPath) else b""
         self._next_push = 0.0
         self._file: BinaryIO | None = None
-        self._begun: set[str] = set()
         self._ended: set[str] = set()
 
     def _read_manifest(self) -> bytes:
@@ -197,19 +196,14 @@ class BatchFolder:
                 if first_link(self.path, folder) is None:
                     with suppress(OSError):
                         (self.path / folder).rmdir()
-            # What is new was made by this run, even if nothing was heard of its beginning.
-            known = (self._noted.outputs | self._begun | known) - self._ended
+            # What is new was made by this run.
+            known = (self._noted.outputs | known) - self._ended
             # A note that stays names outputs that the manifest has.
             with suppress(OutputError, OSError):
                 if left := self._unrecorded(known) if known else known:
                     self._write_note(left)
                 elif outputs or self._stored is None or _UNFINISHED in self._stored:
                     (self.path / _UNFINISHED).unlink(missing_ok=True)
-
-    def begin(self, output: str) -> None:
-        """Remember that an output is being written; until it is appended, it is unfinished."""
-        self._begun.add(output)
-        self._ended.discard(output)
 
     def _write_note(self, outputs: Iterable[str], folders: Iterable[str] = ()) -> None:
         """Note what a run is going to write.

@@ -12,7 +12,7 @@ from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, 
 from datetime import datetime, timezone
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from pc2scan.bags.opening import open_recordings
 from pc2scan.conversion.run import run
@@ -32,7 +32,7 @@ from pc2scan.result import json_value
 from .manifest import NO_CLOUDS, Identity, ManifestRecord, identity_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Sequence
+    from collections.abc import Generator, Sequence
 
     from pc2scan.bags.damage import Damage
     from pc2scan.conversion.report import Report
@@ -165,34 +165,13 @@ def _default_of(attribute: Field[Any]) -> Any:
 # --- Jobs ---
 
 
-class Event(NamedTuple):
-    """What happens while jobs run.
-
-    Attributes
-    ----------
-    what
-        ``begun``; ``progress``: ``value`` is the work that is done, and the work in all; ``died``: the process that
-        converted the recording has died, it is tried again, and ``value`` says why; ``done``: ``value`` is the line of
-        the manifest; ``workers``: ``value`` is how many recordings are converted at a time, if the executor decides it;
-        ``told``: ``value`` is information for the user, such as the address of a dashboard; ``idle``: nothing.
-    key
-        The name of the recording; empty if it is about none.
-    value
-        See ``what``.
-    """
-
-    what: str
-    key: str = ""
-    value: Any = None
-
-
 class Executor(Protocol):
-    """Runs jobs, and yields events, ``done`` once for each job.
+    """Runs jobs, and yields a line of the manifest for each as it ends.
 
     Closing the generator interrupts the jobs and removes their unfinished outputs.
     """
 
-    def __call__(self, jobs: Sequence[Job], *, workers: int, cores: int, lock: int | None) -> Generator[Event]:
+    def __call__(self, jobs: Sequence[Job], *, workers: int, lock: int | None) -> Generator[ManifestRecord]:
         """Run jobs.
 
         Parameters
@@ -201,8 +180,6 @@ class Executor(Protocol):
             In the order in which they begin.
         workers
             How many recordings are converted at a time.
-        cores
-            The number of threads of all conversions together.
         lock
             The file descriptor of a lock that the processes on this machine hold until they end.
         """
@@ -256,6 +233,11 @@ class Job:
     shown: bool = False
     scratch: str | None = None
 
+    @property
+    def is_new(self) -> bool:
+        """Whether the plan found no output."""
+        return self.there is not None and not self.there.files
+
     def retried(self) -> Job:
         """Return the job for another attempt: one that died may have completed the output, which may be replaced."""
         return replace(self, owned=self.owned or frozenset(), there=None)
@@ -294,21 +276,15 @@ def _utc_now() -> str:
     return datetime.now(timezone.utc).isoformat(timespec="milliseconds")
 
 
-def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = None) -> ManifestRecord:
-    """Convert a recording, and return its line of the manifest. Errors do not raise; they are part of the line.
-
-    Parameters
-    ----------
-    progress
-        See `pc2scan.convert`.
-    """
+def convert_one(job: Job) -> ManifestRecord:
+    """Convert a recording, and return its line of the manifest. Errors do not raise; they are part of the line."""
     began = time.monotonic()
     sources, destination = [path_or_url(path) for path in job.sources], path_or_url(job.destination)
     known: dict[str, Any] = {"identity": Identity(), "started": _utc_now()}
     try:
         known["identity"] = identity_of(sources)
         with copying_to(Path(job.scratch) if job.scratch else None):
-            done = _run_job(job, sources, destination, progress)
+            done = _run_job(job, sources, destination)
         report, status = done.as_dict(), done.exit_status
         record = job.record(
             outcome=_OUTCOMES.get(status, "failed"),
@@ -334,9 +310,7 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
     return replace(record, seconds=round(time.monotonic() - began, 3))
 
 
-def _run_job(
-    job: Job, sources: list[Path], destination: Path, progress: Callable[[int, int, int], None] | None
-) -> Report | ExportReport:
+def _run_job(job: Job, sources: list[Path], destination: Path) -> Report | ExportReport:
     """Convert or export; raises the errors of that."""
     request = job.request
     if job.there and job.there.files and not request.output.overwrite and not isinstance(destination, UrlPath):
@@ -358,10 +332,9 @@ def _run_job(
             also_read=request.files,
             # The batch says them once; here they count if they are errors.
             warnings=request.notes if options.fail_on == "warning" else (),
-            progress=progress,
         )
     form = replace(request.export, overwrite=request.output.overwrite, owned=job.owned)
-    return export(sources, destination, options, form, in_folder=True, also_read=request.files, progress=progress)
+    return export(sources, destination, options, form, in_folder=True, also_read=request.files)
 
 
 def _inspect_export(job: Job, sources: list[Path]) -> ExportReport:

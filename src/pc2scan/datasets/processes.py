@@ -1,9 +1,8 @@
-"""An executor: runs jobs in worker processes on this machine, and yields events.
+"""Converts the recordings of a batch in processes of this machine.
 
-A worker is a new interpreter that does not import the parent's program, so that a notebook, or a script without
-``if __name__ == "__main__"``, can start it. It converts one recording after the other until its standard input ends,
-which the parent closes, or which ends when the parent dies. Then the conversion is interrupted, its unfinished output
-is removed, and the process ends. A message between the two is a pickled object.
+A process is a new interpreter that does not import the caller's program, so that a notebook, or a script without ``if
+__name__ == "__main__"``, can start it. A thread gives it one recording after the other. When its standard input ends,
+because the batch ends or was killed, its conversion is interrupted, and removes what it has begun.
 """
 
 from __future__ import annotations
@@ -14,237 +13,150 @@ import pickle
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import time
-from collections import Counter, deque
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any
+from queue import SimpleQueue
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from pc2scan.errors import OutputError, Pc2ScanError
 from pc2scan.files.staging import clean_up
 from pc2scan.files.urls import path_or_url
-from pc2scan.version import __version__
+from pc2scan.threads import cores
 
-from .jobs import Event, Job, convert_one
+from .jobs import convert_one
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Sequence
-    from types import FrameType
-    from typing import BinaryIO
 
-#: Seconds that an interrupted worker has to remove its unfinished output, and after which it ends in any case.
+    from .jobs import Job
+    from .manifest import ManifestRecord
+
+#: Seconds that an interrupted process has to remove its unfinished output.
 _END_SECONDS = 12.0
-_SURE_END_SECONDS = 10.0
 
-#: The program of a worker.
-_PROGRAM = f"import json, sys; sys.path[:] = json.loads(sys.argv[1]); from {__name__} import serve_jobs; serve_jobs()"
+#: The program of a process.
+_PROGRAM = f"import json, sys; sys.path[:] = json.loads(sys.argv[1]); from {__name__} import serve; serve()"
 
-#: If more workers than this die before they begin, the batch fails.
-_MAX_STILLBORN = 3
-
-#: Seconds after which an event is yielded even if nothing happens; seconds between two messages about progress.
-_IDLE_SECONDS = 0.5
-_PROGRESS_SECONDS = 0.1
-
-#: Characters of a dead worker's standard error that are read; the last line is reported.
-_SAID = 2_000
-
-#: Memory that is counted for a worker. A conversion with one thread takes less, unless chunks or clouds are very large.
-_WORKER_BYTES = 300_000_000
+#: Memory that is counted for a process. A conversion with one thread takes less, unless clouds are very large.
+_PROCESS_BYTES = 300_000_000
 
 
-@dataclass(slots=True)
-class _Worker:
-    """A worker process and its current job."""
+def run_jobs(jobs: Sequence[Job], *, workers: int, lock: int | None = None) -> Generator[ManifestRecord]:
+    """Convert recordings, and yield their lines of the manifest as they end; see `pc2scan.datasets.jobs.Executor`.
 
-    process: subprocess.Popen[bytes]
-    said: Any
-    job: Job | None = None
-    began: float = 0.0
-    ready: bool = False
+    A recording whose process died is tried once more at the end, when no other is converted.
+    """
+    processes = _Processes(workers, len(jobs), lock)
+    threads = ThreadPoolExecutor(workers)
+    died = []
+    try:
+        by_key = {job.key: job for job in jobs}
+        for future in as_completed([threads.submit(processes.convert, job) for job in jobs]):
+            record = future.result()
+            if record.outcome == "died":
+                died.append(by_key[record.key])
+            else:
+                yield record
+        for job in died:
+            yield replace(threads.submit(processes.convert, job.retried(), 1).result(), attempts=2)
+    finally:
+        processes.close()
+        threads.shutdown(cancel_futures=True)
 
-    def give(self, job: Job) -> None:
-        """Send a job. If the process is dead, the thread that reads its answers reports it."""
-        self.job, self.began = job, time.monotonic()
+
+class _Processes:
+    """The processes, one for each thread that asks; one that died is replaced."""
+
+    def __init__(self, count: int, jobs: int, lock: int | None) -> None:
+        self._count, self._left, self._lock = count, jobs, lock
+        self._own = threading.local()
+        self._guard = threading.Lock()
+        self._started: list[subprocess.Popen[bytes]] = []
+        self._busy: dict[str, Job] = {}
+        self._is_closed = False
+
+    def convert(self, job: Job, threads: int = 0) -> ManifestRecord:
+        """Convert a recording in the process of this thread, with the threads that the other processes leave."""
+        began = time.monotonic()
+        with self._guard:
+            threads = threads or max(1, cores() // max(1, min(self._count, self._left)))
+            process = self._process()
+            self._busy[job.key] = job
         try:
-            send(_pipe(self.process.stdin), job)
-        except OSError:
-            pass
+            _send(process.stdin, replace(job, threads=threads))
+            record = _receive(process.stdout)
+        except (EOFError, OSError):
+            self._own.process = None
+            with suppress(Pc2ScanError):
+                clean_up(path_or_url(job.destination))
+            return job.death(_end_of(process), attempts=1, seconds=round(time.monotonic() - began, 3))
         except (pickle.PicklingError, AttributeError, TypeError) as err:
             raise _unsendable(err) from err
+        finally:
+            with self._guard:
+                self._left -= 1
+        del self._busy[job.key]
+        if isinstance(record, str):
+            raise _unsendable(record)
+        done: ManifestRecord = record
+        return done
 
-    def ended(self) -> str:
-        """Wait for the end of a process that has closed its pipe; return how it ended, as text."""
-        code = self.process.wait()
-        self.said.seek(0, os.SEEK_END)
-        self.said.seek(max(0, self.said.tell() - _SAID))
-        said = self.said.read().decode("utf-8", "replace").strip()
-        self.close()
-        how = f"ended with status {code}"
-        if code < 0:
-            name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
-            how = f"was killed by {name}" + (", perhaps because memory ran out" if name == "SIGKILL" else "")
-        return f"the process that converted it {how}{f': {said.splitlines()[-1]}' if said else ''}"
-
-    def close(self) -> None:
-        """Release its pipes."""
-        for stream in (self.process.stdin, self.process.stdout, self.said):
-            with suppress(OSError):
-                _pipe(stream).close()
-
-
-@dataclass(slots=True)
-class Pool:
-    """The workers and their messages; None at the end of a worker."""
-
-    lock: int | None = None
-    workers: list[_Worker] = field(default_factory=list)
-    inbox: SimpleQueue[tuple[_Worker, Any]] = field(default_factory=SimpleQueue)
-
-    @property
-    def is_ready(self) -> bool:
-        """Whether there are workers, and all of them wait for a job."""
-        return bool(self.workers) and all(
-            worker.job is None and worker.ready and worker.process.poll() is None for worker in self.workers
-        )
-
-    @property
-    def busy(self) -> int:
-        """How many workers have a job."""
-        return sum(worker.job is not None for worker in self.workers)
-
-    def add(self) -> None:
-        """Start a worker."""
-        said = tempfile.TemporaryFile()  # noqa: SIM115  # closed with the worker
-        # The worker gets the same import path as this process.
-        paths = json.dumps([path or os.getcwd() for path in sys.path])  # noqa: PTH109
-        try:
-            process = subprocess.Popen(  # noqa: S603  # this interpreter, and text of our own
-                [sys.executable, "-c", _PROGRAM, paths],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=said,
-                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-                # Workers inherit the lock: it is held until the last of them has ended, even if the parent was killed.
-                pass_fds=() if self.lock is None or os.name == "nt" else (self.lock,),
-            )
-        except OSError as err:
-            said.close()
-            raise OutputError(f"no worker process can be started: {err.strerror}") from err
-        worker = _Worker(process, said)
-        self.workers.append(worker)
-        threading.Thread(target=self._read, args=(worker,), daemon=True).start()
-
-    def _read(self, worker: _Worker) -> None:
-        stream = _pipe(worker.process.stdout)
-        try:
-            while True:
-                self.inbox.put((worker, receive(stream)))
-        except (EOFError, OSError, ValueError):
-            self.inbox.put((worker, None))
-        except Exception as err:  # noqa: BLE001  # a result that this process cannot read must not be waited for
-            self.inbox.put((worker, ("unreadable", f"{type(err).__name__}: {err}")))
+    def _process(self) -> subprocess.Popen[bytes]:
+        """Return the process of this thread; start one if there is none."""
+        process: subprocess.Popen[bytes] | None = getattr(self._own, "process", None)
+        if self._is_closed:
+            raise KeyboardInterrupt
+        if process is None:
+            # The same import path as here.
+            paths = json.dumps([path or os.getcwd() for path in sys.path])  # noqa: PTH109
+            try:
+                process = self._own.process = subprocess.Popen(  # noqa: S603  # this interpreter, and text of our own
+                    [sys.executable, "-c", _PROGRAM, paths],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+                    # A terminal sends Ctrl-C, and its end, to a whole session: they are for the batch.
+                    start_new_session=True,
+                    # It inherits the lock, which is held until it has ended, even if the batch was killed.
+                    pass_fds=() if self._lock is None or os.name == "nt" else (self._lock,),
+                )
+            except OSError as err:
+                raise OutputError(f"no worker process can be started: {err.strerror}") from err
+            self._started.append(process)
+        return process
 
     def close(self) -> None:
-        """Interrupt all workers and wait for their end; their unfinished outputs are removed."""
-        for worker in self.workers:
+        """Interrupt all processes, wait for their end, and remove what is left of unfinished outputs."""
+        with self._guard:
+            self._is_closed = True
+        for process in self._started:
             with suppress(OSError):
-                _pipe(worker.process.stdin).close()
+                process.stdin.close()  # type: ignore[union-attr]
         deadline = time.monotonic() + _END_SECONDS
-        for worker in self.workers:
+        for process in self._started:
             try:
-                worker.process.wait(max(0.1, deadline - time.monotonic()))
+                process.wait(max(0.1, deadline - time.monotonic()))
             except subprocess.TimeoutExpired:
-                worker.process.kill()
-                worker.process.wait()
-            worker.close()
-            if worker.job is not None:
-                with suppress(Pc2ScanError):
-                    clean_up(path_or_url(worker.job.destination))
+                process.kill()
+                process.wait()
+            process.stdout.close()  # type: ignore[union-attr]
+        for job in list(self._busy.values()):
+            with suppress(Pc2ScanError):
+                clean_up(path_or_url(job.destination))
 
 
-def run_jobs(
-    jobs: Sequence[Job],
-    *,
-    workers: int,
-    cores: int,
-    retries: int = 1,
-    lock: int | None = None,
-    pool: Pool | None = None,
-) -> Generator[Event]:
-    """Run jobs in worker processes; see `pc2scan.datasets.jobs.Executor`.
-
-    The last recordings get the threads of idle workers. A recording whose process died is tried ``retries`` times more,
-    by a single thread. The workers of a ``pool`` that is given stay for the next jobs if all of these are done.
-    """
-    stays = pool is not None
-    pending = deque(jobs)
-    attempts: Counter[str] = Counter()
-    pool = Pool(lock) if pool is None else pool
-    stillborn = 0
-    try:
-        while pending or pool.busy:
-            yield from _begin(pending, attempts, pool, workers, cores)
-            try:
-                worker, message = pool.inbox.get(timeout=_IDLE_SECONDS)
-            except Empty:
-                yield Event("idle")
-                continue
-            job = worker.job
-            match message:
-                case None:
-                    why = worker.ended()
-                    pool.workers.remove(worker)
-                    stillborn += not worker.ready
-                    if stillborn > _MAX_STILLBORN:
-                        raise Pc2ScanError(f"no worker process can be started: {why}")
-                    if job is None:
-                        continue
-                    if not worker.ready:
-                        attempts[job.key] -= 1
-                        pending.appendleft(job)
-                        continue
-                    with suppress(Pc2ScanError):
-                        clean_up(path_or_url(job.destination))
-                    tried = attempts[job.key]
-                    if tried <= retries:
-                        pending.append(job.retried())
-                        yield Event("died", job.key, why)
-                    else:
-                        seconds = round(time.monotonic() - worker.began, 3)
-                        yield Event("done", job.key, job.death(why, attempts=tried, seconds=seconds))
-                case ("ready", str(version)):
-                    worker.ready = True
-                    if version != __version__:
-                        raise Pc2ScanError(f"a worker process has pc2scan {version}, this is {__version__}")
-                case ("progress", work) if job is not None:
-                    yield Event("progress", job.key, work)
-                case ("done", record):
-                    worker.job = None
-                    # Workers get their next jobs before the manifest is written, which waits for the disk.
-                    yield from _begin(pending, attempts, pool, workers, cores)
-                    yield Event("done", record.key, replace(record, attempts=attempts[record.key]))
-                case ("unreadable", why):
-                    raise _unsendable(why)
-    finally:
-        if not stays or not pool.is_ready:
-            pool.close()
-
-
-def _begin(pending: deque[Job], attempts: Counter[str], pool: Pool, workers: int, cores: int) -> Generator[Event]:
-    """Give jobs to workers that have none; start workers if there are too few."""
-    for _ in range(min(workers, pool.busy + len(pending)) - len(pool.workers)):
-        pool.add()
-    for worker in [worker for worker in pool.workers if worker.job is None][: len(pending)]:
-        job = pending.popleft()
-        attempts[job.key] += 1
-        threads = 1 if attempts[job.key] > 1 else max(1, cores // min(workers, pool.busy + len(pending) + 1))
-        worker.give(replace(job, threads=threads))
-        yield Event("begun", job.key)
+def _end_of(process: subprocess.Popen[bytes]) -> str:
+    """Return how a process ended that has closed its pipe, as text."""
+    code = process.wait()
+    how = f"ended with status {code}"
+    if code < 0:
+        name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
+        how = f"was killed by {name}" + (", perhaps because memory ran out" if name == "SIGKILL" else "")
+    return f"the process that converted it {how}"
 
 
 def _unsendable(why: object) -> Pc2ScanError:
@@ -254,129 +166,53 @@ def _unsendable(why: object) -> Pc2ScanError:
     )
 
 
-def _pipe(stream: Any) -> BinaryIO:
-    assert stream is not None
-    pipe: BinaryIO = stream
-    return pipe
-
-
-# --- In the worker ---
-
-
-class _Server:
-    """A worker: converts the jobs that the parent sends, and ends when its input ends."""
-
-    def __init__(self, stream: BinaryIO, answers: BinaryIO) -> None:
-        self._stream = stream
-        self._answers = answers
-        self._jobs: SimpleQueue[Any] = SimpleQueue()
-        self._ends = False
-        self._last = 0.0
-        # A terminal sends Ctrl-C, and its end, to all of its processes. They are ignored here: the parent handles them.
-        signal.signal(signal.SIGINT, self._interrupted)
-        if hasattr(signal, "SIGHUP"):
-            signal.signal(signal.SIGHUP, signal.SIG_IGN)
-        if hasattr(signal, "pthread_sigmask"):
-            # Workers of a Dask cluster on this machine block the signal.
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-        threading.Thread(target=self._receive, daemon=True).start()
-
-    def serve(self) -> None:
-        """Convert one recording after the other."""
-        send(self._answers, ("ready", __version__))
-        while (job := self._jobs.get()) is not None:
-            if isinstance(job, Exception):
-                send(self._answers, ("unreadable", f"{type(job).__name__}: {job}"))
-                return
-            send(self._answers, ("done", convert_one(job, self._progress)))
-
-    def _receive(self) -> None:
-        """Receive jobs; at the end of the input, interrupt the conversion."""
-        try:
-            while True:
-                self._jobs.put(receive(self._stream))
-        except (EOFError, OSError):
-            self._jobs.put(None)
-        except Exception as err:  # noqa: BLE001  # a class that this process cannot import
-            self._jobs.put(err)
-            return
-        self._ends = True
-        watch = threading.Timer(_SURE_END_SECONDS, os._exit, (1,))
-        watch.daemon = True
-        watch.start()
-        if hasattr(signal, "pthread_kill"):
-            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
-
-    def _interrupted(self, _number: int, _frame: FrameType | None) -> None:
-        if self._ends:
-            raise KeyboardInterrupt
-
-    def _progress(self, done: int, total: int, _messages: int) -> None:
-        """Send the progress of a conversion to the parent from time to time."""
-        now = time.monotonic()
-        if now - self._last >= _PROGRESS_SECONDS:
-            self._last = now
-            send(self._answers, ("progress", (done, total)))
-
-
-def serve_jobs() -> None:
-    """Convert the jobs that the parent sends, then end this process."""
-    # Answers use a copy of standard output. What libraries print goes to standard error, so it cannot mix with them.
+def serve() -> None:
+    """Convert the recordings that standard input names, one after the other; then end this process."""
+    # Answers use a copy of standard output, so that nothing which libraries print mixes with them.
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    try:
-        server = _Server(sys.stdin.buffer, answers)
-        server.serve()
-    except (KeyboardInterrupt, BrokenPipeError):
-        # The parent has ended, or has interrupted the conversion.
-        pass
-    # Does not wait for threads: their work is not needed any more, and all output is complete or removed.
+    jobs: SimpleQueue[Any] = SimpleQueue()
+    threading.Thread(target=_listen, args=(jobs,), daemon=True).start()
+    with suppress(KeyboardInterrupt, BrokenPipeError):
+        while (job := jobs.get()) is not None:
+            _send(answers, job if isinstance(job, str) else convert_one(job))
+    # Does not wait for threads: all output is complete or removed.
     os._exit(0)
 
 
-def send(stream: BinaryIO, message: object) -> None:
-    """Write a message.
+def _listen(jobs: SimpleQueue[Any]) -> None:
+    """Receive jobs; when there are no more, interrupt the conversion."""
+    while True:
+        try:
+            jobs.put(_receive(sys.stdin.buffer))
+        except EOFError:
+            break
+        except Exception as err:  # noqa: BLE001  # a class that this process cannot import
+            jobs.put(f"{type(err).__name__}: {err}")
+    jobs.put(None)
+    if hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
 
-    Raises
-    ------
-    OSError
-        If the other process has closed the pipe.
-    """
-    stream.write(pickle.dumps(message))
+
+def _send(stream: Any, message: object) -> None:
+    data = pickle.dumps(message)
+    stream.write(len(data).to_bytes(8, "little") + data)
     stream.flush()
 
 
-def receive(stream: BinaryIO) -> Any:
-    """Read a message.
-
-    Raises
-    ------
-    EOFError
-        If the other process has ended, or died while it wrote a message.
-    """
-    try:
-        # Safe: the data comes from a process that this program started, through a pipe that no other process has.
-        return pickle.load(stream)  # noqa: S301
-    except pickle.UnpicklingError as err:
-        raise EOFError from err
-
-
-# --- How many at a time ---
+def _receive(stream: BinaryIO | Any) -> Any:
+    """Read a message; raises EOFError if the other process has ended."""
+    size = int.from_bytes(stream.read(8), "little")
+    data = stream.read(size)
+    if not size or len(data) < size:
+        raise EOFError
+    # Safe: it comes from a process of this program, through a pipe that no other process has.
+    return pickle.loads(data)  # noqa: S301
 
 
 def workers_for(count: int, cores: int, available: int | None) -> int:
-    """Return the number of worker processes for a number of recordings.
-
-    Parameters
-    ----------
-    count
-        Number of recordings.
-    cores
-        Number of processor cores.
-    available
-        Free memory in bytes; None if unknown.
-    """
-    room = cores if available is None else available // _WORKER_BYTES
+    """Return the number of processes for a number of recordings, given the free memory in bytes, if it is known."""
+    room = cores if available is None else available // _PROCESS_BYTES
     return max(1, min(count, cores, room))
 
 

@@ -18,6 +18,7 @@ from pc2scan.files.system import copying_to, is_full
 from pc2scan.files.text_output import check_text_output, text_output
 from pc2scan.files.transfers import refuse_without_room
 from pc2scan.files.urls import UrlPath, absolute, is_url
+from pc2scan.result import BEGINNING
 from pc2scan.text import counted
 from pc2scan.threads import cores
 
@@ -29,10 +30,10 @@ from .jobs import Job
 from .manifest import MANIFEST
 from .plan import have_same_outcome, make_plan
 from .processes import available_bytes, run_jobs, workers_for
-from .summary import BEGINNINGS, BatchReport, Outcome, report_text
+from .summary import BatchReport, Outcome
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from os import PathLike
 
     from pc2scan.options.call import Options
@@ -60,7 +61,7 @@ class BatchOptions:
     dask
         The address of a Dask scheduler whose workers convert; True: a Dask cluster is started on this machine.
     report
-        A file for the report: ``.json``, ``.csv`` or ``.md``; None for none.
+        A file for the report, as JSON; None for none.
     scratch
         The folder for local copies of what is at URLs; None: the system's folder for temporary files.
     """
@@ -83,10 +84,6 @@ class BatchOptions:
             raise UsageError(f"`dask={self.dask}`: the address of a scheduler is tcp://HOST:PORT")
         if isinstance(self.dask, str) and self.jobs:
             raise UsageError(f"`jobs={self.jobs}` has no effect with `dask={self.dask}`", hint="give only one of them")
-        if self.report is not None and self.report.suffix.lower() not in BEGINNINGS:
-            raise UsageError(
-                f"`report={self.report}`: a report of a batch is one of {', '.join('NAME' + end for end in BEGINNINGS)}"
-            )
 
 
 class BatchProgress(NamedTuple):
@@ -116,18 +113,12 @@ class BatchCallbacks:
         Called with the outcome of each recording.
     shown
         Called with the report of each conversion as text; None: no such text is made.
-    warn
-        Called with warnings that the user should see at once.
-    inform
-        Called with information for the user, such as the address of a dashboard.
     """
 
     planned: Callable[[BatchPlan], None] = _ignore
     progress: Callable[[BatchProgress], None] = _ignore
     done: Callable[[Outcome], None] = _ignore
     shown: Callable[[str], None] | None = None
-    warn: Callable[[str], None] = _ignore
-    inform: Callable[[str], None] = _ignore
 
 
 def run_batch(
@@ -183,23 +174,12 @@ def run_batch(
             outcomes=[batch.outcomes.get(step.found.key) or Outcome.of(step, None) for step in plan.steps],
             dry_run=options.dry_run,
             seconds=round(time.monotonic() - began, 3),
-            workers=batch.workers,
+            workers=0 if isinstance(options.dask, str) else batch.workers,
             warnings=[*choices.warnings(keys), *plan.warnings],
-            gone=_gone(folder.history.records, keys),
         )
-        if write_report is not None and options.report is not None:
-            write_report(report_text(report, options.report.suffix.lower()))
+        if write_report is not None:
+            write_report(report.as_json())
     return report
-
-
-def _gone(records: Mapping[str, ManifestRecord], keys: Iterable[str]) -> tuple[str, ...]:
-    """Return the recordings of earlier runs whose files do not exist any more; those in stores are not looked up."""
-    others = (records[key] for key in sorted(records.keys() - set(keys)))
-    return tuple(
-        each.key
-        for each in others
-        if not any(is_url(source) or os.path.exists(source) for source in each.sources)  # noqa: PTH110
-    )
 
 
 def _open_report(options: BatchOptions, folder: BatchFolder, stack: ExitStack) -> Callable[[str], None] | None:
@@ -212,12 +192,11 @@ def _open_report(options: BatchOptions, folder: BatchFolder, stack: ExitStack) -
         real.relative_to(folder.path).as_posix() in {MANIFEST, *folder.history.outputs}
     ):
         raise DestinationError("the report cannot be written there: the batch writes this file itself", path=path)
-    beginning = BEGINNINGS[path.suffix.lower()]
     try:
         if options.dry_run:
-            check_text_output(path, beginning=beginning, overwrite=False)
+            check_text_output(path, beginning=BEGINNING, overwrite=False)
             return None
-        return stack.enter_context(text_output(path, beginning=beginning, overwrite=False))
+        return stack.enter_context(text_output(path, beginning=BEGINNING, overwrite=False))
     except (DestinationError, OutputError) as err:
         err.message = f"the report cannot be written there: {err.message}"
         raise
@@ -273,37 +252,6 @@ def _forbidden(out: Path, read: Callable[[], Inputs], output: str) -> Destinatio
 
 
 # --- Converting ---
-
-
-class _Progress:
-    """Adds up the progress of all conversions: the bytes that are read of each, and which have ended.
-
-    Parameters
-    ----------
-    sizes
-        The bytes of each recording.
-    watch
-        Gets the reports.
-    """
-
-    def __init__(self, sizes: Mapping[str, int], watch: BatchCallbacks) -> None:
-        self._sizes = sizes
-        self._watch = watch
-        self._read = dict.fromkeys(sizes, 0)
-        self._done = self._ended = 0
-        self._total = sum(sizes.values())
-
-    def at(self, key: str, done: int, total: int) -> None:
-        """Report how much of a recording is read; it may begin again."""
-        read = self._sizes[key] * done // max(1, total)
-        self._done += read - self._read[key]
-        self._read[key] = read
-        self._watch.progress(BatchProgress(self._done, self._total, self._ended, len(self._sizes)))
-
-    def end(self, key: str) -> None:
-        """Report that a recording has ended."""
-        self._ended += 1
-        self.at(key, 1, 1)
 
 
 class _Batch:
@@ -415,7 +363,7 @@ class _Batch:
         )
 
     def _run(self, jobs: Sequence[Job]) -> None:
-        """Run jobs, and handle their events in the order in which they come."""
+        """Run jobs, and record and show each as it ends."""
         if self._executor is run_jobs:
             # The largest are first. On a cluster, each worker has a folder of its own.
             fetched = sum(job.size_bytes for job in jobs[: self.workers] if any(map(is_url, job.sources)))
@@ -423,31 +371,21 @@ class _Batch:
                 refuse_without_room(
                     fetched, self._folder.path, "give fewer `jobs`, or another disk's folder as `scratch`"
                 )
-        progress = _Progress({job.key: job.size_bytes for job in jobs}, self.watch)
-        events = self._executor(jobs, workers=self.workers, cores=cores(), lock=self._folder.lock)
+        sizes = {job.key: job.size_bytes for job in jobs}
+        done, total = 0, sum(sizes.values())
+        self.watch.progress(BatchProgress(0, total, 0, len(sizes)))
+        records = self._executor(jobs, workers=self.workers, lock=self._folder.lock)
         try:
-            for what, key, value in events:
-                match what:
-                    case "begun":
-                        self._folder.begin(self._steps[key].output)
-                        progress.at(key, 0, 1)
-                    case "progress":
-                        progress.at(key, *value)
-                    case "died":
-                        progress.at(key, 0, 1)
-                        self.watch.warn(f"{key}: {value}; it is tried again")
-                    case "told":
-                        self.watch.inform(value)
-                    case "workers":
-                        self.workers = min(max(1, value), len(jobs))
-                    case "done":
-                        if value.disk_is_full:
-                            raise self._disk_is_full(value.error["message"], value.error["path"])
-                        self._end(value)
-                        progress.end(key)
+            for number, record in enumerate(records, start=1):
+                if record.disk_is_full:
+                    assert record.error is not None  # that of the disk
+                    raise self._disk_is_full(record.error["message"], record.error["path"])
+                self._end(record)
+                done += sizes[record.key]
+                self.watch.progress(BatchProgress(done, total, number, len(sizes)))
         finally:
             # Also if the manifest cannot be written: the workers must end.
-            events.close()
+            records.close()
 
     def _disk_is_full(self, message: str, path: str | PathLike[str] | None) -> DiskFullError:
         """Return the error that ends the batch, given that of a result or of the manifest."""

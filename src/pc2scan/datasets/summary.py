@@ -7,11 +7,10 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
-from pc2scan.errors import leading, visible
-from pc2scan.result import BEGINNING, Part, Result
-from pc2scan.tables import Table, csv_cell
+from pc2scan.errors import leading
+from pc2scan.result import Part, Result
+from pc2scan.tables import Table
 from pc2scan.text import count, counted, duration, size
-from pc2scan.version import __version__
 
 from .manifest import NO_CLOUDS
 
@@ -30,9 +29,6 @@ _BAD, _ODD = frozenset({"died", "failed"}), frozenset({"empty", "incomplete"})
 
 #: Maximum number of recordings that are listed one by one. Of more, what is said of them is listed instead.
 _MAX_SHOWN = 30
-
-#: What is said of recordings of earlier runs whose files do not exist any more.
-_GONE = "no longer there"
 
 #: How many recordings are named as examples, and the length of their names together.
 _EXAMPLES, _LONGEST = 3, 60
@@ -60,17 +56,7 @@ _COLUMNS = (
     ("attempts", "attempts"),
     ("why", "why"),
     ("error", "error"),
-    ("before", "before"),
-    ("remarks", "remark_text"),
 )
-
-#: The first bytes of reports, by suffix. Only a file that begins with them is replaced by another report.
-BEGINNINGS = {
-    ".json": BEGINNING,
-    # The first columns, which also earlier versions have written.
-    ".csv": (",".join(heading for heading, _ in _COLUMNS[:4])).encode(),
-    ".md": b"# Batch of pc2scan",
-}
 
 
 class Group(NamedTuple):
@@ -88,21 +74,6 @@ class Group(NamedTuple):
 
     kind: str
     text: str
-    recordings: tuple[str, ...]
-
-
-class Change(NamedTuple):
-    """Recordings of which the same has changed since the last run.
-
-    Attributes
-    ----------
-    what
-        ``new``; ``no longer there``; or the outcomes, such as ``converted, failed before``.
-    recordings
-        Their names in the dataset.
-    """
-
-    what: str
     recordings: tuple[str, ...]
 
 
@@ -136,8 +107,6 @@ class Outcome:
         As the conversion reports them.
     error, hint
         Why it failed, or has nothing to convert, and what helps; empty if there is a result.
-    before
-        The outcome of the last run that began this recording; empty if there was none.
     """
 
     key: str
@@ -157,7 +126,6 @@ class Outcome:
     attempts: int = 0
     error: str = ""
     hint: str = ""
-    before: str = ""
 
     @classmethod
     def of(cls, step: Step, record: ManifestRecord | None) -> Outcome:
@@ -191,7 +159,6 @@ class Outcome:
             attempts=record.attempts,
             error=str(error.get("message", "")),
             hint=str(error.get("hint") or ""),
-            before="" if step.record is None else step.record.outcome,
         )
 
     @property
@@ -227,11 +194,6 @@ class Outcome:
         yield from (("damaged", text) for text in self.damage)
         yield from (("warning", text) for text in self.warning_texts)
 
-    @property
-    def remark_text(self) -> str:
-        """What is said of it besides the error, as one text."""
-        return "; ".join(f"{kind}: {text}" for kind, text in self.remarks() if kind != self.outcome)
-
 
 def groups_of(outcomes: Iterable[Outcome]) -> list[Group]:
     """Return what is said of several recordings, the worst first, then what is said of most."""
@@ -244,21 +206,6 @@ def groups_of(outcomes: Iterable[Outcome]) -> list[Group]:
     kinds = [*_ORDER, "skipped", "damaged", "warning"]
     groups = [Group(kind, text, tuple(keys)) for (kind, _), (text, keys) in found.items()]
     return sorted(groups, key=lambda group: (kinds.index(group.kind), -len(group.recordings)))
-
-
-def changes_of(outcomes: Iterable[Outcome], gone: Sequence[str]) -> list[Change]:
-    """Return what has changed since the last run; nothing if there was none. ``gone`` do not exist any more."""
-    begun = sorted((each for each in outcomes if each.action != "skip"), key=lambda each: each.rank)
-    if not gone and not any(each.before for each in begun):
-        return []
-    found: dict[str, list[str]] = {}
-    for each in begun:
-        if each.before != each.outcome:
-            what = f"{each.outcome}, {each.before} before" if each.before else "new"
-            found.setdefault(what, []).append(each.key)
-    if gone:
-        found[_GONE] = list(gone)
-    return [Change(what, tuple(keys)) for what, keys in found.items()]
 
 
 def _examples(names: Sequence[str]) -> str:
@@ -287,17 +234,15 @@ class BatchReport(Result):
     seconds
         The duration of the run.
     workers
-        How many recordings were converted at a time; 0 if there were none.
+        How many recordings were converted at a time; 0 if a cluster decides it.
     warnings
         Warnings.
-    gone
-        Recordings of earlier runs whose files do not exist any more. Their results stay.
     """
 
     kind: ClassVar[str] = "batch"
     json_names: ClassVar[tuple[str, ...]] = (
         *("destination", "dry_run", "counts", "unchanged", "workers", "seconds"),
-        *("changes", "groups", "recordings"),
+        *("groups", "recordings"),
     )
 
     destination: Path | str
@@ -306,7 +251,6 @@ class BatchReport(Result):
     seconds: float = 0.0
     workers: int = 0
     warnings: list[str] = field(default_factory=list)
-    gone: tuple[str, ...] = ()
 
     @property
     def exit_status(self) -> int:
@@ -329,11 +273,6 @@ class BatchReport(Result):
     def groups(self) -> list[Group]:
         """What is said of several recordings, the worst first, then what is said of most."""
         return groups_of(self._ordered())
-
-    @property
-    def changes(self) -> list[Change]:
-        """What has changed since the last run; empty for the first one."""
-        return changes_of(self.outcomes, self.gone)
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{number:,} {name}" for name, number in self.counts.items())
@@ -385,13 +324,10 @@ class BatchReport(Result):
             results = sum(each.outcome in ("empty", "incomplete", "converted") for each in done)
             yield (
                 f"{self.destination}: {counted(results, 'result')} written now, {size(written)} from {size(read)} in "
-                f"{duration(self.seconds)}, {self.workers} at a time"
+                f"{duration(self.seconds)}" + (f", {self.workers} at a time" if self.workers else "")
             )
         else:
             yield f"{leading(str(self.destination))}: nothing to do ({duration(self.seconds)})"
-        for change in self.changes:
-            since = "of earlier runs" if change.what == _GONE else "since the last run"
-            yield f"{since}, {len(change.recordings):,} {change.what}: {_examples(change.recordings)}"
 
 
 def _table_of(outcomes: Iterable[Outcome]) -> Table:
@@ -414,39 +350,3 @@ def _table_of(outcomes: Iterable[Outcome]) -> Table:
 def _table_of_groups(groups: Iterable[Group]) -> Table:
     rows = [(f"{len(each.recordings):,}", each.kind, each.text, _examples(each.recordings)) for each in groups]
     return Table(("recordings", "what", "text", "such as"), rows, left=("what", "text", "such as"))
-
-
-def report_text(report: BatchReport, suffix: str) -> str:
-    """Return a report as the text of a file; ``suffix`` is a key of `BEGINNINGS`."""
-    if suffix == ".json":
-        return report.as_json()
-    rows = [list(line.values()) for line in report.recordings]
-    headings = [heading for heading, _ in _COLUMNS]
-    if suffix == ".csv":
-        cells = [[csv_cell(cell) if isinstance(cell, str) else str(cell) for cell in row] for row in rows]
-        return "".join(f"{','.join(line)}\n" for line in (headings, *cells))
-    return "\n".join(_markdown(report, headings, rows)) + "\n"
-
-
-def _markdown(report: BatchReport, headings: Sequence[str], rows: Sequence[Sequence[Any]]) -> Iterator[str]:
-    yield f"{BEGINNINGS['.md'].decode()} {__version__}"
-    yield ""
-    yield from (f"{visible(line)}\n" for line in report.total())
-    if groups := report.groups:
-        table = _table_of_groups(groups)
-        yield from _markdown_table(table.columns, table.rows)
-        yield ""
-    yield from _markdown_table(headings, rows)
-
-
-def _markdown_table(headings: Sequence[str], rows: Iterable[Sequence[Any]]) -> Iterator[str]:
-    yield f"| {' | '.join(headings)} |"
-    yield f"|{'---|' * len(headings)}"
-    for row in rows:
-        yield f"| {' | '.join(_cell(str(cell)) for cell in row)} |"
-
-
-def _cell(text: str) -> str:
-    # Names come from recordings and folders. Escaped, they cannot be taken for markup. Options are code.
-    parts = re.split(r"(`[\w=./:-]+`)", visible(text, None))
-    return "".join(part if n % 2 else re.sub(r"[\\`*_{}\[\]<>#|~]", r"\\\g<0>", part) for n, part in enumerate(parts))

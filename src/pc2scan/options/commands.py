@@ -139,7 +139,7 @@ class BatchRun(TypedDict, total=False):
         ),
     ]
     report: Annotated[
-        Path | None, Option(PathName(), "Write the summary of all recordings: *.json, *.csv or *.md.", common=True)
+        Path | None, Option(PathName(), "Write the summary of all recordings to this file, as JSON.", common=True)
     ]
 
 
