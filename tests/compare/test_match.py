@@ -13,8 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.compare import match as match_module
-from pc2scan.compare.match import Match, TopicStream, match_messages, read_into_memory
+from pc2scan.compare.match import Match, TopicStream, match_messages
 from pc2scan.compare.scan_text import ScanText
 from pc2scan.errors import RecordingError
 from pc2scan.messages.wire import Packer
@@ -139,43 +138,16 @@ def test_memory_does_not_grow_with_the_recording(change: str) -> None:
     assert peak < 3_000_000
 
 
-TOPICS = [Connection(number, f"/t{number}", "a/msg/A", "cdr") for number in range(3)]
-
-
-class Counted:
-    """Counts how often a recording is read; with ``lost``, its messages are gone when they are looked for again."""
-
-    def __init__(self, content: list[RawMessage], *, lost: bool = False) -> None:
-        self.path = Path("made")
-        self.connections = list({message.connection.id: message.connection for message in content}.values())
-        self.source = ScanText(self.path, self.connections, content)
-        self.lost = lost
-        self.reads = 0
+class Lost(ScanText):
+    """A recording whose messages are gone when they are looked for again."""
 
     def messages(
         self, connections: Collection[Connection] | None = None, start_ns: int | None = None, stop_ns: int | None = None
     ) -> Iterator[RawMessage]:
-        self.reads += 1
-        return iter(()) if self.lost and start_ns is not None else self.source.messages(connections, start_ns, stop_ns)
-
-    def close(self) -> None:
-        pass
+        return iter(()) if start_ns is not None else super().messages(connections, start_ns, stop_ns)
 
 
 def test_a_recording_that_changes_meanwhile_is_an_error() -> None:
-    changing = Counted([*stream([3, 2, 1]).messages()], lost=True)
+    changing = Lost(Path("made"), [CONNECTION], [*stream([3, 2, 1]).messages()])
     with pytest.raises(RecordingError, match="changed while it was read"):
         list(match_messages(stream([1, 2, 3]), TopicStream(changing, (CONNECTION,))))
-
-
-def test_a_recording_of_many_topics_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    content = [RawMessage(TOPICS[k], 5, memoryview(b"data"), 5, place) for place, k in enumerate((2, 0, 1, 0, 2, 1))]
-    source, again = Counted(content), Counted(content)
-    copy = read_into_memory(source, TOPICS[:2])
-    for chosen in (TOPICS[:1], TOPICS[1:2], TOPICS[:2]):
-        for cut in ((None, None), (5, 6), (6, None), (None, 5)):
-            assert list(copy.messages(chosen, *cut)) == list(again.messages(chosen, *cut))
-    assert source.reads == 1
-    # What takes too much memory is read as it is.
-    monkeypatch.setattr(match_module, "_MAX_BYTES", 1000)
-    assert read_into_memory(source, TOPICS) is source

@@ -15,11 +15,21 @@ from ruamel.yaml import YAML
 import pc2scan
 from pc2scan.compare.golden.case import load_case
 from pc2scan.compare.rules import Rules
-from pc2scan.compare.scan_text import render_messages
+from pc2scan.compare.scan_text import render_scans
 from pc2scan.core import kernel, plain
 from pc2scan.model import Connection, RawMessage
 from support import GOLDEN, ROOT, sampled
-from support.builders import CLOUD, SCAN, deserialized, serialized, typestore
+from support.builders import (
+    CLOUD,
+    SCAN,
+    Item,
+    Recording,
+    Stream,
+    deserialized,
+    serialized,
+    typestore,
+    write_rosbag1,
+)
 from support.command import run
 from support.outputs import opened
 
@@ -147,7 +157,12 @@ def outcome_of(name: str, folder: Path, bit: int) -> str:
         data = serialized(typestore(1), replace(message, **{part: values}), msgtype, 1)
         messages.append(RawMessage(Connection(0, topic, msgtype, "ros1"), found.log_time_ns, data, 0))
     (case / "expected.bag").unlink()
-    (case / "expected.txt").write_text(render_messages(messages))
+    if is_reverse(name):
+        streams = (Stream(topic, msgtype),)
+        items = [Item(streams[0], each.log_time_ns, {1: each.data}) for each in messages]
+        write_rosbag1(case / "expected.bag", Recording(streams, tuple(items)))
+    else:
+        (case / "expected.txt").write_text(render_scans(messages))
     (checked,) = pc2scan.golden(case).cases
     return checked.outcome.value
 

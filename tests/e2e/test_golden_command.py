@@ -65,15 +65,6 @@ def test_a_case_is_made_from_python(tmp_path: Path) -> None:
         pc2scan.golden(tmp_path / "case", start=1)
 
 
-@pytest.mark.parametrize(("less", "told"), [(0, False), (1, True)])
-def test_a_large_case_is_warned_of(less: int, told: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert run("golden", tmp_path / "small", "--init", HALL).stderr == ""
-    size = (tmp_path / "small" / "input.bag").stat().st_size
-    monkeypatch.setattr("pc2scan.compare.golden.init._LARGE_BYTES", size - less)
-    said = run("golden", tmp_path / "case", "--init", HALL).stderr
-    assert ("input.bag has 0 MB: shorten it (--start, --end), or use Git LFS" in said) == told
-
-
 @pytest.mark.parametrize(("number", "raised"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)])
 def test_a_signal_is_meant_for_the_whole_process(
     number: signal.Signals, raised: type[BaseException], monkeypatch: pytest.MonkeyPatch

@@ -246,9 +246,9 @@ def _ros1_frames(data: bytes) -> None:
 
 
 def _scan_text(data: bytes) -> None:
-    from pc2scan.compare.scan_text import open_scan_text, render_messages
+    from pc2scan.compare.scan_text import open_scan_text, render_scans
 
-    _file("a.txt", data, lambda path: _ignored(render_messages(open_scan_text(path).messages())))
+    _file("a.txt", data, lambda path: _ignored(render_scans(open_scan_text(path).messages())))
 
 
 def _qos(data: bytes) -> None:

@@ -16,13 +16,12 @@ import zstandard
 
 from fuzz import clouds, rays
 from fuzz.decoders import CORPUS
-from pc2scan.compare.scan_text import render_messages
+from pc2scan.compare.scan_text import render_scans
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.model import Connection, RawMessage
 from support import GOLDEN
 from support.builders import (
     BATTERY,
-    CLOUD,
     CONTENT,
     IDL,
     POINTS,
@@ -156,12 +155,11 @@ def _moving() -> Iterator[tuple[str, str, bytes]]:
 
 
 def _scan_text() -> str:
-    points = points_of(1, 3)
-    messages = []
-    for number, (kind, data) in enumerate(((LASERSCAN, scan(points[:, 0], 1)), (CLOUD, cloud(points, 2)))):
-        connection = Connection(number, f"/t{number}", kind, ("ros1", "cdr")[number])
-        messages.append(RawMessage(connection, T0, data, T0))
-    return render_messages(messages)
+    ranges, messages = points_of(1, 3)[:, 0], []
+    for number, serialization in enumerate(("ros1", "cdr")):
+        connection = Connection(number, f"/t{number}", LASERSCAN, serialization)
+        messages.append(RawMessage(connection, T0, scan(ranges, number + 1), T0))
+    return render_scans(messages)
 
 
 def main(folder: Path = CORPUS) -> None:

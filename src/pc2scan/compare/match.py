@@ -1,16 +1,15 @@
-"""Matches the messages of two topics, with one pair in memory at a time; reads many small topics into memory.
+"""Matches the messages of two topics, with one pair in memory at a time.
 
 Messages are matched by their header's stamp, which is the same in every container and every re-recording. Repeated
-stamps are matched in order. Messages whose stamp is 0 or cannot be read are matched by their log time.
+stamps are matched in order. Messages whose stamp is 0 or cannot be read are matched by their log time, and so are
+those of types that are compared by their bytes.
 """
 
 from __future__ import annotations
 
-import heapq
 from array import array
 from bisect import bisect_left
 from itertools import islice
-from operator import itemgetter
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from pc2scan.errors import DecodeError, RecordingError
@@ -51,10 +50,14 @@ class OpenRecording(Protocol):
 
 
 class TopicStream(NamedTuple):
-    """The messages of some connections of a recording, in order; without connections there are none."""
+    """The messages of some connections of a recording, in order; without connections there are none.
+
+    ``stamped`` is whether they are matched by their stamps; otherwise by their log times.
+    """
 
     source: OpenRecording
     connections: tuple[Connection, ...]
+    stamped: bool = True
 
     def messages(self) -> Iterator[RawMessage]:
         """Read from the beginning."""
@@ -67,6 +70,11 @@ class TopicStream(NamedTuple):
         if message is None:
             raise RecordingError("has changed while it was read", path=self.source.path)
         return message
+
+    def key(self, message: RawMessage) -> int:
+        """Return the number by which a message is matched: even ones are from stamps, odd ones from log times."""
+        stamp_ns = header_stamp_ns(message) if self.stamped else None
+        return 2 * stamp_ns if stamp_ns else 2 * message.log_time_ns + 1
 
 
 class Match(NamedTuple):
@@ -106,7 +114,7 @@ def match_messages(a: TopicStream, b: TopicStream) -> Iterator[Match]:
     left, right = a.messages(), b.messages()
     common = 0
     x, y = next(left, None), next(right, None)
-    while x is not None and y is not None and _match_key(x) == _match_key(y):
+    while x is not None and y is not None and a.key(x) == b.key(y):
         yield Match(x, y)
         common += 1
         x, y = next(left, None), next(right, None)
@@ -158,12 +166,6 @@ def moved_indices(mates: Sequence[int]) -> set[int]:
     return set(range(len(mates))) - stayed
 
 
-def _match_key(message: RawMessage) -> int:
-    """Return the number by which messages are matched: even ones are from stamps, odd ones from log times."""
-    stamp_ns = header_stamp_ns(message)
-    return 2 * stamp_ns if stamp_ns else 2 * message.log_time_ns + 1
-
-
 def _match_by_all_stamps(a: TopicStream, b: TopicStream, common: int) -> Iterator[Match]:
     """Pair the messages after the first ``common`` ones by all their stamps."""
     times, mates = _find_mates(a, b, common)
@@ -195,7 +197,7 @@ def _find_mates(a: TopicStream, b: TopicStream, common: int) -> tuple[Sequence[i
     keys: list[int] = []
     for message in b.messages():
         times.append(message.log_time_ns)
-        keys.append(_match_key(message))
+        keys.append(b.key(message))
     # The first place of each stamp, and for a place the next one of its stamp.
     first: dict[int, int] = {}
     again: dict[int, int] = {}
@@ -206,61 +208,9 @@ def _find_mates(a: TopicStream, b: TopicStream, common: int) -> tuple[Sequence[i
         first[key] = place
     mates = array("q")
     for message in islice(a.messages(), common, None):
-        key = _match_key(message)
+        key = a.key(message)
         place = first.pop(key, -1)
         mates.append(place)
         if place in again:
             first[key] = again[place]
     return times, mates
-
-
-#: Limit of the bytes held; each message takes some 300 more than its data.
-_MAX_BYTES = 32 << 20
-_MESSAGE_BYTES = 300
-
-
-class _MessagesInMemory:
-    """The messages of some connections; see `pc2scan.compare.match.OpenRecording`."""
-
-    def __init__(
-        self, path: Path, connections: Sequence[Connection], messages: dict[int, list[tuple[int, RawMessage]]]
-    ) -> None:
-        self.path = path
-        self.connections = connections
-        #: By connection, each message with its number in the recording.
-        self._messages = messages
-
-    def messages(
-        self,
-        connections: Collection[Connection] | None = None,
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
-    ) -> Iterator[RawMessage]:
-        """Messages in the order of log time, ``start_ns <= log_time_ns < stop_ns``."""
-        chosen = self.connections if connections is None else connections
-        streams = [self._messages.get(connection.id, []) for connection in chosen]
-        for _, message in heapq.merge(*streams, key=itemgetter(0)):
-            if (start_ns is None or start_ns <= message.log_time_ns) and (
-                stop_ns is None or message.log_time_ns < stop_ns
-            ):
-                yield message
-
-    def close(self) -> None:
-        """Do nothing: the caller closes the recording."""
-
-
-def read_into_memory(source: OpenRecording, connections: Sequence[Connection]) -> OpenRecording:
-    """Return the recording with the messages of these connections in memory, or unchanged if they take too much.
-
-    Reading a topic reads every chunk with a message of it, so ten thousand topics would read the file as often.
-    """
-    found: dict[int, list[tuple[int, RawMessage]]] = {}
-    size = 0
-    for place, message in enumerate(source.messages(connections)):
-        size += len(message.data) + _MESSAGE_BYTES
-        if size > _MAX_BYTES:
-            return source
-        # A view would keep the whole chunk in memory.
-        own = message._replace(data=bytes(message.data))
-        found.setdefault(message.connection.id, []).append((place, own))
-    return _MessagesInMemory(source.path, connections, found)

@@ -13,6 +13,7 @@ from pc2scan.errors import DecodeError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
 from pc2scan.messages.pointcloud2 import DATATYPES, CloudFields, PointCloud2, recorded_cloud
+from pc2scan.messages.transcode import transcoder
 
 from .rules import GEOMETRY
 
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
     from pc2scan.core.compare import ArrayDifference
     from pc2scan.messages.pointcloud2 import PointCloud2, PointField
-    from pc2scan.model import RawMessage
+    from pc2scan.model import Buffer, RawMessage
 
     from .rules import Rules
 
@@ -207,6 +208,36 @@ def compare_messages(a: RawMessage, b: RawMessage, rules: Rules) -> MessageDiffe
         difference = MessageDifference(0, () if alike else (unreadable,))
     changes = tuple(change for change in (*times, *difference.changes) if change.name not in rules.ignore)
     return MessageDifference(difference.elements, changes, difference.values)
+
+
+def compare_bytes(a: RawMessage, b: RawMessage, rules: Rules) -> MessageDifference:
+    """Compare two messages of any type, in either ROS version's format.
+
+    Notes
+    -----
+    Messages that cannot be re-encoded are the same if their bytes are the same.
+    """
+    if a.connection.serialization == b.connection.serialization and bytes(a.data) == bytes(b.data):
+        return MessageDifference()
+    note = ""
+    versions = (a.connection.ros_version, b.connection.ros_version)
+    # ROS 1's format has no padding and one byte order, so equal messages have equal bytes.
+    if None not in versions and ("seq" in rules.ignore or versions != (1, 1)):
+        try:
+            if _ros1_bytes(a) == _ros1_bytes(b):
+                return MessageDifference()
+        except DecodeError as err:
+            note = f"; not decoded: {err.message}"
+    return MessageDifference(0, (Change("bytes", f"{len(a.data)} bytes", f"{len(b.data)} bytes{note}"),))
+
+
+def _ros1_bytes(message: RawMessage) -> Buffer:
+    """Return a message in ROS 1's format, its headers without sequence numbers."""
+    connection, data = message.connection, message.data
+    for ros_version in (1,) if connection.ros_version == 2 else (2, 1):
+        coding = transcoder(connection, ros_version)
+        connection, data = coding.connection, coding.encode(data)
+    return data
 
 
 def _compare_fields(a: RawMessage, b: RawMessage, rules: Rules) -> MessageDifference:

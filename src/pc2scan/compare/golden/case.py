@@ -5,27 +5,58 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.compare.rules import Rules
 from pc2scan.errors import UsageError
-from pc2scan.files.ownership import InputPath
 from pc2scan.files.places import missing_hint
 from pc2scan.files.source import open_text
 from pc2scan.files.yaml import MAX_CHARACTERS, load_yaml
 from pc2scan.text import did_you_mean, nearest
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
 
 EXPECTED_TEXT = "expected.txt"
 _EXPECTED = (EXPECTED_TEXT, "expected.bag", "expected.mcap", "expected")
 _INPUTS = ("input.bag", "input.mcap", "input.db3", "input")
 SETTINGS = "case.yaml"
 _PARAMS = "params.yaml"
-#: The keys of ``case.yaml``.
-KEYS = ("input", "params", "arguments", "exit_status", "all_topics", "atol", "rtol", "allow_beams", "ignore")
+
+
+def _listed(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else [value]
+
+
+def _are_texts(value: object) -> bool:
+    return all(isinstance(part, str) for part in _listed(value))
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _are_numbers(value: object) -> bool:
+    if not isinstance(value, dict):
+        return _is_number(value)
+    return all(isinstance(name, str) and _is_number(number) for name, number in value.items())
+
+
+#: The keys of ``case.yaml``: whether a value is right, and what it must be.
+KEYS: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "input": (lambda value: bool(value) and _are_texts(value), "a path or a list of paths"),
+    "params": (lambda value: isinstance(value, str), "a path"),
+    "arguments": (
+        lambda value: isinstance(value, list) and all(isinstance(part, str | int | float) for part in value),
+        "a list, such as [--topic, /points:=/scan]",
+    ),
+    "exit_status": (lambda value: type(value) is int, "a whole number"),
+    "all_topics": (lambda value: type(value) is bool, "true or false"),
+    **dict.fromkeys(("atol", "rtol"), (_are_numbers, "a number, or numbers by name: {x: 1.0e-6}")),
+    "allow_beams": (_is_number, "a number"),
+    "ignore": (_are_texts, "a name or a list of names"),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,18 +91,6 @@ class Case:
     exit_status: int
     all_topics: bool
     rules: Rules
-
-    def new_expected(self) -> Path:
-        """Return where to write the expected output: in its present form; if there is none, as text where possible."""
-        return self.expected or self.folder / ("expected.mcap" if self.all_topics else EXPECTED_TEXT)
-
-    def read_files(self) -> list[InputPath]:
-        """Return the files that its conversion reads: recordings, parameters, settings, and those in arguments."""
-        values = [part.partition("=")[2] if part.startswith("-") else part for part in self.arguments]
-        # Any argument may be a path; only those that exist are returned.
-        named = [Path(value) for value in values if os.path.lexists(value)]
-        paths = [*self.inputs, *filter(None, (self.params,)), self.folder / SETTINGS, *named]
-        return [InputPath(path, "file of a case") for path in paths]
 
 
 def is_case(folder: Path) -> bool:
@@ -137,23 +156,11 @@ def load_case(folder: Path) -> Case:
         If a file is missing or exists twice, or ``case.yaml`` has a wrong value.
     """
     try:
-        return _case_of(folder, _settings(folder / SETTINGS))
+        _refuse_misnamed(folder)
+        settings = _settings(folder / SETTINGS)
+        return _case_of(folder, settings)
     except OSError as err:
         raise UsageError(f"cannot be read: {err.strerror}", path=err.filename or folder) from err
-
-
-def _case_of(folder: Path, settings: dict[str, Any]) -> Case:
-    _refuse_misnamed(folder)
-    return Case(
-        folder=folder,
-        inputs=_inputs(folder, settings.get("input")),
-        params=_params(folder, settings.get("params")),
-        expected=_only(folder, _EXPECTED),
-        arguments=_arguments(folder, settings.get("arguments", [])),
-        exit_status=_setting(folder, settings, "exit_status", int, 0),
-        all_topics=_setting(folder, settings, "all_topics", bool, False),
-        rules=_rules(folder, settings),
-    )
 
 
 def _refuse_misnamed(folder: Path) -> None:
@@ -166,112 +173,69 @@ def _refuse_misnamed(folder: Path) -> None:
             raise UsageError(f"{name} is not read", path=folder, hint=f"did you mean {near}?")
 
 
-def _settings_error(folder: Path, message: str, hint: str | None = None) -> UsageError:
-    return UsageError(message, path=folder / SETTINGS, hint=hint)
-
-
 def _settings(path: Path) -> dict[str, Any]:
+    """Return the checked content of ``case.yaml``; a value that may be a list is one."""
     try:
         with open_text(path) as file:
             # One more than allowed, so that longer text is refused.
-            text = file.read(MAX_CHARACTERS + 1)
+            settings = load_yaml(file.read(MAX_CHARACTERS + 1)) or {}
     except FileNotFoundError:
         return {}
-    except (OSError, UnicodeDecodeError) as err:
+    except (OSError, ValueError) as err:
         raise UsageError(f"cannot be read: {err}", path=path) from err
-    try:
-        settings = load_yaml(text)
-    except ValueError as err:
-        raise UsageError(str(err), path=path) from err
-    if settings is None:
-        return {}
+    known = f"the keys are {', '.join(KEYS)}"
     if not isinstance(settings, dict):
-        raise UsageError("is not a mapping", path=path, hint=f"the keys are {', '.join(KEYS)}")
-    if unknown := [key for key in settings if key not in KEYS]:
-        near = did_you_mean(str(unknown[0]), KEYS)
-        hint = f"{near} the keys are {', '.join(KEYS)}".strip()
-        raise UsageError(f"unknown key {unknown[0]!r}", path=path, hint=hint)
+        raise UsageError("is not a mapping", path=path, hint=known)
+    for key, value in settings.items():
+        if key not in KEYS:
+            hint = f"{did_you_mean(str(key), KEYS)} {known}".strip()
+            raise UsageError(f"unknown key {key!r}", path=path, hint=hint)
+        is_right, what = KEYS[key]
+        if not is_right(value):
+            raise UsageError(f"{key} is {value!r}, it must be {what}", path=path)
     return settings
 
 
-def _setting(folder: Path, settings: dict[str, Any], key: str, kind: type, default: Any) -> Any:
-    value = settings.get(key, default)
-    if type(value) is not kind:
-        raise _settings_error(
-            folder, f"{key} is {value!r}, it must be {'true or false' if kind is bool else 'a whole number'}"
-        )
-    return value
+def _case_of(folder: Path, settings: dict[str, Any]) -> Case:
+    def named(key: str) -> tuple[Path, ...]:
+        """Return files that the settings name. A missing one is always an error, even if the case expects a failure."""
+        paths = tuple(folder / name for name in _listed(settings[key]))
+        if missing := [path for path in paths if not path.exists()]:
+            hint = "paths are relative to the case's folder"
+            text = f"names {missing[0].relative_to(folder)}, which does not exist"
+            raise UsageError(text, path=folder / SETTINGS, hint=hint)
+        return paths
+
+    inputs = named("input") if "input" in settings else _only(folder, _INPUTS)
+    if not inputs:
+        raise UsageError("has no input", path=folder, hint=f"{', '.join(_INPUTS)}, or 'input:' in {SETTINGS}")
+    params = named("params") if "params" in settings else _only(folder, (_PARAMS,))
+    expected = _only(folder, _EXPECTED)
+    if expected and any(path.samefile(expected[0]) for path in (*inputs, *params)):
+        raise UsageError("is a file of a case", path=expected[0])
+    tolerances = {key: settings.get(key, {}) for key in ("atol", "rtol")}
+    by_name = {key: value if isinstance(value, dict) else {"": value} for key, value in tolerances.items()}
+    share, ignore = settings.get("allow_beams", 0.0), frozenset(_listed(settings.get("ignore", [])))
+    try:
+        rules = Rules(**by_name, allow_beams=share, ignore=ignore)
+    except UsageError as err:
+        err.path = folder / SETTINGS
+        raise
+    return Case(
+        folder=folder,
+        inputs=inputs,
+        params=params[0] if params else None,
+        expected=expected[0] if expected else None,
+        arguments=tuple(str(part).replace("{case}", str(folder)) for part in settings.get("arguments", [])),
+        exit_status=settings.get("exit_status", 0),
+        all_topics=settings.get("all_topics", False),
+        rules=rules,
+    )
 
 
-def _inputs(folder: Path, named: Any) -> tuple[Path, ...]:
-    if named is None:
-        found = _only(folder, _INPUTS)
-        if found is None:
-            raise UsageError("has no input", path=folder, hint=f"{', '.join(_INPUTS)}, or 'input:' in {SETTINGS}")
-        return (found,)
-    names = named if isinstance(named, list) else [named]
-    if not names or not all(isinstance(name, str) for name in names):
-        raise _settings_error(folder, f"input is {named!r}, it must be a path or a list of paths")
-    return tuple(_existing_file(folder, name) for name in names)
-
-
-def _params(folder: Path, named: Any) -> Path | None:
-    if named is None:
-        return folder / _PARAMS if (folder / _PARAMS).exists() else None
-    if not isinstance(named, str):
-        raise _settings_error(folder, f"params is {named!r}, it must be a path")
-    return _existing_file(folder, named)
-
-
-def _existing_file(folder: Path, name: str) -> Path:
-    """Return a file that the settings name. A missing one is always an error, even if the case expects a failure."""
-    path = folder / name
-    if not path.exists():
-        raise _settings_error(folder, f"names {name}, which does not exist", "paths are relative to the case's folder")
-    return path
-
-
-def _only(folder: Path, names: tuple[str, ...]) -> Path | None:
-    """Return the one of several names that exists."""
-    found = [folder / name for name in names if (folder / name).exists()]
+def _only(folder: Path, names: tuple[str, ...]) -> tuple[Path, ...]:
+    """Return the one of several names that exists; empty for none."""
+    found = tuple(folder / name for name in names if (folder / name).exists())
     if len(found) > 1:
         raise UsageError(f"has {' and '.join(path.name for path in found)}", path=folder, hint="remove all but one")
-    return found[0] if found else None
-
-
-def _arguments(folder: Path, value: Any) -> tuple[str, ...]:
-    if not isinstance(value, list) or any(isinstance(part, (list, dict)) or part is None for part in value):
-        raise _settings_error(folder, f"arguments is {value!r}, it must be a list", "such as [--topic, /points:=/scan]")
-    parts = tuple(part if isinstance(part, str) else str(part) for part in value)
-    return tuple(part.replace("{case}", str(folder)) for part in parts)
-
-
-def _rules(folder: Path, settings: dict[str, Any]) -> Rules:
-    ignore = settings.get("ignore", [])
-    names = ignore if isinstance(ignore, list) else [ignore]
-    share = settings.get("allow_beams", 0.0)
-    if not _is_number(share):
-        raise _settings_error(folder, f"allow_beams is {share!r}, it must be a number")
-    try:
-        return Rules(
-            atol=_tolerance(folder, settings, "atol"),
-            rtol=_tolerance(folder, settings, "rtol"),
-            allow_beams=float(share),
-            ignore=frozenset(map(str, names)),
-        )
-    except UsageError as err:
-        raise _settings_error(folder, err.message, err.hint) from err
-
-
-def _tolerance(folder: Path, settings: dict[str, Any], key: str) -> dict[str, float]:
-    value = settings.get(key, {})
-    named = value if isinstance(value, dict) else {"": value}
-    if not all(isinstance(name, str) and _is_number(number) for name, number in named.items()):
-        raise _settings_error(
-            folder, f"{key} is {value!r}, it must be a number or numbers by name", "such as {x: 1.0e-6}"
-        )
-    return {name: float(number) for name, number in named.items()}
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    return found

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import time
+from contextlib import closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from pc2scan.compare.diff import diff, open_source
-from pc2scan.compare.scan_text import render_messages
+from pc2scan.compare.scan_text import render_scans
 from pc2scan.errors import OutputError, Pc2ScanError, RecordingError, UsageError
-from pc2scan.files.ownership import OutputPath, refuse_overlap
 from pc2scan.files.text_output import text_output
+from pc2scan.messages.laserscan import LASERSCAN
 
 from .case import EXPECTED_TEXT, SETTINGS, case_folders, load_case
 from .result import CaseOutcome, CaseResult, GoldenReport
@@ -119,8 +120,7 @@ def _run_case(case: Case, command: Command, *, update: bool) -> tuple[CaseOutcom
 def _compare(case: Case, actual: Path, *, update: bool) -> tuple[Difference | None, list[str]]:
     """Compare with the expected output; returns no lines if there is no difference."""
     if case.expected is None:
-        name = case.new_expected().name
-        return None, [f"new: {name}" if update else f"there is no expected output: `update=True` writes {name}"]
+        return None, ["new" if update else "there is no expected output: `update=True` writes it"]
     try:
         difference = diff(case.expected, actual, all_topics=case.all_topics, rules=case.rules)
     except RecordingError as err:
@@ -144,19 +144,16 @@ def _run_conversion(case: Case, command: Command, destination: Path, *further: s
 
 
 def _write_expected(case: Case, actual: Path, command: Command) -> None:
-    """Write the actual output as the expected one, in its form."""
-    path = case.new_expected()
-    if path.name != EXPECTED_TEXT:
-        result = _run_conversion(case, command, path, "--overwrite")
-        if result.status != case.exit_status:
-            raise OutputError(f"cannot be written: {result.messages.strip()}", path=path)
+    """Write the actual output as the expected one, in its form; scans without one yet, as text."""
+    with closing(open_source(actual)) as source:
+        scans = all(connection.ros_type == LASERSCAN for connection in source.connections)
+        path = case.expected or case.folder / (EXPECTED_TEXT if scans else "expected.mcap")
+        text = render_scans(source.messages()) if path.name == EXPECTED_TEXT else ""
+    if text:
+        # Any existing file may be replaced: in a case, a file of this name is always its expected output.
+        with text_output(path, beginning=b"", overwrite=True) as write:
+            write(text)
         return
-    source = open_source(actual)
-    try:
-        text = render_messages(source.messages())
-    finally:
-        source.close()
-    refuse_overlap(case.read_files(), [OutputPath(path)])
-    # Any existing file may be replaced: in a case, a file of this name is always its expected output.
-    with text_output(path, beginning=b"", overwrite=True) as write:
-        write(text)
+    result = _run_conversion(case, command, path, "--overwrite")
+    if result.status != case.exit_status:
+        raise OutputError(f"cannot be written: {result.messages.strip()}", path=path)

@@ -34,9 +34,6 @@ if TYPE_CHECKING:
 #: Types that conversions read besides clouds and scans.
 _ALSO_READ = {"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage", "sensor_msgs/msg/Imu"}
 
-#: For larger inputs there is a warning that suggests Git LFS.
-_LARGE_BYTES = 10_000_000
-
 
 @dataclass(frozen=True, slots=True)
 class NewCase(Result):
@@ -108,10 +105,7 @@ def make_case(
                 hint="the conversion must succeed: cut out a part with transforms for each cloud (`start`, `end`)",
             )
         files = tuple((file.name, file.stat().st_size) for file in sorted(partial.iterdir()))
-    warnings = [*report.warnings, *(str(place) for place in report.damage)]
-    if dict(files)[name] > _LARGE_BYTES:
-        warnings.append(f"{name} has {dict(files)[name] / 1e6:.0f} MB: shorten it (`start`, `end`), or use Git LFS")
-    return NewCase(folder, files, tuple(warnings))
+    return NewCase(folder, files, (*report.warnings, *(str(place) for place in report.damage)))
 
 
 def _needed_topics(reader: Reader, topics: Sequence[str]) -> list[str]:
