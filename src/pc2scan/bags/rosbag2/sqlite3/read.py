@@ -1,61 +1,73 @@
-"""Reads rosbag2's sqlite3 storage: one ``.db3`` file."""
+"""Reads rosbag2's sqlite3 storage: one ``.db3`` file.
+
+The versions of the layout differ only in tables and columns, so these are checked instead of the version:
+
+========  ====================================================================
+version   what it added
+========  ====================================================================
+1         tables ``topics`` and ``messages``
+2         ``topics.offered_qos_profiles``
+3         tables ``schema`` and ``metadata``
+4         ``topics.type_description_hash``, table ``message_definitions``
+========  ====================================================================
+
+Source: rosbag2_storage_sqlite3/sqlite_storage.cpp.
+
+SQLite stores values of any type in any column, whatever the table declares: an INTEGER column keeps 1e300, text and
+blobs as they are. So whatever counts, compares or orders messages does so with `_SOUND` rows only; others are damage.
+
+Facts that a database has twice are compared: small tables with their columns, rows with the index of times. Unlike
+SQLite's own check, which reads the whole file, these checks read no message.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
-from itertools import chain, islice, repeat
+from itertools import repeat
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags import zstd
 from pc2scan.bags.damage import DamageLog
 from pc2scan.bags.loading import Chunk
-from pc2scan.bags.reader import Reader
+from pc2scan.bags.reader import MAX_CONNECTIONS, ConnectionLimit, Reader
+from pc2scan.bags.topics import latches
 from pc2scan.errors import DamageError, RecordingError
-from pc2scan.model import RawMessage, Summary, declared_counts
+from pc2scan.files.compression import ZSTD_MAGIC
+from pc2scan.model import Connection, Definition, RawMessage, Summary, declared_counts
+from pc2scan.text import counted
 
-from .database import Database
-from .index import SOUND, message_row, read_tables, shown_value
-from .recover import SQLITE_ERRORS
+from .database import SQLITE_ERRORS, Database
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
     from pathlib import Path
 
     from pc2scan.bags.formats import ReadOptions
-    from pc2scan.model import ChunkRule, Connection
+    from pc2scan.model import ChunkRule
 
 #: Limits of a chunk's bytes and rows. Loading less takes less time than handing it to another thread.
-_UNIT_BYTES = 1 << 19
-_UNIT_ROWS = 256
+_CHUNK_BYTES = 1 << 19
+_CHUNK_ROWS = 256
 _WORTH_A_THREAD = 1 << 20
 
-_DATA = itemgetter(3)
+#: Messages among which one in CDR is searched, to detect whether they are compressed one by one.
+_LOOKED_AT = 1000
 
+#: The condition for rows of ``messages`` that have a place in the recording.
+_SOUND = " AND ".join(f"typeof({column}) = 'integer'" for column in ("id", "topic_id", "timestamp"))
+
+#: A sum over rows that changes if a row has another time or replaces another. It is exact: a sum with one REAL would be
+#: rounded, and neither text nor numbers of 64 bits may end it.
+_TIMES_SUM = "coalesce(sum(CAST(timestamp AS INTEGER) % 2147483647 + CAST(id AS INTEGER) % 2147483647), 0)"
 
 #: Topic, log time, id and data of a message.
 Row = tuple[int, int, int, bytes]
 
+_DATA = itemgetter(3)
+
 #: Without the constructor, which takes longer than reading a small row.
 _make_message: Callable[[Iterable[object]], RawMessage] = partial(tuple.__new__, RawMessage)
-
-
-@dataclass(slots=True)
-class _Rows:
-    """Loads rows that have been read: the first time from memory, which is then released, later from the file."""
-
-    rows: list[Row]
-    count: int
-    read_again: Callable[[], Iterator[tuple[list[Row], int]]]
-    known: Mapping[int, Connection]
-
-    def __call__(self, callback: Callable[[RawMessage], Any]) -> list[Any]:
-        rows = self.rows or list(islice(chain.from_iterable(rows for rows, _ in self.read_again()), self.count))
-        topics, times, _, data = zip(*rows, strict=True)
-        rows.clear()
-        fields = zip(map(self.known.__getitem__, topics), times, data, times, repeat(0), strict=False)
-        return list(map(callback, map(_make_message, fields)))
 
 
 def open_reader(path: Path, options: ReadOptions) -> Sqlite3Reader:
@@ -73,7 +85,6 @@ class Sqlite3Reader(Reader):
     message_compression
         ``zstd`` if every message is compressed by itself. With ``none`` the first message in CDR is checked, because
         only metadata.yaml, which may be missing, declares the compression.
-
     strict
         Whether damage is an error; otherwise it is in `damage`, and reading goes on behind what SQLite cannot read.
 
@@ -89,29 +100,40 @@ class Sqlite3Reader(Reader):
         self.path = path
         self._log = DamageLog(strict=strict)
         self._database = Database(path, self._log)
-        read = partial(read_tables, self._database, self._log, message_compression=message_compression)
         try:
             try:
                 self._database.open()
-                tables = read()
+                self._read_tables(message_compression)
             except (*SQLITE_ERRORS, DamageError) as err:
                 self._database.recover(err)
-                tables = read()
+                self._read_tables(message_compression)
         except OSError as err:
             self.close()
             raise RecordingError(f"cannot be read: {err.strerror}", path=path) from err
         except BaseException:
             self.close()
             raise
-        self.connections, start_ns, end_ns, self._index, self._packed_topics = tables
+
+    def _read_tables(self, message_compression: str) -> None:
+        """Check and read what the tables have without the messages."""
+        database = self._database
+        _check_tables(database)
+        #: The quoted name of an index by time of all messages; None if there is none.
+        self._index = _timestamp_index(database)
+        with database.ending():
+            if not database.is_rebuilt:
+                _check_small_tables(database, self._log)
+            self.connections, span = _read_connections(database, self._log, self._index)
+        #: The topics whose messages are compressed one by one.
+        self._packed_topics = _find_compressed(database, self.connections, declared=message_compression == "zstd")
         self.summary = Summary(
             container="sqlite3",
             storage="",
             compression=("zstd" if self._packed_topics else "none",),
-            size_bytes=self._database.size,
+            size_bytes=database.size,
             message_count=sum(connection.message_count or 0 for connection in self.connections),
-            start_ns=start_ns,
-            end_ns=end_ns,
+            start_ns=min(span, default=None),
+            end_ns=max(span, default=None),
         )
 
     def chunks(
@@ -119,46 +141,37 @@ class Sqlite3Reader(Reader):
         connections: Collection[Connection] | None = None,
         start_ns: int | None = None,
         stop_ns: int | None = None,
-        rule: ChunkRule | None = None,  # noqa: ARG002  # there are no chunks
+        rule: ChunkRule | None = None,  # noqa: ARG002  # no chunk is copied
     ) -> Iterator[Chunk]:
         """Yield rows by log time, as chunks; equal log times are in the order of writing.
 
-        Rows are read while the chunks are iterated over, by the thread that does so: a database is read in order. A
-        chunk that is loaded again, which also happens on that thread, reads its rows again.
+        Rows are read while the chunks are iterated over, by the thread that does so: a database is read in order.
         """
         wanted = None if connections is None else {connection.id for connection in connections}
         known = {own.id: own for own in self.connections if wanted is None or own.id in wanted}
-        read = partial(self._batches, known, start_ns, stop_ns)
-        before: tuple[int, int] | None = None
-        for number, (rows, size) in enumerate(read()):
-            load = _Rows(rows, len(rows), partial(read, before), known)
-            before = rows[-1][1:3]
+        for number, (rows, size) in enumerate(self._batches(known, start_ns, stop_ns)):
+            load = partial(_load, known, rows)
             yield Chunk(rows[0][1], (number,), size, load, is_quick=size < _WORTH_A_THREAD)
+            # Nothing but the chunk holds its rows.
+            del rows, load
 
     def _batches(
-        self,
-        known: Mapping[int, Connection],
-        start_ns: int | None,
-        stop_ns: int | None,
-        after: tuple[int, int] | None = None,
+        self, known: Mapping[int, Connection], start_ns: int | None, stop_ns: int | None
     ) -> Iterator[tuple[list[Row], int]]:
-        """Yield some rows at a time, with the bytes of their data.
-
-        They are in the order of log time, equal log times in the order of writing. Only those after ``after``, a log
-        time and an id.
-        """
+        """Yield some rows at a time, by log time and id, with the bytes of their data."""
+        after: tuple[int, int] | None = None
         expected = sum(own.message_count or 0 for own in known.values())
         left = self._database.most_bytes
         while True:
             is_rebuilt = self._database.is_rebuilt
             try:
-                for rows, size in _in_batches(self._select(list(known), start_ns, stop_ns, after)):
+                for rows, size in _in_batches(self._select(known, start_ns, stop_ns, after)):
                     after = rows[-1][1:3]
                     # Pages of a damaged tree may form a loop.
                     expected -= len(rows)
+                    left -= size
                     if expected < 0:
                         raise RecordingError("has more messages than it counts", path=self.path)
-                    left -= size
                     if left < 0:
                         raise self._database.too_many_values()
                     if self._packed_topics or {bytes} != set(map(type, map(_DATA, rows))):
@@ -166,6 +179,7 @@ class Sqlite3Reader(Reader):
                         size = sum(map(len, map(_DATA, rows)))  # noqa: PLW2901
                     if rows:
                         yield rows, size
+                    del rows
             except (*SQLITE_ERRORS, DamageError) as err:
                 # What was read meanwhile may have rebuilt it.
                 if is_rebuilt or not self._database.is_rebuilt:
@@ -175,25 +189,16 @@ class Sqlite3Reader(Reader):
                 return
 
     def _decompressed(self, known: Mapping[int, Connection], rows: list[Any]) -> Iterator[Row]:
-        """Yield rows with decompressed data, without those that have none."""
-        for row in rows:
-            topic_id, time_ns, row_id, data = row
-            if isinstance(data, bytes) and topic_id not in self._packed_topics:
-                yield row
-            elif (unpacked := self._decompress(known[topic_id], time_ns, row_id, data)) is not None:
-                yield topic_id, time_ns, row_id, unpacked
-
-    def _decompress(self, connection: Connection, time_ns: int, message_id: int, data: object) -> bytes | None:
-        """Decompress the data of a message; None, with a note, if it cannot be decompressed."""
-        try:
-            if not isinstance(data, bytes):
-                gone = data is None and self._database.is_rebuilt
-                what = "has lost its data" if gone else f"has data {shown_value(data)}, not a blob"
-                raise self._database.damage(f"{message_row(message_id, connection.topic)} {what}", connection.topic)
-            return zstd.decompress_message(data, self.path, connection.topic)
-        except DamageError as err:
-            self._log.note(err, key=message_id, messages_lost=1, first_ns=time_ns, last_ns=time_ns)
-            return None
+        """Yield rows with decompressed data; those that have none are noted."""
+        for topic_id, time_ns, row_id, data in rows:
+            topic = known[topic_id].topic
+            try:
+                if not isinstance(data, bytes):
+                    raise self._database.damage(f"row {row_id} of messages, of topic {topic!r:.80}, has no data")
+                packed = topic_id in self._packed_topics
+                yield topic_id, time_ns, row_id, zstd.decompress_message(data, self.path, topic) if packed else data
+            except DamageError as err:
+                self._log.note(err, key=row_id, messages_lost=1, first_ns=time_ns, last_ns=time_ns)
 
     def counts(
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
@@ -203,7 +208,7 @@ class Sqlite3Reader(Reader):
             return declared_counts(connections)
         found = dict.fromkeys((connection.id for connection in connections), 0)
         conditions, values = _time_conditions(start_ns, stop_ns)
-        where = " AND ".join((SOUND, *conditions))
+        where = " AND ".join((_SOUND, *conditions))
         sql = f"SELECT topic_id, count(*) FROM messages WHERE {where} GROUP BY topic_id"  # noqa: S608
         try:
             with self._database.ending():
@@ -218,12 +223,12 @@ class Sqlite3Reader(Reader):
         self._database.close()
 
     def _select(
-        self, topic_ids: list[int], start_ns: int | None, stop_ns: int | None, after: tuple[int, int] | None
+        self, topic_ids: Iterable[int], start_ns: int | None, stop_ns: int | None, after: tuple[int, int] | None
     ) -> Iterator[tuple[int, int, int, Any]]:
         """Return topic, time, id and data of messages by time and id, those after ``after`` (time and id)."""
         times, bounds = _time_conditions(start_ns, stop_ns)
         # Not as values, of which some builds of SQLite allow 32,766.
-        conditions = [f"topic_id IN ({', '.join(map(str, topic_ids))})", SOUND, *times]
+        conditions = [f"topic_id IN ({', '.join(map(str, topic_ids))})", _SOUND, *times]
         values = [*bounds, *(after or ())]
         if after is not None:
             conditions.append("(timestamp, id) > (?, ?)")
@@ -233,13 +238,15 @@ class Sqlite3Reader(Reader):
             sql = f"SELECT topic_id, timestamp, id, data FROM messages INDEXED BY {self._index} {tail}"  # noqa: S608
             return self._database.query(sql, values)
         # Without an index SQLite has to sort; only ids are sorted, not messages.
-        sql = f"SELECT topic_id, timestamp, id FROM messages {tail}"  # noqa: S608
-        rows = self._database.query(sql, values)
-        return ((*row, self._data(row[2])) for row in rows)
+        rows = self._database.query(f"SELECT topic_id, timestamp, id FROM messages {tail}", values)  # noqa: S608
+        data = partial(self._database.query, "SELECT data FROM messages WHERE id = ?")
+        return ((*row, (data((row[2],)).fetchone() or (None,))[0]) for row in rows)
 
-    def _data(self, row_id: int) -> Any:
-        row = self._database.query("SELECT data FROM messages WHERE id = ?", (row_id,)).fetchone()
-        return row and row[0]
+
+def _load(known: Mapping[int, Connection], rows: list[Row], callback: Callable[[RawMessage], Any]) -> list[Any]:
+    topics, times, _, data = zip(*rows, strict=True)
+    fields = zip(map(known.__getitem__, topics), times, data, times, repeat(0), strict=False)
+    return list(map(callback, map(_make_message, fields)))
 
 
 def _in_batches(rows: Iterable[Any]) -> Iterator[tuple[list[Any], int]]:
@@ -253,7 +260,7 @@ def _in_batches(rows: Iterable[Any]) -> Iterator[tuple[list[Any], int]]:
             # Faster than isinstance, which shows here.
             if type(data) is bytes or type(data) is str:
                 size += len(data)
-            if size >= _UNIT_BYTES or len(batch) == _UNIT_ROWS:
+            if size >= _CHUNK_BYTES or len(batch) == _CHUNK_ROWS:
                 del row, data
                 yield batch, size
                 batch, size = [], 0
@@ -269,3 +276,159 @@ def _time_conditions(start_ns: int | None, stop_ns: int | None) -> tuple[list[st
     """Return SQL conditions for messages with ``start_ns <= timestamp < stop_ns``, and their values."""
     bounds = [(sign, bound) for sign, bound in ((">=", start_ns), ("<", stop_ns)) if bound is not None]
     return [f"timestamp {sign} ?" for sign, _ in bounds], [max(-(2**63), min(bound, 2**63 - 1)) for _, bound in bounds]
+
+
+# --- What the tables have ---
+
+
+def _check_tables(database: Database) -> None:
+    """Raise if the tables are not rosbag2's."""
+    needed = {
+        "topics": {"id", "name", "type", "serialization_format"},
+        "messages": {"id", "topic_id", "timestamp", "data"},
+    }
+    for table, columns in needed.items():
+        if missing := columns - database.columns(table):
+            raise RecordingError(
+                f"is an SQLite database, but not one of rosbag2: table {table} lacks {', '.join(sorted(missing))}",
+                path=database.path,
+            )
+    # A rebuilt database is trusted.
+    for table in (*needed, "message_definitions") if not database.is_rebuilt else ():
+        database.refuse_made_up(table)
+
+
+def _check_small_tables(database: Database, noted: DamageLog) -> None:
+    """Check the tables that describe the messages."""
+    # The first one lists all others; if it is damaged, it may list fewer.
+    for table in ("sqlite_master", "topics", "message_definitions"):
+        if not database.columns(table):
+            continue
+        found = [str(text) for (text,) in database.query(f"PRAGMA quick_check({table})")]
+        if found == ["ok"]:
+            continue
+        # The first line only has the name of the database.
+        first = next((line for text in found for line in text.splitlines() if not line.startswith("***")), "no answer")
+        error = database.damage(f"table {table} contradicts itself: {first}")
+        # There may be rows that its tree does not reach.
+        if any(text.startswith("***") for text in found):
+            raise error
+        noted.note(error, key=("table", table), messages_lost=0)
+
+
+def _timestamp_index(database: Database) -> str | None:
+    """Return the quoted name of an index by time of all messages."""
+    for row in database.query("PRAGMA index_list(messages)"):
+        name = '"' + str(row[1]).replace('"', '""') + '"'
+        columns = [column[2] for column in database.query(f"PRAGMA index_info({name})")]
+        # An index with a WHERE clause (the fifth column) does not have every row.
+        if columns == ["timestamp"] and not row[4]:
+            return name
+    return None
+
+
+def _read_connections(
+    database: Database, noted: DamageLog, index: str | None
+) -> tuple[tuple[Connection, ...], list[int]]:
+    """Return the connections, and the first and the last log time of each; messages without a topic are noted."""
+    topics = _read_topics(database, noted)
+    counts = {
+        topic_id: numbers
+        for topic_id, *numbers in database.query(
+            f"SELECT CASE WHEN {_SOUND} THEN topic_id END, count(*), min(timestamp), max(timestamp), "  # noqa: S608
+            f"{_TIMES_SUM} FROM messages GROUP BY 1 LIMIT ?",
+            (MAX_CONNECTIONS + 2,),
+        )
+    }
+    if index is not None:
+        total, times_sum = (sum(numbers[place] for numbers in counts.values()) for place in (0, 3))
+        sql = f"SELECT count(*), {_TIMES_SUM} FROM messages INDEXED BY {index}"  # noqa: S608
+        indexed, indexed_sum = database.query(sql).fetchone()
+        if indexed != total:
+            raise database.damage(f"the index of timestamps has {indexed} messages, the table {total}")
+        if indexed_sum != times_sum:
+            raise database.damage("the index of timestamps has other times than the messages")
+    if unsound := counts.pop(None, None):
+        what = f"{counted(unsound[0], 'row')} of messages with an id, a topic or a time that is no integer"
+        noted.note(database.damage(f"has {what}"), key="rows", messages_lost=unsound[0])
+    ConnectionLimit(database.path).add(count=len(counts))
+    for topic_id, (count, first_ns, last_ns, _) in counts.items():
+        if topic_id not in topics:
+            error = database.damage(f"{counted(count, 'message', 'are')} of topic {topic_id}, which is not described")
+            noted.note(error, key=("topic", topic_id), messages_lost=count, first_ns=first_ns, last_ns=last_ns)
+    definitions = _read_definitions(database)
+    connections = tuple(
+        Connection(
+            id=topic_id,
+            topic=topic,
+            msgtype=msgtype,
+            serialization=serialization,
+            definition=definitions.get((msgtype, digest)) or definitions.get((msgtype, None), Definition()),
+            digest=digest,
+            latching=latches(qos),
+            qos=qos,
+            message_count=counts[topic_id][0] if topic_id in counts else 0,
+        )
+        for topic_id, (topic, msgtype, serialization, qos, digest) in topics.items()
+    )
+    return connections, [time_ns for topic_id in topics for time_ns in counts.get(topic_id, ())[1:3]]
+
+
+def _read_topics(database: Database, noted: DamageLog) -> dict[int, list[str]]:
+    """Return name, type, serialization format, QoS profiles and hash of each topic; missing columns are empty."""
+    available = database.columns("topics")
+    names = ("name", "type", "serialization_format", "offered_qos_profiles", "type_description_hash")
+    columns = ", ".join(_column_as_text(name) if name in available else "''" for name in names)
+    found: dict[int, list[str]] = {}
+    limit = ConnectionLimit(database.path, database.size)
+    sql = f"SELECT id, {columns} FROM topics ORDER BY id"  # noqa: S608 - constants
+    for topic_id, *values in database.bounded_rows(database.query(sql)):
+        if not isinstance(topic_id, int) or topic_id in found:
+            error = database.damage(f"topic {values[0]!r:.80} has no id of its own")
+            noted.note(error, key=("topics", topic_id, values[0]), messages_lost=0)
+            continue
+        found[topic_id] = values
+        limit.add(sum(map(len, values)))
+    return found
+
+
+def _read_definitions(database: Database) -> dict[tuple[str, str | None], Definition]:
+    """Return definitions by type and hash; without a hash, the first of a type."""
+    found: dict[tuple[str, str | None], Definition] = {}
+    columns = database.columns("message_definitions")
+    if not {"topic_type", "encoding", "encoded_message_definition"} <= columns:
+        return found
+    digest = _column_as_text("type_description_hash") if "type_description_hash" in columns else "''"
+    rows = database.query(
+        f"SELECT {_column_as_text('topic_type')}, {_column_as_text('encoding')}, "  # noqa: S608
+        f"CAST(encoded_message_definition AS BLOB), {digest} FROM message_definitions ORDER BY id LIMIT ?",
+        (MAX_CONNECTIONS,),
+    )
+    for msgtype, encoding, data, own_digest in database.bounded_rows(rows):
+        # rosbag2 writes "unknown" if it did not find the definition.
+        if data and encoding not in {"", "unknown"}:
+            definition = Definition(encoding, data)
+            found.setdefault((msgtype, own_digest), definition)
+            found.setdefault((msgtype, None), definition)
+    return found
+
+
+def _find_compressed(database: Database, connections: Iterable[Connection], *, declared: bool) -> frozenset[int]:
+    """Return the topics whose messages are compressed one by one.
+
+    Without a declaration the first CDR message decides: CDR begins with a zero byte, and never looks like a zstd
+    frame. Messages in other serialisations may begin with any bytes, and stay as they are.
+    """
+    if declared:
+        return frozenset(connection.id for connection in connections)
+    cdr = frozenset(connection.id for connection in connections if connection.serialization == "cdr")
+    rows = database.query("SELECT topic_id, substr(data, 1, 4) FROM messages LIMIT ?", (_LOOKED_AT,))
+    for topic_id, head in rows:
+        if topic_id in cdr and isinstance(head, bytes):
+            return cdr if head == ZSTD_MAGIC else frozenset()
+    return frozenset()
+
+
+def _column_as_text(column: str) -> str:
+    """Return a column as text: SQLite allows any value in any column."""
+    return f"coalesce(CAST({column} AS TEXT), '')"
