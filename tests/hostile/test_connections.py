@@ -143,7 +143,7 @@ def test_a_directory_of_too_many_topics_is_not_opened_whole(tmp_path: Path, monk
 def test_messages_of_more_topics_than_are_allowed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Their topics are not described: each would be damage of its own."""
     monkeypatch.setattr("pc2scan.bags.reader.MAX_CONNECTIONS", MOST)
-    monkeypatch.setattr("pc2scan.bags.rosbag2.sqlite3.index.MAX_CONNECTIONS", MOST)
+    monkeypatch.setattr("pc2scan.bags.rosbag2.sqlite3.read.MAX_CONNECTIONS", MOST)
     source = database(tmp_path, MOST)
     with closing(sqlite3.connect(source)) as opened, opened:
         opened.execute("UPDATE messages SET topic_id = 100 WHERE id = 3")

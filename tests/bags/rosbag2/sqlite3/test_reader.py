@@ -86,8 +86,7 @@ def test_a_selection_of_topics_does_not_lose_the_index(tmp_path: Path) -> None:
     path = build(tmp_path / "x.db3", script="CREATE INDEX by_topic ON messages (topic_id); ANALYZE")
     with closing(Sqlite3Reader(path)) as reader:
         seen: list[str] = []
-        opened = reader._database._opened
-        assert opened is not None
+        opened = reader._database._database().connection
         opened.set_trace_callback(seen.append)
         assert len(list(reader.messages([reader.connections[0]]))) == 2
         opened.set_trace_callback(None)

@@ -159,7 +159,7 @@ def test_large_ids_are_no_damage(tmp_path: Path) -> None:
 def test_more_topics_than_sqlite_takes_values_are_read(tmp_path: Path) -> None:
     path = write_db3(tmp_path / "drive.db3", CONTENT)
     with closing(Sqlite3Reader(path)) as reader:
-        opened = reader._database._opened
+        opened = reader._database._database().connection
         if hasattr(opened, "setlimit"):
             opened.setlimit(sqlite3.SQLITE_LIMIT_VARIABLE_NUMBER, 2)
         assert len(list(reader.messages())) == len(CONTENT.items)

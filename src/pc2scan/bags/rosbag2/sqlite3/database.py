@@ -19,11 +19,11 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.bags.damage import RECOVER
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.files.places import TEMPORARY_HINT, copy_errors, private_folder
-from pc2scan.files.source import file_beside, open_bytes
+from pc2scan.files.source import file_beside, keep_open, open_bytes
 from pc2scan.text import counted, size
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from tempfile import TemporaryDirectory
 
     from pc2scan.bags.damage import DamageLog
@@ -58,6 +58,24 @@ _LEAST_ID = -(2**63)
 _DATA_OF = "SELECT data FROM messages WHERE rowid BETWEEN ? AND ? AND +rowid = ? LIMIT 1"
 
 
+class _Opened:
+    """An open database, which is closed with this object: a connection itself would wait for the garbage collection."""
+
+    __slots__ = ("__weakref__", "connection")
+
+    def __init__(self, connection: sqlite3.Connection) -> None:
+        self.connection = connection
+
+    def __del__(self) -> None:
+        self.connection.close()
+
+
+class _Cursor(sqlite3.Cursor):
+    """A cursor, and the database that stays open for it."""
+
+    opened: _Opened
+
+
 class Database:
     """A database and the logs beside it. `open` opens it; `recover` replaces it by one of the rows in its pages.
 
@@ -88,11 +106,11 @@ class Database:
         self.is_rebuilt = False
         self._noted = damage
         self._copy: TemporaryDirectory[str] | None = None
-        #: What is read: the file or its copy.
-        self._file = path.absolute()
-        self._opened: sqlite3.Connection | None = None
-        #: After `recover`: what the rows' data are read from.
-        self._damaged: sqlite3.Connection | None = None
+        #: What is read: the file or its copy; None when it is closed. Its database may be closed for other files.
+        self._file: Path | None = path.absolute()
+        self._opened: Callable[[], _Opened | None] = lambda: None
+        #: After `recover`, the damaged database and that of its rows.
+        self._recovered: list[_Opened] = []
         try:
             self.size = path.stat().st_size
             self._logs = {suffix: log for suffix in _LOG_SUFFIXES if (log := _log_beside(path, suffix))}
@@ -112,6 +130,7 @@ class Database:
         """
         if self._logs:
             self._file = self._merged_copy()
+        assert self._file is not None
         declared, stored = _declared_size(self._file), self._file.stat().st_size
         if stored < declared:
             raise self.damage(f"is cut off: it has {stored} of {declared} bytes")
@@ -119,7 +138,6 @@ class Database:
             # Appended bytes are harmless; inserted ones shift the pages after them.
             error = self.damage(f"has {stored} bytes, {stored - declared} more than its header declares")
             self._noted.note(error, key="size", messages_lost=0)
-        self._opened = self._connect(self._file)
         if journal := self._logs.get("-journal"):
             # SQLite stops in silence where a journal is damaged.
             with self.ending():
@@ -138,42 +156,51 @@ class Database:
         problem = err if isinstance(err, RecordingError) else self._error(err)
         if not isinstance(problem, DamageError) or self.is_rebuilt or self._noted.strict:
             raise problem
+        assert self._file is not None
         missing = max(0, _declared_size(self._file) - self._file.stat().st_size)
-        self._disconnect()
         try:
             # SQLite takes missing bytes of a page for zeros.
             stored = self._file.stat().st_size
             if rest := stored % (_page_bytes(_header(self._file)) or stored):
                 self._file = self._file if self._copy else self._merged_copy()
                 os.truncate(self._file, stored - rest)
-            self._opened = self._damaged = self._connect(self._file)
+            damaged = self._connect(self._file)
+            self._recovered = [_Opened(damaged)]
             # Without it, SQLite reads nothing of a database that is cut off.
-            self._damaged.execute("PRAGMA writable_schema = ON")
+            damaged.execute("PRAGMA writable_schema = ON")
             columns = {}
             for table, names in _TABLES.items():
                 self.refuse_made_up(table)
                 available = self.columns(table)
                 columns[table] = [name for name in names if name in available]
-            self._opened, last_ns = self._rebuild(self._damaged, columns)
+            rebuilt, last_ns = self._rebuild(damaged, columns)
         except (*SQLITE_ERRORS, DamageError) as error:
             raise self._lost(problem) from error
         self.is_rebuilt = True
-        if last_ns is None and not self._opened.execute("SELECT 1 FROM topics").fetchone():
+        self._recovered.append(_Opened(rebuilt))
+        if last_ns is None and not rebuilt.execute("SELECT 1 FROM topics").fetchone():
             raise self._lost(problem)
         self._noted.note(problem, bytes_lost=missing, first_ns=last_ns)
 
     def close(self) -> None:
         """Close the database and remove the copy, if there is one."""
-        self._disconnect()
+        for opened in (*self._recovered, self._opened()):
+            if opened is not None:
+                opened.connection.close()
+        self._file, self._recovered, self._opened = None, [], lambda: None
         if self._copy is not None:
             self._copy.cleanup()
             self._copy = None
 
-    def _disconnect(self) -> None:
-        for opened in (self._opened, self._damaged):
-            if opened is not None:
-                opened.close()
-        self._opened = self._damaged = None
+    def _database(self) -> _Opened:
+        """Return the open database; it is opened again if it was closed for other files."""
+        opened = self._recovered[-1] if self._recovered else self._opened()
+        if opened is None:
+            if self._file is None:
+                raise RecordingError("is closed", path=self.path)
+            opened = _Opened(self._connect(self._file))
+            self._opened = keep_open(opened)
+        return opened
 
     def _connect(self, file: Path, mode: str = "ro&immutable=1") -> sqlite3.Connection:
         """Open a file with the limits for untrusted recordings."""
@@ -191,10 +218,11 @@ class Database:
 
     def query(self, sql: str, values: Sequence[Any] = ()) -> sqlite3.Cursor:
         """Execute a statement; raises one of `SQLITE_ERRORS` or `RecordingError`."""
-        if self._opened is None:
-            raise RecordingError("is closed", path=self.path)
+        opened = self._database()
+        cursor = opened.connection.cursor(_Cursor)
+        cursor.opened = opened
         try:
-            return self._opened.execute(sql, values)
+            return cursor.execute(sql, values)
         except UnicodeDecodeError as err:
             # The message quotes a damaged name, which Python cannot decode.
             raise self.damage("SQLite cannot read it, and names what is not text") from err
@@ -203,13 +231,12 @@ class Database:
     def ending(self) -> Iterator[None]:
         """Interrupt SQLite if it takes more steps than a file of this size can need."""
         millions = iter(range(5 + self.size // 100_000))
-        opened = self._opened
-        assert opened is not None
-        opened.set_progress_handler(lambda: next(millions, None) is None, 1_000_000)
+        opened = self._database()
+        opened.connection.set_progress_handler(lambda: next(millions, None) is None, 1_000_000)
         try:
             yield
         finally:
-            opened.set_progress_handler(None, 0)
+            opened.connection.set_progress_handler(None, 0)
 
     def bounded_rows(self, rows: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
         """Yield rows as they are, up to the size of the file: rows that share pages may have any number of values."""
