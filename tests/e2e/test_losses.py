@@ -347,11 +347,6 @@ def counted_otherwise(path: Path) -> None:
     respelled(path / "metadata.yaml", "/imu", "message_count: 9", "message_count: 10")
 
 
-def listed_otherwise(field: str) -> Callable[[Path], object]:
-    first = {"type": "s", "serialization_format": "c"}[field]
-    return lambda path: respelled(path / "metadata.yaml", "/chatter", f"{field}: {first}", f"{field}: x")
-
-
 DESCRIBED = {
     "topic": (b"topic=/chatter", b"topic=/chattes"),
     "type": (b"type=std_msgs/String", b"type=std_msgs/Strinh"),
@@ -421,12 +416,6 @@ OTHERWISE: dict[str, Otherwise] = {
             (1,),
         )
         for storage in ("sqlite3", "mcap")
-    },
-    **{
-        f"a topic's {field} in metadata.yaml": Otherwise(
-            rosbag2, listed_otherwise(field), ("metadata.yaml lists /chatter as",), None
-        )
-        for field in ("type", "serialization_format")
     },
 }
 

@@ -6,9 +6,10 @@ The reader of split rosbag2 recordings (`pc2scan.bags.rosbag2.read`) is a subcla
 from __future__ import annotations
 
 import heapq
+from collections import Counter
 from dataclasses import replace
-from operator import attrgetter
-from typing import TYPE_CHECKING, NamedTuple
+from operator import attrgetter, itemgetter
+from typing import TYPE_CHECKING
 
 from pc2scan.bags.reader import ConnectionLimit
 from pc2scan.errors import UsageError
@@ -25,6 +26,11 @@ if TYPE_CHECKING:
 
     from .damage import Damage
     from .loading import Chunk
+
+
+_identity_of = attrgetter(
+    "topic", "msgtype", "serialization", "definition", "digest", "callerid", "latching", "qos"
+)  # fmt: skip
 
 
 class MergedReader(Reader):
@@ -50,33 +56,27 @@ class MergedReader(Reader):
     """
 
     def __init__(self, readers: Sequence[Reader], path: Path | None = None) -> None:
-        if not readers:
-            raise UsageError("no recording was given")
         _refuse_repeated(readers)
         _refuse_mixed_ros_versions(readers)
-        self._readers = tuple(readers)
-        connections: Sequence[Connection]
-        maps: list[dict[int, Connection]]
-        if len(readers) == 1:
-            connections = readers[0].connections
-            maps = [{connection.id: connection for connection in connections}]
-        else:
-            connections, ids = unify_connections([reader.connections for reader in readers])
-            ConnectionLimit(readers[0].path).add(count=len(connections))
-            by_id = {connection.id: connection for connection in connections}
-            maps = [{own: by_id[merged] for own, merged in numbers.items()} for numbers in ids]
         self.path = path or readers[0].path
+        self._readers = tuple(readers)
         #: In the order of the sources.
-        self.connections = tuple(connections)
+        self.connections: Sequence[Connection] = tuple(readers[0].connections)
+        ids = [{connection.id: connection.id for connection in self.connections}]
+        self._unchanged = len(readers) == 1
+        if not self._unchanged:
+            merged, ids = unify_connections([reader.connections for reader in readers])
+            ConnectionLimit(self.path).add(count=len(merged))
+            self.connections = tuple(merged)
+        by_id = {connection.id: connection for connection in self.connections}
+        #: For each source: the merged connection of each of its own.
+        self._maps = [{own: by_id[number] for own, number in numbers.items()} for numbers in ids]
         self.summary = merge_summaries([reader.summary for reader in readers])
         self.has_chunks = all(reader.has_chunks for reader in readers)
-        self._maps = maps
-        self._unchanged = len(readers) == 1
 
     def _amend(self, amended: Mapping[int, Connection], added: Iterable[Connection] = ()) -> None:
         """Replace connections by ones with more information and the same ids, and add some without messages."""
-        changed = [amended.get(connection.id, connection) for connection in self.connections]
-        completed = (*changed, *added)
+        completed = (*(amended.get(connection.id, connection) for connection in self.connections), *added)
         self._unchanged = self._unchanged and completed == self.connections
         self.connections = completed
         self._maps = [
@@ -107,45 +107,32 @@ class MergedReader(Reader):
         """
         if self._unchanged:
             return self._readers[0].chunks(connections, start_ns, stop_ns, rule)
-        return _chunks_in_turn(self._sources(connections, start_ns, stop_ns, rule))
-
-    def _sources(
-        self,
-        connections: Collection[Connection] | None,
-        start_ns: int | None,
-        stop_ns: int | None,
-        rule: ChunkRule | None,
-    ) -> list[_Source]:
-        """Return the sources that may have such messages, each with what is read of it."""
         wanted = None if connections is None else {connection.id for connection in connections}
         sources = []
-        for index, (reader, known) in enumerate(zip(self._readers, self._maps, strict=True)):
-            chosen = None
-            if wanted is not None:
-                chosen = [own for own in reader.connections if known[own.id].id in wanted]
-                if not chosen:
-                    continue
+        for number, (reader, known) in enumerate(zip(self._readers, self._maps, strict=True)):
+            chosen = [own for own in reader.connections if wanted is None or known[own.id].id in wanted]
             first_ns = reader.summary.start_ns
-            if first_ns is not None and stop_ns is not None and first_ns >= stop_ns:
+            first_ns = UNKNOWN_START_NS if first_ns is None else first_ns
+            if (wanted is not None and not chosen) or (stop_ns is not None and first_ns >= stop_ns):
                 continue
             own_rule = None
             if rule is not None and self._stands_alone(reader):
                 same = frozenset(own for own, connection in known.items() if own == connection.id)
                 own_rule = rule._replace(connection_ids=rule.connection_ids & same)
-            sources.append(_Source(index, reader, known, (chosen, start_ns, stop_ns, own_rule)))
-        return sources
+            source = reader.chunks(None if wanted is None else chosen, start_ns, stop_ns, own_rule)
+            sources.append((first_ns, _merged_chunks(source, number, known)))
+        return _in_turn(sources)
 
     def _stands_alone(self, reader: Reader) -> bool:
         """Whether no other source has messages between the first and the last of this one."""
         start_ns, end_ns = reader.summary.start_ns, reader.summary.end_ns
         if start_ns is None or end_ns is None or end_ns < start_ns:
-            return len(self._readers) == 1
+            return False
+        others = [each.summary for each in self._readers if each is not reader and each.summary.message_count != 0]
         return all(
-            other is reader
-            or other.summary.message_count == 0
-            or (other.summary.start_ns is not None and end_ns < other.summary.start_ns)
-            or (other.summary.end_ns is not None and other.summary.end_ns < start_ns)
-            for other in self._readers
+            (other.start_ns is not None and end_ns < other.start_ns)
+            or (other.end_ns is not None and other.end_ns < start_ns)
+            for other in others
         )
 
     def counts(
@@ -180,40 +167,28 @@ class MergedReader(Reader):
             reader.close()
 
 
-class _Source(NamedTuple):
-    """One reader of several, with its merged connections and the selection to read."""
+def _merged_chunks(chunks: Iterable[Chunk], number: int, known: Mapping[int, Connection]) -> Iterator[Chunk]:
+    """Yield the chunks of a source, with messages of the merged connections."""
 
-    number: int
-    reader: Reader
-    known: Mapping[int, Connection]
-    selection: tuple[Collection[Connection] | None, int | None, int | None, ChunkRule | None]
+    def merged(message: RawMessage) -> RawMessage:
+        return message._replace(connection=known[message.connection.id])
 
-    @property
-    def start_ns(self) -> int:
-        """The first log time; if it is unknown, it may be any."""
-        start_ns = self.reader.summary.start_ns
-        return UNKNOWN_START_NS if start_ns is None else start_ns
-
-    def chunks(self) -> Iterator[Chunk]:
-        """Yield its chunks, with messages of the merged connections."""
-        for chunk in self.reader.chunks(*self.selection):
-            if (ids := chunk.connection_ids) is not None:
-                ids = frozenset(self.known[own].id for own in ids & self.known.keys())
-            place = (self.number, *chunk.place)
-            yield chunk._replace(place=place, connection_ids=ids).changed(self._merged)
-
-    def _merged(self, message: RawMessage) -> RawMessage:
-        return message._replace(connection=self.known[message.connection.id])
+    for chunk in chunks:
+        ids = chunk.connection_ids
+        yield chunk._replace(
+            place=(number, *chunk.place),
+            connection_ids=None if ids is None else frozenset(known[own].id for own in ids & known.keys()),
+        ).changed(merged)
 
 
-def _chunks_in_turn(sources: Iterable[_Source]) -> Iterator[Chunk]:
+def _in_turn(sources: Iterable[tuple[int, Iterator[Chunk]]]) -> Iterator[Chunk]:
     """Yield the chunks of all sources by start; a source is read from its start on."""
-    waiting = sorted(sources, key=attrgetter("start_ns"), reverse=True)
+    waiting = sorted(sources, key=itemgetter(0), reverse=True)
     # Places differ, as they begin with the number of the source.
     heap: list[tuple[tuple[int, tuple[int, ...]], Chunk, Iterator[Chunk]]] = []
     while waiting or heap:
-        if waiting and (not heap or waiting[-1].start_ns <= heap[0][0][0]):
-            chunks = waiting.pop().chunks()
+        if waiting and (not heap or waiting[-1][0] <= heap[0][0][0]):
+            _, chunks = waiting.pop()
         else:
             _, chunk, chunks = heapq.heappop(heap)
             yield chunk
@@ -240,16 +215,15 @@ def unify_connections(sources: Sequence[Sequence[Connection]]) -> tuple[list[Con
         For each source: from its own id to the new one.
     """
     merged: list[Connection] = []
-    places: dict[tuple[Hashable, int], int] = {}
+    places: dict[Hashable, int] = {}
     ids: list[dict[int, int]] = []
     for connections in sources:
-        seen: dict[Hashable, int] = {}
+        seen: Counter[Hashable] = Counter()
         numbers: dict[int, int] = {}
         for connection in connections:
-            identity = _identity(connection)
-            occurrence = seen.get(identity, 0)
-            seen[identity] = occurrence + 1
-            place = places.setdefault((identity, occurrence), len(merged))
+            identity = _identity_of(connection), frozenset(connection.metadata.items())
+            place = places.setdefault((identity, seen[identity]), len(merged))
+            seen[identity] += 1
             if place == len(merged):
                 merged.append(replace(connection, id=place + 1))
             else:
@@ -260,20 +234,6 @@ def unify_connections(sources: Sequence[Sequence[Connection]]) -> tuple[list[Con
     return merged, ids
 
 
-def _identity(connection: Connection) -> Hashable:
-    return (
-        connection.topic,
-        connection.msgtype,
-        connection.serialization,
-        connection.definition,
-        connection.digest,
-        connection.callerid,
-        connection.latching,
-        connection.qos,
-        frozenset(connection.metadata.items()),
-    )
-
-
 def merge_summaries(summaries: Sequence[Summary]) -> Summary:
     """Merge summaries: sizes and counts are added, times span all.
 
@@ -282,15 +242,20 @@ def merge_summaries(summaries: Sequence[Summary]) -> Summary:
     """
     # An empty source has no times; they are not unknown.
     timed = [summary for summary in summaries if summary.message_count != 0]
+
+    def common(name: str) -> str:
+        values = {getattr(summary, name) for summary in summaries}
+        return str(values.pop()) if len(values) == 1 else ""
+
     return Summary(
-        container=_common([summary.container for summary in summaries], "mixed"),
-        storage=_common([summary.storage for summary in summaries], ""),
+        container=common("container") or "mixed",
+        storage=common("storage"),
         compression=tuple(sorted({name for summary in summaries for name in summary.compression})),
         size_bytes=sum(summary.size_bytes for summary in summaries),
         message_count=_sum([summary.message_count for summary in summaries]),
         start_ns=_extreme(min, [summary.start_ns for summary in timed]),
         end_ns=_extreme(max, [summary.end_ns for summary in timed]),
-        profile=_common([summary.profile for summary in summaries], ""),
+        profile=common("profile"),
     )
 
 
@@ -304,19 +269,14 @@ def _extreme(choose: Callable[[list[int]], int], values: Sequence[int | None]) -
     return choose(known) if known and len(known) == len(values) else None
 
 
-def _common(values: Sequence[str], otherwise: str) -> str:
-    return values[0] if len(set(values)) == 1 else otherwise
-
-
 def _refuse_repeated(readers: Sequence[Reader]) -> None:
-    seen: dict[tuple[int, int], Path] = {}
+    seen = set()
     for reader in readers:
         status = reader.path.stat()
         identity = (status.st_dev, status.st_ino)
         if identity in seen:
-            other = "" if seen[identity] == reader.path else f" (as {seen[identity]} too)"
-            raise UsageError(f"the recording is given twice{other}", path=reader.path)
-        seen[identity] = reader.path
+            raise UsageError("the recording is given twice", path=reader.path)
+        seen.add(identity)
 
 
 def _refuse_mixed_ros_versions(readers: Sequence[Reader]) -> None:

@@ -20,7 +20,6 @@ Keys are read from any version that has them.
 
 from __future__ import annotations
 
-from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PureWindowsPath
@@ -77,12 +76,8 @@ class BagInfo:
         Connections with ids from 1 on.
     message_count
         In all; None if it is not there.
-    topic_counts
-        By topic and type.
     extents
         By file; older versions have none.
-    span_ns
-        Log times between which all messages are; None where it does not say.
     is_guessed
         Whether there is no metadata.yaml, so that only the files say what the recording is.
     """
@@ -92,9 +87,7 @@ class BagInfo:
     topics: tuple[Connection, ...] = ()
     custom_data: Mapping[str, str] = field(default_factory=dict)
     message_count: int | None = None
-    topic_counts: Mapping[tuple[str, str], int] = field(default_factory=dict)
     extents: Mapping[str, FileExtent] = field(default_factory=dict)
-    span_ns: tuple[int, int] | None = None
     is_guessed: bool = False
 
 
@@ -232,18 +225,13 @@ def _parse_info(document: Any) -> BagInfo:
         raise ValueError("names no files")
     entries = _get(root, "topics_with_message_count", list, ROOT, [])
     topics = tuple(_read_topic(number, entry) for number, entry in enumerate(entries, 1))
-    counts: Counter[tuple[str, str]] = Counter()
-    for topic, entry in zip(topics, entries, strict=True):
-        counts[topic.topic, topic.msgtype] += _get(entry, "message_count", int, f"topic {topic.id}", 0)
     return BagInfo(
         files=tuple(dict.fromkeys(files)),
         message_compression=_message_compression(root),
         topics=topics,
-        topic_counts=counts,
         custom_data={str(key): str(value) for key, value in _get(root, "custom_data", dict, ROOT, {}).items()},
         message_count=_get(root, "message_count", int, ROOT, 0),
         extents=dict(_extents(root)),
-        span_ns=_span(root),
     )
 
 
@@ -257,15 +245,6 @@ def _extents(root: Any) -> Iterator[tuple[str, FileExtent]]:
             yield _file_name(entry["path"]), FileExtent(int(entry["message_count"]), first_ns, last_ns)
         except (KeyError, TypeError, ValueError):
             continue
-
-
-def _span(root: Any) -> tuple[int, int] | None:
-    """Return the first and the last log time; None if they are wrong, since messages are read without them."""
-    try:
-        first_ns = int(root["starting_time"]["nanoseconds_since_epoch"])
-        return first_ns, first_ns + int(root["duration"]["nanoseconds"])
-    except (KeyError, TypeError, ValueError):
-        return None
 
 
 def _get(mapping: Any, key: str, kind: type, where: str, default: Any = None) -> Any:
@@ -317,5 +296,5 @@ def _read_topic(number: int, entry: Any) -> Connection:
         digest=_get(topic, "type_description_hash", str, where, ""),
         latching=latches(qos),
         qos=qos,
-        message_count=0,
+        message_count=_get(entry, "message_count", int, where, 0),
     )

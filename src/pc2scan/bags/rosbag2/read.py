@@ -15,13 +15,13 @@ from pc2scan.bags.formats import ReadOptions, and_list, storages
 from pc2scan.bags.merged import MergedReader
 from pc2scan.bags.opening import sniff
 from pc2scan.bags.reader import ConnectionLimit
-from pc2scan.errors import DamageError, RecordingError, stamp_text
+from pc2scan.errors import DamageError, RecordingError
 from pc2scan.files.places import private_folder
 
 from .metadata import METADATA_NAME, RECORD_NAME, locate_files, missing_error, read_info
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from tempfile import TemporaryDirectory
 
     from pc2scan.bags.damage import Damage
@@ -91,18 +91,12 @@ class Rosbag2Reader(MergedReader):
             if self._info.is_guessed:
                 refuse_unrelated(path, files, opened)
             super().__init__(opened, path)
-            undo.pop_all()
-        try:
             self._compare_counts()
-            self._compare_times()
-            self._compare_topics()
-        except BaseException:
-            self.close()
-            raise
+            undo.pop_all()
         amended, added = _complete_connections(self.connections, self._info.topics)
         self._amend(amended, added)
-        #: With the counts and times of the storage, not of metadata.yaml.
-        self._inner = inner = self.summary
+        # With the counts and times of the storage, not of metadata.yaml.
+        inner = self.summary
         packed = self._info.message_compression == "zstd" or any(zstd.is_zstd(file) for file in files)
         self.summary = inner._replace(
             container="rosbag2",
@@ -161,67 +155,23 @@ class Rosbag2Reader(MergedReader):
     def _compare_counts(self) -> None:
         """Note if the numbers of messages in metadata.yaml, in all or of a topic, differ from those in the files."""
         stored, declared = self.summary.message_count, self._info.message_count
-        known = [damage.messages_lost for damage in self._log.found if damage.loses]
-        if stored is None or declared is None or None in known:
-            return
         # What the files themselves lack by their own damage is noted there.
-        known += [damage.messages_lost for damage in super().damage if damage.messages_lost]
-        missing = declared - stored - sum(filter(None, known))
+        lost = [damage.messages_lost for damage in (*self._log.found, *super().damage) if damage.loses]
+        if stored is None or declared is None or None in lost:
+            return
+        missing = declared - stored - sum(filter(None, lost))
         details = ""
-        if not known and all(connection.message_count is not None for connection in self.connections):
-            found = Counter[tuple[str, str]]()
-            for connection in self.connections:
-                found[connection.topic, connection.msgtype] += connection.message_count or 0
-            listed_counts = self._info.topic_counts
-            pairs = [(key[0], listed_counts.get(key, 0), found[key]) for key in {**listed_counts, **found}]
-            fewer = [(topic, count, there) for topic, count, there in pairs if there < count]
+        if not lost:
+            found, listed = _counts_of(self.connections), _counts_of(self._info.topics)
+            topics = [(topic, listed[topic], found[topic]) for topic in {**listed, **found}]
+            fewer = [row for row in topics if row[2] < row[1]]
             # If the counts have another sum, they are unreliable, and only missing messages are noted.
-            details = count_details(pairs if sum(listed_counts.values()) == declared else fewer)
+            details = count_details(topics if listed.total() == declared else fewer)
             missing = max(missing, sum(count - there for _, count, there in fewer))
         if missing > 0 or details:
             problem = f"{METADATA_NAME} counts {declared} messages, its files have {stored}{details}"
-            self._log.note(
-                DamageError(problem, path=self.path, hint=RECOVER), key="count", messages_lost=max(0, missing)
-            )
-
-    def _compare_times(self) -> None:
-        """Note if messages of a recording in one file are outside of the times in metadata.yaml.
-
-        The times of a snapshot begin when the recorder was started. Those of split recordings cannot be relied on:
-        rosbag2 wrote those of the last file until Humble (https://github.com/ros2/rosbag2/issues/1413).
-        """
-        summary, declared = self.summary, self._info.span_ns
-        if not (
-            len(self._info.files) == 1
-            and declared
-            and summary.message_count
-            and summary.start_ns is not None
-            and summary.end_ns is not None
-        ):
-            return
-        if not declared[0] <= summary.start_ns <= summary.end_ns <= declared[1]:
-            problem = (
-                f"{METADATA_NAME} has log times {stamp_text(declared[0])} to {stamp_text(declared[1])}, "
-                f"its files {stamp_text(summary.start_ns)} to {stamp_text(summary.end_ns)}"
-            )
-            self._log.note(DamageError(problem, path=self.path, hint=RECOVER), key="times", messages_lost=0)
-
-    def _compare_topics(self) -> None:
-        """Note topics whose type or serialization in metadata.yaml differs from the files."""
-        listed: dict[str, list[tuple[str, str]]] = {}
-        for topic in self._info.topics:
-            listed.setdefault(topic.topic, []).append((topic.ros_type, topic.serialization))
-        for connection in self.connections:
-            stored = connection.ros_type, connection.serialization
-            kinds = listed.get(connection.topic, [])
-            if kinds and not any(_is_same_connection(kind, stored) for kind in kinds):
-                declared, found = (f"{msgtype!r:.80} in {form!r:.40}" for msgtype, form in (kinds[0], stored))
-                problem = f"{METADATA_NAME} lists {connection.topic} as {declared}, its files have {found}"
-                self._log.note(
-                    DamageError(problem, path=self.path, hint=RECOVER),
-                    key=("topic", connection.topic),
-                    messages_lost=0,
-                )
+            error = DamageError(problem, path=self.path, hint=RECOVER)
+            self._log.note(error, key="count", messages_lost=max(0, missing))
 
     def _discard_temporary(self) -> None:
         if self._temporary is not None:
@@ -242,11 +192,12 @@ def _storage_of(file: Path) -> Format:
     return storages()[name]
 
 
-def _is_same_connection(listed: tuple[str, str], stored: tuple[str, str]) -> bool:
-    """Whether a topic has the type and serialization that metadata.yaml lists; channels in MCAP may lack a type."""
-    (listed_type, listed_form), (stored_type, stored_form) = listed, stored
-    same_type = listed_type == stored_type or not (listed_type and stored_type)
-    return same_type and listed_form in ("", stored_form)
+def _counts_of(connections: Iterable[Connection]) -> Counter[str]:
+    """Return the number of messages of each topic."""
+    counts: Counter[str] = Counter()
+    for connection in connections:
+        counts[connection.topic] += connection.message_count or 0
+    return counts
 
 
 def _complete_connections(
@@ -268,4 +219,4 @@ def _complete_connections(
     names = {(connection.topic, connection.msgtype) for connection in stored}
     unused = max((connection.id for connection in stored), default=0) + 1
     missing = [topic for topic in listed if (topic.topic, topic.msgtype) not in names]
-    return amended, [replace(topic, id=unused + offset) for offset, topic in enumerate(missing)]
+    return amended, [replace(topic, id=unused + offset, message_count=0) for offset, topic in enumerate(missing)]

@@ -56,8 +56,6 @@ class Rosbag2Writer:
     compression
         With ``mcap``: ``none``, ``lz4`` or ``zstd``, inside the file. With ``sqlite3``: ``none``, or
         ``zstd``, message by message.
-    custom_data
-        For metadata.yaml.
 
     Raises
     ------
@@ -72,11 +70,9 @@ class Rosbag2Writer:
         *,
         storage: str = "mcap",
         compression: str = "none",
-        custom_data: Mapping[str, str] | None = None,
     ) -> None:
         self._path = path
         self._storage_name = storage
-        self._custom_data = dict(custom_data or {})
         entry = storages()[storage]
         self._message_compression = compression if entry.packs_messages else "none"
         self._connections: dict[int, Connection] = {}
@@ -180,7 +176,7 @@ class Rosbag2Writer:
             "compression_mode": "MESSAGE" if packed else "",
             "relative_file_paths": [self._file.name],
             "files": [{"path": self._file.name, **self._extent()}],
-            "custom_data": self._custom_data or None,
+            "custom_data": None,
             "ros_distro": "",
         }
 
