@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
 TABLE = Path(__file__).parent / "other_clouds.txt"
 
 
-def recording(path: Path, types: Mapping[str, str], messages: Mapping[str, bytes] | None = None) -> Path:
+def recording(path: Path, types: Mapping[str, str]) -> Path:
     """Write an MCAP file with these topics; ``X in protobuf`` is a schema in another encoding than ROS's."""
     with path.open("wb") as file:
         writer = Writer(file)
@@ -29,24 +28,9 @@ def recording(path: Path, types: Mapping[str, str], messages: Mapping[str, bytes
             name, _, encoding = kind.partition(" in ")
             schema = writer.register_schema(name, encoding or "ros2msg", b"")
             channel = writer.register_channel(topic, encoding or "cdr", schema)
-            data = (messages or {}).get(topic, b"\0\1\0\0")
-            writer.add_message(channel, log_time=10**9, publish_time=10**9, data=data)
+            writer.add_message(channel, log_time=10**9, publish_time=10**9, data=b"\0\1\0\0")
         writer.finish()  # type: ignore[no-untyped-call]
     return path
-
-
-def image(encoding: str) -> bytes:
-    """A sensor_msgs/Image of 1 x 1 pixel in CDR."""
-    text = encoding.encode() + b"\0"
-    padding = b"\0" * (-len(text) % 4)
-    start = struct.pack("<4sIII4sII", b"\0\1\0\0", 0, 0, 4, b"cam\0", 1, 1)
-    return start + struct.pack("<I", len(text)) + text + padding + struct.pack("<III2s", 0, 2, 2, b"\0\0")
-
-
-def compressed(form: str) -> bytes:
-    """The beginning of a sensor_msgs/CompressedImage in CDR."""
-    text = form.encode() + b"\0"
-    return struct.pack("<4sIII4sI", b"\0\1\0\0", 0, 0, 4, b"cam\0", len(text)) + text + bytes(8)
 
 
 def refused(path: Path, **options: Any) -> TopicError:
@@ -68,24 +52,10 @@ def test_no_more_topics_than_a_line_takes(types: dict[str, str], said: str, hint
     assert (error.message, error.hint) == (f"the recording has no PointCloud2 topic{said}", hint)
 
 
-@pytest.mark.parametrize(
-    ("kind", "data", "is_depth"),
-    [
-        ("Image", image("16UC1"), True),
-        ("Image", image("32FC1"), True),
-        ("Image", image("mono16"), True),
-        ("Image", image("rgb8"), False),
-        ("CompressedImage", compressed("16UC1; compressedDepth png"), True),
-        ("CompressedImage", compressed("jpeg"), False),
-        ("Image", b"", True),
-        ("Image", image("16UC1")[:30], True),
-    ],
-    ids=["16UC1", "32FC1", "mono16", "rgb8", "compressedDepth", "jpeg", "empty", "truncated"],
-)
-def test_images_are_depth_images_by_their_encoding(kind: str, data: bytes, is_depth: bool, tmp_path: Path) -> None:
-    topic = "/front/depth" if data[:30] == image("16UC1")[:30] or not data or not is_depth else "/front/image"
-    error = refused(recording(tmp_path / "a.mcap", {topic: f"sensor_msgs/msg/{kind}"}, {topic: data}))
-    assert ("but depth images" in error.message) is is_depth
+@pytest.mark.parametrize("topic", ["/front/depth", "/front/image"])
+def test_images_are_depth_images_by_their_topic(topic: str, tmp_path: Path) -> None:
+    error = refused(recording(tmp_path / "a.mcap", {topic: "sensor_msgs/msg/Image"}))
+    assert ("but depth images" in error.message) is (topic == "/front/depth")
 
 
 def test_a_topic_that_is_named_is_explained(tmp_path: Path) -> None:
@@ -123,11 +93,3 @@ def test_info_says_it(tmp_path: Path) -> None:
     done = run("info", path)
     assert done.status == 0
     assert "warning: the recording has no clouds, but Ouster packets: /packets; play the recording into" in done.stderr
-
-
-@pytest.mark.parametrize("read", [pc2scan.scans, pc2scan.clouds])
-def test_loops_say_it(read: Any, tmp_path: Path) -> None:
-    path = recording(tmp_path / "a.mcap", {"/packets": "ouster_ros/msg/PacketMsg"})
-    with pytest.raises(TopicError, match="topic, but Ouster packets: /packets") as caught:
-        list(read(path))
-    assert "ouster-cli" in (caught.value.hint or "")

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from collections.abc import Set as AbstractSet
 
-    from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection
     from pc2scan.request.options import ConvertOptions, ScanSpec
 
@@ -95,7 +94,7 @@ class Plan(NamedTuple):
         ]
 
 
-def make_plan(connections: Sequence[Connection], options: ConvertOptions, reader: Reader | None = None) -> Plan:
+def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Plan:
     """Decide which topics are converted, which pass through, and which are skipped.
 
     Parameters
@@ -104,9 +103,6 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions, reader
         All connections of the source.
     options
         The options of the conversion.
-    reader
-        The source. Only the error about a source without clouds reads images of it, to see whether they are depth
-        images; None: it goes by the names of topics.
 
     Raises
     ------
@@ -124,7 +120,7 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions, reader
     for spec in specs:
         with spec.naming_errors(f"{spec.place}, " if spec.place else ""):
             if not spec.topics and not any(kind in spec.source_types for kind in kinds):
-                raise _without_sources(connections, types, spec, reader)
+                raise _without_sources(connections, types, spec)
             targets[spec] = _targets(types, spec, options)
             combined[spec] = _combinations(spec, targets[spec], types, options)
     routes = []
@@ -240,10 +236,10 @@ def _matching_topics(name: str, types: dict[str, set[str]], candidates: list[str
 
 
 def _without_sources(
-    connections: Sequence[Connection], types: dict[str, set[str]], spec: ScanSpec, reader: Reader | None
+    connections: Sequence[Connection], types: dict[str, set[str]], spec: ScanSpec
 ) -> NothingToConvertError:
     """Return the error about a recording with nothing to convert: what it has instead, and what makes clouds of it."""
-    message, hint = without(short_types(spec.source_types), connections, reader)
+    message, hint = without(short_types(spec.source_types), connections)
     return NothingToConvertError(message, hint=_other_direction(types, spec) or hint or None)
 
 

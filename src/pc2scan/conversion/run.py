@@ -160,7 +160,7 @@ def _open(
     if options.repair and damage and not reader.connections:
         raise DamageError(f"nothing of it can be recovered: {damage[0].what}", path=damage[0].path)
     try:
-        plan = make_plan(reader.connections, options, reader)
+        plan = make_plan(reader.connections, options)
     except TopicError as err:
         mention(damage, err)
         raise

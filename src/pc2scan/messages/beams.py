@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,26 +20,6 @@ if TYPE_CHECKING:
 
 #: What drivers of SICK's LMS1xx have where nothing returns, whatever their range_max is: metres.
 _NO_RETURN = float32(65.533)
-
-
-class ScanPoints(NamedTuple):
-    """The returns of a LaserScan.
-
-    Attributes
-    ----------
-    points
-        In the plane z = 0 of the scan's frame, as laser_geometry places them: float32 ``x``, ``y``, ``z``, and
-        ``intensity`` if the scan has intensities; ``index``, the number of the beam, int32; and `TIME`.
-    total
-        How many beams the scan has.
-    rejected
-        How many of them are no points, by the projection's reasons: ``nan``, and ``range``: infinite, below
-        ``range_min``, or ``range_max`` and more.
-    """
-
-    points: Points
-    total: int
-    rejected: dict[str, int]
 
 
 def unproject_scan(scan: LaserScan, params: UnprojectParams | None = None) -> UnprojectedScan:
@@ -66,8 +46,17 @@ def unproject_scan(scan: LaserScan, params: UnprojectParams | None = None) -> Un
         raise
 
 
-def scan_points(scan: LaserScan) -> ScanPoints:
-    """Return the returns of a scan.
+def scan_points(scan: LaserScan) -> tuple[Points, dict[str, int]]:
+    """Return the returns of a scan as points, and how many beams have none.
+
+    Returns
+    -------
+    points
+        In the plane z = 0 of the scan's frame, as laser_geometry places them: float32 ``x``, ``y``, ``z``, and
+        ``intensity`` if the scan has intensities; ``index``, the number of the beam, int32; and `TIME`.
+    rejected
+        How many beams are no points, by the projection's reasons: ``nan``, and ``range``: infinite, below
+        ``range_min``, or ``range_max`` and more.
 
     Raises
     ------
@@ -83,4 +72,4 @@ def scan_points(scan: LaserScan) -> ScanPoints:
     rejected = found.rejected
     beyond = rejected.infinite + rejected.below_min + rejected.beyond_max
     points = Points(scan.sequence, scan.stamp_ns, scan.frame_id, fields)
-    return ScanPoints(points, found.beam_count, {"nan": rejected.nan, "range": beyond})
+    return points, {"nan": rejected.nan, "range": beyond}

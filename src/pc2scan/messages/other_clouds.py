@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import re
-from contextlib import closing
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.errors import Pc2ScanError, name_list
+from pc2scan.errors import name_list
 
 from .clouds import CLOUDS, SCANS
-from .wire import Cursor
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Generator, Iterator, Sequence
+    from collections.abc import Collection, Iterator, Sequence
 
-    from pc2scan.model import Connection, RawMessage
+    from pc2scan.model import Connection
 
 
 class _Kind(NamedTuple):
@@ -94,64 +92,15 @@ _KINDS = (
 #: How many topics an error lists.
 _MOST_TOPICS = 5
 
-#: How many topics with images are looked into.
-_MOST_IMAGES = 20
 
-#: The encodings of depth images: millimetres and metres.
-_DEPTH_ENCODINGS = frozenset({"16UC1", "mono16", "32FC1"})
-
-
-class Source(Protocol):
-    """A recording whose messages can be read: a `pc2scan.bags.reader.Reader`."""
-
-    def messages(self, connections: Collection[Connection], /) -> Generator[RawMessage]:
-        """Yield the messages of connections."""
-        ...
-
-
-class _Images:
-    """Says which images are depth images: by the first message, or without one by the name of the topic."""
-
-    def __init__(self, reader: Source | None) -> None:
-        self._reader = reader
-        self._looks = 0
-
-    def are_depth(self, connection: Connection) -> bool:
-        """Return whether the images of a connection are depth images."""
-        encoding = self._encoding(connection)
-        if encoding is None:
-            return "depth" in connection.topic.lower()
-        return encoding in _DEPTH_ENCODINGS or "compressedDepth" in encoding
-
-    def _encoding(self, connection: Connection) -> str | None:
-        self._looks += 1
-        if self._reader is None or self._looks > _MOST_IMAGES:
-            return None
-        try:
-            with closing(self._reader.messages([connection])) as messages:
-                first = next(messages, None)
-                if first is None:
-                    return None
-                cursor = Cursor(first.data, connection.serialization)
-                cursor.header()
-                if not connection.ros_type.endswith("CompressedImage"):
-                    cursor.read("2I")
-                return cursor.string()
-        except Pc2ScanError:
-            return None
-
-
-def instead_of_clouds(connections: Sequence[Connection], reader: Source | None = None) -> tuple[str, str] | None:
+def instead_of_clouds(connections: Sequence[Connection]) -> tuple[str, str] | None:
     """Return what a recording has instead of clouds and scans, and what makes clouds of it; None for nothing.
-
-    The first images of a ``reader`` are looked into, to see whether they are depth images; without one, their topics'
-    names decide.
 
     >>> from pc2scan.model import Connection
     >>> instead_of_clouds([Connection(0, "/map", "octomap_msgs/msg/Octomap", "cdr")])[0]
     'OctoMaps: /map'
     """
-    found = list(_kinds(connections, _Images(reader)))
+    found = list(_kinds(connections))
     if not found:
         return None
     what = "; ".join(f"{kind.name}: {name_list(topics, _MOST_TOPICS)}" for kind, topics in found)
@@ -160,18 +109,13 @@ def instead_of_clouds(connections: Sequence[Connection], reader: Source | None =
     return what, "; ".join(f"{kind.name}: {kind.advice}" for kind, _ in found)
 
 
-def _kinds(connections: Sequence[Connection], images: _Images) -> Iterator[tuple[_Kind, list[str]]]:
+def _kinds(connections: Sequence[Connection]) -> Iterator[tuple[_Kind, list[str]]]:
     """Yield the kinds that there are, with their topics; three at most."""
     others = [each for each in connections if each.ros_version is None or each.ros_type not in (*CLOUDS, *SCANS)]
     left = {connection.topic: connection for connection in reversed(others)}
     count = 0
     for kind in _KINDS:
-        topics = []
-        for topic, first in left.items():
-            if re.fullmatch(kind.types, _type(first).replace("/msg/", "/")) and (
-                kind is not _DEPTH or images.are_depth(first)
-            ):
-                topics.append(topic)
+        topics = [topic for topic, first in left.items() if _is(kind, topic, _type(first))]
         for topic in topics:
             del left[topic]
         if topics:
@@ -183,13 +127,18 @@ def _kinds(connections: Sequence[Connection], images: _Images) -> Iterator[tuple
 
 def instead_of_topic(topic: str, types: Collection[str]) -> str:
     """Return what makes clouds of the messages of a topic; empty if nothing is known."""
-    names = [kind.replace("/msg/", "/") for kind in types]
-    found = (kind for kind in _KINDS if any(re.fullmatch(kind.types, name) for name in names))
-    kind = next((kind for kind in found if kind is not _DEPTH or "depth" in topic.lower()), None)
+    kind = next((kind for kind in _KINDS if any(_is(kind, topic, name) for name in types)), None)
     return f"these are {kind.name}: {kind.advice}" if kind else ""
 
 
-def without(wanted: str, connections: Sequence[Connection], reader: Source | None = None) -> tuple[str, str]:
+def _is(kind: _Kind, topic: str, msgtype: str) -> bool:
+    """Whether a topic is of a kind; images are depth images if its name says so."""
+    if kind is _DEPTH and "depth" not in topic.lower():
+        return False
+    return re.fullmatch(kind.types, msgtype.replace("/msg/", "/")) is not None
+
+
+def without(wanted: str, connections: Sequence[Connection]) -> tuple[str, str]:
     """Return the message that a recording has no topic of a type, and the hint; the hint may be empty.
 
     Parameters
@@ -198,8 +147,6 @@ def without(wanted: str, connections: Sequence[Connection], reader: Source | Non
         The types, without their packages.
     connections
         All connections of the recording.
-    reader
-        See `instead_of_clouds`.
     """
     if not connections:
         return "the recording has no topics", ""
@@ -210,7 +157,7 @@ def without(wanted: str, connections: Sequence[Connection], reader: Source | Non
     if scans:
         many = f"{missing}, but scans with several echoes: {name_list(scans, _MOST_TOPICS)}"
         return many, "pc2scan convert `rebin=True` makes LaserScans of them"
-    if instead := instead_of_clouds(connections, reader):
+    if instead := instead_of_clouds(connections):
         return f"{missing}, but {instead[0]}", instead[1]
     types = {f"{each.topic} ({each.kind})" for each in connections}
     if len(types) > _MOST_TOPICS:

@@ -521,33 +521,14 @@ def structured_cloud(cloud: StructuredCloud, *, is_dense: bool = False) -> Point
     """Return the points as a PointCloud2 of one row, without a copy."""
     points = cloud.points
     step, count = points.dtype.itemsize, len(points)
+    fields = tuple(
+        PointField(name, offset, _DATATYPE_CODES[kind.str[1:]])
+        for name, (kind, offset, *_) in (points.dtype.fields or {}).items()
+    )
     header = cloud.sequence, cloud.stamp_ns, cloud.frame_id
-    fields, size = _structured_fields(points.dtype), count * step
-    return PointCloud2(*header, 1, count, fields, False, step, size, bytes_of(points), is_dense)
-
-
-def _structured_fields(dtype: np.dtype[Any]) -> tuple[PointField, ...]:
-    fields = []
-    for name in dtype.names or ():
-        kind, offset = dtype[name], dtype.fields[name][1]  # type: ignore[index]  # a type with names has fields
-        fields.append(PointField(name, offset, _DATATYPE_CODES[kind.str[1:]]))
-    return tuple(fields)
+    return PointCloud2(*header, 1, count, fields, False, step, count * step, bytes_of(points), is_dense)
 
 
 def encode_structured(cloud: StructuredCloud, serialization: str) -> bytes:
-    """Serialise a cloud.
-
-    Parameters
-    ----------
-    serialization
-        ``ros1`` or ``cdr``.
-    """
-    return encode_pointcloud2(
-        serialization=serialization,
-        sequence=cloud.sequence,
-        stamp_ns=cloud.stamp_ns,
-        frame_id=cloud.frame_id,
-        fields=_structured_fields(cloud.points.dtype),
-        point_step=cloud.points.dtype.itemsize,
-        data=cloud.points.tobytes(),
-    )
+    """Serialise a cloud as ``ros1`` or ``cdr``."""
+    return encode_cloud(structured_cloud(cloud), serialization)

@@ -318,7 +318,7 @@ def _scan_connections(reader: Reader, topics: tuple[str, ...]) -> dict[str, list
     if not scans:
         if any(connection.ros_type in CLOUDS for connection in reader.connections):
             raise TopicError("the recording has no LaserScan topic", hint="pc2scan convert makes scans of its clouds")
-        message, hint = without("LaserScan", reader.connections, reader)
+        message, hint = without("LaserScan", reader.connections)
         raise TopicError(message, hint=hint or None)
     asked = (find_topics(topic, types, sorted(scans), *SCANS) for topic in topics)
     names = {name for found in asked for name in found} or scans.keys()

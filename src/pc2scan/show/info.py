@@ -363,7 +363,7 @@ def info_of(
         scans = tuple(look.described(rates[topic]) for topic, look in of_scans.items())
         warnings = [*log_times_of_centuries(Cut(None, None, reader.summary)), *found.warnings]
         is_known = any(topic.msgtype in {*CLOUDS, *SCANS} for topic in topics)
-        if not is_known and (instead := instead_of_clouds(reader.connections, reader)):
+        if not is_known and (instead := instead_of_clouds(reader.connections)):
             warnings.append(f"the recording has no clouds, but {instead[0]}; {instead[1]}")
         warnings += (each.mounting.warning for each in clouds if each.mounting and each.mounting.warning)
         seconds = {each.topic: (each.messages - 1) / each.rate_hz if each.rate_hz else 0.0 for each in shown}

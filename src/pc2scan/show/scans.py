@@ -41,7 +41,7 @@ def scan_connections(reader: Reader, asked: Sequence[str]) -> dict[str, list[Con
         types.setdefault(connection.topic, set()).add(connection.ros_type)
     candidates = [topic for topic, kinds in types.items() if LASERSCAN in kinds]
     if not candidates:
-        message, hint = without("PointCloud2 or LaserScan", reader.connections, reader)
+        message, hint = without("PointCloud2 or LaserScan", reader.connections)
         raise TopicError(message, hint=hint or None)
     chosen = [find_topic(name, types, candidates, LASERSCAN) for name in asked] or candidates
     return {topic: [c for c in reader.connections if c.topic == topic and c.ros_type == LASERSCAN] for topic in chosen}

@@ -138,7 +138,7 @@ def take_shots(
     reader = recording.reader
     options.scan.refuse_combining("pages and figures make")
     options = options.with_scan(params=_without_times(options.scan.params))
-    plan = make_plan(reader.connections, options, reader)
+    plan = make_plan(reader.connections, options)
     if options.clock:
         reader, notes = corrected_for(reader, plan, options)
         recording.reader, plan = reader, plan._replace(notes=tuple(notes))

@@ -225,7 +225,7 @@ class Scans(Stream[Scan]):
             # Raises if there are several.
             self._choose(reader, options.scan.source_types, _hint_scans)
         refuse_unusable(options)
-        plan = make_plan(reader.connections, options, reader)
+        plan = make_plan(reader.connections, options)
         if options.clock:
             reader, notes = corrected_for(reader, plan, options)
             plan = plan._replace(notes=tuple(notes))

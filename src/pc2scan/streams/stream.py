@@ -236,7 +236,7 @@ class Stream(ABC, Generic[Item]):
             if connection.ros_type in kinds and connection.ros_version is not None:
                 chosen.setdefault(connection.topic, []).append(connection)
         if not chosen:
-            message, other = without(short_types(kinds), reader.connections, reader)
+            message, other = without(short_types(kinds), reader.connections)
             raise NothingToConvertError(message, path=reader.path, hint=hint(reader) or other or None)
         if requested := self._options.scan.topics:
             try:

@@ -237,7 +237,7 @@ class MessagesToScan(Conversion):
         flat = isinstance(message, LaserScan)
         rejected: dict[str, int] = {}
         if isinstance(message, LaserScan):
-            points, _, rejected = scan_points(message)
+            points, rejected = scan_points(message)
         else:
             points = message
         stamp_ns, placer = points.stamp_ns, self._placer
