@@ -152,7 +152,7 @@ def test_a_dataset_file_has_the_options_of_conversions(
 
 @pytest.mark.parametrize(("pattern", "matching", "others"), rows(TABLES, "patterns, what matches, and what does not"))
 def test_patterns_match_recordings(pattern: str, matching: list[str], others: list[str]) -> None:
-    entry = DatasetEntry(1, (pattern,))
+    entry = DatasetEntry("line 1", (pattern,))
     assert [key for key in matching if not entry.matches(key)] == []
     assert [key for key in others if entry.matches(key)] == []
 
