@@ -145,18 +145,17 @@ def test_more_clouds_than_there_are_change_nothing() -> None:
     assert pc2scan.view(HALL, clouds=1000).html == pc2scan.view(HALL, clouds=5).html
 
 
-def test_what_is_borrowed_is_copied_to_be_kept() -> None:
-    kept = b"some data"
-    borrowed = memoryview(bytearray(kept))
-    for data in (kept, memoryview(kept), memoryview(kept)[2:5]):
+def test_a_message_is_copied_if_it_would_keep_much_more_in_memory() -> None:
+    chunk = b"some data"
+    for data in (chunk, memoryview(chunk), memoryview(bytearray(chunk))[2:8]):
         assert own_data(data) is data
     topic = Connection(1, "/a", "a/msg/A", "cdr")
-    message, lent = RawMessage(topic, 1, kept, 1), RawMessage(topic, 2, borrowed[2:5], 2, 3)
+    message, part = RawMessage(topic, 1, chunk, 1), RawMessage(topic, 2, memoryview(chunk)[2:5], 2, 3)
     assert own_message(message) is message
-    for copied in (own_data(lent.data), own_message(lent).data):
+    for copied in (own_data(part.data), own_message(part).data):
         assert isinstance(copied, bytes)
-        assert copied == kept[2:5]
-    assert own_message(lent) == lent
+        assert copied == chunk[2:5]
+    assert own_message(part) == part
 
 
 # --- names and documentation ---

@@ -177,12 +177,12 @@ class RawMessage(NamedTuple):
 
 
 def own_data(data: Buffer) -> Buffer:
-    """Return data that may be kept. Borrowed data is copied (see `pc2scan.files.source.SourceFile.borrow`)."""
-    return data if isinstance(data, bytes) or isinstance(data.obj, bytes) else bytes(data)
+    """Return data to keep: copied, if a view of it would keep more than twice as much in memory."""
+    return data if isinstance(data, bytes) or 2 * len(data) >= memoryview(data.obj).nbytes else bytes(data)
 
 
 def own_message(message: RawMessage) -> RawMessage:
-    """Return a message whose data may be kept."""
+    """Return a message to keep; see `own_data`."""
     if type(message.data) is bytes:
         return message
     data = own_data(message.data)

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.chunks import Segment
     from pc2scan.bags.mcap.records import RecordFile
-    from pc2scan.files.source import BorrowedBytes
 
 
 @pytest.fixture
@@ -23,7 +22,7 @@ def loads(monkeypatch: pytest.MonkeyPatch) -> list[Segment]:
     seen: list[Segment] = []
     original = mcap_chunks.borrow_payload
 
-    def counting(file: RecordFile, segment: Segment) -> BorrowedBytes:
+    def counting(file: RecordFile, segment: Segment) -> memoryview:
         seen.append(segment)
         return original(file, segment)
 

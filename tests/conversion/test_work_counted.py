@@ -163,7 +163,7 @@ def test_the_thread_that_decompressed_clouds_projects_them(
 
     def spying(file: Any, segment: Segment, **options: Any) -> Any:
         payload = original(file, segment, **options)
-        chunks[threading.get_ident()] = payload.data
+        chunks[threading.get_ident()] = payload
         return payload
 
     class Spy:
@@ -221,12 +221,12 @@ def test_a_result_larger_than_its_message_waits_for_its_turn(passes: bool, shrin
     output = Output(report, 0)
     route = OpenRoute(connection, None, [lambda _: converted], outputs=[output], shrinks_from=shrinks_from)
     route.passing_handle = 1 if passes else -1
-    message = RawMessage(connection, 5, memoryview(bytearray(b"cloud")), 6)
+    message = RawMessage(connection, 5, memoryview(b"cloud and all else of a chunk")[:5], 6)
     done = engine._work({1: route}, message)
     assert isinstance(done, DeferredMessage) is (shrinks_from == 9)
     if isinstance(done, DeferredMessage):
         assert done.log_time_ns == 5
-        # What waits is not borrowed.
+        # What waits keeps no chunk.
         assert isinstance(done.message.data, bytes)
         done = done.work(done.message)
     assert isinstance(done, Item)

@@ -1,58 +1,42 @@
-"""Buffers are reused only when no object refers to them, and the bytes that are kept have a limit."""
+"""Buffers are used again, but never while anything refers to them."""
 
 from __future__ import annotations
 
-import gc
-from typing import TYPE_CHECKING
+import numpy as np
+import pytest
 
-from pc2scan.files import source
-from pc2scan.files.source import BorrowedBuffer, BufferPool, ReadBuffer, RetainedMemory, retain
-
-if TYPE_CHECKING:
-    import pytest
+from pc2scan.files.source import ReadBuffer, UnpackedBuffer, lend
 
 
-def borrowed(buffers: BufferPool) -> tuple[BorrowedBuffer, ReadBuffer]:
-    taken = BorrowedBuffer(buffers, 1 << 20)
-    return taken, taken.buffer
+@pytest.fixture(autouse=True)
+def _no_free_buffers(monkeypatch: pytest.MonkeyPatch) -> None:
+    for kind in (ReadBuffer, UnpackedBuffer):
+        monkeypatch.setattr(kind, "free", [])
 
 
-def test_a_buffer_is_free_again_when_nobody_refers_to_the_loan() -> None:
-    buffers = BufferPool()
-    loan, memory = borrowed(buffers)
-    assert not buffers
-    del loan
-    assert [id(each) for each in buffers] == [id(memory)]
-    assert borrowed(buffers)[1] is memory
+@pytest.mark.parametrize("kept", [lambda view: view[9:99], lambda view: np.frombuffer(view, np.uint8)[9:]])
+def test_a_buffer_is_used_again_when_nothing_refers_to_it(kept: object) -> None:
+    assert callable(kept)
+    view = lend(1 << 20)
+    view[:] = b"7" * len(view)
+    memory, part = id(view.obj), kept(view)
+    del view
+    other = lend(1 << 20)
+    other[:] = b"9" * len(other)
+    assert set(bytes(part)) == set(b"7")
+    assert id(other.obj) != memory
+    del part
+    assert id(lend(1 << 20).obj) == memory
+    # And again, for less.
+    assert id(lend(5).obj) == memory
 
 
-def test_what_is_kept_is_not_lent_before_the_last_keeper_ends() -> None:
-    buffers = BufferPool()
-    loan, memory = borrowed(buffers)
-    memory[:] = b"7" * len(memory)
-    view = memoryview(memory)
-    kept = [retain(memory), retain(memory)]
-    assert all(kept)
-    del loan
-    kept.pop()
-    other, another = borrowed(buffers)
-    another[:] = b"9" * len(another)
-    assert set(view) == set(b"7")
-    del kept, other
-    gc.collect()
-    assert len(buffers) == 2
-
-
-def test_bytes_can_be_kept_and_there_is_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(source, "_MAX_KEPT", RetainedMemory._bytes + 6)
-    first = retain(b"123456")
-    assert first is not None
-    assert retain(b"1") is None
-    del first
-    assert retain(b"123456") is not None
-
-
-def test_a_buffer_that_is_lent_no_more_cannot_be_kept() -> None:
-    loan, memory = borrowed(BufferPool())
-    del loan
-    assert retain(memory) is None
+def test_stored_and_decompressed_bytes_have_buffers_of_their_own() -> None:
+    memory = id(lend(1 << 20).obj)
+    assert id(lend(1 << 20, ReadBuffer).obj) != memory
+    assert [len(each) for each in UnpackedBuffer.free] == [1 << 20]
+    # One that is too small is freed; a very large one is not kept.
+    assert len(lend(3 << 20)) == 3 << 20
+    assert [len(each) for each in UnpackedBuffer.free] == [3 << 20]
+    lend(1 << 25)
+    assert len(UnpackedBuffer.free) == 1

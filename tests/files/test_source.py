@@ -13,7 +13,6 @@ from pc2scan.errors import RecordingError
 from pc2scan.files import source as files
 from pc2scan.files.new_file import FreeIds, NewFile
 from pc2scan.files.source import SourceFile
-from pc2scan.model import own_data
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -90,37 +89,17 @@ def test_what_is_borrowed_is_what_would_be_read(
         monkeypatch.setattr(os, "preadv", lambda fd, views, offset: preadv(fd, [views[0][:99_999]], offset))
     with closing(SourceFile(large)) as file:
         for _ in range(2):
-            data = file.borrow(offset, length).data
-            seen = (data.readonly, bytes(data), own_data(data))
-            assert seen == (True, LARGE[offset : offset + length], file.read(offset, length))
-
-
-@pytest.mark.skipif(not hasattr(os, "preadv"), reason="this system cannot read into a buffer")
-def test_open_files_share_buffers_and_the_last_one_frees_them(large: Path) -> None:
-    buffers: set[int] = set()
-
-    first, second = SourceFile(large), SourceFile(large)
-    for length in (3 << 20, 1 << 19):
-        for file in (first, second):
-            buffers.add(id(file.borrow(7, length - 7).data.obj))
-    assert len(buffers) == 1
-    # Who borrows while something is borrowed, or on another thread, has a buffer of its own.
-    both = [file.borrow(0, 1 << 20) for file in (first, second)]
-    assert len(buffers | {id(each.data.obj) for each in both}) == 2
-    del both
-    first.close()
-    assert files._shared[""] is second._buffers
-    second.close()
-    assert not files._shared
+            data = file.borrow(offset, length)
+            assert (data.readonly, bytes(data)) == (True, LARGE[offset : offset + length])
+            assert data == file.read(offset, length)
 
 
 @pytest.mark.skipif(not hasattr(os, "preadv"), reason="this system cannot read into a buffer")
 def test_a_buffer_that_does_not_fit_into_memory_is_an_error(large: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Refusal:
-        def __init__(self, *_: object) -> None:
-            raise MemoryError
+    def refuse(*_: object) -> None:
+        raise MemoryError
 
-    monkeypatch.setattr(files, "ReadBuffer", Refusal)
+    monkeypatch.setattr(files, "lend", refuse)
     with closing(SourceFile(large)) as file, pytest.raises(RecordingError, match="do not fit into memory"):
         file.borrow(0, 1 << 20)
 

@@ -28,7 +28,6 @@ from pc2scan.errors import (
     TopicError,
     UsageError,
 )
-from pc2scan.files import source as files
 from pc2scan.messages.laserscan import encode_laserscan
 from support import ROOT, sampled
 from support.builders import SCAN, Item, Recording, Stream, write_mcap
@@ -343,21 +342,12 @@ def test_memory_stays_bounded(form: str, tmp_path: Path) -> None:
     assert scans < 30_000_000
 
 
-@pytest.mark.parametrize("most", [64 << 20, 2 << 20], ids=["buffers are kept", "most are copied"])
-def test_clouds_that_are_kept_stay_what_they_are(most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(files, "_MAX_KEPT", most)
-    # What is half a buffer is copied: a file that is still open elsewhere may have larger ones.
-    monkeypatch.setattr(files, "_shared", {})
+def test_clouds_that_are_kept_stay_what_they_are(tmp_path: Path) -> None:
     source = write_recording(tmp_path, FORMS["MCAP, none"], 8 << 20, points=32_768)
     seen = [cloud.points().tobytes() for cloud in pc2scan.clouds(source, POINTS)]
     clouds = list(pc2scan.clouds(source, POINTS))
     assert (len(seen), len(set(seen))) == (8, 4)
     assert [cloud.points().tobytes() for cloud in clouds] == seen
-    assert 0 < files.RetainedMemory._bytes <= most
-    # Nothing is kept for clouds that are forgotten.
-    del clouds
-    gc.collect()
-    assert not files.RetainedMemory._bytes
 
 
 @pytest.mark.parametrize("container", sampled(CONTAINERS, 1))

@@ -416,7 +416,7 @@ class Rigid:
         result = np.empty(points.shape, translation.dtype)
         # Column by column, without BLAS, so that the result does not depend on the number of points or threads.
         with np.errstate(invalid="ignore", over="ignore"):
-            x, y, z = points.T.astype(translation.dtype)
+            x, y, z = np.ascontiguousarray(points.T, translation.dtype)
             for column, (row, offset) in enumerate(zip(rotation, translation, strict=True)):
                 result[:, column] = x * row[0] + y * row[1] + z * row[2] + offset
         return result

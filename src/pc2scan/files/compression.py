@@ -11,10 +11,9 @@ from contextlib import suppress
 from importlib import import_module
 from typing import IO, TYPE_CHECKING, Any
 
-import cramjam
-import lz4.frame
 import zstandard
 
+# The libraries that not every run needs are imported by name, with the first data of that compression: 2 MB.
 _zlib: Any = zlib
 # Half the time of zlib, and a quarter for checksums; there is no build of it for some processors.
 with suppress(ImportError):
@@ -80,9 +79,8 @@ def decompress(compression: str, data: Buffer, out: memoryview) -> None:
     """
     try:
         size = _DECOMPRESS[compression](data, out)
-    except (cramjam.DecompressionError, zstandard.ZstdError, OSError, EOFError, RuntimeError) as err:
-        # What lz4 says of memory that is too small.
-        raise CompressionError(str(err).replace("failed to write whole buffer", "there is more")) from err
+    except (zstandard.ZstdError, OSError, EOFError) as err:
+        raise CompressionError(str(err)) from err
     if size != len(out):
         raise CompressionError("there is more" if size > len(out) else f"it ends after {size} bytes")
 
@@ -200,8 +198,12 @@ def _from_bz2(data: Buffer, out: memoryview) -> int:
 
 
 def _from_lz4(data: Buffer, out: memoryview) -> int:
-    size: int = cramjam.lz4.decompress_into(data, out)
-    return size
+    cramjam = import_module("cramjam")
+    try:
+        return int(cramjam.lz4.decompress_into(data, out))
+    except cramjam.DecompressionError as err:
+        # What it says of memory that is too small.
+        raise CompressionError(str(err).replace("failed to write whole buffer", "there is more")) from err
 
 
 def _from_zstd(data: Buffer, out: memoryview) -> int:
@@ -253,8 +255,7 @@ def _to_bz2(data: Buffer, _level: int | None) -> Buffer:
 
 
 def _to_lz4(data: Buffer, _level: int | None) -> Buffer:
-    packed: bytes = lz4.frame.compress(data)
-    return packed
+    return bytes(import_module("lz4.frame").compress(data))
 
 
 def _to_zstd(data: Buffer, level: int | None) -> Buffer:

@@ -8,9 +8,8 @@ import stat
 from collections import deque
 from contextlib import suppress
 from io import TextIOWrapper
-from threading import RLock
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
-from weakref import WeakValueDictionary, ref
+from typing import TYPE_CHECKING, ClassVar, TypeVar
+from weakref import ref
 
 from pc2scan.errors import RecordingError, UsageError
 
@@ -130,103 +129,45 @@ def _refuse_special(found: os.stat_result, path: str) -> None:
 
 
 #: Buffers have multiples of this size, so that one serves chunks of different sizes.
-_ROUNDED_TO = 1 << 20
+_ROUNDED_TO = 1 << 16
 
-#: Bytes that may be kept at a time. Above this limit, callers copy the part that they need.
-_MAX_KEPT = 64 << 20
+#: How many buffers of a kind may wait to be used again.
+_MOST_FREE = 8
 
 
 class ReadBuffer(bytearray):
-    """A buffer, and the object that borrows it."""
+    """Memory of stored bytes. It is used again when nothing refers to it any more: no view, no array, no message."""
 
-    __slots__ = ("borrower",)
+    __slots__ = ()
 
-    borrower: ref[BorrowedBuffer]
-
-
-class BufferPool(list[ReadBuffer]):
-    """The free buffers. All open files share them, so one for each reading thread is enough."""
-
-
-class BorrowedBuffer:
-    """A buffer that is borrowed until nothing refers to this object any more.
-
-    Parameters
-    ----------
-    buffers
-        The list from which the buffer is taken, and to which it is returned.
-    length
-        Its minimum size.
-    """
-
-    __slots__ = ("__weakref__", "_buffers", "buffer")
-
-    def __init__(self, buffers: BufferPool, length: int) -> None:
-        try:
-            buffer = buffers.pop()
-        except IndexError:
-            buffer = None
-        if buffer is None or len(buffer) < length:
-            buffer = ReadBuffer(-(-length // _ROUNDED_TO) * _ROUNDED_TO)
-        self.buffer = buffer
-        self._buffers = buffers
-        self.buffer.borrower = ref(self)
+    free: ClassVar[list[bytearray]] = []
 
     def __del__(self) -> None:
-        with suppress(AttributeError):  # there was no memory for it
-            self._buffers.append(self.buffer)
+        if self and len(self.free) < _MOST_FREE:
+            self.free.append(self)
 
 
-class BorrowedBytes(NamedTuple):
-    """Bytes of a file: ``data`` is valid as long as this object exists, because the ``buffer`` is used again."""
+class UnpackedBuffer(ReadBuffer):
+    """The same for decompressed bytes: one list of both would make all buffers as large as these."""
 
-    data: memoryview
-    buffer: BorrowedBuffer | None
+    __slots__ = ()
 
-
-class RetainedMemory:
-    """Memory that is neither overwritten nor freed while this object exists."""
-
-    __slots__ = ("_owner", "size")
-
-    #: Bytes that are kept. The lock is reentrant, because garbage collection may run `__del__` while it is held.
-    _bytes = 0
-    _lock = RLock()
-
-    def __init__(self, owner: object, size: int) -> None:
-        self._owner = owner
-        self.size = size
-        with RetainedMemory._lock:
-            RetainedMemory._bytes += size
-
-    def __del__(self) -> None:
-        with RetainedMemory._lock:
-            RetainedMemory._bytes -= self.size
-
-    @classmethod
-    def has_room(cls, size: int) -> bool:
-        """Return whether this many more bytes may be kept."""
-        return cls._bytes + size <= _MAX_KEPT
+    free: ClassVar[list[bytearray]] = []
 
 
-def retain(memory: bytes | ReadBuffer) -> RetainedMemory | None:
-    """Keep the memory of which data are a view.
-
-    Parameters
-    ----------
-    memory
-        The whole memory, of which the data may be a part.
-
-    Returns
-    -------
-    RetainedMemory | None
-        An object to refer to as long as the data are used; None if the data must be copied, because they may be
-        overwritten or too much is kept already.
-    """
-    if not RetainedMemory.has_room(len(memory)):
-        return None
-    owner = memory if isinstance(memory, bytes) else memory.borrower()
-    return RetainedMemory(owner, len(memory)) if owner is not None else None
+def lend(size: int, kind: type[ReadBuffer] = UnpackedBuffer) -> memoryview:
+    """Return writable memory for so many bytes; that of less than 16 MiB is used again."""
+    if size >= _BORROWED_BYTES.stop:
+        return memoryview(bytearray(size))
+    try:
+        buffer = kind.free.pop()
+    except IndexError:
+        buffer = kind()
+    if len(buffer) < size:
+        # Empty, it is not used again.
+        buffer.clear()
+        buffer = kind(-(-size // _ROUNDED_TO) * _ROUNDED_TO)
+    return memoryview(buffer)[:size]
 
 
 _Opened = TypeVar("_Opened")
@@ -259,10 +200,6 @@ class _Descriptor:
     __del__ = close
 
 
-#: The buffers. They are freed when no file is open any more.
-_shared: WeakValueDictionary[str, BufferPool] = WeakValueDictionary()
-
-
 class SourceFile:
     """Reads a file's bytes at given places; too few bytes are an error, never a short result.
 
@@ -279,7 +216,6 @@ class SourceFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._buffers = _shared.setdefault("", BufferPool())
         self._opened: Callable[[], _Descriptor | None]
         # The working directory may change before it is opened again.
         self._place = os.fspath(path.absolute())
@@ -319,7 +255,6 @@ class SourceFile:
 
     def close(self) -> None:
         """Release the file; reading afterwards is an error."""
-        self._buffers = BufferPool()
         descriptor, closed = self._opened(), _Descriptor(-1)
         self._opened = lambda: closed
         if descriptor is not None:
@@ -351,31 +286,14 @@ class SourceFile:
             raise self._truncation_error(offset + len(data))
         return data
 
-    def lend(self, size: int) -> BorrowedBytes:
-        """Return writable memory for so many bytes; that of less than 16 MiB is used again."""
-        borrowed = BorrowedBuffer(self._buffers if size < _BORROWED_BYTES.stop else BufferPool(), size)
-        return BorrowedBytes(memoryview(borrowed.buffer)[:size], borrowed)
-
-    def borrow(self, offset: int, length: int) -> BorrowedBytes:
-        """Read exactly these bytes; many bytes are read into a reused buffer.
-
-        Parameters
-        ----------
-        offset, length
-            The bytes' place.
-
-        Returns
-        -------
-        BorrowedBytes
-            Whoever keeps bytes for longer than this object copies them (`pc2scan.model.own_data`), because the buffer
-            is overwritten afterwards; or keeps the buffer (`retain`).
-        """
+    def borrow(self, offset: int, length: int) -> memoryview:
+        """Read exactly these bytes; many bytes are read into a buffer that is used again: see `ReadBuffer`."""
         if length not in _BORROWED_BYTES or not hasattr(os, "preadv"):
-            return BorrowedBytes(memoryview(self.read(offset, length)), None)
+            return memoryview(self.read(offset, length))
         if offset + length > self.size:
             raise self._outside(offset, length)
         try:
-            view, borrowed = self.lend(length)
+            view = lend(length, ReadBuffer)
         except MemoryError as err:
             raise self._too_large(offset, length) from err
         file, done = self._file(), 0
@@ -386,7 +304,7 @@ class SourceFile:
             raise self._unreadable(offset, err) from err
         if done < length:
             raise self._truncation_error(offset + done)
-        return BorrowedBytes(view.toreadonly(), borrowed)
+        return view.toreadonly()
 
     def _outside(self, offset: int, length: int) -> Exception:
         return self.damage(f"{length} bytes are declared from byte {offset} on, but the file has {self.size} bytes")

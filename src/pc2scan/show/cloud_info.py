@@ -248,9 +248,10 @@ def _measure(result: CloudInfo, parts: Sequence[NDArray[np.floating[Any]]], retu
     result.nan_share = (returns - count) / total
     result.zero_share = zeros / total
     result.above_zero_share = sum(int((part[2] > 0).sum()) for part in parts) / count if count else 0.0
-    result.x, result.y = (spread_of(np.concatenate([part[axis] for part in parts])) for axis in range(2))
+    # First, because it takes twice the memory of an axis, which these use again.
     with np.errstate(over="ignore"):
-        result.range = spread_of(np.concatenate([np.hypot(x, y, dtype=np.float64) for x, y, _ in parts]))
+        result.range = spread_of(_ranges(parts, count))
+    result.x, result.y = (spread_of(np.concatenate([part[axis] for part in parts])) for axis in range(2))
     heights = finite(np.concatenate([part[2] for part in parts]))
     result.z = spread_of(heights)
     if heights.size:
@@ -262,3 +263,13 @@ def _measure(result: CloudInfo, parts: Sequence[NDArray[np.floating[Any]]], retu
         heights = heights.astype(np.float64)
         counts, edges = np.histogram(np.clip(heights, low, high, out=heights), _BINS, (low, high))
         result.height_edges, result.height_counts = tuple(edges.tolist()), tuple(counts.tolist())
+
+
+def _ranges(parts: Sequence[NDArray[np.floating[Any]]], count: int) -> NDArray[np.float64]:
+    """Return hypot(x, y) of the points of all clouds, so many; joining those of each would take as much memory again."""
+    ranges = rest = np.empty(count)
+    for x, y, _ in parts:
+        np.hypot(x, y, out=rest[: x.size], dtype=np.float64)
+        rest = rest[x.size :]
+    return ranges
+

@@ -373,6 +373,8 @@ def body_of(clouds: Iterable[NDArray[np.float64]], low: float, high: float) -> B
         ranges = np.hypot(good[:, 0], good[:, 1])
         small += _filled_cells(good[(ranges > _CELL) & (ranges < _REACH)], _CELL)
         large += _filled_cells(good[(ranges >= _REACH) & (ranges < _BEYOND)], _LARGE)
+        # Not held while the next one is transformed.
+        del points
     if count < _FEWEST_CLOUDS:
         return None
     body, beyond = (np.argwhere(counts >= _PERSIST * count) - _CELLS for counts in (small, large))

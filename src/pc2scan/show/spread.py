@@ -37,9 +37,11 @@ def count_range(least: int, most: int) -> str:
 
 def finite(values: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
     """Return the finite values whose differences are finite, too; the array itself if all are."""
+    if values.size and float(values.min()) > -_LARGEST and float(values.max()) < _LARGEST:
+        return values
     # No float32 is as large, nor is their difference.
     known = np.isfinite(values) if values.dtype == np.float32 else (values > -_LARGEST) & (values < _LARGEST)
-    found: NDArray[np.floating[Any]] = values if known.all() else values[known]
+    found: NDArray[np.floating[Any]] = values[known]
     return found
 
 

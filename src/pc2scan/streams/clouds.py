@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pc2scan.errors import stamp_text, visible
-from pc2scan.files.source import ReadBuffer, retain
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import DATATYPES, PointCloud2, recorded_cloud
+from pc2scan.model import own_data
 
 from .stream import NumpyTimes, Stream, StreamSource, package
 
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pc2scan.bags.reader import Reader
-    from pc2scan.files.source import RetainedMemory
     from pc2scan.model import Buffer, Connection
 
 
@@ -247,27 +246,7 @@ class Clouds(Stream[Cloud]):
 def _decoder(connection: Connection) -> Callable[[Buffer], PointCloud2]:
     """Return the decoder of clouds that do not keep more than their message in memory."""
     decode = CLOUDS[connection.ros_type](connection.serialization)
-    return lambda data: recorded_cloud(decode(_own_data(data)))
-
-
-class _KeptBytes(np.ndarray[Any, Any]):
-    """Bytes of a buffer that is not used again while this array, or a view of it, exists."""
-
-    memory: RetainedMemory
-
-
-def _own_data(data: Buffer) -> Buffer:
-    """Return the data, copied if a view would keep something larger in memory, or if its buffer cannot be kept."""
-    if isinstance(data, bytes):
-        return data
-    whole = data.obj
-    if isinstance(whole, bytes) and 2 * len(data) >= len(whole):
-        return data
-    if isinstance(whole, ReadBuffer) and 2 * len(data) >= len(whole) and (memory := retain(whole)):
-        kept: Any = _KeptBytes(len(data), np.uint8, data)
-        kept.memory = memory
-        return memoryview(kept)
-    return bytes(data)
+    return lambda data: recorded_cloud(decode(own_data(data)))
 
 
 def _hint_scans(reader: Reader) -> str | None:

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from pc2scan.bags.chunks import Segment
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.rosbag1.records import BagFile
-    from pc2scan.files.source import BorrowedBytes
 
 CONNECTIONS = [connection("/a"), connection("/b")]
 ROWS: list[Row] = [(i % 2, 1_000_000_000 + 10 * (i // 2) + (i * 7) % 13, string(f"{i:03}" * 6)) for i in range(9)]
@@ -138,7 +137,7 @@ def test_of_a_bag_never_closed_no_chunk_is_read_twice(
     read: list[int] = []
     original = rosbag1_records.borrow_payload
 
-    def counting(file: BagFile, segment: Segment) -> BorrowedBytes:
+    def counting(file: BagFile, segment: Segment) -> memoryview:
         read.append(segment.offset)
         return original(file, segment)
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pc2scan.advice.measurements import Measurements
 from pc2scan.conversion.cloud_to_scan import CloudToScan
 from pc2scan.conversion.combine import conversion as combine
-from pc2scan.conversion.combine.conversion import Contribution, MessagesToScan, common_memory
+from pc2scan.conversion.combine.conversion import Contribution, MessagesToScan, are_one_view
 from pc2scan.conversion.combine.grouping import Grouper
 from pc2scan.conversion.combine.rules import Nearest
 from pc2scan.conversion.steps import ConvertedMessage
@@ -20,7 +20,7 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import DecodeError
-from pc2scan.files.source import BorrowedBuffer, BufferPool
+from pc2scan.files.source import lend
 from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.request.ground import MinHeightSlope
 from pc2scan.request.options import Combining, ScanSpec, TopicRequest
@@ -170,22 +170,12 @@ def test_messages_projected_for_another_scan_make_the_same(filters: Any, monkeyp
     assert supposed == late
 
 
-@pytest.mark.parametrize("wrapped", [False, True])
-def test_only_points_that_stay_as_they_are_are_not_copied(wrapped: bool) -> None:
-    buffers = BufferPool()
-    borrowed = BorrowedBuffer(buffers, 1 << 20)
-    rows = np.frombuffer(
-        memoryview(borrowed.buffer).toreadonly()[:960_000] if wrapped else borrowed.buffer, np.float32
-    ).reshape(-1, 4)
-    memory = common_memory(rows[:, axis] for axis in range(3))
-    assert memory is not None
-    assert common_memory([rows[:, 0], np.zeros(len(rows), np.float32)]) is None
+def test_only_points_that_take_most_of_their_memory_are_not_copied() -> None:
+    rows = np.frombuffer(lend(1 << 20).toreadonly()[:960_000], np.float32).reshape(-1, 4)
+    assert are_one_view(rows[:, axis] for axis in range(3))
+    assert not are_one_view([rows[:, 0], np.zeros(len(rows), np.float32)])
     # A copy of a small part takes less than all of it.
-    assert common_memory([rows[:1000, 0]]) is None
-    del borrowed
-    assert not buffers
-    del memory
-    assert len(buffers) == 1
+    assert not are_one_view([rows[:1000, 0]])
 
 
 def test_a_missing_field_is_the_error_of_its_message() -> None:

@@ -9,8 +9,8 @@ from pc2scan.bags.chunks import Segment
 from pc2scan.bags.formats import and_list
 from pc2scan.bags.loading import MAX_LISTED_ITEMS
 from pc2scan.files.compression import ZSTD_MAGIC, CompressionError, allowed_bytes, crc32, decompress
-from pc2scan.files.source import BorrowedBytes
-from pc2scan.model import StoredChunk, own_data
+from pc2scan.files.source import lend
+from pc2scan.model import StoredChunk
 
 from .records import CHUNK, COMPRESSIONS, MESSAGE, OP_CHUNK, OP_MESSAGE, RECORD, UINT64
 
@@ -84,7 +84,7 @@ def chunk_at(data: Buffer, position: int, record_offset: int, file: RecordFile, 
     )
 
 
-def payload(file: RecordFile, segment: Segment) -> memoryview:
+def borrow_payload(file: RecordFile, segment: Segment) -> memoryview:
     """Read and decompress a segment's records.
 
     Raises
@@ -92,17 +92,12 @@ def payload(file: RecordFile, segment: Segment) -> memoryview:
     RecordingError
         If bytes are missing, do not decompress to the declared size, or fail their CRC.
     """
-    return memoryview(own_data(borrow_payload(file, segment).data))
-
-
-def borrow_payload(file: RecordFile, segment: Segment) -> BorrowedBytes:
-    """Return the result of `payload`, which may be borrowed; see `SourceFile.borrow`."""
     if not isinstance(segment, ChunkSegment):
         return file.borrow(segment.offset, segment.length)
     head = segment.offset - segment.record_offset
     record = file.borrow(segment.record_offset, head + segment.length)
-    chunk = _check_header(record.data, segment, file)
-    return decompress_chunk(file, chunk, record._replace(data=record.data[head:]))
+    chunk = _check_header(record, segment, file)
+    return decompress_chunk(file, chunk, record[head:])
 
 
 def _check_header(record: memoryview, segment: ChunkSegment, file: RecordFile) -> ChunkSegment:
@@ -113,13 +108,13 @@ def _check_header(record: memoryview, segment: ChunkSegment, file: RecordFile) -
     return chunk
 
 
-def decompress_chunk(file: RecordFile, chunk: ChunkSegment, stored: BorrowedBytes) -> BorrowedBytes:
-    """Decompress a chunk's records into exactly the declared size, and compare their CRC; see `payload`."""
+def decompress_chunk(file: RecordFile, chunk: ChunkSegment, stored: memoryview) -> memoryview:
+    """Decompress a chunk's records into exactly the declared size, and compare their CRC; see `borrow_payload`."""
     size = chunk.uncompressed_size
     where = f"the chunk at byte {chunk.record_offset}"
-    if size == 0 == len(stored.data):
+    if size == 0 == len(stored):
         return stored
-    if size > (allowed := allowed_bytes(file.size, len(stored.data))):
+    if size > (allowed := allowed_bytes(file.size, len(stored))):
         raise file.damage(
             f"{where} declares {size} bytes uncompressed, in a file of {file.size} at most {allowed} may be"
         )
@@ -128,17 +123,17 @@ def decompress_chunk(file: RecordFile, chunk: ChunkSegment, stored: BorrowedByte
     unpacked = stored
     if chunk.compression != "none":
         try:
-            unpacked = file.lend(size)
-            decompress(chunk.compression, stored.data, unpacked.data)
+            unpacked = lend(size)
+            decompress(chunk.compression, stored, unpacked)
         except (MemoryError, OverflowError) as err:
             raise file.damage(f"{where} declares {size} bytes uncompressed, which do not fit into memory") from err
         except CompressionError as err:
             raise file.damage(f"{where} cannot be decompressed to the declared {size} bytes: {err}") from err
-    elif len(stored.data) != size:
-        raise file.damage(f"{where} has {len(stored.data)} bytes, declared are {size}")
-    if chunk.crc and (actual := crc32(unpacked.data)) != chunk.crc:
+    elif len(stored) != size:
+        raise file.damage(f"{where} has {len(stored)} bytes, declared are {size}")
+    if chunk.crc and (actual := crc32(unpacked)) != chunk.crc:
         raise file.damage(f"{where} has CRC {actual:08x}, recorded is {chunk.crc:08x}")
-    return unpacked._replace(data=unpacked.data.toreadonly())
+    return unpacked.toreadonly()
 
 
 # --- Chunks that are copied as a whole ---
@@ -155,15 +150,13 @@ def whole_chunk(file: RecordFile, segment: ChunkSegment, rule: ChunkRule) -> Sto
     Raises
     ------
     RecordingError
-        As `payload` does.
+        As `borrow_payload` does.
     """
     head = segment.offset - segment.record_offset
     record = memoryview(file.read(segment.record_offset, head + segment.length + segment.padding))
     chunk = _check_header(record, segment, file)
     stored = record[head : head + segment.length]
-    # Owned, because the whole chunk, or its messages, are kept.
-    unpacked = decompress_chunk(file, chunk, BorrowedBytes(stored, None))
-    records = memoryview(own_data(unpacked.data))
+    records = decompress_chunk(file, chunk, stored)
     index = _index_of(records, segment, rule.declarations)
     if index is None or not index.keys() <= rule.connection_ids:
         return records

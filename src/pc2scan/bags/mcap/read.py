@@ -19,11 +19,10 @@ from pc2scan.bags.topics import latches
 from pc2scan.bags.zstd import decompress_messages
 from pc2scan.errors import DamageError, stamp_text
 from pc2scan.files.compression import combine_crc32, crc32
-from pc2scan.files.source import BorrowedBytes
 from pc2scan.model import Attachment, Connection, Definition, Metadata, StoredChunk, Summary
 
 from . import records
-from .chunks import ChunkSegment, borrow_payload, chunk_at, payload, whole_chunk
+from .chunks import ChunkSegment, borrow_payload, chunk_at, whole_chunk
 from .index import McapIndex, find_declarations, find_index, indexed_times
 from .records import ANY_TIME, MESSAGE, RECORD, Opcode, RecordFile, parse, scan_messages, split
 from .recover import (
@@ -171,23 +170,18 @@ class McapReader(ChunkedReader):
     ) -> Loaded:
         """Load a segment; see `pc2scan.bags.loading.Load`."""
         found: StoredChunk | Messages | None = None
-        payload: BorrowedBytes | None = None
         # A damaged segment is read again to recover its messages; a damaged chunk is not copied.
         with suppress(DamageError):
-            found, payload = self._sound(selection, segment, whole=whole)
+            found = self._sound(selection, segment, whole=whole)
         if found is None:
             found = self._recovered(selection, segment)
         loaded = found if isinstance(found, StoredChunk) else map_items(callback, found)
-        # The messages refer to the payload, which is overwritten as soon as nothing refers to it.
-        del payload
         if self._data_crc is not None:
             self._data_crc.compare()
         return loaded
 
-    def _sound(
-        self, selection: _Selection, segment: Segment, *, whole: bool
-    ) -> tuple[StoredChunk | Messages, BorrowedBytes | None]:
-        """Return the wanted messages of a segment, or the chunk as a whole; and what the messages refer to.
+    def _sound(self, selection: _Selection, segment: Segment, *, whole: bool) -> StoredChunk | Messages:
+        """Return the wanted messages of a segment, or the chunk as a whole.
 
         Raises
         ------
@@ -198,12 +192,12 @@ class McapReader(ChunkedReader):
         if whole and selection.rule and isinstance(segment, ChunkSegment):
             seen = whole_chunk(self._file, segment, selection.rule)
         if isinstance(seen, StoredChunk):
-            return seen, None
-        payload = borrow_payload(self._file, segment) if seen is None else BorrowedBytes(seen, None)
+            return seen
+        data = borrow_payload(self._file, segment) if seen is None else seen
         if self._data_crc is not None:
-            self._data_crc.add(segment, payload.data)
-        messages = self._scan(selection, segment, payload.data)
-        return decompress_messages(messages, DamageLog(strict=True), segment.offset, self._file.path), payload
+            self._data_crc.add(segment, data)
+        messages = self._scan(selection, segment, data)
+        return decompress_messages(messages, DamageLog(strict=True), segment.offset, self._file.path)
 
     def _scan(self, selection: _Selection, segment: Segment, data: memoryview) -> Messages:
         """Find the wanted messages among a segment's records.
@@ -250,7 +244,7 @@ class McapReader(ChunkedReader):
     def _prefix(self, segment: Segment) -> tuple[memoryview, DamageError | None]:
         """A segment's records as far as they can be decompressed, and why that is not all."""
         try:
-            return payload(self._file, segment), None
+            return borrow_payload(self._file, segment), None
         except DamageError as err:
             if self._log.strict:
                 raise

@@ -17,7 +17,7 @@ from pc2scan.bags.loading import MAX_LISTED_ITEMS, LazyItems
 from pc2scan.errors import DamageError
 from pc2scan.files.compression import crc32
 from pc2scan.files.source import SourceFile
-from pc2scan.model import RawMessage, own_data
+from pc2scan.model import RawMessage
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -418,7 +418,7 @@ def _lazy_messages(
             times.append(log_time_ns)
             places.append(position)
         position += RECORD.size + length
-    return LazyItems(times, places, partial(message_at, memoryview(own_data(data)), wanted), len(data))
+    return LazyItems(times, places, partial(message_at, data, wanted), len(data))
 
 
 def _scan_stretch(

@@ -19,8 +19,7 @@ from pc2scan.bags.loading import MAX_LISTED_ITEMS, LazyItems, map_items
 from pc2scan.bags.salvage import note_salvaged
 from pc2scan.errors import stamp_text
 from pc2scan.files.compression import LZ4_MAGIC
-from pc2scan.files.source import BorrowedBytes
-from pc2scan.model import RawMessage, StoredChunk, Summary, own_data
+from pc2scan.model import RawMessage, StoredChunk, Summary
 from pc2scan.text import counted
 
 from .index import contained_span, indexed_times, read_index
@@ -181,9 +180,7 @@ class Rosbag1Reader(ChunkedReader):
             if selection.rule and whole:
                 found = self._load_whole(selection, selection.rule, segment)
                 return found if isinstance(found, StoredChunk) else map_items(callback, found)
-            # The messages refer to the chunk, which is overwritten as soon as nothing refers to `payload`.
-            payload = borrow_payload(self._file, segment)
-            return map_items(callback, self._scan(selection, segment, payload.data, {}))
+            return map_items(callback, self._scan(selection, segment, borrow_payload(self._file, segment), {}))
         except FormatError as err:
             problem = err
         return map_items(callback, self._salvage(selection, segment, problem))
@@ -221,8 +218,7 @@ class Rosbag1Reader(ChunkedReader):
     ) -> StoredChunk | list[RawMessage] | LazyItems[RawMessage]:
         """Read a chunk as one to copy; or return its messages if it cannot be copied."""
         stored = self._file.read(segment.offset, segment.length)
-        # Owned, because the messages, or the whole chunk, are kept.
-        chunk = own_data(decompress_chunk(self._file, segment, BorrowedBytes(memoryview(stored), None)).data)
+        chunk = decompress_chunk(self._file, segment, memoryview(stored))
         described: dict[int, bool] = {}
         places: list[int] = []
         messages = self._scan(selection, segment, chunk, described, places)
@@ -511,7 +507,7 @@ def _lazy_messages(
             times.append(stamp)
             places.append(origin)
     known = {key: item for key, item in wanted.items() if item is not None}
-    return LazyItems(times, places, partial(message_at, memoryview(own_data(data)), known), len(data))
+    return LazyItems(times, places, partial(message_at, memoryview(data), known), len(data))
 
 
 # --- LZ4 frames ---

@@ -27,7 +27,7 @@ from pc2scan.bags.damage import RECOVER
 from pc2scan.bags.formats import FORMATS
 from pc2scan.errors import DamageError
 from pc2scan.files.compression import CompressionError, allowed_bytes, decompress
-from pc2scan.files.source import SourceFile
+from pc2scan.files.source import SourceFile, lend
 from pc2scan.model import Connection, Definition, RawMessage
 
 if TYPE_CHECKING:
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.bags.chunks import Segment
-    from pc2scan.files.source import BorrowedBytes
     from pc2scan.model import Buffer
 
 FIRST_LINE = FORMATS["rosbag1"].magic
@@ -194,26 +193,26 @@ class BagFile(SourceFile):
 # --- Inside chunks ---
 
 
-def borrow_payload(file: BagFile, segment: Segment) -> BorrowedBytes:
+def borrow_payload(file: BagFile, segment: Segment) -> memoryview:
     """Read and decompress a chunk; see `SourceFile.borrow`."""
     return decompress_chunk(file, segment, file.borrow(segment.offset, segment.length))
 
 
-def decompress_chunk(file: BagFile, segment: Segment, stored: BorrowedBytes) -> BorrowedBytes:
-    """Decompress a chunk to its declared size; the result is borrowed, too."""
+def decompress_chunk(file: BagFile, segment: Segment, stored: memoryview) -> memoryview:
+    """Decompress a chunk to its declared size."""
     compression, size = segment.compression, segment.uncompressed_size
-    if size > (allowed := allowed_bytes(file.size, len(stored.data))):
+    if size > (allowed := allowed_bytes(file.size, len(stored))):
         raise FormatError(f"it declares {size} bytes, in a bag of {file.size} at most {allowed} may be")
     if compression == "none":
-        if len(stored.data) != size:
-            raise FormatError(f"it holds {len(stored.data)} bytes, {size} are declared")
+        if len(stored) != size:
+            raise FormatError(f"it holds {len(stored)} bytes, {size} are declared")
         return stored
     try:
-        unpacked = file.lend(size)
-        decompress(compression, stored.data, unpacked.data)
+        unpacked = lend(size)
+        decompress(compression, stored, unpacked)
     except (CompressionError, MemoryError) as err:
         raise FormatError(f"its {compression} data cannot be decompressed to the declared {size} bytes: {err}") from err
-    return unpacked._replace(data=unpacked.data.toreadonly())
+    return unpacked.toreadonly()
 
 
 def record_in(data: memoryview, position: int) -> tuple[dict[bytes, bytes], int, int]:
@@ -234,7 +233,7 @@ def record_in(data: memoryview, position: int) -> tuple[dict[bytes, bytes], int,
 
 def records_of(file: BagFile, segment: Segment) -> Iterator[tuple[dict[bytes, bytes], memoryview]]:
     """Read a chunk, and yield all of its records as fields and body."""
-    data = memoryview(bytes(borrow_payload(file, segment).data))
+    data = borrow_payload(file, segment)
     position = 0
     while position < len(data):
         fields, start, position = record_in(data, position)

@@ -401,7 +401,7 @@ def _is_sound(file: BagFile, found: _RecoveredRecords, record: BagRecord) -> boo
     if not found.ends_with(record):
         return True
     try:
-        return bool(len(borrow_payload(file, found.segments[-1]).data))
+        return bool(len(borrow_payload(file, found.segments[-1])))
     except FormatError:
         return False
 
@@ -421,7 +421,7 @@ def _find_times(file: BagFile, found: _RecoveredRecords, log: DamageLog) -> None
             segments.append(segment)
             continue
         try:
-            data = bytes(borrow_payload(file, segment).data)
+            data = bytes(borrow_payload(file, segment))
         except FormatError:
             data = payload_prefix(file, segment)
         stamps = _MessageRun()

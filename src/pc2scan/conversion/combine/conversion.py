@@ -24,7 +24,6 @@ from pc2scan.core.project import PointsPart, ProjectedScan, contiguous
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.rule import PointCounts
 from pc2scan.errors import MessageError
-from pc2scan.files.source import ReadBuffer, retain
 from pc2scan.messages.beams import scan_points
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, encode_laserscan
@@ -47,7 +46,6 @@ if TYPE_CHECKING:
     from pc2scan.conversion.steps import Step
     from pc2scan.core.moving import MovingTransform
     from pc2scan.core.project import Transform
-    from pc2scan.files.source import RetainedMemory
     from pc2scan.messages.used_points import UsedPoints
     from pc2scan.model import Buffer
     from pc2scan.request.filters import Filter
@@ -113,8 +111,6 @@ class Contribution(NamedTuple):
         A sample for `FirstClouds`, while that needs any.
     size
         Bytes that the message holds.
-    memory
-        The memory that the points are views of, which is not overwritten while this refers to it; None for copies.
     """
 
     source: int
@@ -135,7 +131,6 @@ class Contribution(NamedTuple):
     assumed: tuple[int, str] | None = None
     sample: SharedSample | None = None
     size: int = 0
-    memory: object = None
 
 
 class MessagesToScan(Conversion):
@@ -337,7 +332,7 @@ class MessagesToScan(Conversion):
         return nearest, motion
 
     def _keep_points(self, contribution: Contribution) -> Contribution:
-        """Return a message whose points may be used after the buffer that they were decoded in is free again."""
+        """Return a message with the fields that its scan needs."""
         track, points = contribution.track, contribution.points
         if not contribution.flat and self._intensity:
             # A missing field is an error of this message, not of the scan.
@@ -354,13 +349,11 @@ class MessagesToScan(Conversion):
             # Fields with several values a point are not written.
             views = {name: each for name, each in views.items() if each.shape == views["x"].shape}
         size = _OVERHEAD + sum(each.nbytes for each in views.values())
-        memory = None
-        if self.grouper is not None:
-            # Messages that are in many scans are held for longer, so their fields are copied, which takes less memory.
-            memory = common_memory(views.values()) if self._once else None
-            views = views if memory is not None else _copy_fields(views)
+        # Messages that are in many scans are held for longer, so their fields are copied, which takes less memory.
+        if self.grouper is not None and not (self._once and are_one_view(views.values())):
+            views = _copy_fields(views)
         held = Points(points.sequence, points.stamp_ns, points.frame_id, views)
-        return contribution._replace(points=held, size=size, memory=memory)
+        return contribution._replace(points=held, size=size)
 
     def is_projected(self, lead: Contribution, members: Iterable[Contribution]) -> bool:
         """Whether the points of all members are projected already, as this scan needs them."""
@@ -484,26 +477,23 @@ def _round_transform(transform: Rigid | MovingTransform | None) -> Transform | M
     return None if transform is None else transform.as_float32()
 
 
-def common_memory(arrays: Iterable[NDArray[Any]]) -> RetainedMemory | None:
-    """Return the memory that all these arrays are views of, which is kept; None if they must be copied."""
-    memory: RetainedMemory | None = None
-    whole: bytes | ReadBuffer | None = None
+def are_one_view(arrays: Iterable[NDArray[Any]]) -> bool:
+    """Whether all these arrays are views of one memory, of which they span at least half: copies take less else."""
+    whole: object = None
     for array in arrays:
         base: Any = array
-        while isinstance(base, np.ndarray | memoryview) and not isinstance(base, ReadBuffer):
+        while isinstance(base, np.ndarray | memoryview):
             base = base.obj if isinstance(base, memoryview) else base.base
-        if whole is None and isinstance(base, bytes | ReadBuffer):
-            whole = base
-            # A message in a much larger chunk is copied, which takes less memory than keeping the chunk.
+        if whole is None and isinstance(base, bytes | bytearray):
             spanned = sum(abs(step) * (count - 1) for step, count in zip(array.strides, array.shape, strict=True))
-            memory = retain(whole) if 2 * spanned >= len(base) else None
-        if memory is None or base is not whole:
-            return None
-    return memory
+            whole = base if 2 * spanned >= len(base) else None
+        if whole is None or base is not whole:
+            return False
+    return whole is not None
 
 
 def _copy_fields(fields: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Return copies of fields, whose memory may be overwritten."""
+    """Return copies of fields."""
     axes = contiguous(*(fields[axis] for axis in "xyz"))
     copies = {name: np.array(values).reshape(-1) for name, values in fields.items() if name not in _AXES}
     return copies | dict(zip("xyz", axes, strict=True))
