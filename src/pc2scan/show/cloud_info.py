@@ -260,16 +260,16 @@ def _measure(result: CloudInfo, parts: Sequence[NDArray[np.floating[Any]]], retu
         least = max(1e-9 * max(abs(low), abs(high)), 0.0 if high > low else 1.0)
         if high - low < least:
             low, high = low - least / 2, high + least / 2
-        heights = heights.astype(np.float64)
-        counts, edges = np.histogram(np.clip(heights, low, high, out=heights), _BINS, (low, high))
-        result.height_edges, result.height_counts = tuple(edges.tolist()), tuple(counts.tolist())
+        # Cloud by cloud, because edges of float64 need heights of float64.
+        clipped = (np.clip(finite(part[2]).astype(np.float64), low, high) for part in parts)
+        counts, edges = zip(*(np.histogram(each, _BINS, (low, high)) for each in clipped), strict=True)
+        result.height_edges, result.height_counts = tuple(edges[0].tolist()), tuple(np.sum(counts, 0).tolist())
 
 
 def _ranges(parts: Sequence[NDArray[np.floating[Any]]], count: int) -> NDArray[np.float64]:
-    """Return hypot(x, y) of the points of all clouds, so many; joining those of each would take as much memory again."""
+    """Return hypot(x, y) of all points, so many; to join those of each cloud would take as much memory again."""
     ranges = rest = np.empty(count)
     for x, y, _ in parts:
         np.hypot(x, y, out=rest[: x.size], dtype=np.float64)
         rest = rest[x.size :]
     return ranges
-
