@@ -269,12 +269,13 @@ def _names(value: Any) -> tuple[str, ...]:
 def tell_early(warnings: list[str], warn: Callable[[str], None] | None, *texts: str) -> None:
     """Add warnings to those of a result, and pass them on at once: a user may stop a run, or it fails, because of them.
 
-    ``warn`` is called with each of them; None: nobody waits for them.
+    ``warn`` is called with each of them that is new; None: nobody waits for them.
     """
-    warnings += texts
-    if warn is not None:
-        for text in texts:
-            warn(text)
+    for text in texts:
+        if text not in warnings:
+            warnings.append(text)
+            if warn is not None:
+                warn(text)
 
 
 def listed(label: str, entries: Sequence[object], most: int | None) -> Iterator[Remark]:

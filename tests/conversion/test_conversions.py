@@ -16,6 +16,7 @@ from pc2scan.core.unproject import UnprojectParams
 from pc2scan.errors import DecodeError, TransformError
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan, encode_laserscan
 from pc2scan.messages.pointcloud2 import PointCloud2, decode_pointcloud2
+from pc2scan.request.options import ScanSpec
 from pc2scan.transforms.builder import TransformBuilder
 from pc2scan.transforms.placing import Placer
 from support import builders
@@ -81,7 +82,7 @@ def points_of(message: PointCloud2) -> Any:
 )
 def test_a_timed_topic_has_its_own_stamps(stamp_ns: int, first_beam_ns: int, expected: int) -> None:
     params = ProjectionParams(scan_time="auto", time_increment="auto")
-    conversion = CloudToScan(params, Placer(), {"/front": Measurements(0.125, -0.25, first_beam_ns)})
+    conversion = CloudToScan(ScanSpec(params=params), Placer(), {"/front": Measurements(0.125, -0.25, first_beam_ns)})
     ros_version, serialization = (1, "ros1") if stamp_ns >= 0 else (2, "cdr")
     message = cloud(np.empty((0, 3)), ros_version, stamp_ns)
     read = decode_laserscan(once(conversion, message, serialization, serialization, "/front").message, serialization)
@@ -93,7 +94,8 @@ def test_a_timed_topic_has_its_own_stamps(stamp_ns: int, first_beam_ns: int, exp
 def test_a_cloud_is_transformed_before_the_limits_apply() -> None:
     known = frames("base", ("base", "lidar", 4 * SECOND, 0.0, 0.0), ("base", "lidar", 6 * SECOND, 2.0, math.pi))
     points = [[3, 0, 0.5], [2, 4, -0.5], [0, 0, 3]]
-    made = once(CloudToScan(ProjectionParams(min_height=-1, max_height=1, target_frame="base"), known), cloud(points))
+    spec = ScanSpec(params=ProjectionParams(min_height=-1, max_height=1, target_frame="base"))
+    made = once(CloudToScan(spec, known), cloud(points))
     read = decode_laserscan(made.message, "ros1")
     moved = known.place("lidar", 5 * SECOND).target_from_source
     assert moved is not None
@@ -183,7 +185,7 @@ NO_SCANS: list[tuple[Any, bytes, type[Exception], str]] = [
     ),
     (ScanToCloud(None, Placer()), scan([1, 2], intensities=np.array([1.0], np.float32)), DecodeError, "intensities"),
     (
-        CloudToScan(ProjectionParams(intensity_field="r"), Placer()),
+        CloudToScan(ScanSpec(params=ProjectionParams(intensity_field="r")), Placer()),
         cloud([[2, 0, 0]]),
         DecodeError,
         "no field 'r'; the",

@@ -59,17 +59,16 @@ def test_two_publishers_of_a_cloud_share_its_scan_topic() -> None:
 def test_topics_that_share_a_target_become_one_scan() -> None:
     topics = {"/a": "cloud", "/b": "cloud", "/c": "scan", "/d": "cloud"}
     made = plan(topics, "/b:=/s /a:=/s /c:=/s /d /a:=/alone", **BASE)
-    (combination,) = made.combinations
-    assert (combination.sources, combination.target) == (("/b", "/a", "/c"), "/s")
-    assert [[(task.targets, task.combination) for task in route.tasks] for route in made.routes] == [
-        [(("/alone",), None), (("/s",), combination)],
-        [(("/s",), combination)],
-        [(("/s",), combination)],
-        [(("/d/scan",), None)],
+    together = ("/s", ("/b", "/a", "/c"))
+    assert [[(each.target, each.sources) for each in route.outputs] for route in made.routes] == [
+        [("/alone", ()), together],
+        [together],
+        [together],
+        [("/d/scan", ())],
     ]
     # A glob may name them.
     made = plan({"/l_1": "cloud", "/l_2": "cloud", "/imu": "imu"}, "/l_*:=/s", **BASE)
-    assert [each.sources for each in made.combinations] == [("/l_1", "/l_2")]
+    assert [each.sources for each in made.combined.values()] == [("/l_1", "/l_2")]
     with pytest.raises(TopicError, match="both become /c"):
         plan({"/a": "scan", "/b": "scan"}, "/a:=/c /b:=/c", reverse=True)
 
@@ -84,7 +83,7 @@ def test_an_output_without_sources_has_the_only_topic() -> None:
     spec = ScanSpec(name="/low", place="scans.yaml, line 3")
     options = ConvertOptions(scans=(spec, ScanSpec(name="/high", topics=(TopicRequest("/a", "/high"),))))
     (route,) = make_plan([Connection(1, "/a", CLOUD, "ros1")], options).routes
-    assert [(task.spec.name, task.targets) for task in route.tasks] == [("/low", ("/low",)), ("/high", ("/high",))]
+    assert [(each.spec.name, each.target) for each in route.outputs] == [("/low", "/low"), ("/high", "/high")]
     two = [Connection(i, topic, CLOUD, "ros1") for i, topic in enumerate(("/a", "/b"))]
     with pytest.raises(TopicError, match=r"scans.yaml, line 3, /low: it has no 'sources', and the recording has sev"):
         make_plan(two, options)

@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from pc2scan.conversion.items import Item, OpenRoute, Output, Tally
+from pc2scan.conversion.items import Item, Tally
+from pc2scan.conversion.plan import Output, Route
 from pc2scan.conversion.report import Report, TopicReport
 from pc2scan.conversion.result_checks import result_findings
 from pc2scan.core.params import ProjectionParams
@@ -68,8 +69,8 @@ def test_the_motion_of_a_topic_is_summed_up() -> None:
 
 def test_skipped_messages_are_all_counted_and_some_listed() -> None:
     made = report(used=100)
-    output = Output(made.topics[0], 0)
-    route = OpenRoute(Connection(1, "/points", POINTCLOUD2, "cdr"), steps=[lambda _: []], outputs=[output])
+    output = Output(None, "/scan", report=made.topics[0])
+    route = Route(Connection(1, "/points", POINTCLOUD2, "cdr"), [output])
     tally = Tally({1: route}, strict=False)
     for i in range(MAX_LISTED + 7):
         tally.count(Item(route, i, i, 0, 0, [(output, MessageError("reason", stamp_ns=i))]))

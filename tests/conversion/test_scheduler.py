@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.advice.survey import Span
 from pc2scan.bags.loading import Chunk
 from pc2scan.conversion import engine
-from pc2scan.conversion.items import Item, OpenRoute, Output
-from pc2scan.conversion.report import TopicReport
-from pc2scan.conversion.steps import ConvertedMessage
+from pc2scan.conversion.items import Item
+from pc2scan.conversion.plan import Output, Route
+from pc2scan.conversion.steps import ConvertedMessage, Steps
 from pc2scan.core.rule import PointCounts
 from pc2scan.model import Connection, RawMessage
 from pc2scan.threads import Threads
@@ -37,8 +37,7 @@ def test_a_result_that_takes_more_memory_is_made_in_its_turn() -> None:
         summary=SimpleNamespace(size_bytes=0),
         chunks=lambda *_: [Chunk(number, (number,), 1, partial(load, number)) for number in range(9)],
     )
-    output = Output(TopicReport("/a", "", "/cloud", "converted"), 0)
-    route = OpenRoute(TOPIC, None, [convert], outputs=[output], shrinks_from=1 << 30)
+    route = Route(TOPIC, [Output(None, "/cloud")], steps=[Steps(None, None, convert)], shrinks_from=1 << 30)
     with Threads(2) as threads:
         for number, item in enumerate(engine.items_of(reader, {1: route}, Span(None, None, 0), threads)):
             assert isinstance(item, Item)

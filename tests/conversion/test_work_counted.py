@@ -18,9 +18,10 @@ from pc2scan.bags.rosbag1.read import Rosbag1Reader
 from pc2scan.bags.rosbag1.write import Rosbag1Writer
 from pc2scan.conversion import cloud_to_scan, engine, recording
 from pc2scan.conversion.engine import DeferredMessage
-from pc2scan.conversion.items import Item, OpenRoute, Output
-from pc2scan.conversion.report import TopicReport
-from pc2scan.conversion.steps import ConvertedMessage
+from pc2scan.conversion.items import Item
+from pc2scan.conversion.plan import Output, Route
+from pc2scan.conversion.steps import ConvertedMessage, Steps
+from pc2scan.core.floor import JUDGED_CLOUDS
 from pc2scan.core.project import Projector
 from pc2scan.core.rule import PointCounts
 from pc2scan.files import source as files
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
     from pc2scan.bags.chunks import Segment
 
 CLOUDS = 6
+#: How often each cloud is read: the first ones, whose floor is not level, are judged before.
+READS = [2] * JUDGED_CLOUDS + [1] * (CLOUDS - JUDGED_CLOUDS)
 T0 = 1_600_000_000_000_000_000
 CLOUD_BYTES = 32_000
 FORMS = [
@@ -127,10 +130,10 @@ def test_chunks_that_nobody_wants_are_not_read(drive: Path, jobs: int, extents: 
     assert [len(chunks[topic]) for topic in ("/points", "/other", "/tf")] == [CLOUDS] * 3
     extents.clear()
     assert convert(drive, jobs=jobs).topics[0].messages_out == CLOUDS
-    assert times_read(extents, chunks["/points"]) == [1] * CLOUDS
+    assert times_read(extents, chunks["/points"]) == READS
     # Transforms are small: a look at the header behind them may take them along.
     assert times_read(extents, chunks["/other"]) == [0] * CLOUDS
-    stored = sum(chunk.length for chunk in chunks["/points"])
+    stored = sum(chunk.length * reads for chunk, reads in zip(chunks["/points"], READS, strict=True))
     assert sum(extent.length for extent in extents) < stored + chunks["/other"][0].length * CLOUDS
 
 
@@ -138,7 +141,7 @@ def test_a_cut_reads_only_its_own_chunks(drive: Path, extents: list[Extent]) -> 
     chunks = segments(drive)["/points"]
     extents.clear()
     convert(drive, start="0.000002", end="0.000004")
-    assert times_read(extents, chunks) == [0, 0, 1, 1, 0, 0]
+    assert times_read(extents, chunks) == [0, 0, 2, 2, 0, 0]
 
 
 def test_transforms_are_found_without_reading_clouds(drive: Path, extents: list[Extent]) -> None:
@@ -146,7 +149,7 @@ def test_transforms_are_found_without_reading_clouds(drive: Path, extents: list[
     extents.clear()
     params = pc2scan.ProjectionParams(min_height=-2, max_height=2, target_frame="base_link")
     assert convert(drive, params=params).topics[0].messages_out == CLOUDS
-    assert times_read(extents, chunks["/points"]) == [1] * CLOUDS
+    assert times_read(extents, chunks["/points"]) == READS
     assert times_read(extents, chunks["/other"]) == [0] * CLOUDS
     assert min(times_read(extents, chunks["/tf"])) >= 1
 
@@ -180,7 +183,8 @@ def test_the_thread_that_decompressed_clouds_projects_them(
     monkeypatch.setattr(reader, "borrow_payload", spying)
     monkeypatch.setattr(cloud_to_scan, "Projector", Spy)
     together = convert(drive, jobs=2)
-    assert there == [True] * CLOUDS
+    # Not those of the first clouds, which are judged before.
+    assert there[JUDGED_CLOUDS:] == [True] * CLOUDS
     assert together.topics == alone.topics
     assert drive.with_name(f"scans{drive.suffix}").read_bytes() == expected
 
@@ -217,12 +221,11 @@ def test_large_chunks_are_read_into_buffers_that_are_used_again(
 def test_a_result_larger_than_its_message_waits_for_its_turn(passes: bool, shrinks_from: int) -> None:
     connection = Connection(1, "/points", POINTCLOUD2, "cdr")
     converted = ConvertedMessage(b"scan", PointCounts(), False)
-    report = TopicReport("/points", "", None, "")
-    output = Output(report, 0)
-    route = OpenRoute(connection, None, [lambda _: converted], outputs=[output], shrinks_from=shrinks_from)
-    route.passing_handle = 1 if passes else -1
+    output = Output(None, "/scan")
+    steps = [Steps(None, None, lambda _: converted)]
+    route = Route(connection, [output], steps=steps, shrinks_from=shrinks_from, handle=1 if passes else -1)
     message = RawMessage(connection, 5, memoryview(b"cloud and all else of a chunk")[:5], 6)
-    done = engine._work({1: route}, message)
+    done = engine.convert({1: route}, message)
     assert isinstance(done, DeferredMessage) is (shrinks_from == 9)
     if isinstance(done, DeferredMessage):
         assert done.log_time_ns == 5
@@ -237,7 +240,7 @@ def test_a_result_larger_than_its_message_waits_for_its_turn(passes: bool, shrin
 @pytest.mark.parametrize("queue_size", [1, 3])
 def test_chunks_in_flight_are_bounded(drive: Path, queue_size: int, monkeypatch: pytest.MonkeyPatch) -> None:
     read = written = worst = 0
-    work, write = engine._work, recording._write
+    work, write = engine.convert, recording._write
     lock = threading.Lock()
 
     def working(*args: Any, **options: Any) -> Any:
@@ -253,7 +256,7 @@ def test_chunks_in_flight_are_bounded(drive: Path, queue_size: int, monkeypatch:
         written += 1
         return refused
 
-    monkeypatch.setattr(engine, "_work", working)
+    monkeypatch.setattr(engine, "convert", working)
     monkeypatch.setattr(recording, "_write", writing)
     params = pc2scan.ProjectionParams(min_height=-2, max_height=2, queue_size=queue_size)
     convert(drive, jobs=2, params=params)

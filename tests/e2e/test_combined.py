@@ -353,7 +353,7 @@ def test_a_dry_run_says_what_becomes_of_the_topics(world: Callable[..., Path]) -
     assert ["/front", "/scan", "5", "5", "-", "converted"] in lines
     assert ["/rear", "/scan", "4", "4", "-", "joined"] in lines
     done = run("convert", source, "-n", *ONE, *MOVED, "--every", "0.7", *LOW)
-    (line,) = (line for line in done.stdout.splitlines() if line.startswith("/front"))
+    (line,) = (line for line in done.stdout.splitlines() if line.startswith("/front "))
     assert line.split()[2:4] in (["5", "2"], ["5", "3"])
 
 

@@ -103,7 +103,7 @@ def test_imports_are_found() -> None:
 from __future__ import annotations
 from typing import TYPE_CHECKING
 from pc2scan import errors, convert
-from . import routes
+from . import recording
 from .plan import Plan
 if TYPE_CHECKING:
     from pc2scan import model
@@ -114,7 +114,7 @@ def late():
     read = import_module("pc2scan.requests").params_from_file
     read = import_module(".params_file", __package__)
 """
-    always = {"pc2scan.errors", "pc2scan.api", "pc2scan.conversion.routes", "pc2scan.conversion.plan"}
+    always = {"pc2scan.errors", "pc2scan.api", "pc2scan.conversion.recording", "pc2scan.conversion.plan"}
     always |= {"pc2scan.transforms.buffer"}
     always |= {"pc2scan.requests", "pc2scan.conversion.params_file", "__future__", "typing", "numpy"}
     assert imports_in(text, "pc2scan.conversion") == (always, {"pc2scan.model", "pc2scan.bags"})

@@ -52,14 +52,14 @@ def _cloud(data: bytes, kind: str = "") -> None:
     """To a scan; messages of other kinds also to a PointCloud2."""
     from pc2scan import ProjectionParams
     from pc2scan.conversion.cloud_to_scan import CloudToScan
-    from pc2scan.conversion.steps import steps_of
+    from pc2scan.request.options import ScanSpec
     from pc2scan.transforms.placing import Placer
 
     content, serialization = _serialization(data)
-    conversion = CloudToScan(ProjectionParams(min_height=-9.0), Placer())
-    value: object = content
-    for step in steps_of([conversion], "/points", serialization, kind, [partial(conversion.serialise, "cdr")]):
-        value = step(value)
+    conversion = CloudToScan(ScanSpec(params=ProjectionParams(min_height=-9.0)), Placer())
+    place, _, project = conversion.steps("/points")
+    assert place is not None
+    conversion.serialise("cdr", project(place(conversion.decoder(serialization, kind)(content))))
     if kind:
         from pc2scan.messages.clouds import CLOUDS
         from pc2scan.messages.pointcloud2 import as_pointcloud2, encode_cloud, recorded_cloud

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pc2scan.conversion.stages.removal import RemoveStage
+from pc2scan.conversion.stages.removal import remove_beams
 from pc2scan.conversion.steps import ConvertedMessage
 from pc2scan.core.rule import PointCounts
 from pc2scan.messages.laserscan import LaserScan
@@ -22,7 +22,7 @@ def result(ranges: list[float], intensities: list[float] | None = None, incremen
 
 @pytest.mark.parametrize("empty", [np.inf, np.nan, 10.0, 0.0])
 def test_a_removed_beam_has_no_return(empty: float) -> None:
-    made = RemoveStage([Speckles()], empty)(result([1.0, 1.0, 0.5, 1.0, 1.0, empty], [1, 2, 3, 4, 5, 0]))
+    made = remove_beams([Speckles()], empty, result([1.0, 1.0, 0.5, 1.0, 1.0, empty], [1, 2, 3, 4, 5, 0]))
     np.testing.assert_array_equal(made.message.ranges, np.array([1, 1, empty, 1, 1, empty], np.float32))
     np.testing.assert_array_equal(made.message.intensities, [1, 2, 0, 4, 5, 0])
     assert made.removed == {"returns": 5, "speckles": 1}
@@ -30,27 +30,29 @@ def test_a_removed_beam_has_no_return(empty: float) -> None:
 
 
 def test_a_scan_whose_every_beam_is_removed_is_empty() -> None:
-    made = RemoveStage([Speckles(max_range=9.0)], np.inf)(result([1.0, 2.0, 4.0]))
+    made = remove_beams([Speckles(max_range=9.0)], np.inf, result([1.0, 2.0, 4.0]))
     assert made.removed == {"returns": 3, "speckles": 3}
     assert made.empty
 
 
 def test_filters_follow_each_other() -> None:
     ranges = [1.0, 1.0, 1.0, 3.0, 5.0, 5.0, 5.0, 5.0]
-    one = RemoveStage([Shadows(neighbors=1), Speckles(max_range=9.0)], np.inf)(result(ranges))
+    one = remove_beams([Shadows(neighbors=1), Speckles(max_range=9.0)], np.inf, result(ranges))
     assert one.removed is not None
     assert one.removed["shadows"] >= 1
     assert one.removed["returns"] == 8
-    assert RemoveStage([Shadows()], 1.0) == RemoveStage([Shadows()], 1.0) != RemoveStage([Speckles()], 1.0)
 
 
 def test_the_last_beam_of_a_full_circle_is_beside_the_first() -> None:
     increment = 2 * np.pi / 100
     ranges = [1.0] * 99 + [1.05]
     ranges[0] = 1.04
-    circle = RemoveStage([Speckles(max_range_difference=0.02)], np.inf)
-    assert circle(result(ranges, increment=increment)).removed == {"returns": 100, "speckles": 0}
-    assert circle(result(ranges, increment=increment / 2)).removed == {"returns": 100, "speckles": 2}
+    circle = [Speckles(max_range_difference=0.02)]
+    assert remove_beams(circle, np.inf, result(ranges, increment=increment)).removed == {"returns": 100, "speckles": 0}
+    assert remove_beams(circle, np.inf, result(ranges, increment=increment / 2)).removed == {
+        "returns": 100,
+        "speckles": 2,
+    }
 
 
 def test_filters_are_written_with_their_parameters() -> None:

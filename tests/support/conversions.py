@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import json
 from contextlib import closing
-from functools import partial, reduce
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.bags.opening import open_recording
-from pc2scan.conversion.steps import steps_of
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan
 from pc2scan.messages.tfmessage import decode_transforms
 from support.command import Finished, run
@@ -19,13 +17,20 @@ if TYPE_CHECKING:
 
     from pc2scan.conversion.steps import Conversion
 
-__all__ = ["Made", "converted", "serialized_by"]
+__all__ = ["Made", "converted", "serialized_by", "stepped"]
 
 
 def serialized_by(conversion: Conversion, topic: str, source: str, target: str) -> Callable[[bytes], Any]:
     """Return what makes serialised messages of serialised messages, each with what is counted of it."""
-    steps = steps_of([conversion], topic, source, "", [partial(conversion.serialise, target)])
-    return lambda message: reduce(lambda value, step: step(value), steps, message)
+    decode = conversion.decoder(source, "")
+    return lambda message: conversion.serialise(target, stepped(conversion, topic, decode(message)))
+
+
+def stepped(conversion: Conversion, topic: str, decoded: Any) -> Any:
+    """Do all steps with a decoded message."""
+    for step in conversion.steps(topic):
+        decoded = decoded if step is None else step(decoded)
+    return decoded
 
 
 class Made(NamedTuple):

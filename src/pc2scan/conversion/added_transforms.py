@@ -22,10 +22,10 @@ from pc2scan.model import MAX_ROSBAG2_NS as LAST_NS
 from pc2scan.model import StoredChunk
 from pc2scan.transforms.reading import tf_connections
 
-from .items import Output
-from .levelling import tf_connection
+from .levelling import TFMESSAGE, tf_connection
+from .plan import Output
 from .report import TopicReport
-from .steps import ConvertedMessage
+from .steps import ConvertedMessage, Steps, as_it_is
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
@@ -38,8 +38,16 @@ if TYPE_CHECKING:
     from pc2scan.transforms.sources import AddedPoses, Attachment, PoseReading
 
     from .declarations import RecordingTopics
-    from .items import Item, OpenRoute
-    from .routes import Routes
+    from .items import Item
+    from .plan import Route
+
+
+@dataclass(slots=True)
+class AddedTopic:
+    """A topic that one message is written to: its entry in the report, and the writer's handle."""
+
+    report: TopicReport
+    handle: int = -1
 
 
 @dataclass(slots=True)
@@ -50,22 +58,22 @@ class TrajectoryWriter:
     ----------
     rows, count
         The transforms, by stamp, and how many they are.
-    handle
-        The writer's handle of their topic.
     serialization
         That of the destination.
     report
         The report's entry that counts them.
     first_ns
         The time of the earliest transform: log times are not before.
+    handle
+        The writer's handle of their topic.
     """
 
     rows: Iterator[TransformRow]
     count: int
-    handle: int
     serialization: str
     report: TopicReport
     first_ns: int
+    handle: int = -1
     _next: TransformRow | None = None
 
     def __post_init__(self) -> None:
@@ -86,7 +94,8 @@ def add_poses(
     reader: Reader,
     frames: FrameOptions,
     added: Sequence[AddedPoses],
-    opened: Routes,
+    routes: Mapping[int, Route],
+    entries: list[TopicReport],
     topics: RecordingTopics,
     span: Span,
 ) -> list[TrajectoryWriter]:
@@ -98,8 +107,8 @@ def add_poses(
         The source, and the options about transforms.
     added
         The poses that were used.
-    opened
-        The routes.
+    routes, entries
+        The routes, and the report's entries, which are changed.
     topics
         The topics of the destination.
     span
@@ -108,23 +117,32 @@ def add_poses(
     target = topics.target
     children = {name for each in added for attachment in each.attachments.values() for name in attachment.replaced}
     for connection in tf_connections(reader.connections, frames.tf_topics):
-        route = opened.by_id.get(connection.id)
-        if route is not None and route.passing_handle >= 0 and not connection.is_static:
+        route = routes[connection.id]
+        if route.handle >= 0 and not connection.is_static:
             route.reencode = partial(_without, children, connection.serialization, target.serialization)
-    place = topics.add(tf_connection(reader, frames, target))
-    name = tf_connection(reader, frames, target).topic
+    shared = tf_connection(reader, frames, target)
     files: list[TrajectoryWriter] = []
+    outputs: list[Output] = []
     for each in added:
         if each.reading is None:
             rows, count = _rows_in(each, span, reader.summary.end_ns)
-            entry = TopicReport(name, "tf2_msgs/msg/TFMessage", name, "added", f"from {each.name}")
-            opened.entries.append(entry)
-            files.append(TrajectoryWriter(rows, count, place, target.serialization, entry, span.first_ns))
+            entry = TopicReport(shared.topic, TFMESSAGE, shared.topic, "added", f"from {each.name}")
+            entries.append(entry)
+            files.append(TrajectoryWriter(rows, count, target.serialization, entry, span.first_ns))
             continue
         for connection in each.reading.connections:
-            entry = TopicReport(connection.topic, connection.ros_type, name, "added", "its poses as transforms")
-            step = partial(_as_transform, each.reading, each.attachments, connection, target.serialization)
-            _add_step(opened, opened.by_id[connection.id], entry, place, step)
+            entry = TopicReport(connection.topic, connection.ros_type, shared.topic, "added", "its poses as transforms")
+            entries.append(entry)
+            route = routes[connection.id]
+            if route.handle < 0 and route.report is not None:
+                # Only counted until now.
+                entries.remove(route.report)
+                route.report = None
+            made = partial(_as_transform, each.reading, each.attachments, connection, target.serialization)
+            route.decode, route.steps, route.shrinks_from = as_it_is, [Steps(None, None, made)], 0
+            route.outputs.append(Output(None, shared.topic, report=entry))
+            outputs.append(route.outputs[-1])
+    topics.add(shared, *outputs, *files)
     return files
 
 
@@ -139,17 +157,6 @@ def between(
         yield item
     for each in trajectories:
         each.write_until(LAST_NS, writer)
-
-
-def _add_step(opened: Routes, route: OpenRoute, entry: TopicReport, place: int, step: object) -> None:
-    """Let a route write a second message for each of its messages."""
-    opened.entries.append(entry)
-    if route.passing_handle < 0 and route.report is not None:
-        # Only counted until now.
-        opened.entries.remove(route.report)
-        route.report = None
-    route.steps, route.shrinks_from = (step,), 0  # type: ignore[assignment]
-    route.outputs.append(Output(entry, 0, handle=place))
 
 
 def _as_transform(

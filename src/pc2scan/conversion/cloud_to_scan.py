@@ -12,30 +12,28 @@ from pc2scan.core.points import NUMBER
 from pc2scan.core.project import Projector
 from pc2scan.core.rule import PointCounts
 from pc2scan.messages.clouds import CLOUDS
-from pc2scan.messages.laserscan import LASERSCAN, LaserScan, encode_laserscan
+from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
+from pc2scan.messages.used_points import UsedPoints
 
 from .stages.placement import PlaceStage
-from .stages.removal import RemoveStage
-from .steps import Conversion, ConvertedMessage
+from .stages.removal import remove_beams
+from .stages.selection import SelectStage
+from .steps import Conversion, ConvertedMessage, Steps
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Mapping
 
-    from pc2scan.advice.first_clouds import TopicClouds
     from pc2scan.core.moving import MovingTransform
     from pc2scan.core.params import ProjectionParams
     from pc2scan.core.points import Points
     from pc2scan.core.project import ProjectedScan, Transform
-    from pc2scan.messages.used_points import UsedPoints
     from pc2scan.model import Buffer
-    from pc2scan.request.beam_filters import BeamFilter
-    from pc2scan.request.filters import Filter
+    from pc2scan.request.options import ScanSpec
     from pc2scan.transforms.placing import Placer
 
     from .stages.deskew import Deskew
     from .stages.placement import PlacedCloud
-    from .steps import Step
 
 
 class Beams:
@@ -80,86 +78,56 @@ class CloudToScan(Conversion):
 
     Parameters
     ----------
-    params
-        The projection's parameters.
+    spec
+        The request.
     placer
         The recording's transforms.
     measurements
         The measured values of each source topic. Other topics use the parameters; a parameter that is ``auto`` is then
         0.
-    filters
-        Filters that select points before the projection, in order.
-    deskew
-        Places points at their own times; None: all points of a cloud are placed at its stamp.
-    first_clouds
-        Returns the checks of the first clouds of a topic; None for no checks.
-    keeps_used
-        Whether results include the points that beams read.
-    remove
-        Filters that remove beams of the scans, in order.
+    deskews
+        What places the points of a topic at their own times, by topic. Those of others are placed at the cloud's stamp.
 
     Attributes
     ----------
-    params, measurements, placer, deskew, filters
+    spec, placer, measurements, deskews
         As above.
     """
 
-    made_type = LASERSCAN
     encode = encode_laserscan
 
     def __init__(
         self,
-        params: ProjectionParams,
+        spec: ScanSpec,
         placer: Placer,
         measurements: Mapping[str, Measurements] | None = None,
-        filters: Sequence[Filter] = (),
-        deskew: Deskew | None = None,
-        first_clouds: Callable[[str], TopicClouds] | None = None,
-        *,
-        keeps_used: bool = False,
-        remove: Sequence[BeamFilter] = (),
+        deskews: Mapping[str, Deskew] | None = None,
     ) -> None:
-        self.measurements = measurements or {}
+        params = spec.params
+        self.spec, self.placer = spec, placer
+        self.measurements, self.deskews = measurements or {}, deskews or {}
         # The size of a scan: the cloud's header, ranges and intensities. Its other fields take fewer bytes.
         longest = max([each.resolve(params).length for each in self.measurements.values()], default=params.length)
         self.shrinks_from = 1024 + 8 * longest
-        self.params = params
-        self.placer = placer
-        self.deskew = deskew
-        self.filters = filters
-        self._first_clouds = first_clouds
         self._default = Measurements(
             0.0 if params.scan_time == "auto" else params.scan_time,
             0.0 if params.time_increment == "auto" else params.time_increment,
         )
-        self._place = PlaceStage(placer, deskew)
-        self._select: Callable[[PlacedCloud], PlacedCloud] | None = None
-        if filters:
-            from .stages.selection import SelectStage  # noqa: PLC0415  # only where something is selected
-
-            self._select = SelectStage(filters, placer, numbered=keeps_used)
-        self._keeps_used = keeps_used
-        self._remove: tuple[Step, ...] = ()
-        if remove:
-            self._remove = (RemoveStage(remove, params.empty_range),)
+        self._select = SelectStage(spec.filters, placer, bool(spec.keep_used)) if spec.filters else None
+        self._remove = partial(remove_beams, spec.remove, params.empty_range) if spec.remove else None
 
     def decoder(self, source: str, source_type: str) -> Callable[[Buffer], Points]:
         """Return the decoder of clouds; see `Conversion`."""
         return CLOUDS[source_type or POINTCLOUD2](source)
 
-    def stages(self, topic: str) -> tuple[Step, ...]:
-        """Return the stages of one topic's messages: place, select, project, remove; see `Conversion`."""
+    def steps(self, topic: str) -> Steps:
+        """Return what is done with the clouds of one topic; see `Conversion`."""
         measured = self.measurements.get(topic, self._default)
-        beams = Beams(self.params, measured)
-        firsts = None if self._first_clouds is None else self._first_clouds(topic)
-        project = partial(self._make_scan, measured.first_beam_ns, beams, firsts)
-        select = () if self._select is None else (self._select,)
-        return (self._place.of(topic), *select, project, *self._remove)
+        project = partial(self._make_scan, measured.first_beam_ns, Beams(self.spec.params, measured))
+        return Steps(PlaceStage(self.placer, self.deskews.get(topic)), self._select, project)
 
-    def _make_scan(
-        self, first_beam_ns: int, beams: Beams, firsts: TopicClouds | None, placed: PlacedCloud
-    ) -> ConvertedMessage:
-        points, stamp_ns, name = placed.points, placed.stamp_ns, self.params.intensity_field
+    def _make_scan(self, first_beam_ns: int, beams: Beams, placed: PlacedCloud) -> ConvertedMessage:
+        points, stamp_ns, name = placed.points, placed.stamp_ns, self.spec.params.intensity_field
         intensities = points.field(name) if name else None
         # A transform that is not applied yet is applied in the same loop.
         transform = None if placed.transform is None else placed.transform.as_float32()
@@ -171,28 +139,18 @@ class CloudToScan(Conversion):
             # Simulated time begins at 0, and ROS 1 cannot represent a time before it.
             stamp_ns = max(0, stamp_ns + first_beam_ns)
         message, empty = beams.message(points.sequence, stamp_ns, placed.place.frame_id, scan)
-        candidate = None if firsts is None or firsts.full else partial(firsts.sample, placed.whole, placed.place)
         motion = None if placed.moving is None else placed.moving.motion
         level = None if placed.place.level is None else placed.place.level.at(stamp_ns)
-        used = self._gather_used(placed, beams.projector, transform) if self._keeps_used else None
-        return ConvertedMessage(
-            message,
-            counts,
-            empty,
-            motion,
-            candidate,
-            level=level,
-            used=used,
-            removed=scan.removed,
-            stamp_ns=placed.stamp_ns,
+        used = self._gather_used(placed, beams.projector, transform) if self.spec.keep_used else None
+        made = ConvertedMessage(
+            message, counts, empty, motion, level, None, used, scan.removed, stamp_ns=placed.stamp_ns
         )
+        return made if self._remove is None else self._remove(made)
 
     def _gather_used(
         self, placed: PlacedCloud, projector: Projector, transform: Transform | MovingTransform | None
     ) -> UsedPoints:
         """Return which of the decoded points the beams read."""
-        from pc2scan.messages.used_points import UsedPoints  # noqa: PLC0415  # only where they are kept
-
         points = placed.points
         numbers, beams = projector.read(*points.xyz(), transform)
         if self._select is not None:

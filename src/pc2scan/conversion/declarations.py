@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from pc2scan.bags.formats import FORMATS
 from pc2scan.bags.qos import merge_qos
@@ -16,13 +16,13 @@ from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.model import LATCHED_QOS, NEW_ID, Connection, Definition
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from pc2scan.bags.destinations import Destination
-    from pc2scan.model import Buffer, Writer
+    from pc2scan.model import Writer
     from pc2scan.request.options import ConvertOptions
 
-    from .items import OpenRoute
+    from .plan import Route
     from .report import TopicReport
 
 #: Maximum number of fields that are compiled for re-encoding. Each takes about a millisecond and 7 kB; large robots
@@ -110,6 +110,12 @@ def _merge_connections(publishers: Sequence[Connection]) -> Connection:
     )
 
 
+class HasHandle(Protocol):
+    """Whatever writes to a topic by the writer's handle: a route, an output, added transforms."""
+
+    handle: int
+
+
 class RecordingTopics:
     """The topics of a recording that is to be written, collected before they are declared.
 
@@ -129,7 +135,7 @@ class RecordingTopics:
 
     Notes
     -----
-    Until `declare` is called, handles are places among the topics that were added.
+    Whoever adds a topic has its ``handle``. Until `declare` is called, that is a place among the topics.
     """
 
     def __init__(self, target: Destination, options: ConvertOptions, *, same_kind: bool) -> None:
@@ -137,21 +143,22 @@ class RecordingTopics:
         self.as_pointcloud2 = options.clouds_as == "pointcloud2"
         self._same_kind = same_kind
         self._options = options
-        self._connections: list[Connection] = []
+        self._added: list[tuple[Connection, tuple[HasHandle, ...]]] = []
         #: The fields of all types that were compiled for re-encoding; their number is bounded.
         self._compiled: dict[tuple[str, Definition], int] = {}
 
-    def add(self, connection: Connection) -> int:
-        """Add a connection; return its handle."""
-        self._connections.append(connection)
-        return len(self._connections) - 1
+    def add(self, connection: Connection, *owners: HasHandle) -> None:
+        """Add a connection, and set the handle of its owners."""
+        for owner in owners:
+            owner.handle = len(self._added)
+        self._added.append((connection, owners))
 
-    def add_like(self, source: Connection, topic: str, msgtype: str) -> int:
-        """Add a topic with the QoS profile, latching and caller id of a source's; return its handle."""
+    def add_like(self, source: Connection, topic: str, msgtype: str, owner: HasHandle) -> None:
+        """Add a topic with the QoS profile, latching and caller id of a source's, and set the handle of its owner."""
         target = self.target
         text, digest = definition(msgtype, target.ros_version)
         same = source.ros_version == target.ros_version
-        return self.add(
+        self.add(
             Connection(
                 id=NEW_ID,
                 topic=topic,
@@ -162,80 +169,64 @@ class RecordingTopics:
                 callerid=source.callerid if target.ros_version == 1 else None,
                 latching=source.is_latched,
                 qos=source.qos if same else LATCHED_QOS if source.is_latched and target.ros_version == 2 else "",
-            )
+            ),
+            owner,
         )
 
-    def add_passing(self, connection: Connection, entry: TopicReport) -> tuple[int, Callable[[Buffer], Buffer] | None]:
+    def add_passing(self, route: Route, entry: TopicReport) -> None:
         """Add a connection that passes through, re-encoded if the destination is of the other ROS version.
 
-        Parameters
-        ----------
-        entry
-            Its entry in the report, which is changed if its messages are re-encoded, or cannot pass.
-
-        Returns
-        -------
-        int, callable
-            Its handle, -1 if its messages cannot pass; and what re-encodes a message, None if nothing does.
+        The entry of the report says if its messages are re-encoded, or cannot pass.
         """
-        target, options = self.target, self._options
+        target, options, connection = self.target, self._options, route.connection
         if self.as_pointcloud2 and written_as_pointcloud2(connection):
             entry.action, entry.note = "re-encoded", "as PointCloud2"
-            encode = to_pointcloud2(connection, target.serialization)
-            return self.add_like(connection, connection.topic, POINTCLOUD2), encode
+            route.reencode, route.unpacks = to_pointcloud2(connection, target.serialization), True
+            self.add_like(connection, connection.topic, POINTCLOUD2, route)
+            return
         foreign = connection.ros_version is None
         # The same kind of container can store the message as it is, even if its type is unknown.
         as_it_is = (self._same_kind and (foreign or options.repair)) or (foreign and target.format.holds_any)
         defined_already = connection.definition.data or options.repair
         if as_it_is or (connection.ros_version == target.ros_version and defined_already):
-            return self.add(connection), None
+            self.add(connection, route)
+            return
         # Imported only for recordings without definitions, or for another ROS version.
         from pc2scan.messages.transcode import transcoder, with_definition  # noqa: PLC0415
 
         if connection.ros_version == target.ros_version:
-            return self.add(with_definition(connection)), None
-        if foreign:
-            error: MessageError = MessageError(
-                f"{connection.serialization or 'unspecified'} messages can only be stored in an {_holding_any()} file"
+            self.add(with_definition(connection), route)
+            return
+        try:
+            if foreign:
+                holding = " or ".join(each.suffix for each in FORMATS.values() if each.holds_any)
+                form = connection.serialization or "unspecified"
+                raise MessageError(f"{form} messages can only be stored in an {holding} file")
+            transcoding = transcoder(connection, target.ros_version)
+        except MessageError as err:
+            if options.strict and connection.message_count != 0:
+                err.topic = connection.topic
+                raise
+            entry.note, entry.lost, entry.action, entry.target = err.message, True, "skipped", None
+            return
+        self._compiled[connection.msgtype, connection.definition] = transcoding.fields
+        if sum(self._compiled.values()) > _MAX_COMPILED_FIELDS:
+            raise RecordingError(
+                f"its types have more than {_MAX_COMPILED_FIELDS} fields in all, too many to re-encode",
+                hint="`drop` or `keep` chooses among the topics",
             )
-        else:
-            try:
-                transcoding = transcoder(connection, target.ros_version)
-            except MessageError as err:
-                error = err
-            else:
-                self._compiled[connection.msgtype, connection.definition] = transcoding.fields
-                if sum(self._compiled.values()) > _MAX_COMPILED_FIELDS:
-                    raise RecordingError(
-                        f"its types have more than {_MAX_COMPILED_FIELDS} fields in all, too many to re-encode",
-                        hint="`drop` or `keep` chooses among the topics",
-                    )
-                entry.action, entry.note = "re-encoded", "; ".join(transcoding.notes)
-                return self.add(transcoding.connection), transcoding.encode
-        if options.strict and connection.message_count != 0:
-            error.topic = connection.topic
-            raise error
-        entry.note, entry.lost = error.message, True
-        entry.action, entry.target = "skipped", None
-        return -1, None
+        entry.action, entry.note = "re-encoded", "; ".join(transcoding.notes)
+        route.reencode = transcoding.encode
+        self.add(transcoding.connection, route)
 
     @property
     def warnings(self) -> list[str]:
         """What programs will not receive of the recording when it is played."""
-        return [f"{what}; {cure}" for what, cure in unheard(self._connections)]
+        return [f"{what}; {cure}" for what, cure in unheard([connection for connection, _ in self._added])]
 
-    def declare(self, writer: Writer, routes: Iterable[OpenRoute]) -> list[int]:
-        """Declare all topics, and give the routes the writer's handles; return the handle of each topic."""
-        handles = declare(writer, self._connections, one_a_topic=self.target.format.one_a_topic)
-        for route in routes:
-            if route.passing_handle >= 0:
-                route.passing_handle = handles[route.passing_handle]
-            for output in route.outputs:
-                if output.handle >= 0:
-                    output.handle = handles[output.handle]
-        return handles
-
-
-def _holding_any() -> str:
-    """Return the suffixes of files that hold messages of every encoding."""
-    return " or ".join(entry.suffix for entry in FORMATS.values() if entry.holds_any)
+    def declare(self, writer: Writer) -> None:
+        """Declare all topics, and set the writer's handles."""
+        handles = declare(writer, [each for each, _ in self._added], one_a_topic=self.target.format.one_a_topic)
+        for (_, owners), handle in zip(self._added, handles, strict=True):
+            for owner in owners:
+                owner.handle = handle

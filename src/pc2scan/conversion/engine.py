@@ -1,7 +1,7 @@
 """The engine of every conversion: reads messages, converts them on several threads, and yields the items in order.
 
-Recordings, Python's scans and clouds, exports, maps and dry runs read the same items. Each decides which step is the
-last on a thread, and what becomes of the items.
+Recordings, Python's scans and clouds, exports and maps read the same items. Each decides which step is the last on a
+thread, and what becomes of the items.
 
 A thread that loads a chunk also works on its messages before it returns the chunk. So a cloud of 4 MB is still in the
 core's own cache, and the memory of a chunk is released as soon as its scans exist.
@@ -27,12 +27,12 @@ if TYPE_CHECKING:
 
     from pc2scan.advice.survey import Span
     from pc2scan.bags.reader import Reader
-    from pc2scan.model import ChunkRule
+    from pc2scan.model import ChunkRule, Connection
     from pc2scan.progress import Meter
     from pc2scan.threads import Threads
 
-    from .combine.combiner import Combiner
-    from .items import OpenRoute, Output
+    from .combine.conversion import Contribution
+    from .plan import Route
 
 
 class DeferredMessage(NamedTuple):
@@ -54,11 +54,10 @@ class DeferredMessage(NamedTuple):
 
 def items_of(
     reader: Reader,
-    routes: Mapping[int, OpenRoute],
+    routes: Mapping[int, Route],
     span: Span,
     threads: Threads | None,
     *,
-    combiners: Mapping[Output, Combiner] | None = None,
     rule: ChunkRule | None = None,
     window: int | None = None,
     meter: Meter | None = None,
@@ -75,8 +74,6 @@ def items_of(
         The cut. Messages of latched topics from before it are valid in it, and come first.
     threads
         The threads; None for the caller's alone. The items do not depend on it.
-    combiners
-        What makes scans of several messages, by the outputs of these; None: there are no such scans.
     rule
         Which chunks pass as a whole; None: none.
     window
@@ -90,6 +87,7 @@ def items_of(
         By log time. A group follows the item of the message that completes it.
     """
     items = _messages(reader, routes, span, threads, rule, window, meter)
+    combiners = {each.combiner: None for route in routes.values() for each in route.outputs if each.combiner}
     if not combiners:
         return items
     from .combine.combiner import add_groups  # noqa: PLC0415  # few scans are made of several messages
@@ -99,7 +97,7 @@ def items_of(
 
 def _messages(
     reader: Reader,
-    routes: Mapping[int, OpenRoute],
+    routes: Mapping[int, Route],
     span: Span,
     threads: Threads | None,
     rule: ChunkRule | None,
@@ -107,12 +105,12 @@ def _messages(
     meter: Meter | None,
 ) -> Generator[Item | StoredChunk]:
     """Yield the items of the messages in the cut, after those of latched messages from before it."""
-    work = partial(_work, routes)
+    wanted = [route.connection for route in routes.values()]
     if meter is not None:
-        wanted = [route.connection for route in routes.values()]
         meter.expect(reader.stored_bytes(wanted, span.start_ns, span.stop_ns))
-    for chunks in _chunks_of_cut(reader, routes, span, rule, threads):
+    for chunks in _chunks_of_cut(reader, wanted, span, rule, threads):
         # Closed before the threads are joined, so that work that has not begun is cancelled after an error.
+        work = partial(convert, routes)
         with closing(merge_by_time(chunks, work, threads, window=window, path=reader.path, meter=meter)) as items:
             for item in items:
                 if meter is not None:
@@ -125,48 +123,57 @@ def _messages(
 
 
 def _chunks_of_cut(
-    reader: Reader, routes: Mapping[int, OpenRoute], span: Span, rule: ChunkRule | None, threads: Threads | None
+    reader: Reader, wanted: Sequence[Connection], span: Span, rule: ChunkRule | None, threads: Threads | None
 ) -> Iterator[Iterable[Chunk]]:
     """Yield the chunk with what is latched at the beginning of the cut, then the chunks of the cut."""
-    wanted = [route.connection for route in routes.values()]
     start, stop = span.start_ns, span.stop_ns
-    lasting = [route.connection for route in routes.values() if route.connection.is_latched]
+    lasting = [connection for connection in wanted if connection.is_latched]
     if start is not None and lasting:
         with closing(reader.messages(lasting, None, start, threads)) as earlier:
             yield [latched_at(earlier, start)]
     yield reader.chunks(wanted, start, stop, rule)
 
 
-def _work(routes: Mapping[int, OpenRoute], message: RawMessage, *, is_due: bool = False) -> Item | DeferredMessage:
-    """Convert or re-encode a message; postpone it if the result takes more memory, and is not due. On any thread."""
+def convert(routes: Mapping[int, Route], message: RawMessage, *, is_due: bool = False) -> Item | DeferredMessage:
+    """Decode a message, and for each conversion of its route place its points, select some, and project them.
+
+    If the result takes more memory than the message, and is not due, it is postponed. On any thread.
+    """
     route = routes[message.connection.id]
     if (route.steps or route.unpacks) and len(message.data) < route.shrinks_from and not is_due:
-        return DeferredMessage(own_message(message), partial(_work, routes, is_due=True))
-    results: Sequence[tuple[Output, Any]] = ()
+        return DeferredMessage(own_message(message), partial(convert, routes, is_due=True))
+    made: list[ConvertedMessage | Contribution | MessageError] = []
     passing = error = None
     try:
-        if route.passing_handle >= 0:
+        if route.handle >= 0:
             passing = own_data(message.data) if route.reencode is None else route.reencode(message.data)
-        if route.steps:
-            value: Any = message.data
-            for step in route.steps:
-                value = step(value)
-            made = value if isinstance(value, list) else (value,)
-            for result in made:
-                if isinstance(result, ConvertedMessage) and result.candidate is not None:
-                    result.sample = result.candidate(message.log_time_ns)
-                    result.candidate = None
-            results = [(output, made[output.index]) for output in route.outputs]
+        decoded = route.decode(message.data) if route.steps else None
+        done: dict[Any, Any] = {}
+        for place, select, project in route.steps:
+            try:
+                points = decoded
+                # Equal steps of several conversions are done once.
+                if place is not None:
+                    points = done[place] = done.get(place) or place(points)
+                if select is not None:
+                    points = done[place, select] = done.get((place, select)) or select(points)
+                result = project(points)
+                made.append(route.finish(result) if isinstance(result, ConvertedMessage) else result)
+            except MessageError as err:
+                if len(route.steps) == 1:
+                    raise
+                # The error of one does not stop the others.
+                made.append(err)
     except MessageError as err:
         error = err
-        results = [(output, err) for output in route.outputs]
+        made = [err] * len(route.steps)
     return Item(
         route,
         message.log_time_ns,
         message.publish_time_ns,
         message.sequence,
         len(message.data),
-        results,
+        [(output, made[output.index]) for output in route.outputs],
         passing,
         error,
     )

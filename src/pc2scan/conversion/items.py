@@ -1,10 +1,8 @@
-"""What a conversion yields, and where it comes from and goes to: routes, outputs and items; and the counts of these."""
+"""What a conversion yields: items; and their counts."""
 
 from __future__ import annotations
 
-import sys
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import MessageError, TransformError, UnconnectedError
 from pc2scan.result import MAX_LISTED, Skipped
@@ -12,72 +10,17 @@ from pc2scan.result import MAX_LISTED, Skipped
 from .steps import ConvertedMessage
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
-    from pc2scan.model import Buffer, Connection, StoredChunk
+    from pc2scan.model import Buffer, StoredChunk
 
     from .combine.conversion import Contribution
+    from .plan import Output, Route
     from .report import TopicReport
-    from .steps import Step
 
-
-#: How many of the first messages must fail before a user is warned.
-_LOOKED_AT = 10
 
 #: The destination stores everything.
 NOTHING_REFUSED: Mapping[int, MessageError] = {}
-
-
-@dataclass(slots=True, eq=False)
-class Output:
-    """A topic that the converted messages of a route go to.
-
-    ``index`` is the number of its conversion among those of the route. ``used`` is whether its messages are the points
-    that give scans their ranges. ``first`` is the first message; all others have the same geometry. ``points`` is the
-    output of the points behind scans that are made of several messages. ``handle`` is the writer's in a recording,
-    once the topics are declared; -1 if nothing is written, or if another topic leads the scans.
-    """
-
-    report: TopicReport
-    index: int
-    used: bool = False
-    first: Any = None
-    points: Output | None = None
-    handle: int = -1
-
-
-@dataclass(slots=True, eq=False)
-class OpenRoute:
-    """What is done with the messages of one connection.
-
-    ``steps`` convert a message, one after the other (see `pc2scan.conversion.steps.steps_of`); there are none if it
-    is not converted. Results go to ``outputs``, and so does an error. Messages of ``shrinks_from`` bytes and more
-    become smaller when they are converted. ``passing_handle`` is the writer's for messages as they are, -1 if they are
-    not written; ``reencode`` makes what is written of them, None if that is what was read; it ``unpacks`` them if that
-    may take far more memory. ``report`` is the entry of messages that are not converted; each output has another one.
-    ``messages`` counts the messages that were read.
-    """
-
-    connection: Connection
-    report: TopicReport | None = None
-    steps: Sequence[Step] = ()
-    reencode: Callable[[Buffer], Buffer] | None = None
-    outputs: list[Output] = field(default_factory=list)
-    passing_handle: int = -1
-    shrinks_from: int = sys.maxsize
-    unpacks: bool = False
-    messages: int = 0
-
-    @property
-    def reports(self) -> Sequence[TopicReport]:
-        """The report's entries that count its messages."""
-        own = [output.report for output in self.outputs]
-        return own if self.report is None else [self.report, *own]
-
-    @property
-    def writes(self) -> bool:
-        """Whether something becomes of its messages; otherwise they are only counted."""
-        return self.passing_handle >= 0 or bool(self.outputs)
 
 
 class Item(NamedTuple):
@@ -102,7 +45,7 @@ class Item(NamedTuple):
         Whether it is a group.
     """
 
-    route: OpenRoute
+    route: Route
     log_time_ns: int
     publish_time_ns: int
     sequence: int
@@ -121,7 +64,7 @@ class Item(NamedTuple):
     @property
     def errors(self) -> Sequence[MessageError]:
         """Why results are missing; each error once."""
-        return list({id(each): each for _, each in self.results if isinstance(each, MessageError)}.values())
+        return list({each.message: each for _, each in self.results if isinstance(each, MessageError)}.values())
 
     @property
     def failure(self) -> MessageError | None:
@@ -139,9 +82,6 @@ class Tally:
         The routes by the id of their connection.
     strict
         Whether a message that cannot be converted is an error; otherwise it is skipped.
-    warn
-        Called with a warning if no transforms connect any of the first messages with the target frame; None: there is
-        no such warning.
 
     Attributes
     ----------
@@ -155,18 +95,13 @@ class Tally:
         from message to message, so that it is certain only after the last one.
     """
 
-    def __init__(
-        self, routes: Mapping[int, OpenRoute], warn: Callable[[str], None] | None = None, *, strict: bool
-    ) -> None:
+    def __init__(self, routes: Mapping[int, Route], *, strict: bool) -> None:
         self.skipped: list[Skipped] = []
         self.failures = 0
         self._farthest_ns = 0
         self.is_connected = False
         self._routes = routes
         self._strict = strict
-        self._warn = warn
-        #: Messages that no transforms connect with the target frame, and the first of them.
-        self._unconnected = 0
         self._first_unconnected: tuple[str, UnconnectedError] | None = None
 
     @property
@@ -215,21 +150,16 @@ class Tally:
                     entry.count(result)
                     if result.stamp_ns is not None:
                         entry.stamps.add(result.stamp_ns, item.log_time_ns)
-                if result.sample is not None:
-                    result.sample.clouds.add(result.sample.sample, result.counts)
-                    # Several outputs may have one result.
-                    result.sample = None
             elif isinstance(result, MessageError) or number in refused:
                 entry.skipped += 1
                 failed.append((result if isinstance(result, MessageError) else refused[number], entry))
         if failed:
             self._skip(item, failed)
-        is_converted = route.steps and route.outputs[0].report.spec is not None
-        if not self.is_connected and is_converted and not item.is_group:
+        if not (self.is_connected or item.is_group) and route.outputs and route.outputs[0].spec is not None:
             error = item.failure
             self.is_connected = not isinstance(error, UnconnectedError)
-            if isinstance(error, UnconnectedError):
-                self._note_unconnected(route.connection.topic, error)
+            if self._first_unconnected is None and isinstance(error, UnconnectedError):
+                self._first_unconnected = route.connection.topic, error
 
     def count_chunk(self, chunk: StoredChunk) -> None:
         """Count the messages of a chunk that passes as a whole."""
@@ -251,15 +181,6 @@ class Tally:
         if not self.is_connected and self._first_unconnected is not None:
             topic, first = self._first_unconnected
             raise UnconnectedError(f"nothing can be converted: {first.message}", topic=topic, hint=first.hint)
-
-    def _note_unconnected(self, topic: str, error: UnconnectedError) -> None:
-        """Note a message that no transforms connect with the target frame; warn if they connect none of the first."""
-        self._unconnected += 1
-        self._first_unconnected = self._first_unconnected or (topic, error)
-        if self._unconnected == _LOOKED_AT and self._warn is not None:
-            topic, first = self._first_unconnected
-            advice = f"; {first.hint}" if first.hint else ""
-            self._warn(f"none of the first {_LOOKED_AT} messages can be converted: {topic}: {first.message}{advice}")
 
     def _skip(self, item: Item, failed: Sequence[tuple[MessageError, TopicReport]]) -> None:
         """List the errors of an item, or raise the first one."""

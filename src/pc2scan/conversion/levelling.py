@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from .report import TopicReport
 
-_TFMESSAGE = "tf2_msgs/msg/TFMessage"
+TFMESSAGE = "tf2_msgs/msg/TFMessage"
 
 
 class UpSources:
@@ -77,7 +77,7 @@ def tf_connection(reader: Reader, frames: FrameOptions, target: Destination) -> 
         # ROS 1 has two types with the same layout; all publishers of a topic have the same type.
         msgtype, text, digest = first.msgtype, first.definition, first.digest
     else:
-        msgtype = _TFMESSAGE
+        msgtype = TFMESSAGE
         text, digest = definition(msgtype, target.ros_version)
     return Connection(
         id=NEW_ID,
@@ -97,17 +97,17 @@ class LevelFrames:
 
     Attributes
     ----------
-    handle
-        The writer's handle of `tf_connection`.
     serialization
         The serialisation of the destination.
     report
         The report's entry that counts them.
+    handle
+        The writer's handle of `tf_connection`.
     """
 
-    handle: int
     serialization: str
     report: TopicReport
+    handle: int = -1
     _written: set[tuple[str, int]] = field(default_factory=set)
 
     def write(self, level: LevelTransform, log_time_ns: int, publish_time_ns: int, writer: Writer) -> None:

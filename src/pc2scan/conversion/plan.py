@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+import sys
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.bags.topics import fill_glob, find_topic, find_topics, matches, short_types
 from pc2scan.errors import NothingToConvertError, TopicError, name_list
@@ -10,65 +12,126 @@ from pc2scan.messages.clouds import CLOUDS, SCANS, usual_topics, written_as_poin
 from pc2scan.messages.other_clouds import instead_of_topic, without
 from pc2scan.text import did_you_mean
 
+from .steps import as_it_is
+
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from collections.abc import Set as AbstractSet
 
-    from pc2scan.model import Connection
+    from pc2scan.model import Buffer, Connection
     from pc2scan.request.options import ConvertOptions, ScanSpec
 
+    from .report import TopicReport
+    from .steps import ConvertedMessage, Steps
 
-class Combination:
-    """Topics whose messages become one scan together. Two of them are never equal.
+
+@dataclass(slots=True, eq=False)
+class Output:
+    """A topic that what becomes of the messages of a connection goes to.
 
     Attributes
     ----------
     spec
-        The output.
-    sources
-        The topics. The first one leads: the scans have its stamps.
+        The request, a `ScanSpec`; None if its messages are only decoded, or are transforms.
     target
-        The scans' topic.
+        The topic.
+    scan, sources
+        The topic of scans that are made of several messages, and the topics of these; the first one leads, whose stamps
+        the scans have. Empty: each message becomes a scan by itself.
+    used
+        Whether it has the points that give scans their ranges.
+    index
+        The number of its conversion among those of the route.
+    report
+        The report's entry, which publishers of a topic share.
+    handle
+        The writer's; -1 if nothing is written, or if another topic leads the scans.
+    combiner
+        The `Combiner` that makes its scans of several messages; None: each message becomes one.
+    first
+        Its first message; all others have the same geometry.
     """
 
-    __slots__ = ("sources", "spec", "target")
+    spec: Any
+    target: str
+    scan: str = ""
+    sources: tuple[str, ...] = ()
+    used: bool = False
+    index: int = 0
+    report: Any = None
+    handle: int = -1
+    combiner: Any = None
+    first: Any = None
 
-    def __init__(self, spec: ScanSpec, sources: tuple[str, ...], target: str) -> None:
-        self.spec = spec
-        self.sources = sources
-        self.target = target
-
-
-class RouteTask(NamedTuple):
-    """One conversion of a message, and the topics that its result goes to.
-
-    ``combination`` are the topics that the message becomes a scan with; None if it becomes a scan by itself.
-    """
-
-    spec: ScanSpec
-    targets: tuple[str, ...]
-    combination: Combination | None = None
+    @property
+    def key(self) -> tuple[Any, str]:
+        """What names its conversion, which it may share with other outputs."""
+        return self.spec, self.scan
 
 
-class Route(NamedTuple):
-    """Where the messages of one source connection go.
+@dataclass(slots=True, eq=False)
+class Route:
+    """What is done with the messages of one connection.
 
     Attributes
     ----------
-    tasks
-        The conversions of its messages; empty if they are not converted.
+    outputs
+        Who takes what becomes of them; none if they are not converted.
     passes
-        Whether its messages are also written as they are.
+        Whether they are also written as they are.
+    decode, steps
+        Decodes a message; and what is done with it then, once for all outputs of one conversion.
+    finish
+        The consumer's last step with each result.
+    handle
+        The writer's for messages as they are; -1 if they are not written.
+    reencode, unpacks
+        Makes what is written of messages as they are, None if that is what was read; and whether that may take far more
+        memory.
+    shrinks_from
+        Messages of this size in bytes, and larger ones, become smaller when they are converted.
+    report
+        The report's entry of messages that are not converted; each output has another one.
+    messages
+        How many were read.
     """
 
     connection: Connection
-    tasks: tuple[RouteTask, ...]
-    passes: bool
+    outputs: list[Output] = field(default_factory=list)
+    passes: bool = False
+    decode: Callable[[Buffer], Any] = bytes
+    steps: Sequence[Steps] = ()
+    finish: Callable[[ConvertedMessage], ConvertedMessage] = as_it_is
+    handle: int = -1
+    reencode: Callable[[Buffer], Buffer] | None = None
+    unpacks: bool = False
+    shrinks_from: int = sys.maxsize
+    report: Any = None
+    messages: int = 0
 
     @property
     def targets(self) -> tuple[str, ...]:
-        """The topics that its converted messages go to; empty if it is not converted."""
-        return tuple(target for task in self.tasks for target in task.targets)
+        """The topics of its scans or clouds; empty if it is not converted."""
+        return tuple(output.target for output in self.outputs if not output.used)
+
+    @property
+    def reports(self) -> Sequence[TopicReport]:
+        """The report's entries that count its messages."""
+        own = [output.report for output in self.outputs]
+        return own if self.report is None else [self.report, *own]
+
+    @property
+    def writes(self) -> bool:
+        """Whether something becomes of its messages; otherwise they are only counted."""
+        return self.handle >= 0 or bool(self.outputs)
+
+    @property
+    def words(self) -> Iterator[str]:
+        """What is done with its messages, a line for each output."""
+        topic, kind = self.connection.topic, short_types([self.connection.ros_type])
+        for output in self.outputs:
+            if output.spec is not None and not output.used:
+                yield f"{topic}: decode {kind}, {', '.join(_steps_in_words(output, topic))}: {output.target}"
 
 
 class Plan(NamedTuple):
@@ -76,7 +139,6 @@ class Plan(NamedTuple):
 
     routes: tuple[Route, ...]
     specs: tuple[ScanSpec, ...] = ()
-    combinations: tuple[Combination, ...] = ()
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -85,13 +147,44 @@ class Plan(NamedTuple):
         """Whether any output is transformed."""
         return any(spec.needs_transforms for spec in self.specs)
 
-    def sources_of(self, spec: ScanSpec, *combinations: Combination | None) -> list[Connection]:
-        """Return the connections that an output converts; if given, only those of a combination (None: of none)."""
+    @property
+    def converted(self) -> list[Connection]:
+        """The connections whose messages are converted."""
+        return [route.connection for route in self.routes if route.outputs]
+
+    @property
+    def combined(self) -> Mapping[tuple[Any, str], Output]:
+        """The outputs whose scans are made of several messages, by their conversions."""
+        return {each.key: each for route in self.routes for each in route.outputs if each.scan and not each.used}
+
+    def sources_of(self, spec: ScanSpec, scan: str | None = None) -> list[Connection]:
+        """Return the connections that an output converts.
+
+        With the topic of scans that are made of several messages, only their connections; if it is empty, those whose
+        messages become scans by themselves.
+        """
         return [
             route.connection
             for route in self.routes
-            if any(task.spec is spec and (not combinations or task.combination in combinations) for task in route.tasks)
+            if any(each.spec is spec and scan in (None, each.scan) for each in route.outputs)
         ]
+
+
+def _steps_in_words(output: Output, topic: str) -> Iterator[str]:
+    """Yield what is done with a decoded message."""
+    spec = output.spec
+    frame = spec.params.target_frame or "its own frame"
+    moved = f", each point at its own time by {spec.fixed_frame or frame}" if spec.deskew else ""
+    yield f"place in {frame}{' made level' if spec.level else ''}{moved}"
+    if spec.filters:
+        yield f"select by {', '.join(each.name for each in spec.filters)}"
+    yield "make points of the beams" if spec.reverse else "project"
+    if spec.remove:
+        yield f"remove {', '.join(each.name for each in spec.remove)}"
+    if spec.combining.accumulates:
+        yield "combine with the messages before"
+    if others := [each for each in output.sources if each != topic]:
+        yield f"combine with {', '.join(others)}"
 
 
 def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Plan:
@@ -116,69 +209,73 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
     for connection, kind in zip(connections, kinds, strict=True):
         types.setdefault(connection.topic, set()).add(kind)
     targets: dict[ScanSpec, Mapping[str, Sequence[str]]] = {}
-    combined: dict[ScanSpec, Sequence[Combination]] = {}
+    together: dict[ScanSpec, Mapping[str, Sequence[str]]] = {}
     for spec in specs:
         with spec.naming_errors(f"{spec.place}, " if spec.place else ""):
             if not spec.topics and not any(kind in spec.source_types for kind in kinds):
                 raise _without_sources(connections, types, spec)
             targets[spec] = _targets(types, spec, options)
-            combined[spec] = _combinations(spec, targets[spec], types, options)
+            together[spec] = _combined(spec, targets[spec], types, options)
     routes = []
     for connection, kind in zip(connections, kinds, strict=True):
         topic = connection.topic
-        tasks = tuple(
-            task for spec in specs for task in _tasks(spec, topic, kind, targets[spec].get(topic, ()), combined[spec])
-        )
+        outputs: list[Output] = []
+        for spec in specs:
+            begin = outputs[-1].index + 1 if outputs else 0
+            outputs += _outputs(spec, topic, kind, targets[spec].get(topic, ()), together[spec], begin)
         wanted = (not options.keep or matches(topic, options.keep)) and not matches(topic, options.drop)
-        passes = not options.only_scans and (options.keep_clouds if tasks else wanted)
-        routes.append(Route(connection, tasks, passes))
+        passes = not options.only_scans and (options.keep_clouds if outputs else wanted)
+        routes.append(Route(connection, outputs, passes))
     _refuse_collisions(routes)
     converted = {topic for found in targets.values() for topic in found}
-    everything = tuple(each for found in combined.values() for each in found)
-    idle = _pattern_warnings(types.keys(), options, converted) if options.keep or options.drop else ()
+    idle = _pattern_warnings(types.keys(), options, converted) if options.keep or options.drop else []
     if options.clouds_as == "pointcloud2" and not any(
         each.passes and written_as_pointcloud2(each.connection) for each in routes
     ):
-        idle = (*idle, "`clouds_as=pointcloud2` has no effect: there are no clouds of other types to write")
-    return Plan(tuple(routes), specs, everything, tuple(idle))
+        idle.append("`clouds_as=pointcloud2` has no effect: there are no clouds of other types to write")
+    return Plan(tuple(routes), specs, tuple(idle))
 
 
-def _tasks(
-    spec: ScanSpec, topic: str, kind: str, targets: Sequence[str], combinations: Sequence[Combination]
-) -> list[RouteTask]:
-    """Return the conversions of the messages of a type on a topic."""
-    joined = [each for each in combinations if topic in each.sources]
-    alone = tuple(target for target in targets if all(target != each.target for each in joined))
-    tasks = [RouteTask(spec, alone)] if alone and kind in spec.source_types else []
-    return tasks + [RouteTask(spec, (each.target,), each) for each in joined if kind in spec.named_types]
+def _outputs(
+    spec: ScanSpec,
+    topic: str,
+    kind: str,
+    targets: Sequence[str],
+    together: Mapping[str, Sequence[str]],
+    begin: int,
+) -> Iterator[Output]:
+    """Yield the outputs of the messages of a type on a topic; conversions are numbered from ``begin`` on."""
+    alone = [target for target in targets if target not in together] if kind in spec.source_types else []
+    joined = [target for target in targets if target in together] if kind in spec.named_types else []
+    for number, (scan, names) in enumerate([("", alone)] * bool(alone) + [(name, [name]) for name in joined], begin):
+        sources = tuple(together.get(scan, ()))
+        yield from (Output(spec, name, scan, sources, index=number) for name in names)
+        if spec.keep_used and (not sources or sources[0] == topic):
+            yield Output(spec, spec.keep_used, scan, sources, used=True, index=number)
 
 
-def _combinations(
+def _combined(
     spec: ScanSpec, targets: Mapping[str, Sequence[str]], types: dict[str, set[str]], options: ConvertOptions
-) -> list[Combination]:
-    """Return the topics whose messages become scans together."""
-    if not spec.may_combine:
-        return []
+) -> dict[str, list[str]]:
+    """Return the topics of scans that are made of several messages, each with the topics of these."""
     sources: dict[str, list[str]] = {}
-    for topic, names in targets.items():
+    for topic, names in targets.items() if spec.may_combine else ():
         for name in names:
             sources.setdefault(name, []).append(topic)
     asked = spec.combining
-    found = []
-    for target, topics in sources.items():
+    for target, topics in list(sources.items()):
         if len(topics) == 1 and not (asked.accumulates or asked.rebin):
             # Only topics that share a target may have scans instead of clouds.
             find_topic(topics[0], types, [topic for topic in types if topic in targets], *spec.source_types)
-            continue
-        if len(topics) > 1 and not (spec.params.target_frame or options.frames.source_frame):
+            del sources[target]
+        elif len(topics) > 1 and not (spec.params.target_frame or options.frames.source_frame):
             raise TopicError(
                 f"{name_list(topics)} become one scan on {target}, which needs a frame for the points of all: "
                 "`target_frame`",
                 hint="such as `target_frame=base_link`; `fixed_frame=odom` corrects the robot's motion between their "
                 "stamps",
             )
-        found.append(Combination(spec, tuple(topics), target))
-    return found
+    return sources
 
 
 def _targets(types: dict[str, set[str]], spec: ScanSpec, options: ConvertOptions) -> dict[str, tuple[str, ...]]:
@@ -261,34 +358,29 @@ def _other_direction(types: dict[str, set[str]], spec: ScanSpec) -> str | None:
 def _refuse_collisions(routes: Sequence[Route]) -> None:
     """Raise if a scan would share a topic with another scan, or with messages that pass through."""
     passing = {route.connection.topic for route in routes if route.passes}
-    origin: dict[str, tuple[str, RouteTask]] = {}
-    made = [
-        (route.connection.topic, task, target)
-        for route in routes
-        for task in route.tasks
-        for target in (*task.targets, *filter(None, (task.spec.keep_used,)))
-    ]
     scans = {target for route in routes for target in route.targets}
-    if used := next((task.spec.keep_used for _, task, _ in made if task.spec.keep_used in scans), None):
-        raise TopicError(f"{used} is the topic of a scan, `keep_used` needs a different topic")
-    for topic, own, target in made:
-        source, task = origin.setdefault(target, (topic, own))
-        if task.spec is not own.spec:
-            one, other = task.spec, own.spec
+    origin: dict[str, tuple[str, Output]] = {}
+    for topic, own in ((route.connection.topic, output) for route in routes for output in route.outputs):
+        target = own.target
+        if own.used and target in scans:
+            raise TopicError(f"{target} is the topic of a scan, `keep_used` needs a different topic")
+        source, first = origin.setdefault(target, (topic, own))
+        if first.spec is not own.spec:
+            one, other = first.spec, own.spec
             raise TopicError(f"{one.name} ({one.place}) and {other.name} ({other.place}) would both become {target}")
-        if source != topic and task.combination is None:
+        if source != topic and not first.scan:
             raise TopicError(
                 f"{source} and {topic} would both become {target}; several scans are not merged into one cloud",
                 hint=f"give one of them another topic: `topics={topic}:={target}_2`",
             )
-    for target, (source, task) in origin.items():
-        spec = task.spec
+    for target, (source, output) in origin.items():
         if target in passing:
             taken = passing | origin.keys()
             beside = f"{source.rstrip('/')}/{target.rsplit('/', 1)[-1]}"
             candidates = (beside, *(f"{target}_{n}" for n in range(2, len(taken) + 3)))
             free = next(name for name in candidates if name not in taken)
-            how = "" if any(request.source == source for request in spec.topics) else " (the default)"
+            named = any(request.source == source for request in output.spec.topics)
+            how = "" if named else " (the default)"
             raise TopicError(
                 f"the recording already has a topic {target}, which {source} would be converted to{how}",
                 hint=f"choose a free one: `topics={source}:={free}`, or drop the existing one: `drop={target}`",

@@ -2,35 +2,39 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.errors import MessageError, UnwritableError, UsageError
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.laserscan import LASERSCAN
+from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.messages.tfmessage import encode_transforms
 from pc2scan.model import LATCHED_QOS, NEW_ID, ChunkRule, Connection, StoredChunk
 
+from .added_transforms import AddedTopic, add_poses, between
+from .combine.combiner import Combiner
+from .combine.conversion import MessagesToScan
 from .declarations import RecordingTopics
 from .items import NOTHING_REFUSED
+from .levelling import TFMESSAGE, LevelFrames, tf_connection
 from .report import TopicReport
-from .routes import count_skipped, open_routes
 from .steps import ConvertedMessage
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Mapping, Sequence
+    from collections.abc import Callable, Generator, Mapping, Sequence
 
     from pc2scan.bags.destinations import Destination
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Buffer, Writer
     from pc2scan.request.options import ConvertOptions
-    from pc2scan.transforms.static import StaticTransform
 
     from .added_transforms import TrajectoryWriter
-    from .combine.combiner import Combiner
-    from .items import Item, OpenRoute, Output, Tally
-    from .levelling import LevelFrames
-    from .plan import Plan
+    from .items import Item, Tally
+    from .plan import Plan, Route
     from .preparation import Preparation
+    from .report import Report
+    from .steps import Conversion
 
 
 class OpenRecording(NamedTuple):
@@ -38,27 +42,20 @@ class OpenRecording(NamedTuple):
 
     Attributes
     ----------
-    routes, combiners
+    routes
         As for `pc2scan.conversion.engine.items_of`, without those that are counted already.
-    entries
-        The report's entries of all topics.
     levels
         Writes the frames of level scans; None if no scan is level.
     trajectories
         Write the transforms of files.
     rule
         Which of the source's chunks can be copied whole; None: none.
-    warnings
-        What the recording cannot store.
     """
 
-    routes: Mapping[int, OpenRoute]
-    combiners: Mapping[Output, Combiner]
-    entries: list[TopicReport]
-    levels: LevelFrames | None
-    trajectories: Sequence[TrajectoryWriter]
-    rule: ChunkRule | None
-    warnings: Sequence[str]
+    routes: Mapping[int, Route]
+    levels: LevelFrames | None = None
+    trajectories: Sequence[TrajectoryWriter] = ()
+    rule: ChunkRule | None = None
 
     @property
     def first_scans(self) -> Sequence[tuple[TopicReport, Buffer]]:
@@ -67,8 +64,83 @@ class OpenRecording(NamedTuple):
         return [
             (output.report, output.first)
             for output in outputs
-            if output.report.spec is not None and output.report.spec.made_type == LASERSCAN
+            if output.spec is not None and output.spec.made_type == LASERSCAN
         ]
+
+
+def open_routes(
+    plan: Plan,
+    conversions: Mapping[tuple[Any, str], Conversion],
+    topics: RecordingTopics | None = None,
+    finish: Callable[[str, ConvertedMessage], ConvertedMessage] | None = None,
+) -> tuple[dict[int, Route], list[TopicReport]]:
+    """Prepare the work on the messages of each connection.
+
+    Parameters
+    ----------
+    conversions
+        By the key of their outputs.
+    topics
+        The topics of the recording that results are written to, serialised. None: no message passes as it is.
+    finish
+        Without a recording, the last step: takes the serialisation of the source and a result.
+
+    Returns
+    -------
+    dict, list of TopicReport
+        The routes by the id of their connection, and the report's entries: publishers of one topic share one if their
+        messages are handled alike.
+    """
+    opened: dict[int, Route] = {}
+    entries: dict[tuple[object, ...], TopicReport] = {}
+    combiners: dict[tuple[Any, str], Combiner] = {}
+
+    def shared(entry: TopicReport) -> TopicReport:
+        key = (entry.topic, entry.msgtype, entry.target, entry.action, entry.note, entry.spec)
+        return entries.setdefault(key, entry)
+
+    for route in plan.routes:
+        connection = route.connection
+        if topics is None:
+            route.outputs = [output for output in route.outputs if not output.used]
+            if not route.outputs:
+                continue
+        opened[connection.id] = route
+        topic, msgtype = connection.topic, connection.ros_type
+        passing = None
+        if route.passes and topics is not None:
+            passing = TopicReport(topic, msgtype, topic, "passed")
+            topics.add_passing(route, passing)
+        if not route.outputs:
+            route.report = shared(passing or TopicReport(topic, msgtype, None, "skipped"))
+            continue
+        chosen = {output.index: conversions[output.key] for output in route.outputs}
+        route.decode = chosen[0].decoder(connection.serialization, msgtype)
+        route.steps = [conversion.steps(topic) for conversion in chosen.values()]
+        if not route.unpacks:
+            route.shrinks_from = sum(conversion.shrinks_from for conversion in chosen.values())
+        form = connection.serialization if topics is None else topics.target.serialization
+        route.finish = partial(chosen[0].serialise if finish is None else finish, form)
+        for output in route.outputs:
+            conversion, leads = chosen[output.index], output.sources[:1] in ((), (topic,))
+            if output.used:
+                on = [each.target for each in route.outputs if each.index == output.index and not each.used]
+                note = f"the points that the beams of {', '.join(on)} read"
+                output.report = shared(TopicReport(topic, msgtype, output.target, "added", note))
+            else:
+                entry = TopicReport(topic, msgtype, output.target, "converted" if leads else "joined", spec=output.spec)
+                entry.clouds_kept = route.handle >= 0
+                if passing is not None and passing.lost:
+                    entry.note, entry.lost = passing.note, True
+                output.report = shared(entry)
+                if isinstance(conversion, MessagesToScan) and conversion.grouper is not None:
+                    output.combiner = combiners.setdefault(output.key, Combiner(conversion, route.finish))
+                    output.combiner.reports[output.sources.index(topic)] = output.report
+            if leads and topics is not None:
+                topics.add_like(
+                    connection, output.target, POINTCLOUD2 if output.used else output.spec.made_type, output
+                )
+    return opened, list(entries.values())
 
 
 def open_output(
@@ -78,58 +150,57 @@ def open_output(
     target: Destination,
     options: ConvertOptions,
     writer: Writer | None,
+    report: Report,
+    tell: Callable[..., None],
 ) -> OpenRecording:
-    """Declare the topics of a recording, and write what comes before all messages.
+    """Declare the topics of a recording, and write what comes before all messages; the report then has all topics.
 
     Parameters
     ----------
     writer
         Its writer; None in a dry run.
+    tell
+        Called with warnings about what the recording cannot store.
     """
-    span, frames, warnings = prepared.span, options.frames, list[str]()
+    span, frames = prepared.span, options.frames
     copying = target.same_chunks(reader.summary)
     if copying and writer is not None:
         writer.keep_ids(reader.connections)
     topics = RecordingTopics(target, options, same_kind=target.same_kind(reader.summary))
-    opened = open_routes(plan.routes, prepared.conversions, topics)
-    entries = opened.entries
-    added = topics.add(_static_connection(target)) if frames.write_static else None
+    routes, entries = open_routes(plan, prepared.conversions, topics)
+    report.topics = entries
+    static = TopicReport("/tf_static", TFMESSAGE, "/tf_static", "added", "from `write_static_tf`", messages_out=1)
+    added = AddedTopic(static)
+    if frames.write_static:
+        topics.add(_static_connection(target), added)
     trajectories: list[TrajectoryWriter] = []
     if prepared.found is not None and prepared.found.poses and not options.only_scans:
-        from .added_transforms import add_poses  # noqa: PLC0415  # few conversions add poses
-
-        trajectories = add_poses(reader, frames, prepared.found.poses, opened, topics, span)
-    levels = _level_frames(reader, topics, options) if any(spec.level for spec in plan.specs) else None
-    warnings += topics.warnings
-    handles = [] if writer is None else topics.declare(writer, opened.by_id.values())
-    if levels is not None:
-        entries.append(levels.report)
+        trajectories = add_poses(reader, frames, prepared.found.poses, routes, entries, topics, span)
+    levels = None
+    if any(spec.level for spec in plan.specs):
+        connection = tf_connection(reader, frames, target)
+        entry = TopicReport(connection.topic, connection.ros_type, connection.topic, "added", "from `level`")
+        levels = LevelFrames(target.serialization, entry)
+        topics.add(connection, levels)
+        entries.append(entry)
+    tell(*topics.warnings)
     if writer is not None:
-        if levels is not None:
-            levels.handle = handles[levels.handle]
-        for each in trajectories:
-            each.handle = handles[each.handle]
-    routes = count_skipped(opened.by_id, reader, span.start_ns, span.stop_ns)
+        topics.declare(writer)
+    routes = count_skipped(routes, reader, span.start_ns, span.stop_ns)
     if writer is None:
-        return OpenRecording(routes, opened.combiners, entries, levels, trajectories, None, warnings)
+        return OpenRecording(routes, levels, trajectories)
     if not options.only_scans:
-        warnings += _copy_extras(reader, target, writer)
-    if added is not None:
+        tell(*_copy_extras(reader, target, writer))
+    if frames.write_static:
         earliest_ns, latest_ns = target.times_ns
         begin_ns = max(earliest_ns, min(span.first_ns, latest_ns))
-        static = frames.static if prepared.found is None else prepared.found.static
-        entries.append(_write_static(static, begin_ns, handles[added], target, writer))
+        rows = [each.row(begin_ns) for each in (frames.static if prepared.found is None else prepared.found.static)]
+        if not rows:
+            raise UsageError("there is no added transform to write", hint="give one with `static_tf`, or with `urdf`")
+        writer.write(added.handle, begin_ns, encode_transforms(rows, target.serialization), begin_ns)
+        entries.append(static)
     rule = _chunk_rule(routes, target, writer) if copying else None
-    return OpenRecording(routes, opened.combiners, entries, levels, trajectories, rule, warnings)
-
-
-def _level_frames(reader: Reader, topics: RecordingTopics, options: ConvertOptions) -> LevelFrames:
-    """Return the writer of the level frames' transforms."""
-    from .levelling import LevelFrames, tf_connection  # noqa: PLC0415  # only where scans are level
-
-    connection = tf_connection(reader, options.frames, topics.target)
-    entry = TopicReport(connection.topic, connection.ros_type, connection.topic, "added", "from `level`")
-    return LevelFrames(topics.add(connection), topics.target.serialization, entry)
+    return OpenRecording(routes, levels, trajectories, rule)
 
 
 def write_items(items: Generator[Item | StoredChunk], writer: Writer, tally: Tally, recording: OpenRecording) -> None:
@@ -142,8 +213,6 @@ def write_items(items: Generator[Item | StoredChunk], writer: Writer, tally: Tal
     """
     levels = recording.levels
     if recording.trajectories:
-        from .added_transforms import between  # noqa: PLC0415  # few conversions add poses
-
         items = between(items, recording.trajectories, writer)
     for item in items:
         if isinstance(item, StoredChunk):
@@ -161,7 +230,7 @@ def _write(item: Item, writer: Writer, levels: LevelFrames | None) -> Mapping[in
     refused: dict[int, MessageError] | None = None
     if item.passing is not None:
         try:
-            writer.write(item.route.passing_handle, log_time_ns, item.passing, publish_time_ns, sequence)
+            writer.write(item.route.handle, log_time_ns, item.passing, publish_time_ns, sequence)
         except UnwritableError as err:
             # Its scans are not written, either: both are of a time that the destination cannot store.
             return dict.fromkeys(range(-1, len(item.results)), err)
@@ -182,12 +251,12 @@ def _write(item: Item, writer: Writer, levels: LevelFrames | None) -> Mapping[in
     return refused or NOTHING_REFUSED
 
 
-def _chunk_rule(routes: Mapping[int, OpenRoute], target: Destination, writer: Writer) -> ChunkRule:
+def _chunk_rule(routes: Mapping[int, Route], target: Destination, writer: Writer) -> ChunkRule:
     """Return which of the source's chunks can be copied whole, after everything is declared in the destination."""
     untouched = frozenset(
         route.connection.id
         for route in routes.values()
-        if not route.steps and route.reencode is None and route.passing_handle == route.connection.id
+        if not route.steps and route.reencode is None and route.handle == route.connection.id
     )
     return ChunkRule(
         target.file_format.name, target.chunk_compressions, untouched, writer.declarations(), target.times_ns[1]
@@ -218,12 +287,11 @@ def _copy_extras(reader: Reader, target: Destination, writer: Writer) -> list[st
 
 def _static_connection(target: Destination) -> Connection:
     """Return the connection of the added transforms: one more latched publisher of /tf_static."""
-    msgtype = "tf2_msgs/msg/TFMessage"
-    text, digest = definition(msgtype, target.ros_version)
+    text, digest = definition(TFMESSAGE, target.ros_version)
     return Connection(
         id=NEW_ID,
         topic="/tf_static",
-        msgtype=msgtype,
+        msgtype=TFMESSAGE,
         serialization=target.serialization,
         definition=text,
         digest=digest,
@@ -233,13 +301,23 @@ def _static_connection(target: Destination) -> Connection:
     )
 
 
-def _write_static(
-    static: Sequence[StaticTransform], log_time_ns: int, handle: int, target: Destination, writer: Writer
-) -> TopicReport:
-    """Write the added transforms, and return what was written; ``handle`` is that of `_static_connection`."""
-    if not static:
-        raise UsageError("there is no added transform to write", hint="give one with `static_tf`, or with `urdf`")
-    rows = [transform.row(log_time_ns) for transform in static]
-    writer.write(handle, log_time_ns, encode_transforms(rows, target.serialization), log_time_ns)
-    msgtype = "tf2_msgs/msg/TFMessage"
-    return TopicReport("/tf_static", msgtype, "/tf_static", "added", "from `write_static_tf`", messages_out=1)
+def count_skipped(
+    routes: Mapping[int, Route], reader: Reader, start_ns: int | None, stop_ns: int | None
+) -> dict[int, Route]:
+    """Count the messages of routes that write nothing, if the source's index has their numbers.
+
+    Returns
+    -------
+    dict[int, Route]
+        All other routes: those that write, and those whose messages must be read to be counted.
+    """
+    skipped = [route for route in routes.values() if not route.writes]
+    counted = reader.counts([route.connection for route in skipped], start_ns, stop_ns) if skipped else {}
+    # What was latched before the cut would have been written, too.
+    lasting = [route.connection for route in skipped if route.connection.is_latched]
+    earlier = reader.counts(lasting, None, start_ns) if lasting and start_ns is not None else {}
+    for route in skipped:
+        (entry,) = route.reports
+        before = earlier.get(route.connection.id, 0)
+        entry.skip(counted.get(route.connection.id, 0) + (before if route.connection.is_static else min(before, 1)))
+    return {key: route for key, route in routes.items() if key not in counted}

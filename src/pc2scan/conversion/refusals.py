@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Connection
     from pc2scan.request.options import ConvertOptions
 
-    from .items import OpenRoute
+    from .plan import Route
     from .report import Report
 
 
@@ -109,7 +109,7 @@ def _outside(reader: Reader, start_ns: int | None, stop_ns: int | None) -> Usage
 
 
 def compare_counts(
-    reader: Reader, routes: Collection[OpenRoute], options: ConvertOptions, report: Report
+    reader: Reader, routes: Collection[Route], options: ConvertOptions, report: Report
 ) -> tuple[int | None, list[Damage]]:
     """Compare how many messages were read with how many the sources declare, for each connection.
 

@@ -232,6 +232,8 @@ class Report(Result):
         Problems that did not stop the conversion.
     notes
         Values that were measured, or chosen by default.
+    ways
+        Of a dry run: what is done with the messages of each topic that is converted, in words.
     damage
         Damaged places in the parts of the sources that were read.
     messages_read
@@ -257,6 +259,7 @@ class Report(Result):
     skipped: list[Skipped] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    ways: list[str] = field(default_factory=list)
     damage: list[Damage] = field(default_factory=list)
     messages_read: int = 0
     messages_declared: int | None = None
@@ -314,20 +317,10 @@ class Report(Result):
         """Topics whose messages are missing because they cannot be written."""
         return [topic for topic in self.topics if topic.lost and topic.messages_in]
 
-    def add(
-        self,
-        warnings: Sequence[str],
-        notes: Sequence[str] = (),
-        advice: Mapping[tuple[str, ScanSpec], str] | None = None,
-        no_returns: Mapping[tuple[str, ScanSpec], float] | None = None,
-    ) -> None:
-        """Add warnings, notes that it does not have yet, and what first clouds show, by the topic and the output."""
+    def add(self, warnings: Sequence[str], notes: Sequence[str] = ()) -> None:
+        """Add warnings, and notes that it does not have yet."""
         self.warnings += warnings
         self.notes += (note for note in notes if note not in self.notes)
-        for topic in self.topics:
-            if topic.spec is not None:
-                topic.advice = (advice or {}).get((topic.topic, topic.spec), topic.advice)
-                topic.no_returns = (no_returns or {}).get((topic.topic, topic.spec), topic.no_returns)
 
     @property
     def rejections(self) -> dict[str, Rejection]:
@@ -358,6 +351,9 @@ class Report(Result):
                 ]
                 yield Table(("parameter", "value", "from"), rows, left=("parameter", "from"))
                 yield ""
+        yield from self.ways
+        if self.ways:
+            yield ""
         yield self._topics()
         if converted := self.converted:
             yield ""

@@ -8,6 +8,8 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from pc2scan.advice.checks import request_warnings
+from pc2scan.advice.clocks import other_clocks
+from pc2scan.advice.survey import Survey
 from pc2scan.bags.damage import mention
 from pc2scan.bags.destinations import (
     check_to,
@@ -31,7 +33,10 @@ from pc2scan.result import tell_early
 from pc2scan.threads import Threads, cores
 from pc2scan.transforms.placing import FrameOptions
 
+from .cloud_scale import scaled
 from .engine import items_of
+from .first_clouds import count_by_index, judge_first
+from .items import Tally
 from .plan import make_plan
 from .preparation import prepare, span_of
 from .recording import open_output, write_items
@@ -39,6 +44,7 @@ from .refusals import compare_counts, refuse_no_messages, refuse_nothing, refuse
 from .report import Report
 from .result_checks import result_findings
 from .run_files import OutputOptions, RunFiles
+from .stamps import corrected_for
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Mapping, Sequence
@@ -101,27 +107,23 @@ def run(
             prepared = prepare(reader, plan, options, span, stack, tell, meter=meter)
             report.add((), prepared.notes)
             with _writing(target, unfinished) as writer:
+                recording = open_output(reader, plan, prepared, target, options, writer, report, tell)
+                judge_first(reader, recording.routes, prepared, report, tell)
                 threads = stack.enter_context(Threads(jobs)) if jobs > 1 else None
-                recording = open_output(reader, plan, prepared, target, options, writer)
-                report.topics = recording.entries
-                tell(*recording.warnings)
                 if threads is not None:
                     writer.compress_ahead(threads)
+                tally = Tally(recording.routes, strict=options.strict)
+                report.skipped = tally.skipped
                 items = items_of(
-                    reader,
-                    recording.routes,
-                    span,
-                    threads,
-                    combiners=recording.combiners,
-                    rule=recording.rule,
-                    window=options.window,
-                    meter=meter,
+                    reader, recording.routes, span, threads, rule=recording.rule, window=options.window, meter=meter
                 )
-                with prepared.counting(recording.routes, report, strict=options.strict) as tally, closing(items):
-                    try:
+                try:
+                    with closing(items):
                         write_items(items, writer, tally, recording)
-                    finally:
-                        report.messages_read = tally.messages
+                finally:
+                    report.messages_read = tally.messages
+                tally.finish()
+                tell(*(label + text for label, seen in prepared.surroundings for text in seen.warnings()))
                 files.refuse_changed()
                 _judge(reader, plan, prepared, recording, target, options, report)
             report.bytes_written = _size_on_disk(unfinished)
@@ -153,8 +155,6 @@ def _open(
     readers = open_recordings(files.sources, stack, strict=options.strict)
     reader = as_one(readers)
     if options.cloud_scale != 1:
-        from .cloud_scale import scaled  # noqa: PLC0415  # most clouds are in metres
-
         reader = scaled(reader, options.cloud_scale)
     damage = reader.damage
     if options.repair and damage and not reader.connections:
@@ -165,8 +165,6 @@ def _open(
         mention(damage, err)
         raise
     if options.clock:
-        from .stamps import corrected_for  # noqa: PLC0415  # most clocks are the recording's
-
         reader, notes = corrected_for(reader, plan, options)
         plan = plan._replace(notes=tuple(notes))
     target = _target(files, reader, readers, options, output)
@@ -200,10 +198,7 @@ def _judge(
         if each.stamps.is_far and each.spec is not None and not (each.spec.fixed_frame or each.spec.imu)
     }
     if far and not options.clock:
-        from pc2scan.advice.clocks import other_clocks  # noqa: PLC0415  # few lidars have a clock of their own
-        from pc2scan.advice.survey import Survey  # noqa: PLC0415
-
-        doubtful = [route.connection for route in plan.routes if route.tasks and route.connection.topic in far]
+        doubtful = [each for each in plan.converted if each.topic in far]
         report.add([*other_clocks(Survey(reader, (), options.frames, prepared.span), doubtful)])
     routes = recording.routes.values()
     report.messages_declared, difference = compare_counts(reader, routes, options, report)
@@ -252,26 +247,29 @@ def _try_out(
     output: OutputOptions,
     stack: ExitStack,
     report: Report,
-    tell: Callable[[str], None],
+    tell: Callable[..., None],
 ) -> None:
     """Add to the report of a dry run what the conversion would do."""
-    from .dry_run import convert_first  # noqa: PLC0415  # dry runs only
-
     files.open_report(stack)
     check_destination(target.path, overwrite=output.overwrite, record_in=recorded_in, folder=output.folder)
     span = _span_with_messages(reader, plan, options)
     prepared = prepare(reader, plan, options, span, stack, tell)
     report.add((), prepared.notes)
-    recording = open_output(reader, plan, prepared, target, options, None)
-    report.topics = recording.entries
-    convert_first(reader, recording, options, prepared, report)
+    recording = open_output(reader, plan, prepared, target, options, None, report, tell)
+    report.ways = [words for route in plan.routes for words in route.words]
+    tally = Tally(recording.routes, strict=options.strict)
+    report.skipped = tally.skipped
+    judge_first(reader, recording.routes, prepared, report, tell, tally)
+    tally.finish()
+    report.add(reader.remarks)
+    report.damage += reader.damage
+    count_by_index(reader, recording, prepared, report)
 
 
 def _span_with_messages(reader: Reader, plan: Plan, options: ConvertOptions) -> Span:
     """Return the cut; raise if it has no messages to convert."""
     span = span_of(reader, options)
-    converted = [route.connection for route in plan.routes if route.targets]
-    refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
+    refuse_no_messages(reader, plan.converted, span.start_ns, span.stop_ns)
     return span
 
 

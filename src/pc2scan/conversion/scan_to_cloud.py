@@ -13,17 +13,15 @@ from pc2scan.errors import DecodeError, stamp_text
 from pc2scan.messages.beams import unproject_scan
 from pc2scan.messages.clouds import SCANS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan
-from pc2scan.messages.pointcloud2 import POINTCLOUD2, StructuredCloud, encode_structured
+from pc2scan.messages.pointcloud2 import StructuredCloud, encode_structured
 
-from .steps import Conversion, ConvertedMessage
+from .steps import Conversion, ConvertedMessage, Steps
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from pc2scan.model import Buffer
     from pc2scan.transforms.placing import Placer
-
-    from .steps import Step
 
 
 class ScanToCloud(Conversion):
@@ -41,7 +39,6 @@ class ScanToCloud(Conversion):
         Which echo of each beam is used, if there are several.
     """
 
-    made_type = POINTCLOUD2
     encode = encode_structured
     shrinks_from = sys.maxsize
 
@@ -54,7 +51,7 @@ class ScanToCloud(Conversion):
         echo: str = "first",
     ) -> None:
         self.channels = channels
-        self._placer = placer
+        self.placer = placer
         self._deskewed = deskewed
         self._echo = echo
 
@@ -62,9 +59,9 @@ class ScanToCloud(Conversion):
         """Return the decoder of scans; see `Conversion`."""
         return SCANS[source_type or LASERSCAN](source, self._echo)
 
-    def stages(self, topic: str) -> tuple[Step, ...]:  # noqa: ARG002
-        """Return the only stage, which is the same for all topics; see `Conversion`."""
-        return (self._make_cloud,)
+    def steps(self, topic: str) -> Steps:  # noqa: ARG002
+        """Return the only step, which is the same for all topics; see `Conversion`."""
+        return Steps(None, None, self._make_cloud)
 
     def _make_cloud(self, scan: LaserScan) -> ConvertedMessage:
         header, points = self._place(scan, unproject_scan(scan, self.channels))
@@ -80,7 +77,7 @@ class ScanToCloud(Conversion):
 
     def _place(self, scan: LaserScan, points: UnprojectedScan) -> tuple[_CloudHeader, UnprojectedScan]:
         """Return the cloud's header, and the points in its frame."""
-        place = self._placer.place(scan.frame_id, scan.stamp_ns)
+        place = self.placer.place(scan.frame_id, scan.stamp_ns)
         own = _CloudHeader(scan.sequence, scan.stamp_ns, place.frame_id)
         start = place.target_from_source
         if self._deskewed:
@@ -90,7 +87,7 @@ class ScanToCloud(Conversion):
         if start is None:
             return own, points
         # Source of the rule: tf2_sensor_msgs gives a cloud the header of the transform, which has no sequence number.
-        stamp_ns = self._placer.transform_stamp(scan.frame_id, scan.stamp_ns)
+        stamp_ns = self.placer.transform_stamp(scan.frame_id, scan.stamp_ns)
         moved = points.with_xyz(start.apply(points.xyz), start.translation)
         return _CloudHeader(0, stamp_ns, place.frame_id), moved
 
@@ -113,7 +110,7 @@ class ScanToCloud(Conversion):
         except DecodeError as err:
             err.stamp_ns = scan.stamp_ns
             raise
-        return self._placer.place(scan.frame_id, end_ns).target_from_source
+        return self.placer.place(scan.frame_id, end_ns).target_from_source
 
 
 class _CloudHeader(NamedTuple):

@@ -167,7 +167,7 @@ def corrected_for(reader: Reader, plan: Plan, options: ConvertOptions) -> tuple[
     fields = [spec.point_time.partition(":")[0] for spec in plan.specs if spec.point_time]
     return corrected(
         reader,
-        [route.connection for route in plan.routes if route.tasks],
+        plan.converted,
         options.clock,
         options.frames.tf_topics,
         start_ns=span.start_ns,

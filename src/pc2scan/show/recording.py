@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime, timezone
+from functools import partial
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.damage import mention
@@ -14,6 +15,7 @@ from pc2scan.conversion.preparation import prepare, span_of
 from pc2scan.conversion.refusals import refuse_outside
 from pc2scan.conversion.stamps import corrected_transforms
 from pc2scan.errors import TopicError, UsageError, stamp_text
+from pc2scan.result import tell_early
 
 from .sampling import sampled
 
@@ -51,6 +53,8 @@ class ShownRecording:
         Called with each warning of a preparation as soon as it is known; None: nobody waits for them.
     others
         The recordings of ``tf_from``, once transforms were read.
+    warnings
+        Those of the preparation so far.
     """
 
     reader: Reader
@@ -58,6 +62,7 @@ class ShownRecording:
     stack: ExitStack
     warn: Callable[[str], None] | None = None
     others: Sequence[Reader] = ()
+    warnings: list[str] = field(default_factory=list)
 
     @property
     def damage(self) -> tuple[Damage, ...]:
@@ -90,8 +95,8 @@ class ShownRecording:
         UsageError
             If it is not clear which transforms to use, or something cannot be measured.
         """
-        span = span_of(self.reader, options)
-        request = self.reader, plan, options, span, self.stack, self.warn
+        span, tell = span_of(self.reader, options), partial(tell_early, self.warnings, self.warn)
+        request = self.reader, plan, options, span, self.stack, tell
         try:
             prepared = prepare(*request, transform_frames=())
         except UsageError:

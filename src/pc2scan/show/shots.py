@@ -143,12 +143,11 @@ def take_shots(
         reader, notes = corrected_for(reader, plan, options)
         recording.reader, plan = reader, plan._replace(notes=tuple(notes))
     prepared = recording.prepare(plan, options)
-    conversion = prepared.conversions[options.scan]
+    conversion = prepared.conversions[options.scan, ""]
     assert isinstance(conversion, CloudToScan)
     topics: dict[str, list[Connection]] = {}
-    for route in plan.routes:
-        if route.targets:
-            topics.setdefault(route.connection.topic, []).append(route.connection)
+    for connection in plan.converted:
+        topics.setdefault(connection.topic, []).append(connection)
     placer = conversion.placer if level else conversion.placer._replace(up=None)
     stages = {topic: _Stages.of(conversion, topic, placer) for topic in topics}
     shots: list[Shot] = []
@@ -166,10 +165,10 @@ def take_shots(
         why = f"no cloud can be shown; {failed[0]}" if failed else f"no clouds on {', '.join(topics)}"
         raise RecordingError(why, path=reader.path)
     number = counted(len(failed) + len(shots), "cloud")
-    warnings = [*prepared.firsts.warnings, *_doubts(samples, options.scan, prepared.firsts.transforms)]
+    warnings = [*recording.warnings, *_doubts(samples, options.scan, prepared.known)]
     warnings += [f"Not shown: {len(failed)} of {number}; {failed[0]}."] if failed else []
     measured = next((each for topic in topics if (each := conversion.measurements.get(topic))), Measurements(0.0))
-    params = measured.resolve(conversion.params)
+    params = measured.resolve(conversion.spec.params)
     return Shots(shots, params, prepared.transforms, [*plan.notes, *prepared.notes], warnings)
 
 
@@ -217,9 +216,9 @@ class _Stages(NamedTuple):
     @classmethod
     def of(cls, conversion: CloudToScan, topic: str, placer: Placer) -> _Stages:
         """Return the stages of a conversion, with other frames."""
-        deskew, filters = conversion.deskew, conversion.filters
+        deskew, filters = conversion.deskews.get(topic), conversion.spec.filters
         place, place_own = (
-            PlaceStage(each, None if deskew is None else deskew.of(topic).within(each))
+            PlaceStage(each, None if deskew is None else replace(deskew, placer=each, sample=None))
             for each in (placer, placer._replace(target_frame="", up=None))
         )
         return cls(place, place_own, SelectStage(filters, placer, numbered=True) if filters else None)

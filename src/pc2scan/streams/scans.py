@@ -9,17 +9,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pc2scan.advice.checks import request_warnings
+from pc2scan.conversion.first_clouds import judge_first
 from pc2scan.conversion.plan import make_plan
 from pc2scan.conversion.preparation import prepare, span_of
+from pc2scan.conversion.recording import open_routes
 from pc2scan.conversion.refusals import refuse_unusable
 from pc2scan.conversion.report import Report
 from pc2scan.conversion.result_checks import result_findings
-from pc2scan.conversion.routes import open_routes
 from pc2scan.conversion.stamps import corrected_for
 from pc2scan.core.unproject import UnprojectParams, unproject
 from pc2scan.errors import UsageError, stamp_text, visible
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, as_message, decode_laserscan
+from pc2scan.result import tell_early
 
 from .stream import NumpyTimes, Stream, StreamSource, package
 
@@ -238,20 +240,18 @@ class Scans(Stream[Scan]):
             options,
             span_of(reader, options),
             stack,
-            report.warnings.append,
+            partial(tell_early, report.warnings, None),
             transform_frames=self._transform_frames,
             meter=self._meter,
         )
         self.transforms = prepared.transforms
         report.add((), (*plan.notes, *prepared.notes))
         self.notes = tuple(report.notes)
-        opened = open_routes(plan.routes, prepared.conversions, last=_as_in_message)
-        report.topics += opened.entries
+        routes, report.topics = open_routes(plan, prepared.conversions, finish=_as_in_message)
+        judge_first(reader, routes, prepared, report, partial(tell_early, report.warnings, None))
 
         def conclude() -> None:
-            firsts = prepared.firsts
-            firsts.finish()
-            report.add((), firsts.notes, firsts.advice)
+            report.add([label + text for label, seen in prepared.surroundings for text in seen.warnings()])
             report.add(reader.remarks)
             report.add(*result_findings(report))
 
@@ -259,12 +259,11 @@ class Scans(Stream[Scan]):
             stack,
             [reader, *prepared.others],
             tuple(dict.fromkeys(target for route in plan.routes for target in route.targets)),
-            opened.by_id,
+            routes,
             prepared.span,
             options.jobs,
             report.warnings,
             conclude,
-            opened.combiners,
         )
 
     def to_dataframe(self) -> Any:

@@ -16,12 +16,13 @@ from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics, short_types
 from pc2scan.conversion.cloud_scale import scaled
 from pc2scan.conversion.engine import items_of
-from pc2scan.conversion.items import OpenRoute, Output, Tally
+from pc2scan.conversion.items import Tally
+from pc2scan.conversion.plan import Output, Route
 from pc2scan.conversion.preparation import span_of
 from pc2scan.conversion.refusals import refuse_no_messages
 from pc2scan.conversion.report import TopicReport
 from pc2scan.conversion.stamps import corrected
-from pc2scan.conversion.steps import ConvertedMessage
+from pc2scan.conversion.steps import ConvertedMessage, Steps, as_it_is
 from pc2scan.core.rule import NO_POINTS
 from pc2scan.errors import NothingToConvertError, Pc2ScanError, RecordingWarning, TopicError, name_list, visible
 from pc2scan.messages.clouds import usual_topics
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
     from pc2scan.advice.survey import Span
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
-    from pc2scan.conversion.combine.combiner import Combiner
     from pc2scan.conversion.items import Item as EngineItem
     from pc2scan.errors import MessageError
     from pc2scan.model import Buffer, Connection
@@ -119,19 +119,16 @@ class StreamSource(NamedTuple):
         Those of a conversion, which adds more while it is read.
     conclude
         Adds the last warnings, at the end.
-    combiners
-        What makes scans of several messages, by the outputs of these.
     """
 
     stack: ExitStack
     readers: Sequence[Reader]
     topics: tuple[str, ...]
-    routes: Mapping[int, OpenRoute]
+    routes: Mapping[int, Route]
     span: Span
     jobs: int = 1
     warnings: Sequence[str] = ()
     conclude: Callable[[], None] = lambda: None
-    combiners: Mapping[Output, Combiner] = {}
 
     @property
     def damage(self) -> tuple[Damage, ...]:
@@ -272,10 +269,13 @@ class Stream(ABC, Generic[Item]):
             self.notes = tuple(notes)
         routes = {}
         for topic, connections in chosen.items():
-            output = Output(TopicReport(topic, connections[0].ros_type, topic, "converted"), 0)
+            output = Output(None, topic, report=TopicReport(topic, connections[0].ros_type, topic, "converted"))
             for each in connections:
+                decode = _step(decoder(each))
                 # A message is decoded at once: its object takes no more memory.
-                routes[each.id] = OpenRoute(each, steps=[_step(decoder(each))], outputs=[output], shrinks_from=0)
+                routes[each.id] = Route(
+                    each, [output], decode=decode, steps=[Steps(None, None, as_it_is)], shrinks_from=0
+                )
         # One thread: objects are as large as their messages, and others would hold many of them ahead of the loop.
         return StreamSource(stack, [reader], tuple(chosen), routes, span)
 
@@ -352,7 +352,6 @@ class Stream(ABC, Generic[Item]):
                 source.routes,
                 source.span,
                 stack.enter_context(Threads(jobs)) if jobs > 1 else None,
-                combiners=source.combiners,
                 window=self._options.window,
                 meter=meter,
             )

@@ -12,7 +12,8 @@ import pytest
 
 from pc2scan.conversion.combine.combiner import Arrival, add_groups
 from pc2scan.conversion.combine.conversion import Contribution
-from pc2scan.conversion.items import Item, Output
+from pc2scan.conversion.items import Item
+from pc2scan.conversion.plan import Output
 from pc2scan.threads import Threads
 
 if TYPE_CHECKING:
@@ -66,7 +67,7 @@ def test_points_are_freed_before_the_next_message_is_read(jobs: int, *, quick: b
 
     unseen: Any = None
     waiting = Contribution(*[unseen] * 13)
-    output = Output(unseen, 0)
+    output = Output(None, "/scan", combiner=combiner)
 
     def items() -> Generator[Any]:
         for number in range(3):
@@ -75,7 +76,7 @@ def test_points_are_freed_before_the_next_message_is_read(jobs: int, *, quick: b
             freed.append(combiner.hold_nothing())
 
     with Threads(jobs) if jobs > 1 else nullcontext() as threads:
-        written: list[Any] = list(add_groups(items(), {output: combiner}, threads))
+        written: list[Any] = list(add_groups(items(), [combiner], threads))
     assert [each if isinstance(each, str) else each.log_time_ns for each in written] == [
         *(0, "scan 0", 1, "scan 1", 2, "scan 2")
     ]

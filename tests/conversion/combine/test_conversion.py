@@ -28,6 +28,7 @@ from pc2scan.request.regions import ExcludeBox
 from pc2scan.request.where import Where
 from pc2scan.transforms.builder import TransformBuilder
 from pc2scan.transforms.placing import Placer
+from support.conversions import stepped
 
 T0 = 1_700_000_000_000_000_000
 MOUNTS = {
@@ -57,7 +58,9 @@ def cloud(rng: np.random.Generator, frame: str, stamp_ns: int) -> Points:
 
 
 def together(made: MessagesToScan, clouds: list[Any]) -> ConvertedMessage:
-    contribution: list[Contribution] = [made.stages(topic)[0](each) for topic, each in zip(TOPICS, clouds, strict=True)]
+    contribution: list[Contribution] = [
+        made.steps(topic).project(each) for topic, each in zip(TOPICS, clouds, strict=True)
+    ]
     return made.scan(contribution[0], contribution)
 
 
@@ -73,9 +76,8 @@ def concatenated(clouds: list[Points]) -> Points:
 
 
 def scan_of(params: ProjectionParams, points: Points, filters: Any = ()) -> ConvertedMessage:
-    result: Any = points
-    for stage in CloudToScan(params, frames(), {"/a": Measurements(0.1)}, filters).stages("/a"):
-        result = stage(result)
+    spec = ScanSpec(params=params, filters=filters)
+    result = stepped(CloudToScan(spec, frames(), {"/a": Measurements(0.1)}), "/a", points)
     assert isinstance(result, ConvertedMessage)
     return result
 
@@ -117,7 +119,7 @@ def test_preparing_keeps_nothing_of_the_message(choice: dict[str, Any], kept: se
     rng = np.random.default_rng(4)
     made = conversion(ProjectionParams(target_frame="base_link", min_height=-0.5, **choice))
     clouds = [cloud(rng, frame, T0) for frame in MOUNTS]
-    contribution = [made.stages(topic)[0](each) for topic, each in zip(TOPICS, clouds, strict=True)]
+    contribution = [made.steps(topic).project(each) for topic, each in zip(TOPICS, clouds, strict=True)]
     before = encode_laserscan(made.scan(contribution[0], contribution).message, "cdr")
     for each in clouds:
         each.field("x")[:] = 1.0
@@ -150,7 +152,7 @@ def test_messages_projected_for_another_scan_make_the_same(filters: Any, monkeyp
         made = MessagesToScan(
             spec, TOPICS, moving_frames(), Measurements(0.1), lambda: Grouper(Nearest(windows_ns=(0, 0, 0)), 3)
         )
-        stages = [made.stages(topic)[0] for topic in TOPICS]
+        stages = [made.steps(topic).project for topic in TOPICS]
         first, second = (stages[0](cloud(rng, "a", T0 + ms * 1_000_000)) for ms in (0, 200))
         rear: Contribution = stages[1](cloud(rng, "b", T0 + 237_000_000))
         last = stages[0](cloud(rng, "a", T0 + 240_000_000))
@@ -181,7 +183,7 @@ def test_only_points_that_take_most_of_their_memory_are_not_copied() -> None:
 def test_a_missing_field_is_the_error_of_its_message() -> None:
     made = conversion(ProjectionParams(target_frame="base_link", intensity_field="reflectivity"))
     with pytest.raises(DecodeError, match="no field 'reflectivity'"):
-        made.stages("/a")[0](cloud(np.random.default_rng(0), "a", T0))
+        made.steps("/a").project(cloud(np.random.default_rng(0), "a", T0))
 
 
 def test_heights_of_beams_count_only_if_they_are_asked_for() -> None:
@@ -189,8 +191,6 @@ def test_heights_of_beams_count_only_if_they_are_asked_for() -> None:
     for params, kept in ((ProjectionParams(), 9), (ProjectionParams(min_height=0.1), 0)):
         spec = ScanSpec(params=params, combining=Combining(rebin=True))
         made = MessagesToScan(spec, ["/a"], Placer(), Measurements(0.1), None)
-        result: Any = flat
-        for stage in made.stages("/a"):
-            result = stage(result)
+        result = stepped(made, "/a", flat)
         assert (result.counts.used, result.counts.height) == (kept, 9 - kept)
         assert result.rebinned is not None

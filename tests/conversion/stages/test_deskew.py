@@ -284,5 +284,5 @@ def test_what_is_fixed_to_the_robot_stays_where_it_is() -> None:
     cloud = points(np.repeat(inside, 3, axis=0), [0, 50_000_000, 100_000_000])
     moving = moving_of(Deskew(known, "odom", PointTime()), cloud)
     box = ExcludeBox("base_link", (0.49, 0.51), (0.19, 0.21), (0.09, 0.11))
-    selected = SelectStage([box], known).apply(moving.points, known.place("lidar", T0), moving)
+    selected = SelectStage((box,), known).apply(moving.points, known.place("lidar", T0), moving)
     assert selected.rejected["exclude_box"] == 3

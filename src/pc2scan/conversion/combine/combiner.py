@@ -19,9 +19,9 @@ from pc2scan.threads import InOrder
 from .conversion import Contribution
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterable, Mapping
+    from collections.abc import Callable, Generator, Iterable
 
-    from pc2scan.conversion.items import OpenRoute, Output
+    from pc2scan.conversion.plan import Output, Route
     from pc2scan.conversion.report import TopicReport
     from pc2scan.conversion.steps import ConvertedMessage
     from pc2scan.threads import Threads
@@ -37,7 +37,7 @@ _AHEAD_BYTES = 6 << 20
 class Arrival(NamedTuple):
     """A message for a scan: its route, the output of the scan if this message leads it, and the sequence number."""
 
-    route: OpenRoute
+    route: Route
     output: Output
     contribution: Contribution
     sequence: int
@@ -92,9 +92,8 @@ class Combiner:
         except MessageError as err:
             made = err
             err.stamp_ns = err.stamp_ns or contribution.stamp_ns
-        results = [(output, made)]
-        if output.points is not None and not isinstance(made, MessageError):
-            results.append((output.points, made))
+        others = [each for each in route.outputs if each.used and each.index == output.index]
+        results = [(output, made)] if isinstance(made, MessageError) else [(each, made) for each in (output, *others)]
         return Item(route, log_time_ns, log_time_ns, sequence, 0, results, is_group=True)
 
     def is_quick(self, group: Group[Arrival]) -> bool:
@@ -109,7 +108,7 @@ class Combiner:
 
 
 def add_groups(
-    items: Generator[Item | StoredChunk], combiners: Mapping[Output, Combiner], threads: Threads | None
+    items: Generator[Item | StoredChunk], combiners: Iterable[Combiner], threads: Threads | None
 ) -> Generator[Item | StoredChunk]:
     """Add the scans of several messages to the items of single messages.
 
@@ -118,7 +117,7 @@ def add_groups(
     items
         Those of single messages, in the order of writing.
     combiners
-        By the outputs of the messages.
+        All combiners of the outputs.
     threads
         The threads that make the scans, or None for the caller's alone. The scans do not depend on it.
 
@@ -155,16 +154,16 @@ def add_groups(
 
 
 def _work(
-    items: Iterable[Item | StoredChunk], combiners: Mapping[Output, Combiner]
+    items: Iterable[Item | StoredChunk], combiners: Iterable[Combiner]
 ) -> Generator[tuple[Callable[[], Item | StoredChunk], int, bool]]:
     """Yield the work in order, its size in bytes, and whether another thread should do it."""
-    last_ns = dict.fromkeys(combiners.values(), 0)
+    last_ns = dict.fromkeys(combiners, 0)
     for item in items:
         arrivals: list[tuple[Combiner, Arrival]] = []
         if isinstance(item, StoredChunk):
             log_time_ns, size = 0, len(item.stored)
         else:
-            log_time_ns, size, arrivals = item.log_time_ns, item.size, _arrivals(item, combiners)
+            log_time_ns, size, arrivals = item.log_time_ns, item.size, _arrivals(item)
         yield partial(_same, item), size, False
         del item
         for combiner, arrival in arrivals:
@@ -178,12 +177,12 @@ def _work(
             yield partial(combiner.make, group, log_time_ns), _size(group), not combiner.is_quick(group)
 
 
-def _arrivals(item: Item, combiners: Mapping[Output, Combiner]) -> list[tuple[Combiner, Arrival]]:
+def _arrivals(item: Item) -> list[tuple[Combiner, Arrival]]:
     """Return the parts of a message in scans of several."""
     return [
-        (combiners[output], Arrival(item.route, output, result, item.sequence))
+        (output.combiner, Arrival(item.route, output, result, item.sequence))
         for output, result in item.results
-        if isinstance(result, Contribution) and output in combiners
+        if output.combiner is not None and isinstance(result, Contribution)
     ]
 
 

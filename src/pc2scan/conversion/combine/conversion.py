@@ -8,15 +8,16 @@ Messages are grouped in order. The held points are then placed as seen at the sc
 from __future__ import annotations
 
 import math
+from functools import partial
 from operator import attrgetter, mul
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
 from pc2scan.conversion.cloud_to_scan import Beams
-from pc2scan.conversion.stages.removal import RemoveStage
+from pc2scan.conversion.stages.removal import remove_beams
 from pc2scan.conversion.stages.selection import SelectStage
-from pc2scan.conversion.steps import Conversion, ConvertedMessage, Motion
+from pc2scan.conversion.steps import Conversion, ConvertedMessage, Motion, Steps
 from pc2scan.core.layout import TURN
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.points import Points
@@ -26,7 +27,7 @@ from pc2scan.core.rule import PointCounts
 from pc2scan.errors import MessageError
 from pc2scan.messages.beams import scan_points
 from pc2scan.messages.clouds import CLOUDS, SCANS
-from pc2scan.messages.laserscan import LASERSCAN, LaserScan, encode_laserscan
+from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.messages.used_points import gather_points
 from pc2scan.request.filters import Frame
@@ -39,11 +40,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pc2scan.advice.first_clouds import SharedSample, TopicClouds
     from pc2scan.advice.measurements import Measurements
     from pc2scan.advice.odometry import Surroundings
     from pc2scan.conversion.stages.deskew import Deskew, Track
-    from pc2scan.conversion.steps import Step
     from pc2scan.core.moving import MovingTransform
     from pc2scan.core.project import Transform
     from pc2scan.messages.used_points import UsedPoints
@@ -107,8 +106,6 @@ class Contribution(NamedTuple):
     assumed
         The time and the frame of the scan that ``nearest`` is for; ``points`` are held in case that the message
         belongs to another scan. None: ``nearest`` is right for its only scan.
-    sample
-        A sample for `FirstClouds`, while that needs any.
     size
         Bytes that the message holds.
     """
@@ -129,7 +126,6 @@ class Contribution(NamedTuple):
     nearest: ProjectedScan | None = None
     motion: Motion | None = None
     assumed: tuple[int, str] | None = None
-    sample: SharedSample | None = None
     size: int = 0
 
 
@@ -148,15 +144,13 @@ class MessagesToScan(Conversion):
         The measurements of the leading topic.
     grouper
         Makes the grouper of messages; None: each message becomes a scan by itself.
-    deskew
-        Places points at their own times; None: all points of a message are placed at its stamp.
-    first_clouds
-        Returns the checks of the first clouds of a topic; None for no checks.
+    deskews
+        What places the points of a topic at their own times, by topic. Those of others are placed at the
+        message's stamp.
     surroundings
         Samples some clouds that are not deskewed; None: nothing does.
     """
 
-    made_type = LASERSCAN
     encode = encode_laserscan
     shrinks_from = 0
 
@@ -167,8 +161,7 @@ class MessagesToScan(Conversion):
         placer: Placer,
         measured: Measurements,
         grouper: Callable[[], Grouper[Contribution]] | None,
-        deskew: Deskew | None = None,
-        first_clouds: Callable[[str], TopicClouds] | None = None,
+        deskews: Mapping[str, Deskew] | None = None,
         surroundings: Surroundings | None = None,
     ) -> None:
         params = measured.resolve(spec.params)
@@ -176,10 +169,9 @@ class MessagesToScan(Conversion):
         self.spec = spec
         self.topics = tuple(topics)
         self.grouper = grouper
-        self._placer = placer
-        self._deskew = deskew
-        self._first_clouds = first_clouds
-        self._surroundings = surroundings if deskew is None else None
+        self.placer = placer
+        self._deskews = deskews or {}
+        self._surroundings = None if deskews else surroundings
         self._projector = self._beams.projector
         #: Whether the transform of points does not depend on the scan's time, so that no message waits for that.
         self._rigid = not spec.fixed_frame and placer.up is None
@@ -198,9 +190,7 @@ class MessagesToScan(Conversion):
             self._late = SelectStage(late, placer) if late else None
         self._keeps_used = bool(spec.keep_used)
         self._intensity = params.intensity_field or ("intensity" if spec.combining.rebin else "")
-        self._remove: Callable[[ConvertedMessage], ConvertedMessage] | None = None
-        if spec.remove:
-            self._remove = RemoveStage(spec.remove, params.empty_range)
+        self._remove = partial(remove_beams, spec.remove, params.empty_range) if spec.remove else None
         self._kept = {"x", "y", "z", self._intensity, *(field for each in late for field in each.fields)}
         #: Upstream's default minimum, the smallest positive number, is meant for clouds: it rejects all beams of scans.
         self._any_height = params.min_height == _DEFAULTS.min_height
@@ -211,37 +201,26 @@ class MessagesToScan(Conversion):
             return SCANS[source_type](source, self.spec.echo)
         return CLOUDS[source_type or POINTCLOUD2](source)
 
-    def stages(self, topic: str) -> tuple[Step, ...]:
-        """Return the steps of one topic's messages; the last one makes a scan only if each message becomes one."""
-        firsts = None if self._first_clouds is None else self._first_clouds(topic)
-        number = self.topics.index(topic)
-        deskew = None if self._deskew is None else self._deskew.of(topic)
-
-        def prepare(message: Points | LaserScan) -> Contribution:
-            return self._contribute(number, firsts, deskew, message)
-
-        return (prepare,) if self.grouper is not None else (prepare, self.alone)
+    def steps(self, topic: str) -> Steps:
+        """Return the step of one topic's messages, which makes a scan only if each message becomes one."""
+        contribute = partial(self._contribute, self.topics.index(topic), self._deskews.get(topic))
+        return Steps(None, None, contribute if self.grouper else lambda message: self.alone(contribute(message)))
 
     def alone(self, contribution: Contribution) -> ConvertedMessage:
         """Make the scan of one message."""
         return self.scan(contribution, (contribution,))
 
-    def _contribute(
-        self, number: int, firsts: TopicClouds | None, deskew: Deskew | None, message: Points | LaserScan
-    ) -> Contribution:
+    def _contribute(self, number: int, deskew: Deskew | None, message: Points | LaserScan) -> Contribution:
         flat = isinstance(message, LaserScan)
         rejected: dict[str, int] = {}
         if isinstance(message, LaserScan):
             points, rejected = scan_points(message)
         else:
             points = message
-        stamp_ns, placer = points.stamp_ns, self._placer
+        stamp_ns, placer = points.stamp_ns, self.placer
         source, frame_id = placer.source_frame or points.frame_id, points.frame_id
         target = placer.target_frame or source
         mount = placer.transform(target, frame_id, stamp_ns) if placer.target_frame else None
-        sample = None
-        if not flat and number == 0 and firsts is not None and not firsts.full:
-            sample = firsts.sample(points, placer.place(frame_id, stamp_ns))
         if self._surroundings is not None and not flat:
             self._surroundings.add(self.topics[number], points)
         track = None if deskew is None else deskew.track(points)
@@ -276,7 +255,6 @@ class MessagesToScan(Conversion):
             level,
             rejected,
             flat,
-            sample=sample,
         )
         lead = self._lead_of(contribution)
         return self._keep_points(contribution) if lead is None else self._project(lead, contribution)
@@ -408,7 +386,7 @@ class MessagesToScan(Conversion):
         used = self._gather_used(message, parts, sources) if self._keeps_used else None
         counts = sum(others, scan.counts)
         result = ConvertedMessage(
-            *(message, counts, empty, largest, None, lead.sample, level, shared, used, scan.removed),
+            *(message, counts, empty, largest, level, shared, used, scan.removed),
             stamp_ns=lead.reference_ns,
         )
         return result if self._remove is None else self._remove(result)

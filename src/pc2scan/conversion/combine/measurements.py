@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pc2scan.advice.survey import Header, Span, TopicFacts
     from pc2scan.bags.observers import Observer
     from pc2scan.bags.reader import Reader
-    from pc2scan.conversion.plan import Combination
+    from pc2scan.conversion.plan import Output
     from pc2scan.transforms.placing import Placer
 
     from .conversion import Contribution
@@ -59,8 +59,8 @@ class SourceFacts:
 
     Parameters
     ----------
-    combination
-        The topics, and the request.
+    output
+        The request, and the topics.
     facts
         Of each topic.
     reader
@@ -80,9 +80,9 @@ class SourceFacts:
         If a field is requested that the beams of LaserScans do not have.
     """
 
-    def __init__(self, combination: Combination, facts: Mapping[str, TopicFacts], reader: Reader, span: Span) -> None:
-        self.combination, self.facts = combination, facts
-        spec, topics = combination.spec, combination.sources
+    def __init__(self, output: Output, facts: Mapping[str, TopicFacts], reader: Reader, span: Span) -> None:
+        self.output, self.facts = output, facts
+        spec, topics = output.spec, output.sources
         asked, params = spec.combining, spec.params
         self.flat = [topic for topic in topics if any(each.ros_type in SCANS for each in facts[topic].connections)]
         self._is_compared = bool(
@@ -133,7 +133,7 @@ class SourceFacts:
             return
         first_ns = first_ns if span.start_ns is None else max(first_ns, span.start_ns)
         last_ns = last_ns if span.stop_ns is None else min(last_ns, span.stop_ns)
-        lead, *others = self.combination.sources
+        lead, *others = self.output.sources
 
         def is_needless(topics: Sequence[str]) -> bool:
             found = [self._first_delays(topic, lead) for topic in topics]
@@ -180,8 +180,8 @@ def measure_sources(
     UsageError
         If the stamps of the topics are of different clocks.
     """
-    combination = sources.combination
-    spec, topics = combination.spec, combination.sources
+    output = sources.output
+    spec, topics = output.spec, output.sources
     asked, lead = spec.combining, topics[0]
     notes: list[str] = []
     timing: Mapping[str, Measurements] = {}
@@ -212,14 +212,14 @@ def measure_sources(
     joined = ", ".join(
         f"{topic} (within {window / 1e9:.4g} s)" for topic, window in zip(topics[1:], windows[1:], strict=True)
     )
-    notes.append(f"{combination.target}: has the stamps of {lead}, and the nearest messages of {joined}")
+    notes.append(f"{output.target}: has the stamps of {lead}, and the nearest messages of {joined}")
     grouper = partial(Grouper, Nearest(windows_ns=tuple(windows)), len(topics), apart_ns=asked.window_ns or 0)
     return found, grouper, notes, warnings
 
 
 def _doubtful(sources: SourceFacts, reader: Reader) -> list[str]:
     """Return warnings of times that were probably meant in milliseconds."""
-    asked, topics = sources.combination.spec.combining, sources.combination.sources
+    asked, topics = sources.output.spec.combining, sources.output.sources
     start_ns, end_ns = reader.summary.start_ns, reader.summary.end_ns
     length_ns = 0 if start_ns is None or end_ns is None else end_ns - start_ns
     found = []
@@ -246,7 +246,7 @@ def _doubtful(sources: SourceFacts, reader: Reader) -> list[str]:
 
 def _crowded(sources: SourceFacts, span_ns: int, most: int) -> str:
     """Return how many messages a scan of this length has, if these are more than ``most``; else nothing."""
-    topic = sources.combination.sources[0]
+    topic = sources.output.sources[0]
     period_ns = sources.period_ns(topic)
     if not period_ns or span_ns <= most * period_ns:
         return ""
@@ -255,7 +255,7 @@ def _crowded(sources: SourceFacts, span_ns: int, most: int) -> str:
 
 def _windows(sources: SourceFacts, window_ns: int | None) -> list[int]:
     """Return the window of each topic: half its own period or half the leading topic's, whichever is longer."""
-    topics = sources.combination.sources
+    topics = sources.output.sources
     if window_ns is not None:
         return [window_ns] * len(topics)
     periods = [sources.period_ns(topic) or 2 * _HALF_PERIOD_NS for topic in topics]
@@ -265,7 +265,7 @@ def _windows(sources: SourceFacts, window_ns: int | None) -> list[int]:
 def _clocks(sources: SourceFacts, windows: Sequence[int] | None) -> list[str]:
     """Compare the clocks of the topics: return warnings if they may differ, and raise if they do."""
     warnings = []
-    lead, *others = sources.combination.sources
+    lead, *others = sources.output.sources
     for number, topic in enumerate(others, 1):
         delays = sources.delays(topic, lead)
         if delays is None:
@@ -293,7 +293,7 @@ def _clocks(sources: SourceFacts, windows: Sequence[int] | None) -> list[str]:
 
 def _of_scans(sources: SourceFacts, notes: list[str]) -> Measurements:
     """Return the measurements of a leading topic that has LaserScans, or no messages."""
-    params, topic = sources.combination.spec.params, sources.combination.sources[0]
+    params, topic = sources.output.spec.params, sources.output.sources[0]
     scan_time, step = params.scan_time, 0.0
     if scan_time == "auto":
         scan_time = (sources.period_ns(topic) or 0) / 1e9

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
 
     from pc2scan.core.rigid import Rigid
     from pc2scan.request.point_time import FieldTimes, Times
-    from pc2scan.request.turn import Turn
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.placing import Placer
 
@@ -192,10 +192,11 @@ class Track(NamedTuple):
         return MovingCloud(self.points, stamp_ns, transform, self.time_field, frame_id, motion)
 
 
+@dataclass(frozen=True, slots=True)
 class Deskew:
-    """Looks up the motion of the sensor within clouds. Two instances with equal parameters are equal.
+    """Looks up the motion of the sensor within clouds. Two instances that place points alike are equal.
 
-    Parameters
+    Attributes
     ----------
     placer
         The recording's transforms, with a buffer.
@@ -205,57 +206,22 @@ class Deskew:
         The source of the points' times.
     stamp
         One of `STAMPS`.
-    turns
-        How lidars turn, by topic, where this was measured.
     sample
-        Called with the topic, the points of each cloud and a function that returns the times of the points at some
-        places; None: nothing is.
-    topic
-        The topic of the clouds.
+        Called with the points of each cloud and a function that returns the times of the points at some places; None:
+        nothing is.
     """
 
-    __slots__ = ("_buffer", "_fixed", "_placer", "_point_time", "_sample", "_stamp", "_topic", "_turns")
+    placer: Placer
+    fixed_frame: str
+    point_time: PointTime
+    stamp: str = "header"
+    sample: Callable[[Points, Times], None] | None = field(default=None, compare=False)
 
-    def __init__(
-        self,
-        placer: Placer,
-        fixed_frame: str,
-        point_time: PointTime,
-        stamp: str = "header",
-        turns: Mapping[str, Turn] | None = None,
-        sample: Callable[[str, Points, Times], None] | None = None,
-        topic: str = "",
-    ) -> None:
-        if placer.buffer is None:
+    @property
+    def _buffer(self) -> TransformBuffer:
+        if self.placer.buffer is None:
             raise ValueError("deskewing needs transforms")
-        self._buffer = placer.buffer
-        self._placer = placer
-        self._fixed = fixed_frame
-        self._point_time = point_time
-        self._stamp = stamp
-        self._turns = turns or {}
-        self._sample = sample
-        self._topic = topic
-
-    def of(self, topic: str) -> Deskew:
-        """Return an instance for one topic, with the measured turn of its lidar."""
-        turn = self._turns.get(topic)
-        point_time = self._point_time if turn is None else PointTime(turn=turn)
-        return Deskew(self._placer, self._fixed, point_time, self._stamp, None, self._sample, topic)
-
-    def within(self, placer: Placer) -> Deskew:
-        """Return an instance with other frames."""
-        return Deskew(placer, self._fixed, self._point_time, self._stamp, self._turns)
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Deskew):
-            return NotImplemented
-        # Samples are for warnings alone: outputs that place points alike share the work.
-        names = ("_placer", "_fixed", "_point_time", "_stamp", "_turns")
-        return all(getattr(self, name) == getattr(other, name) for name in names)
-
-    def __hash__(self) -> int:
-        return hash((self._fixed, self._point_time, self._stamp))
+        return self.placer.buffer
 
     def __call__(self, points: Points) -> MovingCloud | None:
         """Look up the motion of a cloud's sensor; None for a cloud without a point.
@@ -270,13 +236,13 @@ class Deskew:
         track = self.track(points)
         if track is None:
             return None
-        tolerance_ns, reference_ns = self._placer.tolerance_ns, track.reference_ns
-        source = self._placer.source_frame or points.frame_id
-        target, from_fixed = self._placer.from_fixed(self._fixed, points.frame_id, reference_ns)
+        tolerance_ns, reference_ns = self.placer.tolerance_ns, track.reference_ns
+        source = self.placer.source_frame or points.frame_id
+        target, from_fixed = self.placer.from_fixed(self.fixed_frame, points.frame_id, reference_ns)
         reference: tuple[Rigid, ...] | int
         reference = {track.begin_ns: 0, track.end_ns: -1}.get(reference_ns, 1)
         if reference == 1 or math.isnan(track.rows[reference, 0]):
-            reference = from_fixed, self._buffer.lookup(self._fixed, source, reference_ns, tolerance_ns)
+            reference = from_fixed, self._buffer.lookup(self.fixed_frame, source, reference_ns, tolerance_ns)
         # The rows are not needed again.
         return track.seen_from(from_fixed, reference, target, reference_ns, track.rows)
 
@@ -292,10 +258,10 @@ class Deskew:
         TransformError
             If there is no transform at any of the points' times.
         """
-        turn, of_scan = self._point_time.turn, TIME in points.fields
+        turn, of_scan = self.point_time.turn, TIME in points.fields
         if turn is not None and not of_scan:
             points = points.replace({TIME: turn.times(points)}, points.frame_id)
-        known = self._point_time.read(points)
+        known = self.point_time.read(points)
         points, name, offset, unit, low, high, measured, unknown = known
         given = name == TIME
         if not measured:
@@ -314,26 +280,26 @@ class Deskew:
             "start": begin_ns,
             "middle": begin_ns + (end_ns - begin_ns) // 2,
             "end": end_ns,
-        }[self._stamp]
+        }[self.stamp]
         buffer = self._buffer
-        source = self._placer.source_frame or points.frame_id
+        source = self.placer.source_frame or points.frame_id
         measured_ns = begin_ns, end_ns
         # The pose at the scan's time is needed as well.
         if end_ns - begin_ns > 4 * _STEP_NS:
             begin_ns = reference_ns if 0 < begin_ns - reference_ns <= _STEP_NS else begin_ns
             end_ns = reference_ns if 0 < reference_ns - end_ns <= _STEP_NS else end_ns
         step_ns = max(_STEP_NS, (end_ns - begin_ns) // _MOST_NODES)
-        stamps_ns, rows, gap_ns = buffer.rows(self._fixed, source, begin_ns, end_ns, step_ns, _step_ns)
+        stamps_ns, rows, gap_ns = buffer.rows(self.fixed_frame, source, begin_ns, end_ns, step_ns, _step_ns)
         # Checked first, because there nearly always is a transform in the middle of the points' times.
         if math.isnan(rows[2 * int(stamps_ns.searchsorted(sum(measured_ns) // 2)), 0]):
             nodes = np.flatnonzero((stamps_ns >= measured_ns[0]) & (stamps_ns <= measured_ns[1]))
             if np.isnan(rows[2 * nodes[0] : 2 * nodes[-1] + 1]).all():
-                _raise_why(buffer, self._fixed, source, measured_ns[0], stamp_ns)
+                _raise_why(buffer, self.fixed_frame, source, measured_ns[0], stamp_ns)
         times = (stamps_ns - stamp_ns) / 1e9
         # A product and a quotient may differ in the last bit: without this, the first and the last points are outside.
         times[0], times[-1] = min(times[0], low), max(times[-1], high)
-        if self._sample is not None and not of_scan:
-            self._sample(self._topic, points, known.at)
+        if self.sample is not None and not of_scan:
+            self.sample(points, known.at)
         timed = points if given else points.replace(_LazyTimes(known), points.frame_id)
         all_timed = not unknown and bool(times[0] <= low and high <= times[-1])
         return Track(timed, reference_ns, name, offset, unit, times, rows, gap_ns, all_timed, begin_ns, end_ns)
@@ -344,7 +310,7 @@ class Deskew:
         if high - low > LONGEST:
             message = f"its points span {high - low:.6g} s by their field {name}, at most {LONGEST:g} s are possible"
             units = (other for other, size in TIME_UNITS.items() if size < unit and (high - low) / unit * size < _USUAL)
-            if name in {*TIME_FIELDS, self._point_time.field} and (fitting := next(units, "")):
+            if name in {*TIME_FIELDS, self.point_time.field} and (fitting := next(units, "")):
                 hint = f"name the unit of the times: `point_time={name}:{fitting}`"
         elif low < -LONGEST or high > LONGEST:
             message = f"its points are {low:.6g} to {high:.6g} s after its stamp by their field {name}"

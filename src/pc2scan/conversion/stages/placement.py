@@ -51,10 +51,11 @@ class PlacedCloud:
     whole: Points
 
 
+@dataclass(frozen=True, slots=True)
 class PlaceStage:
-    """Places clouds: looks up the frame and the transform of each. Instances with equal arguments are equal.
+    """Places clouds: looks up the frame and the transform of each. Instances with equal attributes are equal.
 
-    Parameters
+    Attributes
     ----------
     placer
         The recording's transforms.
@@ -62,15 +63,8 @@ class PlaceStage:
         Places points at their own times; None: all points of a cloud are placed at its stamp.
     """
 
-    __slots__ = ("deskew", "placer")
-
-    def __init__(self, placer: Placer, deskew: Deskew | None = None) -> None:
-        self.placer = placer
-        self.deskew = deskew
-
-    def of(self, topic: str) -> PlaceStage:
-        """Return the stage for the clouds of one topic."""
-        return self if self.deskew is None else PlaceStage(self.placer, self.deskew.of(topic))
+    placer: Placer
+    deskew: Deskew | None = None
 
     def __call__(self, points: Points) -> PlacedCloud:
         """Place a cloud.
@@ -88,11 +82,3 @@ class PlaceStage:
             return PlacedCloud(points, points.stamp_ns, place, None, place.target_from_source, _NOTHING, points)
         place = self.placer.place(points.frame_id, moving.stamp_ns)
         return PlacedCloud(moving.points, moving.stamp_ns, place, moving, moving.transform, _NOTHING, points)
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, PlaceStage):
-            return NotImplemented
-        return self.placer == other.placer and self.deskew == other.deskew
-
-    def __hash__(self) -> int:
-        return hash((self.placer.target_frame, self.placer.source_frame))

@@ -1,4 +1,4 @@
-"""The stage that removes the beams that beam filters find."""
+"""Removes the beams that beam filters find."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from pc2scan.request.beam_filters import BeamFilter
 
 
-class RemoveStage:
-    """Removes beams of scans: a removed beam has no return. Instances with equal filters are equal.
+def remove_beams(filters: Sequence[BeamFilter], empty_range: float, result: ConvertedMessage) -> ConvertedMessage:
+    """Remove beams of a scan: a removed beam has no return.
 
     Parameters
     ----------
@@ -26,44 +26,28 @@ class RemoveStage:
     empty_range
         The range of a beam without a return, metres.
     """
-
-    __slots__ = ("_empty", "_filters")
-
-    def __init__(self, filters: Sequence[BeamFilter], empty_range: float) -> None:
-        self._filters = tuple(filters)
-        self._empty = np.float32(empty_range)
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, RemoveStage):
-            return NotImplemented
-        return self._filters == other._filters and self._empty.tobytes() == other._empty.tobytes()
-
-    def __hash__(self) -> int:
-        return hash(self._filters)
-
-    def __call__(self, result: ConvertedMessage) -> ConvertedMessage:
-        """Remove beams of a scan."""
-        scan = result.message
-        seen = np.array(scan.ranges)
-        # Beams without a return may have a finite range, which filters must not take for a return.
-        seen[seen == self._empty] = np.inf
-        returns = np.isfinite(seen)
-        counts = dict(result.removed or {"returns": int(np.count_nonzero(returns))})
-        closed = abs(seen.size * float(scan.angle_increment) - TURN) < abs(float(scan.angle_increment)) / 2
-        for chosen in self._filters:
-            gone = chosen(seen, float(scan.angle_increment), closed=closed) & np.isfinite(seen)
-            counts[chosen.name] = counts.get(chosen.name, 0) + int(np.count_nonzero(gone))
-            seen[gone] = np.inf
-        removed = returns & ~np.isfinite(seen)
-        if removed.any():
-            ranges = np.where(removed, self._empty, scan.ranges)
-            lit = np.where(removed, np.float32(0), scan.intensities) if len(scan.intensities) else scan.intensities
-            result.message = dataclasses.replace(scan, ranges=ranges, intensities=lit)
-            result.empty = not np.isfinite(seen).any()
-            if result.used is not None:
-                kept = ~removed[result.used.beams]
-                result.used = dataclasses.replace(
-                    result.used, numbers=result.used.numbers[kept], beams=result.used.beams[kept]
-                )
-        result.removed = counts
-        return result
+    empty = np.float32(empty_range)
+    scan = result.message
+    seen = np.array(scan.ranges)
+    # Beams without a return may have a finite range, which filters must not take for a return.
+    seen[seen == empty] = np.inf
+    returns = np.isfinite(seen)
+    counts = dict(result.removed or {"returns": int(np.count_nonzero(returns))})
+    closed = abs(seen.size * float(scan.angle_increment) - TURN) < abs(float(scan.angle_increment)) / 2
+    for chosen in filters:
+        gone = chosen(seen, float(scan.angle_increment), closed=closed) & np.isfinite(seen)
+        counts[chosen.name] = counts.get(chosen.name, 0) + int(np.count_nonzero(gone))
+        seen[gone] = np.inf
+    removed = returns & ~np.isfinite(seen)
+    if removed.any():
+        ranges = np.where(removed, empty, scan.ranges)
+        lit = np.where(removed, np.float32(0), scan.intensities) if len(scan.intensities) else scan.intensities
+        result.message = dataclasses.replace(scan, ranges=ranges, intensities=lit)
+        result.empty = not np.isfinite(seen).any()
+        if result.used is not None:
+            kept = ~removed[result.used.beams]
+            result.used = dataclasses.replace(
+                result.used, numbers=result.used.numbers[kept], beams=result.used.beams[kept]
+            )
+    result.removed = counts
+    return result

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -13,8 +13,6 @@ from pc2scan.errors import UnconnectedError
 from pc2scan.request.filters import Frame
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from pc2scan.core.moving import MovingTransform
@@ -46,12 +44,13 @@ class _RemainingPoints:
         self.by_frame = {frame: points.select(kept) for frame, points in self.by_frame.items()}
 
 
+@dataclass(frozen=True, slots=True)
 class SelectStage:
     """Applies filters one after the other. Each sees the points that those before it have kept.
 
-    Instances with equal filters are equal.
+    Instances with equal attributes are equal.
 
-    Parameters
+    Attributes
     ----------
     filters
         The filters in order.
@@ -61,25 +60,18 @@ class SelectStage:
         Whether points get the field `NUMBER`.
     """
 
-    __slots__ = ("_filters", "_numbered", "_placer")
-
-    def __init__(self, filters: Sequence[Filter], placer: Placer, *, numbered: bool = False) -> None:
-        self._filters = tuple(filters)
-        self._placer = placer
-        self._numbered = numbered
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, SelectStage):
-            return NotImplemented
-        return (self._filters, self._placer, self._numbered) == (other._filters, other._placer, other._numbered)
+    filters: tuple[Filter, ...]
+    placer: Placer
+    numbered: bool = False
 
     def __hash__(self) -> int:
-        return hash(tuple(chosen.name for chosen in self._filters))
+        # Filters of users may have no hash.
+        return hash(tuple(chosen.name for chosen in self.filters))
 
     def __call__(self, placed: PlacedCloud) -> PlacedCloud:
         """Select points of a placed cloud; see `apply`."""
         points = placed.points
-        if self._numbered:
+        if self.numbered:
             shape = points.xyz()[0].shape
             points = points.replace({NUMBER: np.arange(math.prod(shape)).reshape(shape)}, points.frame_id)
         points, transform, rejected = self.apply(points, placed.place, placed.moving)
@@ -104,9 +96,9 @@ class SelectStage:
         TransformError
             If there is no transform to a filter's frame at the cloud's stamp.
         """
-        rejected = {chosen.name: 0 for chosen in self._filters}
+        rejected = {chosen.name: 0 for chosen in self.filters}
         seen = _RemainingPoints(points)
-        steps = [(chosen.frame, chosen) for chosen in self._filters]
+        steps = [(chosen.frame, chosen) for chosen in self.filters]
         if moving is not None:
             steps.sort(key=lambda step: step[0] is Frame.TARGET)
         else:
@@ -148,7 +140,7 @@ class SelectStage:
                 seen.keep(kept)
             return
         if isinstance(frame, str):
-            name, transform = frame, self._placer.transform(frame, points.frame_id, points.stamp_ns)
+            name, transform = frame, self.placer.transform(frame, points.frame_id, points.stamp_ns)
         else:
             name, transform, _ = place
         seen.by_frame[frame] = points if transform is None else points.transform(transform.as_float32(), name)
