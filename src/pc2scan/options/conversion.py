@@ -26,7 +26,6 @@ from .values import (
     ChannelNames,
     Duration,
     Filters,
-    Flag,
     Moment,
     Number,
     PathName,
@@ -44,12 +43,11 @@ class SourceTopics(TypedDict, total=False):
     topics: Annotated[
         Names | None,
         Option(
-            Texts("IN[:=OUT]"),
             "Cloud topic to convert, and the topic of its scans. Default: every topic with PointCloud2 or Livox's "
             "messages; the scans of a single topic are on /scan, of several on <topic>/scan.",
+            Texts("IN[:=OUT]"),
             typed="--topic",
             short="-t",
-            common=True,
             offers=("topics", "/PointCloud2", "/LaserScan"),
         ),
     ]
@@ -61,17 +59,15 @@ class TimeRange(TypedDict, total=False):
     start: Annotated[
         Time | None,
         Option(
-            Moment("TIME"),
             "Start time: seconds from the beginning, @seconds since 1970, or a date and time (ISO 8601). Messages that "
             "are latched then, and static transforms, are written at the start.",
-            common=True,
+            Moment("TIME"),
         ),
     ]
-    end: Annotated[Time | None, Option(Moment("TIME"), "End time (exclusive), written like `start`.", common=True)]
+    end: Annotated[Time | None, Option("End time (exclusive), written like `start`.", Moment("TIME"))]
     strict: Annotated[
         bool,
         Option(
-            Flag(),
             "End with an error at the first damage of a source, and at the first message that cannot be converted. "
             "Without this option, all that is readable is converted, the rest is counted and listed, and the exit "
             "status is 3.",
@@ -86,19 +82,17 @@ class StampCorrection(TypedDict, total=False):
     stamps: Annotated[
         Literal["header", "log"],
         Option(
-            Text(words=("header", "log")),
             "The stamps of converted messages: those of their headers, or their log times, for a lidar without a sound "
-            "clock. Kept clouds and the points' own times are corrected, too.",
-            default="header",
+            "clock. Kept clouds and the points' own times are corrected, too."
         ),
     ]
     time_offset: Annotated[
         Names | None,
         Option(
-            Texts("[TOPIC=]S|auto"),
             "Add this to the stamps of converted messages, for a lidar on its own clock: 3.2s, -37s. auto: measure it "
             "against the transforms, or the log times. Of one topic: /rear=0.12s; of the poses in a file: "
             "trajectory=0.5s.",
+            Texts("[TOPIC=]S|auto"),
         ),
     ]
 
@@ -109,9 +103,9 @@ class CloudUnit(TypedDict, total=False):
     cloud_scale: Annotated[
         float,
         Option(
-            Number(metavar="X"),
             "Multiply x, y and z of clouds by this, before everything else: 0.001 for clouds in millimetres, 0.01 for "
             "centimetres. Kept clouds are multiplied, too.",
+            Number(metavar="X"),
             default=1.0,
             default_text="1, which is metres",
         ),
@@ -128,60 +122,56 @@ class PointSelection(TypedDict, total=False):
     remove: Annotated[
         Names | None,
         Option(
-            Texts("BEAMS"),
             "Remove beams: shadows (returns between an edge and the surface behind it) or speckles. With parameters, "
             "the filter of laser_filters removes them: 'shadows min_angle=5 neighbors=10', 'speckles filter_window=3'.",
-            common=True,
+            Texts("BEAMS"),
         ),
     ]
     where: Annotated[
         Names | None,
         Option(
-            Texts("CONDITION"),
             "Use only points whose fields fulfil this condition: 'ring in (3, 4, 5) and intensity > 10'. Fields, "
             "numbers, < <= > >= == != in, and or not, + - * / %, abs(). Of several, all must be fulfilled.",
+            Texts("CONDITION"),
             makes="where:Where",
         ),
     ]
     exclude_box: Annotated[
         Names | None,
         Option(
-            Texts("BOX"),
             "Reject points in this box, such as the robot's own body: 'frame x0 x1 y0 y1 z0 z1' (m).",
-            common=True,
+            Texts("BOX"),
             makes="regions:ExcludeBox",
         ),
     ]
     exclude_polygon: Annotated[
         Names | None,
         Option(
-            Texts("POLYGON"),
             "Reject points in this polygon, at any height, such as the robot's footprint: "
             "'frame x0 y0 x1 y1 x2 y2 ...' (m).",
+            Texts("POLYGON"),
             makes="regions:ExcludePolygon",
         ),
     ]
     ground: Annotated[
         Literal["keep", "remove"],
         Option(
-            Text("keep|remove", words=("keep", "remove")),
             "remove: reject points on the ground, which is found in each cloud; it may slope by up to 15 degrees and "
             "have kerbs. Needs a frame of the robot whose z axis points up.",
-            default="keep",
             makes="ground:RemoveGround",
         ),
     ]
     min_height_slope: Annotated[
         float | None,
         Option(
-            Number(metavar="M/M"),
             "Reject points below `min_height` + this * range, a limit that rises with the range, for ramps and rough "
             "ground. 0.05 is about 3 degrees.",
+            Number(metavar="M/M"),
             makes="ground:MinHeightSlope",
         ),
     ]
     filters: Annotated[
-        Any, Option(Filters(), "Further filters of points, as objects.", panel=PYTHON, typed="", scope=SINGLE)
+        Any, Option("Further filters of points, as objects.", Filters(), panel=PYTHON, typed="", scope=SINGLE)
     ]
 
 
@@ -191,8 +181,8 @@ class TransformTopics(TypedDict, total=False):
     tf_topics: Annotated[
         Names | None,
         Option(
-            Texts("TOPIC"),
             "Topic of the transforms, if not /tf and /tf_static.",
+            Texts("TOPIC"),
             typed="--tf-topic",
             offers=("topics", "/TFMessage", "/tfMessage"),
         ),
@@ -205,11 +195,10 @@ class StaticTransforms(TypedDict, total=False):
     static_tf: Annotated[
         Transforms | None,
         Option(
-            TransformTexts("TRANSFORM"),
             "Add a transform: 'parent child x y z qx qy qz qw' or 'parent child x y z roll pitch yaw' (m, rad; or "
             "20cm, 90deg); or the YAML file with a list of such transforms, *.yaml. Replaces the recording's transform "
             "to this child.",
-            common=True,
+            TransformTexts("TRANSFORM"),
         ),
     ]
 
@@ -220,34 +209,32 @@ class TransformInputs(TransformTopics, total=False):
     odom_topic: Annotated[
         Names | None,
         Option(
-            Texts("TOPIC[:FRAME]"),
             "Use the poses of this topic as transforms: nav_msgs/Odometry, TransformStamped, PoseStamped or "
             "PoseWithCovarianceStamped. FRAME has the poses, if the messages do not name it or name a wrong one: "
             "/pose:base_link, or with both frames /pose:map:base_link.",
-            common=True,
+            Texts("TOPIC[:FRAME]"),
             offers=("topics", "/Odometry", "/TransformStamped", "/PoseStamped", "/PoseWithCovarianceStamped"),
         ),
     ]
     trajectory: Annotated[
         Path | None,
         Option(
-            PathName(),
             "Use the poses of this file as transforms: TUM (stamp x y z qx qy qz qw). Needs `trajectory_frames`.",
+            PathName(),
         ),
     ]
     trajectory_frames: Annotated[
         str,
         Option(
-            Text("PARENT:CHILD"),
             "The frames of `trajectory`: the poses are those of CHILD in PARENT (odom:base_link, map:velodyne).",
-            default="",
+            Text("PARENT:CHILD"),
         ),
     ]
     urdf: Annotated[
         Path | None,
         Option(
-            PathName(),
             "The robot's model, whose fixed joints are static transforms; those of the recording have precedence.",
+            PathName(),
             default_text="the recording's /robot_description",
         ),
     ]
@@ -256,20 +243,14 @@ class TransformInputs(TransformTopics, total=False):
 class TransformSources(TransformInputs, total=False):
     """Where transforms come from."""
 
-    tf_from: Annotated[Paths | None, Option(Recordings(), "Read the transforms of this recording too.")]
+    tf_from: Annotated[Paths | None, Option("Read the transforms of this recording too.", Recordings())]
 
 
 class SourceFrame(TypedDict, total=False):
     """The frame of messages."""
 
     source_frame: Annotated[
-        str,
-        Option(
-            Text("FRAME"),
-            "Frame of the messages to convert, if their frame_id is wrong or empty.",
-            default="",
-            offers=("frames",),
-        ),
+        str, Option("Frame of the messages to convert, if their frame_id is wrong or empty.", Text("FRAME"))
     ]
 
 
@@ -283,58 +264,46 @@ class RobotMotion(TypedDict, total=False):
     deskew: Annotated[
         bool,
         Option(
-            Flag(),
             "Transform each point of a cloud with the pose at its own time, through `fixed_frame`. With `reverse`, "
-            "each beam of a scan; that needs a `target_frame` such as odom.",
-            common=True,
+            "each beam of a scan; that needs a `target_frame` such as odom."
         ),
     ]
     fixed_frame: Annotated[
         str,
         Option(
-            Text("FRAME"),
             "A frame that does not move, such as odom; the robot's motion in it is corrected. For `level`, its z axis "
             "points up.",
-            default="",
-            common=True,
-            offers=("frames",),
+            Text("FRAME"),
         ),
     ]
     point_time: Annotated[
         str,
         Option(
-            Text("FIELD[:UNIT]"),
             "Field with the points' times, relative to the stamp or absolute; unit: s, ms, us, ns. For clouds without "
             "such a field: azimuth, which measures how the lidar turns; or azimuth:0.1 with the time of a turn (s), "
             "then :cw or :ccw, and :start or :end if the stamp is that of the turn's start or end.",
-            default="",
+            Text("FIELD[:UNIT]"),
             default_text="t, time, timestamp, time_stamp or offset_time",
         ),
     ]
     stamp: Annotated[
         Literal["header", "start", "middle", "end"],
-        Option(
-            Text(words=("header", "start", "middle", "end")),
-            "The time of a deskewed scan: the cloud's stamp, or the start, middle or end of its points' times.",
-            default="header",
-        ),
+        Option("The time of a deskewed scan: the cloud's stamp, or the start, middle or end of its points' times."),
     ]
     level: Annotated[
         bool,
         Option(
-            Flag(),
             "Make scans in a frame without the roll and pitch of the target frame, which come from `fixed_frame` or "
             "`imu`. This frame has the target frame's name with _stabilized appended; its transforms are written to "
-            "/tf.",
+            "/tf."
         ),
     ]
     imu: Annotated[
         str,
         Option(
-            Text("TOPIC[:FRAME]"),
             "sensor_msgs/Imu topic from which `level` takes roll and pitch; and the IMU's frame, if its frame_id is "
             "wrong or empty.",
-            default="",
+            Text("TOPIC[:FRAME]"),
             offers=("topics", "/Imu"),
         ),
     ]
@@ -346,23 +315,23 @@ class CloudCombination(TypedDict, total=False):
     window: Annotated[
         Period | None,
         Option(
-            Duration("S"),
             "How far the stamps of the other topics may be from those of the first one.",
+            Duration("S"),
             default_text="half the median period",
         ),
     ]
     accumulate: Annotated[
         Period | None,
         Option(
-            Duration("S|Nclouds"),
             "Make each scan of all points of the last S seconds (1, 500ms), or of the last N clouds (10clouds).",
+            Duration("S|Nclouds"),
         ),
     ]
     every: Annotated[
-        Period | None, Option(Duration("S"), "Make one scan every S seconds, instead of one for each cloud.")
+        Period | None, Option("Make one scan every S seconds, instead of one for each cloud.", Duration("S"))
     ]
     rebin: Annotated[
-        bool, Option(Flag(), "Convert LaserScan to LaserScan: with other beams, in another frame, or several into one.")
+        bool, Option("Convert LaserScan to LaserScan: with other beams, in another frame, or several into one.")
     ]
 
 
@@ -372,9 +341,7 @@ class EchoChoice(TypedDict, total=False):
     echo: Annotated[
         Literal["first", "last", "strongest"],
         Option(
-            Text(words=("first", "last", "strongest")),
-            "Which echo of each beam of a MultiEchoLaserScan is used; strongest: the one with the highest intensity.",
-            default="first",
+            "Which echo of each beam of a MultiEchoLaserScan is used; strongest: the one with the highest intensity."
         ),
     ]
 
@@ -382,7 +349,7 @@ class EchoChoice(TypedDict, total=False):
 class Reversal(TypedDict, total=False):
     """Whether scans are converted to clouds."""
 
-    reverse: Annotated[bool, Option(Flag(), "Convert LaserScan to PointCloud2, as laserscan_to_pointcloud does.")]
+    reverse: Annotated[bool, Option("Convert LaserScan to PointCloud2, as laserscan_to_pointcloud does.")]
 
 
 class CloudContent(Reversal, total=False):
@@ -391,8 +358,8 @@ class CloudContent(Reversal, total=False):
     channels: Annotated[
         Channels | None,
         Option(
-            ChannelNames("NAME", words=("distances", "stamps", "viewpoint")),
             "Add these fields to the cloud: distances, stamps, viewpoint.",
+            ChannelNames("NAME", words=("distances", "stamps", "viewpoint")),
             typed="--channel",
         ),
     ]
@@ -404,40 +371,34 @@ class OtherTopics(TypedDict, total=False):
     keep: Annotated[
         Names | None,
         Option(
-            Texts("TOPIC"),
             "Of the topics that are not converted, copy only these (names or globs).",
-            common=True,
+            Texts("TOPIC"),
             offers=("topics",),
         ),
     ]
     drop: Annotated[
-        Names | None, Option(Texts("TOPIC"), "Do not write these topics (names or globs).", offers=("topics",))
+        Names | None, Option("Do not write these topics (names or globs).", Texts("TOPIC"), offers=("topics",))
     ]
-    keep_clouds: Annotated[bool, Option(Flag(), "Write the converted clouds too.")]
+    keep_clouds: Annotated[bool, Option("Write the converted clouds too.")]
     clouds_as: Annotated[
         Literal["recorded", "pointcloud2"],
         Option(
-            Text(words=("recorded", "pointcloud2")),
             "pointcloud2: make no scans, and write the clouds of all types as PointCloud2, Livox's with the fields of "
-            "its driver (x y z intensity tag line timestamp). With `keep_clouds`: scans, too.",
-            default="recorded",
+            "its driver (x y z intensity tag line timestamp). With `keep_clouds`: scans, too."
         ),
     ]
-    only_scans: Annotated[bool, Option(Flag(), "Write only the scans.")]
+    only_scans: Annotated[bool, Option("Write only the scans.")]
     keep_used: Annotated[
         str,
         Option(
-            Text("TOPIC"),
             "Also write the points that give the scan its ranges, to this topic: PointCloud2 with all their fields and "
             "the beam's number.",
+            Text("TOPIC"),
             panel=POINTS,
-            default="",
             scope=ONE_OUTPUT,
         ),
     ]
-    write_static_tf: Annotated[
-        bool, Option(Flag(), "Write the added static transforms to DST's /tf_static.", panel=FRAMES)
-    ]
+    write_static_tf: Annotated[bool, Option("Write the added static transforms to DST's /tf_static.", panel=FRAMES)]
 
 
 class FailureConditions(TypedDict, total=False):
@@ -446,17 +407,15 @@ class FailureConditions(TypedDict, total=False):
     fail_on: Annotated[
         Literal["", "empty", "warning"],
         Option(
-            Text(words=("empty", "warning")),
             "Fail and write nothing. empty: if a scan has no return; warning: if there is any warning, skipped message "
-            "or damage.",
-            default="",
+            "or damage."
         ),
     ]
     min_used: Annotated[
         Quantity,
         Option(
-            Share(metavar="SHARE"),
             "Fail and write nothing if less than this share of a topic's points is used in its scans: 0.05 or 5%.",
+            Share(metavar="SHARE"),
             default=0.0,
         ),
     ]

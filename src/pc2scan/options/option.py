@@ -7,9 +7,9 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from datetime import datetime, timedelta
 from os import PathLike
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args, get_origin
 
-from .values import Flag, Value, in_words
+from .values import Flag, Text, Value, in_words
 
 if TYPE_CHECKING:
     import numpy as np
@@ -75,6 +75,15 @@ PYTHON = "Python"
 ONE_OUTPUT, SINGLE, CONVERSION, CALL_ONLY = "output", "single", "conversion", "call"
 
 
+#: The options that ``--help`` has of a command with many.
+_MAIN = {
+    *("topics", "start", "end", "keep", "params_file", "target_frame", "min_height", "max_height", "angle_min"),
+    *("angle_max", "range_min", "range_max", "preset", "reduce", "remove", "exclude_box", "static_tf", "odom_topic"),
+    *("deskew", "fixed_frame", "overwrite", "dry_run", "jobs", "report", "as_json", "format", "pose_frame"),
+    *("base_frame", "odom_frame", "resolution", "clouds", "at", "dataset", "dask", "again"),
+}
+
+
 class Option:
     """An option: what its values mean, and how it is shown and typed.
 
@@ -83,16 +92,14 @@ class Option:
     name
         Its name in Python and in files.
     value
-        The type of its values.
+        The type of its values; None: true or false, or one of the words of its type in Python.
     help
         One or two sentences, without the default.
     default
-        The value of a call that does not have it. Usually False for a flag, and nothing for what may be given several
-        times.
+        The value of a call that does not have it. Usually False for a flag, the first of a few words, and nothing for
+        what may be given several times.
     panel
         The section of the help. Usually that of its group in `_SECTIONS`, like ``scope``.
-    common
-        Whether ``--help`` has it; ``--help-all`` has all.
     scope
         Where it may stand.
     spelling, short
@@ -108,42 +115,52 @@ class Option:
     """
 
     __slots__ = (
-        *("_default_text", "command_only", "common", "default", "help", "makes", "name", "offers", "panel", "scope"),
+        *("_default_text", "_is_open", "command_only", "default", "help", "makes", "name", "offers", "panel", "scope"),
         *("short", "spelling", "value"),
     )
 
     def __init__(
         self,
-        value: Value,
         text: str,
+        value: Value | None = None,
         *,
         panel: str | None = None,
         default: Any = None,
         default_text: str | None = None,
-        common: bool = False,
         scope: str | None = None,
-        typed: str | None = None,
+        typed: str = "--",
         short: str = "",
         offers: tuple[str, ...] = (),
         command_only: bool = False,
         makes: str = "",
     ) -> None:
-        self.name = ""
-        self.value = value
-        self.help = text
-        self.panel = panel
-        if default is None and value.repeats:
-            default = ()
-        self.default = False if default is None and isinstance(value, Flag) else default
-        self._default_text = default_text
-        self.common = common
-        self.scope = scope
-        # The table completes it by the name.
-        self.spelling = "--" if typed is None else typed
-        self.short = short
-        self.offers = offers
-        self.command_only = command_only
-        self.makes = makes
+        self.name, self.help = "", text
+        self.value: Value = value or Flag()
+        self._is_open = value is None
+        self.panel, self.scope, self.default, self._default_text = panel, scope, default, default_text
+        self.spelling, self.short, self.offers = typed, short, offers
+        self.command_only, self.makes = command_only, makes
+
+    def complete(self, name: str, kind: Any, panel: str, scope: str) -> None:
+        """Set what follows from its place in the table: the name, the type in Python, and what the group has."""
+        self.name = name
+        self.spelling += name.replace("_", "-") if self.spelling == "--" else ""
+        self.panel = panel if self.panel is None else self.panel
+        self.scope = scope if self.scope is None else self.scope
+        words = get_args(kind) if get_origin(kind) is Literal else ()
+        if self._is_open and words:
+            self.value = Text(words=filter(None, words))
+        if self.value.metavar == "FRAME":
+            self.offers = ("frames",)
+        if self.default is None:
+            # A flag is off, a text is empty, and a word is the first one.
+            usual = {bool: False, str: ""}.get(kind, words[0] if words else None)
+            self.default = () if self.value.repeats else usual
+
+    @property
+    def common(self) -> bool:
+        """Whether ``--help`` has it; ``--help-all`` has all."""
+        return self.name in _MAIN
 
     @property
     def default_text(self) -> str:

@@ -6,7 +6,7 @@ No ``from __future__ import annotations`` here: see `pc2scan.options.table`.
 from typing import Annotated, Literal, TypedDict, get_args
 
 from .option import Compression, Option, Path, Progress, Storage
-from .values import Count, Flag, Function, OpenText, PathName, Text
+from .values import Count, Function, OpenText, PathName, Text
 
 #: The largest number of threads, or of processes of a batch. More than any machine has cores would only take memory.
 MAX_JOBS = 1024
@@ -18,40 +18,38 @@ class Container(TypedDict, total=False):
     to: Annotated[
         Literal["bag", "mcap", "rosbag2"] | None,
         Option(
-            OpenText(words=("bag", "mcap", "rosbag2")),
             "Format of DST, if its name does not say it.",
+            OpenText(words=("bag", "mcap", "rosbag2")),
             default_text="SRC's",
         ),
     ]
     storage: Annotated[
-        Storage | None, Option(Text(words=get_args(Storage)), "Storage of a rosbag2 directory.", default_text="mcap")
+        Storage | None, Option("Storage of a rosbag2 directory.", Text(words=get_args(Storage)), default_text="mcap")
     ]
     compression: Annotated[
         Compression | None,
         Option(
-            Text(words=get_args(Compression)),
             "Bags: lz4 (default), none, bz2. MCAP: zstd (default), none, lz4. sqlite3: none (default), zstd. Without "
             "this option, chunks that are copied whole keep their compression.",
+            Text(words=get_args(Compression)),
         ),
     ]
     profile: Annotated[
         Literal["ros1", "ros2"] | None,
-        Option(Text(words=("ros1", "ros2")), "ROS version of an .mcap file.", default_text="the source's"),
+        Option("ROS version of an .mcap file.", Text(words=("ros1", "ros2")), default_text="the source's"),
     ]
 
 
 class Replacement(TypedDict, total=False):
     """Whether a recording is replaced."""
 
-    overwrite: Annotated[bool, Option(Flag(), "Replace DST, and the file of `report`, if they exist.", common=True)]
+    overwrite: Annotated[bool, Option("Replace DST, and the file of `report`, if they exist.")]
 
 
 class DryRun(TypedDict, total=False):
     """Whether anything is written."""
 
-    dry_run: Annotated[
-        bool, Option(Flag(), "Write nothing; show what would be read and written.", short="-n", common=True)
-    ]
+    dry_run: Annotated[bool, Option("Write nothing; show what would be read and written.", short="-n")]
 
 
 class Scratch(TypedDict, total=False):
@@ -60,8 +58,8 @@ class Scratch(TypedDict, total=False):
     scratch: Annotated[
         Path | None,
         Option(
-            PathName("DIR"),
             "Folder for local copies of files at URLs.",
+            PathName("DIR"),
             default_text="the system's folder for temporary files",
         ),
     ]
@@ -71,8 +69,7 @@ class RunReport(TypedDict, total=False):
     """The report of a run."""
 
     report: Annotated[
-        Path | None,
-        Option(PathName(), "Write a report as JSON. An older report is replaced, any other file is not.", common=True),
+        Path | None, Option("Write a report as JSON. An older report is replaced, any other file is not.", PathName())
     ]
 
 
@@ -82,12 +79,11 @@ class ThreadCount(TypedDict, total=False):
     jobs: Annotated[
         int,
         Option(
-            Count(0, MAX_JOBS),
             f"Number of threads, up to {MAX_JOBS:,}; the output does not depend on it.",
+            Count(0, MAX_JOBS),
             default=0,
             default_text="number of cores",
             short="-j",
-            common=True,
         ),
     ]
 
@@ -98,9 +94,9 @@ class RunProgress(TypedDict, total=False):
     progress: Annotated[
         Progress | None,
         Option(
-            Function(),
             "A function that is called from time to time with bytes read, bytes in total, and messages read "
             "(0 while transforms are read ahead).",
+            Function(),
             typed="",
         ),
     ]
@@ -109,13 +105,13 @@ class RunProgress(TypedDict, total=False):
 class ScreenOutput(TypedDict, total=False):
     """What a run shows on the screen; only commands have it."""
 
-    quiet: Annotated[bool, Option(Flag(), "Show warnings and errors only.", short="-q", command_only=True)]
+    quiet: Annotated[bool, Option("Show warnings and errors only.", short="-q", command_only=True)]
     verbose: Annotated[
-        bool, Option(Flag(), "Show every parameter and where its value comes from.", short="-v", command_only=True)
+        bool, Option("Show every parameter and where its value comes from.", short="-v", command_only=True)
     ]
 
 
 class JsonOutput(TypedDict, total=False):
     """Results as JSON; only commands have it."""
 
-    as_json: Annotated[bool, Option(Flag(), "Print JSON.", typed="--json", common=True, command_only=True)]
+    as_json: Annotated[bool, Option("Print JSON.", typed="--json", command_only=True)]

@@ -241,13 +241,9 @@ for _group in (*_SECTIONS, *(group for groups in GROUPS.values() for group in gr
     for _name, _annotation in _group.__annotations__.items():
         _option = _annotation.__metadata__[0]
         if not _option.name:
-            _panel, _scope = _SECTIONS.get(_group, ("", CALL_ONLY))
-            _option.name = _name
-            _option.spelling += _name.replace("_", "-") if _option.spelling == "--" else ""
-            _option.panel = _panel if _option.panel is None else _option.panel
-            _option.scope = _scope if _option.scope is None else _option.scope
             if isinstance(_option, Parameter):
                 _option.default = ProjectionParams.__dataclass_fields__[_name].default
+            _option.complete(_name, _annotation.__origin__, *_SECTIONS.get(_group, ("", CALL_ONLY)))
 
 
 def options_of(command: str) -> Mapping[str, Option]:
