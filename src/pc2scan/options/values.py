@@ -40,6 +40,8 @@ class Value:
         What stands for a value in the command's help.
     kind
         The type of a parameter of the projection: ``float``, ``bool``, ``int`` or ``str``.
+    usual
+        What most values are, for errors.
     unit
         ``m``, ``rad``, ``s`` or empty.
     words
@@ -54,6 +56,7 @@ class Value:
 
     metavar: str | None = None
     kind = "str"
+    usual = "text"
     unit = ""
     words: tuple[str, ...] = ()
     is_text = False
@@ -67,8 +70,10 @@ class Value:
 
     @property
     def expected(self) -> str:
-        """What a file must have, for errors."""
-        return f"one of {', '.join(self.words)}" if self.words else "text"
+        """What must be given, for errors."""
+        if self.words and self.kind == "str":
+            return f"one of {', '.join(self.words)}"
+        return " or ".join((self.usual, *self.words))
 
     def read(self, name: str, value: Any) -> Any:
         """Read a value from Python or as it was typed; errors name the option.
@@ -90,16 +95,12 @@ class Value:
         """Return whether a value of a file is a path, which is relative to this file."""
         return False
 
-    def admits(self, value: object) -> bool:
-        """Return whether a value of a YAML or JSON file has the right type."""
-        return isinstance(value, str) and (value in self.words or not self.words)
-
 
 class Flag(Value):
     """True or false."""
 
     kind = "bool"
-    expected = "true or false"
+    usual = "true or false"
 
     def read(self, name: str, value: Any) -> bool:
         """Return the value; text is refused, so that ``overwrite="no"`` replaces nothing."""
@@ -110,10 +111,6 @@ class Flag(Value):
     def accept(self, value: object) -> bool | None:
         """Return the value if it is true or false."""
         return value if isinstance(value, bool) else None
-
-    def admits(self, value: object) -> bool:
-        """Return whether it is true or false."""
-        return isinstance(value, bool)
 
 
 class Text(Value):
@@ -152,10 +149,6 @@ class Reduction(Text):
         """Return the text if it is allowed."""
         return value if isinstance(value, str) and kth_of(value) else super().accept(value)
 
-    def admits(self, value: object) -> bool:
-        """Return whether it is allowed."""
-        return self.accept(value) is not None
-
 
 class OpenText(Text):
     """A text: usually one of a few words."""
@@ -174,7 +167,7 @@ class Switch(Text):
 class Texts(Value):
     """One text, or several."""
 
-    expected = "text, or a list of texts"
+    usual = "text, or a list of texts"
     is_text = True
     repeats = True
     note = "One or several."
@@ -226,7 +219,7 @@ class PathName(Value):
     """
 
     metavar = "FILE"
-    expected = "a path"
+    usual = "a path"
     is_text = True
     is_recording = False
 
@@ -238,10 +231,6 @@ class PathName(Value):
         """Return that it is one."""
         return True
 
-    def admits(self, value: object) -> bool:
-        """Return whether it is a text that is not empty."""
-        return isinstance(value, str) and bool(value)
-
 
 class Recording(PathName):
     """The path of a recording."""
@@ -252,7 +241,7 @@ class Recording(PathName):
 class Recordings(Recording):
     """The paths of one recording, or of several."""
 
-    expected = "a path or a list of paths"
+    usual = "a path or a list of paths"
     repeats = True
     note = "One or several."
 
@@ -275,7 +264,7 @@ class Count(Value):
     """A whole number from ``low`` to ``high``; for a parameter of the projection, also a word."""
 
     kind = "int"
-    expected = "a whole number"
+    usual = "a whole number"
 
     def __init__(self, low: int = 0, high: int | None = None, *, metavar: str = "N", words: Iterable[str] = ()) -> None:
         super().__init__("|".join((metavar, *words)), words)
@@ -300,16 +289,12 @@ class Count(Value):
             return value
         return None
 
-    def admits(self, value: object) -> bool:
-        """Return whether it is a whole number, or one of the words."""
-        return self.accept(value) is not None
-
 
 class Number(Value):
     """A number, which may have a unit: ``50cm``, ``90deg``, ``100ms``, ``48us``."""
 
     kind = "float"
-    expected = "a number"
+    usual = "a number"
 
     def __init__(self, unit: str = "", *, metavar: str | None = None, words: Iterable[str] = ()) -> None:
         super().__init__("|".join((unit.upper() if metavar is None else metavar, *words)), words)
@@ -342,10 +327,6 @@ class Number(Value):
             return float(value) if _is_number(value) else None  # type: ignore[arg-type]
         return None
 
-    def admits(self, value: object) -> bool:
-        """Return whether it is a number, a quantity as text, or one of the words."""
-        return _is_number(value) or (isinstance(value, str) and (bool(self.unit) or value in self.words))
-
 
 class Share(Number):
     """A share, 0 to 1, or in percent: ``0.05`` or ``5%``."""
@@ -359,24 +340,16 @@ class Share(Number):
         except ValueError as err:
             raise UsageError(f"`{name}`: {value!r} is not a share", hint="write 0.05 or 5%") from err
 
-    def admits(self, value: object) -> bool:
-        """Return whether it is a number or percent."""
-        return _is_number(value) or (isinstance(value, str) and value.endswith("%"))
-
 
 class Duration(Value):
     """A time: seconds, text such as ``500ms``, or a `datetime.timedelta`. `nanoseconds_of` reads it."""
 
-    expected = "a number of seconds, or text such as 500ms"
+    usual = "a number of seconds, or text such as 500ms"
     note = "Also a timedelta."
 
     def read(self, name: str, value: Any) -> Any:  # noqa: ARG002
         """Return the value as it is: `pc2scan.request.options.Combining` reads it."""
         return value
-
-    def admits(self, value: object) -> bool:
-        """Return whether it is a number or text."""
-        return isinstance(value, str) or _is_number(value)
 
 
 def nanoseconds_of(name: str, value: Any, more: str = "") -> int:
@@ -398,7 +371,7 @@ def nanoseconds_of(name: str, value: Any, more: str = "") -> int:
 class Moment(Value):
     """A time in a recording; see `pc2scan.options.moment.TimeBound`."""
 
-    expected = "a number or a text"
+    usual = "a number or a text"
     note = "Also a datetime with a time zone, a numpy.datetime64 (UTC), or a timedelta from the beginning."
 
     def read(self, name: str, value: Any) -> Any:
@@ -408,10 +381,6 @@ class Moment(Value):
         except UsageError as err:
             err.message = f"`{name}`: {err.message}"
             raise
-
-    def admits(self, value: object) -> bool:
-        """Return whether it is a number or text."""
-        return isinstance(value, str) or _is_number(value)
 
 
 class Moments(Moment):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.errors import ParameterError, UsageError
 from pc2scan.files.urls import is_url, local_path
+from pc2scan.options.table import PARAMETERS
 from pc2scan.text import did_you_mean
 
 from .parameters import value_text
@@ -51,9 +52,15 @@ class Entry(NamedTuple):
         """
         entries = self.value if isinstance(self.value, list) and kind.repeats else [self]
         values = [entry.text if kind.is_text and entry.text is not None else entry.value for entry in entries]
-        if not values or not all(map(kind.admits, values)):
-            hint = did_you_mean(self.value, kind.words) if isinstance(self.value, str) else ""
-            raise UsageError(f"{self.place}: {key} must be {kind.expected}, got {self.shown}", hint=hint or None)
+        try:
+            if not values or any(value is None or isinstance(value, dict | list) for value in values):
+                raise TypeError
+            # Those of the projection are checked where all their sources are compared.
+            if key not in PARAMETERS:
+                kind.read(key, values if kind.repeats else values[0])
+        except (TypeError, UsageError) as err:
+            message = f"{self.place}: {key} must be {kind.expected}, got {self.shown}"
+            raise UsageError(message, hint=err.hint if isinstance(err, UsageError) else None) from err
         for number, value in enumerate(values):
             if isinstance(value, str) and kind.is_path(value) and not is_url(value := local_path(value)):
                 values[number] = str(folder / Path(value).expanduser())

@@ -133,22 +133,10 @@ def unknown_parameter(name: str, origin: str, direction: Direction | None) -> Pa
     return ParameterError(message, name=name, hint=hint)
 
 
-_EXPECTED = {"float": "a number", "bool": "true or false", "int": "a whole number", "str": "text"}
-
-
 def expected_message(name: str, found: str, origin: str) -> str:
     """Return the message that a value is not of the parameter's kind."""
-    return f"{name}: expected {expected(name)}, got {found} (from {origin})"
-
-
-def expected(name: str) -> str:
-    """Return the kind of a parameter's values in words."""
     parameter = PARAMETERS.get(ALIASES.get(name, name))
-    if parameter is None:
-        return "a value"
-    value = parameter.value
-    kind = "" if value.words and value.kind == "str" else _EXPECTED[value.kind]
-    return " or ".join(filter(None, (kind, ", ".join(value.words))))
+    return f"{name}: expected {parameter.value.expected if parameter else 'a value'}, got {found} (from {origin})"
 
 
 def value_text(value: object) -> str:
