@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import DamageError, Pc2ScanError, UsageError
 from pc2scan.options.keywords import meant_by
 from pc2scan.options.table import GROUPS, instead_of, options_of
-from pc2scan.options.values import Flag
 from pc2scan.result import Failure
 from pc2scan.text import did_you_mean, shell_word
 
@@ -27,18 +26,6 @@ VERDICTS = frozenset({"check", "diff", "golden"})
 
 #: Commands that have written their output when they begin to print.
 _WRITING = frozenset({"batch", "convert", "export", "map", "repair", "view"})
-
-#: How many words a command has at least that names a source and a destination.
-_SRC_DST = 3
-
-#: Options that are typed as if they were commands.
-_FLAGS = ("help", "version")
-
-#: What a command takes instead of recordings.
-_PLACES = {"golden": "DIR"}
-
-#: How similar an option must be to what was typed to be suggested, from 0 to 1.
-_ALIKE = 0.6
 
 
 def show_failure(err: Pc2ScanError, words: Sequence[str]) -> int:
@@ -100,7 +87,7 @@ def in_our_words(text: str, typed: Sequence[str]) -> UsageError:
     if not command and not typed[0].startswith("-"):
         return _no_command(typed)
     if text.startswith("Got unexpected extra argument"):
-        hint = _meant_as_output(typed) or _meant_as_option(typed) or hint
+        hint = _meant_as_output(typed) or hint
     text = re.sub(r"^Option '(\S+)' ", r"\1 ", text.rstrip("."))
     return UsageError(text[:1].lower() + text[1:], hint=hint)
 
@@ -111,7 +98,7 @@ def _no_command(typed: Sequence[str]) -> UsageError:
     hint = did_you_mean(name, COMMANDS) or "pc2scan --help shows what it takes"
     if os.path.lexists(name):
         hint = f"the command comes first: pc2scan info {shell_word(name)}"
-    elif name in _FLAGS:
+    elif name in {"help", "version"}:
         hint = " ".join(("pc2scan", *(word for word in typed[1:2] if word in COMMANDS), f"--{name}"))
     return UsageError(f"no such command {name!r}", hint=hint)
 
@@ -125,7 +112,7 @@ def _mistyped(err: Pc2ScanError, words: Sequence[str]) -> str:
             return f"an option such as {before} takes no value: {before.replace('--', '--no-', 1) if off else before}"
         if any(sign in name for sign in "*?[") and len(words) > 1:
             return "the shell replaces * only without quotes; pc2scan batch converts each of several recordings"
-        if hint := _meant_as_option(words, name) or (name == words[-1] and _meant_as_output(words)):
+        if name == words[-1] and (hint := _meant_as_output(words)):
             return hint
     if err.message.endswith(" is missing") and (hint := _meant_as_output(words)):
         return hint
@@ -140,33 +127,11 @@ def _mistyped(err: Pc2ScanError, words: Sequence[str]) -> str:
 def _meant_as_output(words: Sequence[str]) -> str:
     """Return what to type, if the last word is probably the destination, as with ``cp``; else nothing."""
     command, last = words[0], words[-1]
-    if command not in {*_WRITING, "plot"} or len(words) < _SRC_DST or {"-o", "--output"} & set(words):
+    if command not in {*_WRITING, "plot"} or len(words) < 3 or {"-o", "--output"} & set(words):
         return ""
     # The word before is a source, no option that has a value.
     is_new = os.path.lexists(words[-2]) and not os.path.lexists(last)
     return f"did you mean -o {shell_word(last)}?" if is_new else ""
-
-
-def _meant_as_option(words: Sequence[str], missing: str = "") -> str:
-    """Return what to type, if an option was typed without its dashes, as in ``golden init drive.bag``; else nothing.
-
-    ``missing`` is the word that was taken for a path, if it is known.
-    """
-    options = options_of(words[0]).values() if words[0] in COMMANDS else ()
-    known = {option.spelling: option for option in options if option.spelling}
-    for at, word in enumerate(words[1:], 1):
-        option = known.get(f"--{word.replace('_', '-')}")
-        if option is None or missing not in {"", word} or os.path.lexists(word):
-            continue
-        end = at + 1 if isinstance(option.value, Flag) else at + 2
-        if end > len(words) and _meant_as_output(words):
-            continue
-        value = " ".join(map(shell_word, words[at + 1 : end])) or option.value.metavar or "|".join(option.value.words)
-        others = [*words[1:at], *words[end:]]
-        place = [] if any(not other.startswith("-") for other in others) else [_PLACES.get(words[0], "SRC")]
-        before = " ".join(map(shell_word, ["pc2scan", words[0], *place, *others, option.spelling]))
-        return f"did you mean {before}{' ' if value else ''}{value}?"
-    return ""
 
 
 def _is_transform(words: Sequence[str]) -> bool:
@@ -190,4 +155,4 @@ def _near_options(command: str, typed: str) -> list[str]:
     """Return the options similar to the typed one; if one differs only in its underscores, only that one."""
     plain = typed.strip("-").replace("_", "-").lower()
     options = [option.spelling.strip("-") for option in options_of(command).values()] if command else []
-    return [f"--{near}" for near in ([plain] if plain in options else get_close_matches(plain, options, cutoff=_ALIKE))]
+    return [f"--{near}" for near in ([plain] if plain in options else get_close_matches(plain, options))]

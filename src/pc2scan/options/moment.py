@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 import re
 from datetime import datetime, timedelta, timezone
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from numbers import Integral, Real
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from pc2scan.core.quantities import PARTS_OF_SECOND
 from pc2scan.errors import UsageError
@@ -57,10 +56,7 @@ class TimeBound(NamedTuple):
         """
         written = re.fullmatch(_SECONDS, text.strip())
         if written:
-            try:
-                value = Decimal(written[1])
-            except InvalidOperation as err:  # pragma: no cover - the pattern admits only decimals
-                raise UsageError(f"{text!r} is not a time") from err
+            value = Decimal(written[1])
             if unit := written[2]:
                 value /= PARTS_OF_SECOND[unit]
             if value >= _ABSOLUTE_NANOSECONDS:
@@ -96,74 +92,41 @@ class TimeBound(NamedTuple):
             If it is none of these, negative, not finite, a `datetime` without a time zone, or nanoseconds as a float,
             which cannot hold them.
         """
-        if isinstance(value, str):
-            return cls.parse(value)
         if isinstance(value, TimeBound):
             return value
+        if isinstance(value, str):
+            return cls.parse(value)
         if isinstance(value, datetime):
             if value.utcoffset() is None:
-                raise UsageError(
-                    f"{value!r} has no time zone",
-                    hint="give it one: `.replace(tzinfo=timezone.utc)`, or `.astimezone()` for local time",
-                )
+                hint = "give it one: `.replace(tzinfo=timezone.utc)`, or `.astimezone()` for local time"
+                raise UsageError(f"{value!r} has no time zone", hint=hint)
             return cls(_nanoseconds(value - _EPOCH), absolute=True)
+        found = None
         if isinstance(value, timedelta):
-            return cls(_not_negative(value, _nanoseconds(value)))
-        if type(value).__name__ in {"datetime64", "timedelta64"}:
-            return cls._of_numpy(value)
-        if isinstance(value, Real) and not isinstance(value, bool):
-            return cls._of_number(value)
-        raise UsageError(
-            f"{value!r} is not a time",
-            hint="give seconds from the beginning (12.5), seconds or nanoseconds since 1970 (1604515190.25), a "
-            "datetime with a time zone, a numpy.datetime64, or text like on the command line",
-        )
-
-    @classmethod
-    def _of_numpy(cls, value: Any) -> TimeBound:
-        """Read NumPy's times without importing NumPy."""
-        kind = type(value).__name__
-        nanoseconds = value.astype(f"{kind}[ns]")
-        if str(value) == "NaT":
-            raise UsageError(f"{value!r} is not a time")
-        # Beyond 64 bits NumPy's nanoseconds wrap around without an error.
-        if nanoseconds.astype(value.dtype) != value:
-            raise UsageError(f"{value!r} does not fit into nanoseconds of 64 bits")
-        whole = int(nanoseconds.astype("int64"))
-        return cls(whole, absolute=True) if kind == "datetime64" else cls(_not_negative(value, whole))
-
-    @classmethod
-    def _of_number(cls, value: Real) -> TimeBound:
-        if isinstance(value, Integral):
-            whole = _not_negative(value, int(value))
-            if whole >= _ABSOLUTE_NANOSECONDS:
-                return cls(whole, absolute=True)
-            return cls(whole * 1_000_000_000, absolute=whole >= _ABSOLUTE_SECONDS)
-        seconds = float(value)
-        if not math.isfinite(seconds):
-            raise UsageError(f"{value!r} is not a time")
-        if seconds >= _ABSOLUTE_NANOSECONDS:
+            found = cls(_nanoseconds(value))
+        elif (kind := type(value).__name__) in {"datetime64", "timedelta64"} and str(value) != "NaT":
+            # NumPy's times, without importing NumPy. Beyond 64 bits, they would wrap around.
+            exact: Any = value.astype(f"{kind}[ns]")  # type: ignore[union-attr]
+            if exact.astype(value.dtype) == value:  # type: ignore[union-attr]
+                found = cls(int(exact.astype("int64")), absolute=kind == "datetime64")
+        elif isinstance(value, Integral) and not isinstance(value, bool) and value >= 0:
+            found = cls.parse(str(int(value)))
+        # Nanoseconds since 1970 do not fit into a float.
+        elif isinstance(value, Real) and not isinstance(value, bool) and 0 <= value < _ABSOLUTE_NANOSECONDS:
+            # By its decimal text: 0.1 means a tenth, not the nearest float.
+            text = repr(float(value))
+            found = cls.parse(f"{float(value):.9f}" if "e" in text else text)
+        if found is None or (found.nanoseconds < 0 and not found.absolute):
             raise UsageError(
-                f"{value!r} looks like nanoseconds since 1970, which a float cannot hold exactly",
-                hint=f"give a whole number, {int(seconds)}, or seconds, {seconds / 1e9}",
+                f"{value!r} is not a time",
+                hint="give seconds from the beginning (12.5), seconds or whole nanoseconds since 1970, a datetime with "
+                "a time zone, a numpy.datetime64, or text like on the command line",
             )
-        # By its decimal text: 0.1 means a tenth, not the nearest float.
-        text = repr(_not_negative(value, seconds))
-        return cls.parse(f"{seconds:.9f}" if "e" in text else text)
+        return found
 
     def resolve(self, beginning_ns: int) -> int:
         """Return the log time in nanoseconds, given that of the recording's beginning."""
         return self.nanoseconds if self.absolute else beginning_ns + self.nanoseconds
-
-
-_Number = TypeVar("_Number", int, float)
-
-
-def _not_negative(value: object, number: _Number) -> _Number:
-    """Return a number of seconds from the beginning of a recording; raise if it is negative."""
-    if number < 0:
-        raise UsageError(f"{value!r} is negative", hint="times count from the beginning of the recording")
-    return number
 
 
 def _moment(text: str) -> tuple[datetime, int]:
