@@ -159,7 +159,7 @@ def outcome_of(name: str, folder: Path, bit: int) -> str:
     (case / "expected.bag").unlink()
     if is_reverse(name):
         streams = (Stream(topic, msgtype),)
-        items = [Item(streams[0], each.log_time_ns, {1: each.data}) for each in messages]
+        items = [Item(streams[0], each.log_time_ns, {1: bytes(each.data)}) for each in messages]
         write_rosbag1(case / "expected.bag", Recording(streams, tuple(items)))
     else:
         (case / "expected.txt").write_text(render_scans(messages))

@@ -87,7 +87,7 @@ def diff(
     with ExitStack() as stack:
         paths = stack.enter_context(fetched((a, a if b is None else b)))
         sources = [stack.enter_context(closing(open_source(path))) for path in paths]
-        result = Difference(*(str(source.path) for source in sources))
+        result = Difference(str(sources[0].path), str(sources[1].path))
         compared, result.left_aside = _streams(sources, topics, all_topics=all_topics)
         if meter is not None:
             meter.expect(sum(max(map(_messages_of, pair)) for pair in compared))
@@ -117,7 +117,7 @@ def open_source(path: Path) -> OpenRecording:
 
 def _streams(
     sources: Sequence[OpenRecording], topics: Sequence[TopicPair], *, all_topics: bool
-) -> tuple[list[Sequence[TopicStream]], int]:
+) -> tuple[list[list[TopicStream]], int]:
     """Return the topics to compare, of both sides, and how many others there are."""
     by_topic: list[dict[str, list[Connection]]] = [{}, {}]
     for connections, source in zip(by_topic, sources, strict=True):
