@@ -126,38 +126,22 @@ def read_pcd(path: Path) -> Any:
         return pypcd4.PointCloud.from_path(path)
 
 
-@pytest.mark.parametrize("how", [{}, {"big": True}, {"padding": 7}, {"big": True, "padding": 64}], ids=str)
+@pytest.mark.parametrize("how", [{}, {"padding": 7}, {"big": True, "padding": 64}], ids=str)
 def test_pcd_has_every_field_of_every_point(how: dict[str, Any], tmp_path: Path) -> None:
     path = recorded(tmp_path, **how)
-    report = pc2scan.export(path, tmp_path / "out", format="pcd")
-    assert (report.messages, report.exit_status) == (1, 0)
+    report = pc2scan.export(path, tmp_path / "out", format="pcd", pose_frame="map")
+    assert (report.messages, report.exit_status, report.topics[0].base_frame) == (1, 0, "lidar")
     found = read_pcd(tmp_path / "out" / f"{START}.pcd")
     meta = found.metadata
     assert meta.fields == tuple(field[0] for field in FIELDS)
     assert (meta.width, meta.height, meta.points, meta.data.value) == (3, 2, 6, "binary")
-    assert meta.viewpoint == (0, 0, 0, 1, 0, 0, 0)
+    assert meta.viewpoint == (1.5, -2.0, 0.25, 1, 0, 0, 0)
     assert dict(zip(meta.fields, meta.count, strict=True))["normal"] == 3
     for name, values in content(6, 1).items():
         columns = [found.pc_data[f"{name}__{i:04d}"] for i in range(3)] if values.ndim == 2 else [found.pc_data[name]]
         read = np.column_stack(columns).reshape(values.shape)
         assert read.dtype == values.dtype
         assert read.tobytes() == values.tobytes(), name
-
-
-def test_the_viewpoint_is_where_the_sensor_is(tmp_path: Path) -> None:
-    path = recorded(tmp_path)
-    pc2scan.export(path, tmp_path / "out", format="pcd", pose_frame="map")
-    assert read_pcd(tmp_path / "out" / f"{START}.pcd").metadata.viewpoint == (1.5, -2.0, 0.25, 1, 0, 0, 0)
-
-
-def test_real_clouds(tmp_path: Path) -> None:
-    report = pc2scan.export(HALL, tmp_path / "out", format="pcd", pose_frame="odom")
-    assert (report.topics[0].base_frame, report.messages) == ("lidar", 5)
-    for each in pc2scan.clouds(HALL):
-        found = read_pcd(tmp_path / "out" / f"{each.stamp_ns}.pcd")
-        assert found.metadata.fields == each.fields
-        for name in each.fields:
-            assert found.pc_data[name].tobytes() == each[name].tobytes()
 
 
 def test_clouds_of_one_stamp_are_two_files(tmp_path: Path) -> None:
@@ -172,7 +156,7 @@ def test_clouds_of_one_stamp_are_two_files(tmp_path: Path) -> None:
     [
         ("pcd", 4, "laser ring", "'laser ring'"),
         ("pcd", 4, "x", "two fields are named 'x'"),
-        *(("pcd", 6, name, "no cloud can be written") for name in ("", "_", "a\nDATA ascii", "é", "a b")),
+        *(("pcd", 6, name, "no cloud can be written") for name in ("", "_", "a\nDATA ascii")),
         ("kitti", 3, "other", "the cloud has no field with intensities: its fields are x, y, z, other"),
     ],
 )
@@ -210,24 +194,3 @@ def test_kitti_has_returns_alone(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "stamps.txt").read_text().split() == [str(stamp) for stamp in stamps]
     poses = np.loadtxt(tmp_path / "out" / "poses.txt").reshape(2, 3, 4)
     assert poses[1].tolist() == [[1, 0, 0, 1.5], [0, 1, 0, -2], [0, 0, 1, 0.25]]
-
-
-def test_several_topics_are_folders(tmp_path: Path) -> None:
-    path = recorded(tmp_path, topics=dict.fromkeys(("/front/points", "/rear/points"), "lidar"))
-    pc2scan.export(path, f"{tmp_path}/out/", format="pcd")
-    found = sorted(str(entry.relative_to(tmp_path / "out")) for entry in (tmp_path / "out").rglob("*.pcd"))
-    assert found == [f"front_points/{START}.pcd", f"rear_points/{START}.pcd"]
-    # The same again is replaced as a whole.
-    pc2scan.export(path, tmp_path / "out", format="pcd", topics="/front/points", overwrite=True)
-    assert [entry.name for entry in (tmp_path / "out").glob("[!.]*")] == [f"{START}.pcd"]
-
-
-def test_a_topic_of_which_nothing_can_be_written_has_no_file(tmp_path: Path) -> None:
-    path = recorded(tmp_path, topics={"/known": "lidar", "/lost": "nowhere"})
-    report = pc2scan.export(path, tmp_path / "out", format="pcd", pose_frame="map")
-    assert [(topic.topic, topic.written, topic.skipped) for topic in report.topics] == [
-        ("/known", 1, 0),
-        ("/lost", 0, 1),
-    ]
-    assert [entry.name for entry in (tmp_path / "out").glob("[!.]*")] == ["known"]
-    assert report.topics[1].path is None
