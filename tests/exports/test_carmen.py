@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 def read_log(path: Path) -> tuple[list[Any], dict[str, str]]:
     """The laser messages of a log, and its parameters, by the published rules alone (logger_playback.html).
 
-    One message a line: its name, its content, ``ipc_timestamp ipc_hostname logger_timestamp``. A scan's beams: the first
-    at ``start_angle``, each ``angular_resolution`` from the next; of FLASER, what CARMEN guesses for a SICK laser.
+    One message a line: its name, its content, ``ipc_timestamp ipc_hostname logger_timestamp``. A scan's beams: the
+    first at ``start_angle``, each ``angular_resolution`` from the next; of FLASER, as CARMEN guesses.
     """
     readings, parameters = [], {}
     for line in path.read_text("ascii").splitlines():

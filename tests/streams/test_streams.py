@@ -6,7 +6,6 @@ import copy
 import gc
 import pickle
 import shutil
-import subprocess
 import sys
 import tracemalloc
 from contextlib import closing, suppress
@@ -66,7 +65,7 @@ def recording(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("container", CONTAINERS)
+@pytest.mark.parametrize("container", sampled(CONTAINERS, 1))
 def test_clouds_come_from_every_container(container: str) -> None:
     clouds = list(pc2scan.clouds(FIXTURES / container, topics="/points"))
     assert [cloud.stamp_ns for cloud in clouds] == [1_700_000_000_000_000_000 + i * 10**8 for i in range(5)]
@@ -86,7 +85,7 @@ def test_clouds_come_from_every_container(container: str) -> None:
         first["reflectivity"]
 
 
-@pytest.mark.parametrize("suffix", [".bag", ".mcap", ""])
+@pytest.mark.parametrize("suffix", sampled([".bag", ".mcap", ""], 1))
 def test_scans_are_those_of_the_messages(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"scans{suffix}"
     pc2scan.convert(HALL, path, min_height=-0.3, intensity_field="intensity", only_scans=True)
@@ -117,7 +116,7 @@ HOW: list[dict[str, Any]] = [
     {"min_height": 0.1, "target_frame": "odom", "start": 0.1, "end": 0.35, "beams": 90, "reduce": "median"},
     {"params": pc2scan.ProjectionParams(min_height=-0.3, intensity_field="intensity"), "range_max": 4.0},
     {"min_height": -0.3, "where": "ring > 3", "exclude_box": "base_link -5 5 -1 1 -1 2", "min_height_slope": 0.02},
-    {"preset": "gmapping", "topics": "/points:=/front", "min_height": -0.3},
+    {"preset": "gmapping", "topics": ["/points:=/front", "/points:=/b"], "min_height": -0.3},
     {"target_frame": "map", "static_tf": "map lidar 0 0 2 0 0 0.1", "min_height": 0.5, "max_height": 3},
 ]
 
@@ -129,7 +128,7 @@ def test_scans_made_on_the_way_are_those_that_convert_writes(
 ) -> None:
     pc2scan.convert(FIXTURES / container, tmp_path / "scans.mcap", only_scans=True, **how)
     made = pc2scan.scans(FIXTURES / container, **how)
-    written = list(pc2scan.scans(tmp_path / "scans.mcap"))
+    written = list(pc2scan.scans(tmp_path / "scans.mcap", made.topics))
     found = list(made)
     assert len(found) == len(written) >= 2
     for one, other in zip(found, written, strict=True):
@@ -138,13 +137,6 @@ def test_scans_made_on_the_way_are_those_that_convert_writes(
             if name == "sequence":
                 continue  # ROS 2 has none
             assert a.tobytes() == b.tobytes() if isinstance(a, np.ndarray) else a == b, name
-
-
-def test_a_cloud_of_one_topic_may_become_several(tmp_path: Path) -> None:
-    topics = ["/points:=/a", "/points:=/b"]
-    pc2scan.convert(HALL, tmp_path / "scans.mcap", topics=topics, only_scans=True, min_height=-0.3)
-    written = sorted((s.log_time_ns, s.topic) for s in pc2scan.scans(tmp_path / "scans.mcap", ["/a", "b"]))
-    assert [(s.log_time_ns, s.topic) for s in pc2scan.scans(HALL, topics, min_height=-0.3)] == written
 
 
 def test_each_loop_begins_anew() -> None:
@@ -234,23 +226,6 @@ def test_what_cannot_be_used_is_skipped_or_an_error(tmp_path: Path) -> None:
         list(pc2scan.scans(path, strict=True))
 
 
-def test_scans_of_surprising_heights_are_warned_of() -> None:
-    with pytest.warns(pc2scan.RecordingWarning, match="/scan: .*`min_height"):
-        list(pc2scan.scans(HALL, range_max=20.0))
-    with pytest.warns(pc2scan.RecordingWarning) as warned:
-        list(pc2scan.scans(HALL, min_height=50.0))
-    assert [str(w.message).split(":")[0] for w in warned] == [
-        "min_height is 50 m, but z on /points is -0.60 to 1.33 m (5 and 95 %; median 0.04)",
-        "/points",
-        "5 of 5 scans on /scan have no return at all",
-    ]
-
-
-def test_many_removed_beams_are_warned_of() -> None:
-    with pytest.warns(pc2scan.RecordingWarning, match="/scan: 1,181 of 1,220 beams .* were removed as sparse"):
-        list(pc2scan.scans(HALL, min_height=-0.3, min_points=12))
-
-
 @pytest.mark.parametrize(("how", "told"), rows(TABLES, "doubtful requests, and what is said"), ids=str)
 def test_doubtful_requests_draw_the_warning_of_convert(how: dict[str, Any], told: str, tmp_path: Path) -> None:
     """A loop that ends early is warned, too."""
@@ -313,13 +288,6 @@ def test_the_only_topic_is_taken_and_others_are_pointed_out(recording: Path, tmp
         assert hint in str(raised.value.hint)
     with pytest.raises(RecordingError, match="does not exist"):
         pc2scan.scans(tmp_path / "none.bag")
-
-
-def test_several_recordings_are_one(tmp_path: Path) -> None:
-    pc2scan.convert(HALL, tmp_path / "a.mcap", end=0.25, min_height=-0.3)
-    pc2scan.convert(HALL, tmp_path / "b.mcap", start=0.25, min_height=-0.3)
-    both = [scan.log_time_ns for scan in pc2scan.scans([tmp_path / "b.mcap", str(tmp_path / "a.mcap")])]
-    assert both == [FIRST_NS + i * 10**8 for i in range(5)]
 
 
 @pytest.mark.parametrize("form", sampled(FORMS, 1))
@@ -386,11 +354,9 @@ def test_tables(recording: Path) -> None:
     assert table["range"].dtype == np.float32
     assert np.array_equal(table["range"].to_numpy()[:360], scans[0].ranges)
     assert scans[0].to_dataframe()["angle"].to_list() == scans[0].angles.tolist()
-    assert scans[1].to_xarray()["ranges"].shape == (360,)
     clouds = pc2scan.clouds(recording)
     cloud = next(iter(clouds))
     assert list(cloud.to_dataframe().columns) == list(cloud.fields)
-    assert cloud.to_xarray()["ring"].dtype == cloud["ring"].dtype
     points = clouds.to_dataframe()
     assert len(points) == 5 * 3840
     assert list(points.columns) == ["stamp", *cloud.fields]
@@ -440,19 +406,6 @@ def test_contradicting_numbers_are_errors_of_the_scan(tmp_path: Path) -> None:
     assert np.isnat(found.log_time)
     with pytest.raises(DecodeError, match="angle_min"):
         found.xy()
-
-
-def test_a_process_may_end_in_the_middle_of_a_loop() -> None:
-    code = "import pc2scan, sys\nitems = iter(pc2scan.scans(sys.argv[1], min_height=-0.3))\nprint(next(items))"
-    done = subprocess.run(
-        [sys.executable, "-X", "dev", "-W", "error", "-c", code, str(HALL)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.startswith("<Scan on /scan at 1700000000.000000000")
 
 
 def test_a_change_of_the_files_is_seen_by_the_next_loop(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import DATATYPES, PointCloud2, recorded_cloud
 from pc2scan.model import own_data
 
-from .stream import NumpyTimes, Stream, StreamSource, package
+from .stream import Message, Stream, StreamSource
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 # Not frozen: made for every message, and making a frozen one takes twice as long.
 @dataclass(slots=True, eq=False, repr=False)
-class Cloud(NumpyTimes):
+class Cloud(Message):
     """A message that is a cloud. ``cloud["intensity"]`` is a field of all points.
 
     Attributes
@@ -144,33 +144,7 @@ class Cloud(NumpyTimes):
         """
         return self._message.structured_points()
 
-    def to_dataframe(self) -> Any:
-        """Return a ``pandas.DataFrame`` with a row for each point and a column for each field.
-
-        Raises
-        ------
-        ImportError
-            If pandas is not installed.
-        """
-        pandas = package("pandas", "to_dataframe")
-        return pandas.DataFrame(self._columns(), pandas.RangeIndex(len(self), name="point"))
-
-    def to_xarray(self) -> Any:
-        """Return an ``xarray.Dataset`` with a variable for each field, along the dimension ``point``.
-
-        Attributes: ``topic``, ``frame``, ``stamp_ns`` and ``log_time_ns``.
-
-        Raises
-        ------
-        ImportError
-            If xarray is not installed.
-        """
-        xarray = package("xarray", "to_xarray")
-        data = {name: ("point", values) for name, values in self._columns().items()}
-        names = ("topic", "frame", "stamp_ns", "log_time_ns")
-        return xarray.Dataset(data, attrs={name: getattr(self, name) for name in names})
-
-    def _columns(self) -> dict[str, NDArray[Any]]:
+    def columns(self) -> dict[str, NDArray[Any]]:
         """Copies of the fields that can be read, in the machine's byte order."""
         columns = {}
         for field in self._message.fields:
@@ -219,28 +193,6 @@ class Clouds(Stream[Cloud]):
 
     def _object(self, topic: str, log_time_ns: int, message: PointCloud2) -> Cloud:
         return Cloud(topic, log_time_ns, message)
-
-    def to_dataframe(self) -> Any:
-        """Return a ``pandas.DataFrame`` with a row for each point of each cloud. Reads all clouds into memory.
-
-        Columns: ``stamp``, the fields that all clouds have, and ``topic`` if there are several.
-
-        Raises
-        ------
-        ImportError
-            If pandas is not installed.
-        """
-        pandas = package("pandas", "to_dataframe")
-        clouds = list(self)
-        parts = [cloud._columns() for cloud in clouds]  # noqa: SLF001  # they make one table
-        sizes = [len(cloud) for cloud in clouds]
-        stamps = np.array([cloud.stamp for cloud in clouds], "datetime64[ns]")
-        table: dict[str, Any] = {"stamp": np.repeat(stamps, sizes)}
-        names = [name for name in (parts[0] if parts else ()) if all(name in part for part in parts)]
-        table.update({name: np.concatenate([part[name] for part in parts]) for name in names})
-        if len(self.topics) > 1:
-            table["topic"] = pandas.Categorical(np.repeat([cloud.topic for cloud in clouds], sizes))
-        return pandas.DataFrame(table)
 
 
 def _decoder(connection: Connection) -> Callable[[Buffer], PointCloud2]:

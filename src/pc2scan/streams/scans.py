@@ -23,7 +23,7 @@ from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, as_message, decode_laserscan
 from pc2scan.result import tell_early
 
-from .stream import NumpyTimes, Stream, StreamSource, package
+from .stream import Message, Stream, StreamSource, package
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -52,7 +52,7 @@ _DECODED = (
 
 # Not frozen: made for every message, and making a frozen one takes twice as long.
 @dataclass(slots=True, eq=False, repr=False)
-class Scan(NumpyTimes):
+class Scan(Message):
     """A LaserScan message.
 
     Attributes
@@ -133,35 +133,14 @@ class Scan(NumpyTimes):
         )
         return points.xyz[np.isfinite(self.ranges[points.beams]), :2].copy()
 
-    def to_dataframe(self) -> Any:
-        """Return a ``pandas.DataFrame`` with a row for each beam.
-
-        Columns: ``angle``, ``range`` and, if the scan has them, ``intensity``; the index is ``beam``.
-
-        Raises
-        ------
-        ImportError
-            If pandas is not installed.
-        """
-        pandas = package("pandas", "to_dataframe")
-        index = pandas.RangeIndex(len(self.ranges), name="beam")
-        return pandas.DataFrame(self._columns(), index)
-
-    def _columns(self) -> dict[str, NDArray[Any]]:
-        columns: dict[str, NDArray[Any]] = {"angle": self.angles, "range": self.ranges}
-        if len(self.intensities) == len(self.ranges) and len(self.ranges):
-            columns["intensity"] = self.intensities
-        return columns
-
-    def to_xarray(self) -> Any:
-        """Return an ``xarray.Dataset`` of this scan; see `Scans.to_xarray`.
-
-        Raises
-        ------
-        ImportError
-            If xarray is not installed.
-        """
-        return _dataset([self]).squeeze("time")
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return what tables have of a scan: the number, angle and range of each beam, and its intensity."""
+        columns: dict[str, NDArray[Any]] = {
+            "beam": np.arange(len(self.ranges)),
+            "angle": self.angles,
+            "range": self.ranges,
+        }
+        return columns | ({"intensity": self.intensities} if len(self.intensities) == len(self.ranges) else {})
 
     def __repr__(self) -> str:
         returns = np.count_nonzero(self.valid)
@@ -266,34 +245,6 @@ class Scans(Stream[Scan]):
             conclude,
         )
 
-    def to_dataframe(self) -> Any:
-        """Return a ``pandas.DataFrame`` with a row for each beam of each scan. Reads all scans into memory.
-
-        Columns: ``stamp``, ``beam``, ``angle``, ``range``, ``intensity`` if all scans have it, and ``topic`` if
-        there are several.
-
-        Raises
-        ------
-        ImportError
-            If pandas is not installed.
-        """
-        pandas = package("pandas", "to_dataframe")
-        parts = [(scan, scan._columns()) for scan in self]  # noqa: SLF001  # they make one table
-        names = ["angle", "range", "intensity"]
-        if not all("intensity" in columns for scan, columns in parts if len(scan.ranges)):
-            names.remove("intensity")
-        lengths = [len(scan.ranges) for scan, _ in parts]
-        table: dict[str, Any] = {
-            "stamp": np.repeat(np.array([scan.stamp for scan, _ in parts], "datetime64[ns]"), lengths),
-            "beam": np.concatenate([np.arange(length) for length in [*lengths, 0]]),
-        }
-        for name in names:
-            kind = np.float64 if name == "angle" else np.float32
-            table[name] = np.concatenate([*(c.get(name, np.empty(0)) for _, c in parts), np.empty(0)], dtype=kind)
-        if len(self.topics) > 1:
-            table["topic"] = pandas.Categorical(np.repeat([scan.topic for scan, _ in parts], lengths))
-        return pandas.DataFrame(table)
-
     def to_xarray(self) -> Any:
         """Return an ``xarray.Dataset`` of all scans. Reads them into memory.
 
@@ -308,37 +259,36 @@ class Scans(Stream[Scan]):
         UsageError
             If there is no scan, or the beams of the scans are not the same. `to_dataframe` accepts any scans.
         """
-        package("xarray", "to_xarray")
-        return _dataset(list(self))
-
-
-def _dataset(scans: Sequence[Scan]) -> Any:
-    xarray = package("xarray", "to_xarray")
-    if not scans:
-        raise UsageError("there is no scan to make a Dataset of", hint="check topic, `start` and `end`")
-    first = scans[0]
-    for scan in scans:
-        if len(scan.ranges) != len(first.ranges) or any(getattr(scan, n) != getattr(first, n) for n in _GEOMETRY):
+        xarray = package("xarray", "to_xarray")
+        scans = list(self)
+        if not scans:
+            raise UsageError("there is no scan to make a Dataset of", hint="check topic, `start` and `end`")
+        first = scans[0]
+        if others := [scan for scan in scans if _beams_of(scan) != _beams_of(first)]:
             raise UsageError(
-                f"the scans do not have the same beams: {_layout_text(first)}, but {_layout_text(scan)}",
+                f"the scans do not have the same beams: {_layout_text(first)}, but {_layout_text(others[0])}",
                 hint="to_dataframe() accepts any scans; or choose one with topics=",
             )
-    data = {"ranges": (("time", "beam"), np.stack([scan.ranges for scan in scans]), {"units": "m"})}
-    if all(len(scan.intensities) == len(first.ranges) for scan in scans):
-        data["intensities"] = (("time", "beam"), np.stack([scan.intensities for scan in scans]), {})
-    coordinates: dict[str, Any] = {
-        "time": ("time", np.array([scan.stamp for scan in scans], "datetime64[ns]")),
-        "log_time": ("time", np.array([scan.log_time for scan in scans], "datetime64[ns]")),
-        "angle": ("beam", first.angles, {"units": "rad"}),
-    }
-    if len({scan.topic for scan in scans}) > 1:
-        coordinates["topic"] = ("time", np.array([scan.topic for scan in scans], object))
-    common = {
-        name: getattr(first, name)
-        for name in ("topic", "frame", *_GEOMETRY, *_LIMITS)
-        if len({getattr(scan, name) for scan in scans}) == 1
-    }
-    return xarray.Dataset(data, coordinates, common)
+        data = {"ranges": (("time", "beam"), np.stack([scan.ranges for scan in scans]), {"units": "m"})}
+        if all(len(scan.intensities) == len(first.ranges) for scan in scans):
+            data["intensities"] = (("time", "beam"), np.stack([scan.intensities for scan in scans]), {})
+        coordinates: dict[str, Any] = {
+            "time": ("time", np.array([scan.stamp for scan in scans], "datetime64[ns]")),
+            "log_time": ("time", np.array([scan.log_time for scan in scans], "datetime64[ns]")),
+            "angle": ("beam", first.angles, {"units": "rad"}),
+        }
+        if len({scan.topic for scan in scans}) > 1:
+            coordinates["topic"] = ("time", np.array([scan.topic for scan in scans], object))
+        common = {
+            name: getattr(first, name)
+            for name in ("topic", "frame", *_GEOMETRY, *_LIMITS)
+            if len({getattr(scan, name) for scan in scans}) == 1
+        }
+        return xarray.Dataset(data, coordinates, common)
+
+
+def _beams_of(scan: Scan) -> tuple[float, ...]:
+    return len(scan.ranges), *(getattr(scan, name) for name in _GEOMETRY)
 
 
 def _layout_text(scan: Scan) -> str:

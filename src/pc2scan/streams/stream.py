@@ -72,30 +72,30 @@ def datetime64(nanoseconds: int) -> np.datetime64:
     return np.datetime64(nanoseconds, "ns") if abs(nanoseconds) <= _MAX_INT64 else np.datetime64("NaT", "ns")
 
 
-class NumpyTimes:
-    """A message whose times are also NumPy's."""
+class Message:
+    """A message whose times are also NumPy's, and which becomes a table."""
 
     __slots__ = ()
 
-    if TYPE_CHECKING:
-
-        @property
-        def log_time_ns(self) -> int:
-            """The time of recording, nanoseconds since 1970."""
-
-        @property
-        def stamp_ns(self) -> int:
-            """``header.stamp``, nanoseconds since 1970."""
-
     @property
-    def stamp(self) -> np.datetime64:
+    def stamp(self: Any) -> np.datetime64:
         """``header.stamp`` as ``numpy.datetime64`` in nanoseconds."""
         return datetime64(self.stamp_ns)
 
     @property
-    def log_time(self) -> np.datetime64:
+    def log_time(self: Any) -> np.datetime64:
         """The time of recording as ``numpy.datetime64`` in nanoseconds; ``NaT`` if that cannot represent it."""
         return datetime64(self.log_time_ns)
+
+    def to_dataframe(self: Any) -> Any:
+        """Return a ``pandas.DataFrame``: of a scan a row for each beam, of a cloud one for each point.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        return package("pandas", "to_dataframe").DataFrame(self.columns())
 
 
 class StreamSource(NamedTuple):
@@ -408,6 +408,27 @@ class Stream(ABC, Generic[Item]):
             text = f"damaged: {place}: {first.what}{more}; see .damage. The rest is read"
             self._warn([f"{text}; strict=True refuses such recordings"], depth=5)
         return len(self.damage)
+
+    def to_dataframe(self) -> Any:
+        """Return a ``pandas.DataFrame`` with the rows of all messages. Reads them into memory.
+
+        Columns: ``stamp``, those that all messages have, and ``topic`` if there are several.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        pandas = package("pandas", "to_dataframe")
+        items: list[Any] = list(self)
+        parts = [item.columns() for item in items]
+        sizes = [len(next(iter(part.values()), ())) for part in parts]
+        table: dict[str, Any] = {"stamp": np.repeat(np.array([item.stamp for item in items], "datetime64[ns]"), sizes)}
+        names = [name for name in (parts[0] if parts else ()) if all(name in part for part in parts)]
+        table.update({name: np.concatenate([part[name] for part in parts]) for name in names})
+        if len(self.topics) > 1:
+            table["topic"] = pandas.Categorical(np.repeat([item.topic for item in items], sizes))
+        return pandas.DataFrame(table)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Return how to open the recording anew, for copies, and for processes that read it, too."""
