@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import json
-import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -12,15 +10,11 @@ import pc2scan
 from pc2scan import check
 from pc2scan.core.consumers import CONSUMERS
 from pc2scan.errors import RecordingError, TopicError, UsageError
-from pc2scan.show.check import check as check_scans
-from pc2scan.transforms.placing import FrameOptions
-from pc2scan.transforms.static import StaticTransform
 from support import RECORDINGS, ROOT, needs_shared, sampled
-from support.builders import IMU, Recording, Stream, imu_message, item, write_mcap, write_rosbag1, write_rosbag2
+from support.builders import IMU, Recording, Stream, imu_message, item, write_mcap
 from support.scan_recordings import GOOD, START, STEP, recording, scans, write
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
     from pc2scan.messages.laserscan import LaserScan
@@ -41,28 +35,6 @@ def kinds(topic: TopicCheck) -> dict[str, str]:
 
 def looked(tmp_path: Path, *content: LaserScan, **options: object) -> TopicCheck:
     return only(check(write(tmp_path / "a.mcap", *content, **options)))
-
-
-@pytest.mark.parametrize(
-    "build",
-    [
-        lambda folder, content: write_rosbag1(folder / "a.bag", content),
-        lambda folder, content: write_mcap(folder / "a.mcap", content),
-        lambda folder, content: write_rosbag2(folder / "a", content),
-    ],
-    ids=["bag", "mcap", "rosbag2"],
-)
-def test_good_scans_in_every_container(build: Callable[[Path, Recording], Path], tmp_path: Path) -> None:
-    found = check(build(tmp_path, recording({"/scan": scans(5)})))
-    topic = only(found)
-    assert found.exit_status == 0
-    assert (topic.topic, topic.scans, topic.frames, topic.beams) == ("/scan", 5, ("laser",), (9, 9))
-    assert [c.consumer for c in topic.consumers] == list(CONSUMERS)
-    assert {c.consumer: c.outcome for c in topic.consumers} == FINE
-    assert {c.scans for c in topic.consumers} == {5}
-    assert topic.findings == ()
-    assert topic.interval_ns == pytest.approx(STEP)
-    json.dumps(found.as_dict(), allow_nan=False)
 
 
 def test_one_scan_in_many_decides(tmp_path: Path) -> None:
@@ -106,18 +78,6 @@ def test_two_sensors_on_one_topic_have_their_own_first_scan(tmp_path: Path) -> N
     assert kinds(topic) == {"frames": "notice"}
 
 
-def test_verdicts_say_which_rule_decides(tmp_path: Path) -> None:
-    infinite = replace(GOOD, ranges=np.full(9, math.inf, np.float32), range_max=math.inf)
-    found = check(write(tmp_path / "a.mcap", *scans(2, infinite)), consumers=["slam_toolbox", "amcl"])
-    assert (found.defects, found.accepted, found.unusable) == (1, True, True)
-    # What is wrong with the scans themselves is said first.
-    topic = looked(tmp_path, *scans(3, replace(GOOD, ranges=GOOD.ranges[:7])), tree=())
-    assert "len(ranges)" in topic.consumers[0].verdict.rule
-    mount = FrameOptions(static=(StaticTransform.parse("base_link laser 0 0 0.3 0 7.6deg 0"),))
-    tilted = only(check_scans([write(tmp_path / "b.mcap", *scans(3), tree=(("odom", "base_link"),))], frames=mount))
-    assert "does not start" in tilted.consumers[2].verdict.rule
-
-
 def test_scans_in_a_frame_that_the_robot_moves_in_are_defects(tmp_path: Path) -> None:
     path = tmp_path / "scan.mcap"
     pc2scan.convert(ROOT / "fixtures" / "hall.bag", path, target_frame="odom", min_height=0.1)
@@ -134,21 +94,6 @@ def test_a_frame_that_nearly_matches(tmp_path: Path) -> None:
     assert unknown.hint == "did you mean laser? For scans made from clouds: pc2scan convert `source_frame=laser`"
     (slam,) = (each.verdict for each in found.consumers if each.consumer == "slam_toolbox")
     assert slam.cure == unknown.hint
-
-
-def test_a_recording_may_lend_its_transforms(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.mcap", *scans(3), tree=())
-    lender = write(tmp_path / "b.mcap", *scans(1), tree=(("world", "robot"), ("robot", "laser")))
-    found = check(path, tf_from=lender)
-    assert set(kinds(only(found))) == {"no-odometry-frame", "no-robot-frame"}
-
-
-def test_several_sources_are_one_recording(tmp_path: Path) -> None:
-    first, second = scans(3), [replace(s, stamp_ns=s.stamp_ns + 3 * STEP) for s in scans(3)]
-    one = write(tmp_path / "a.mcap", *first)
-    two = write(tmp_path / "b.mcap", *second, delay=3 * STEP + 1_000_000)
-    found = check([one, two])
-    assert (only(found).scans, found.exit_status) == (6, 0)
 
 
 def test_messages_that_are_no_scans(tmp_path: Path) -> None:

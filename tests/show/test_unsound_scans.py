@@ -253,13 +253,6 @@ def test_stamps_that_jump_are_of_another_clock(switched: bool, tmp_path: Path) -
     assert f"the stamps jump {times} to another time, by up to 1,699,999," in text(found, "clocks")
 
 
-def test_scans_of_a_clock_without_transforms_are_ignored(tmp_path: Path) -> None:
-    content, logged = two_clocks(60)
-    found = checked(tmp_path, content, "slam_toolbox", log_times_ns=logged)
-    assert outcomes(found)["slam_toolbox"] == ("ignored", 30)
-    assert found.exit_status == 1
-
-
 @pytest.mark.parametrize(
     "logged",
     [
@@ -274,12 +267,3 @@ def test_other_log_times_are_no_other_clock(logged: list[int], tmp_path: Path) -
     found = checked(tmp_path, scans(60), log_times_ns=logged)
     assert "clocks" not in kinds(found)
     assert found.topics[0].interval_ns == pytest.approx(STEP)
-
-
-def test_a_gap_in_stamps_and_log_times_is_no_other_clock(tmp_path: Path) -> None:
-    content = [
-        replace(scan, stamp_ns=scan.stamp_ns + (60 * SECOND if i > 30 else 0)) for i, scan in enumerate(scans(60))
-    ]
-    told = kinds(checked(tmp_path, content))
-    assert told["rate"] == "notice"
-    assert "clocks" not in told

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from show.test_page_projects_alike import read_scans
 from support import ROOT
 from support.builders import CLOUD, T0, Item, Recording, Stream, cloud, write_mcap
 from support.command import run
@@ -130,17 +129,6 @@ def test_ten_large_clouds_make_a_page_of_less_than_15_mb(tmp_path: Path) -> None
     assert [(entry["total"], entry["data"]["length"]) for entry in topic["clouds"]] == [(131_072, 65_536)] * 10
     # Fewer are shown whole.
     assert run("view", source, "-o", page, "--clouds", "4").stderr == ""
-
-
-def test_beams_are_measured_as_in_a_conversion(tmp_path: Path) -> None:
-    page = tmp_path / "page.html"
-    done = run("view", HALL, "-o", page, "--beams", "auto", "--geometry", "centered")
-    assert done.status == 0, done.stderr
-    assert "note: /points: beams is 240, angle_increment" in done.stdout
-    assert run("convert", HALL, "-o", tmp_path / "s.mcap", "--beams", "auto", "--geometry", "centered").status == 0
-    params = description(page)["params"]
-    (scan, *_) = read_scans(tmp_path / "s.mcap")
-    assert np.float32(params["angle_increment"]) == pytest.approx(scan.angle_increment, rel=1e-6)
 
 
 def test_deskewing_is_shown_and_stays_in_the_command(tmp_path: Path) -> None:

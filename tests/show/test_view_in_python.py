@@ -7,8 +7,6 @@ import json
 import re
 from typing import TYPE_CHECKING, Any
 
-import pytest
-
 import pc2scan
 from support import ROOT
 from support.command import run
@@ -41,12 +39,3 @@ def test_notebooks_show_it_in_a_frame_of_its_own() -> None:
     assert len(held_by(html.unescape(document))["topics"][0]["clouds"]) == 1
     assert re.fullmatch(r"<pc2scan\.Page of [\d,]+ characters>", repr(page))
     assert len(held_by(pc2scan.view(HALL, at=[0.15, "0.3"]).html)["topics"][0]["clouds"]) == 2
-
-
-def test_mistakes_are_told(tmp_path: Path) -> None:
-    with pytest.raises(TypeError, match="did you mean"):
-        pc2scan.view(HALL, min_hight=1)  # type: ignore[call-arg]
-    (tmp_path / "mine.html").write_text("mine")
-    with pytest.raises(pc2scan.Pc2ScanError, match="exists already"):
-        pc2scan.view(HALL).save(tmp_path / "mine.html")
-    assert (tmp_path / "mine.html").read_text() == "mine"
