@@ -6,11 +6,23 @@ import { columns } from "./data.mjs";
 import { band, beamsFromAbove, endsOf, frameMarks, rings, sector } from "./draw.mjs";
 import { Flat, GRAB } from "./flat.mjs";
 import { Orbit } from "./orbit.mjs";
-import { copyButton, element, figure, nameFrame, oncePerFrame, put, setUpTheme, setUpTime, theme } from "./page.mjs";
+import {
+  copyButton,
+  element,
+  figure,
+  nameFrame,
+  oncePerFrame,
+  put,
+  setUpTheme,
+  setUpTime,
+  theme,
+  make,
+  styled,
+} from "./page.mjs";
 import { outcomeColours, paintValues, usualRange, word } from "./palette.mjs";
 import { emptyRange, problemOf } from "./params.mjs";
 import { OUTCOMES, Projector, transformed } from "./project.mjs";
-import { layoutOf } from "./rule.mjs";
+import { layoutOf } from "./layout.mjs";
 import { niceStep } from "./stage.mjs";
 import { matrixOf, matrixOfMount } from "./transform.mjs";
 import { Unrolled } from "./unrolled.mjs";
@@ -72,7 +84,6 @@ const MOST_STRETCH = 20;
 
 /** @param {CloudRecording} recording */
 export function showClouds(recording) {
-  const style = getComputedStyle(document.documentElement);
   const shown = { x: 0, y: 0, z: 0, scale: 20, stretch: 1 };
   const defaults = revived(recording.defaults);
   let topic = recording.topics[0];
@@ -229,22 +240,22 @@ export function showClouds(recording) {
   function drawAll() {
     if (!cloud.x.length && !fields.size) return;
     const ranks = colourBy.value === "outcome" ? scan.outcomes : null;
-    const beam = style.getPropertyValue("--beam");
+    const beam = styled("--beam");
     const size = cloud.x.length > 60_000 ? 1 : 1.5;
     top.points(cloud, size, colours, ranks);
     side.points(cloud, size, colours, ranks);
     orbit.points(cloud, size, colours);
     const axis = 40 / shown.scale;
-    let pen = top.axes(style);
-    rings(pen, top, niceStep(top.stage.width / shown.scale, 8), style);
-    sector(pen, top, params, style);
+    let pen = top.axes();
+    rings(pen, top, niceStep(top.stage.width / shown.scale, 8));
+    sector(pen, top, params);
     beamsFromAbove(pen, top, ends, beam, [0, 0], true);
-    frameMarks(pen, (x, y) => [top.px(x), top.py(y)], entry.frames, axis, style);
+    frameMarks(pen, (x, y) => [top.px(x), top.py(y)], entry.frames, axis);
     if (markedBeam >= 0) mark(pen, top.px(ends[2 * markedBeam]), top.py(ends[2 * markedBeam + 1]));
     pen.restore();
-    pen = side.axes(style);
-    band(pen, side, bandEdges(), style);
-    frameMarks(pen, (x, _y, z) => [side.px(x), side.py(z)], entry.frames, axis, style);
+    pen = side.axes();
+    band(pen, side, bandEdges());
+    frameMarks(pen, (x, _y, z) => [side.px(x), side.py(z)], entry.frames, axis);
     pen.restore();
     pen = orbit.stage.pen();
     pen.fillStyle = beam;
@@ -253,7 +264,7 @@ export function showClouds(recording) {
       const [x, y] = orbit.place(ends[n], ends[n + 1], 0);
       pen.fillRect(x - 1, y - 1, 2, 2);
     }
-    frameMarks(pen, (x, y, z) => orbit.place(x, y, z), entry.frames, 40 / orbit.scale, style);
+    frameMarks(pen, (x, y, z) => orbit.place(x, y, z), entry.frames, 40 / orbit.scale);
     unrolled.draw(
       [
         {
@@ -265,7 +276,6 @@ export function showClouds(recording) {
           isReturn,
         },
       ],
-      style,
       markedBeam,
     );
     const share = scan.counts[0] / Math.max(1, cloud.x.length);
@@ -283,7 +293,7 @@ export function showClouds(recording) {
    * @param {number} y
    */
   function mark(pen, x, y) {
-    pen.strokeStyle = style.getPropertyValue("--ink");
+    pen.strokeStyle = styled("--ink");
     pen.beginPath();
     pen.arc(x, y, 6, 0, 2 * Math.PI);
     pen.stroke();
@@ -494,42 +504,29 @@ function emptyCloud(points) {
 /** @param {[number, number]} pair */
 const flipped = ([x, y]) => /** @type {[number, number]} */ ([y, x]);
 
-/** @param {string} word */
-function unbroken(word) {
-  const span = document.createElement("span");
-  span.className = "word";
-  span.textContent = word;
-  return span;
-}
-
 /**
  * The counts, and what can be copied.
  * @param {HTMLElement} panel
  * @param {() => import("./commands.mjs").Choice} choice
  */
 function resultsIn(panel, choice) {
-  const heading = document.createElement("h2");
-  heading.textContent = "Points";
-  const table = document.createElement("table");
-  const summary = document.createElement("p");
-  const take = document.createElement("h2");
-  take.textContent = "Copy these parameters";
-  const buttons = document.createElement("div");
-  buttons.className = "buttons";
-  const command = document.createElement("pre");
-  command.id = "command";
-  command.tabIndex = 0;
+  const table = make("table");
+  const summary = make("p");
+  const command = make("pre", { id: "command", tabIndex: 0 });
   const staticButton = copyButton("--static-tf", () => staticText(choice()));
-  buttons.append(
+  const buttons = make(
+    "div",
+    { className: "buttons" },
     copyButton("Copy command", () => commandLine(choice())),
     copyButton("ROS 1 parameters", () => parameterFile(choice(), 1)),
     copyButton("ROS 2 parameters", () => parameterFile(choice(), 2)),
     staticButton,
   );
-  panel.append(heading, table, summary, take, buttons, command);
+  const take = make("h2", { textContent: "Copy these parameters" });
+  panel.append(make("h2", { textContent: "Points" }), table, summary, take, buttons, command);
   const rows = OUTCOMES.map((outcome) => {
     const row = table.insertRow();
-    const swatch = Object.assign(document.createElement("span"), { className: "swatch" });
+    const swatch = make("span", { className: "swatch" });
     row.insertCell().append(swatch, OUTCOME_NAMES[outcome]);
     const [count, share] = ["count", "share"].map((className) => Object.assign(row.insertCell(), { className }));
     return { row, swatch, count, share };
@@ -556,7 +553,10 @@ function resultsIn(panel, choice) {
       const words = commandWords(choice());
       if (command.children.length === words.length)
         words.forEach((word, n) => put(command.children[n], "textContent", word));
-      else command.replaceChildren(...words.flatMap((word) => [" ", unbroken(word)]).slice(1));
+      else {
+        const unbroken = words.map((word) => make("span", { className: "word", textContent: word }));
+        command.replaceChildren(...unbroken.flatMap((word) => [" ", word]).slice(1));
+      }
       staticButton.hidden = !choice().staticTf;
     },
   };

@@ -1,6 +1,6 @@
 // The form: one row for each parameter, a slider beside its number.
 
-import { put } from "./page.mjs";
+import { make, put } from "./page.mjs";
 import { MOUNT_KEYS } from "./transform.mjs";
 
 /** @typedef {import("./params.mjs").Params} Params */
@@ -11,91 +11,41 @@ const DEGREE = Math.PI / 180;
 const NO_LIMIT = 1e300;
 
 /**
- * @typedef {object} Spec
- * @property {string} name
- * @property {string} label
- * @property {string} unit
- * @property {number} [min] of the slider
- * @property {number} [max]
- * @property {number} [step]
- * @property {number} [factor] parameter per unit shown
- * @property {string} [none] what an empty field means
- * @property {number} [empty] the value of an empty field
+ * A parameter that is a number: its name, its unit, the limits and the step of its slider, what an empty field means, and
+ * the value of an empty field.
+ * @typedef {[name: string, unit: string, min: number, max: number, step: number, none?: string, empty?: number]} Spec
  */
 
-/** @type {{title: string, rows: (Spec | string)[]}[]} */
-const GROUPS = [
-  {
-    title: "Heights",
-    rows: [
-      {
-        name: "min_height",
-        label: "min_height",
-        unit: "m",
-        min: -5,
-        max: 5,
-        step: 0.01,
-        none: "no limit",
-        empty: -Number.MAX_VALUE,
-      },
-      {
-        name: "max_height",
-        label: "max_height",
-        unit: "m",
-        min: -5,
-        max: 5,
-        step: 0.01,
-        none: "no limit",
-        empty: Number.MAX_VALUE,
-      },
-    ],
-  },
-  {
-    title: "Ranges",
-    rows: [
-      { name: "range_min", label: "range_min", unit: "m", min: 0, max: 10, step: 0.01, none: "0", empty: 0 },
-      {
-        name: "range_max",
-        label: "range_max",
-        unit: "m",
-        min: 0,
-        max: 150,
-        step: 0.1,
-        none: "no limit",
-        empty: Number.MAX_VALUE,
-      },
-    ],
-  },
-  {
-    title: "Sector and beams",
-    rows: [
-      { name: "angle_min", label: "angle_min", unit: "deg", min: -360, max: 360, step: 0.5, factor: DEGREE },
-      { name: "angle_max", label: "angle_max", unit: "deg", min: -360, max: 360, step: 0.5, factor: DEGREE },
-      { name: "angle_increment", label: "increment", unit: "deg", min: 0.05, max: 5, step: 0.05, factor: DEGREE },
-      { name: "beams", label: "beams", unit: "", min: 0, max: 3600, step: 1, none: "unset", empty: 0 },
-      "geometry",
-    ],
-  },
-  {
-    title: "Range of a beam",
-    rows: [
-      "reduce",
-      { name: "min_points", label: "min_points", unit: "", min: 1, max: 20, step: 1 },
-      "no_return",
-      "angle_rounding",
-      "intensity_field",
-    ],
-  },
-];
+const { MAX_VALUE } = Number;
+
+/** @type {Record<string, (Spec | string)[]>} parameters that are words have only a name */
+const GROUPS = {
+  Heights: [
+    ["min_height", "m", -5, 5, 0.01, "no limit", -MAX_VALUE],
+    ["max_height", "m", -5, 5, 0.01, "no limit", MAX_VALUE],
+  ],
+  Ranges: [
+    ["range_min", "m", 0, 10, 0.01, "0", 0],
+    ["range_max", "m", 0, 150, 0.1, "no limit", MAX_VALUE],
+  ],
+  "Sector and beams": [
+    ["angle_min", "deg", -360, 360, 0.5],
+    ["angle_max", "deg", -360, 360, 0.5],
+    ["angle_increment", "deg", 0.05, 5, 0.05],
+    ["beams", "", 0, 3600, 1, "unset", 0],
+    "geometry",
+  ],
+  "Range of a beam": ["reduce", ["min_points", "", 1, 20, 1], "no_return", "angle_rounding", "intensity_field"],
+};
 
 /** @type {Record<string, Spec>} */
 const MOUNT_SPECS = {
-  x: { name: "x", label: "x", unit: "m", min: -3, max: 3, step: 0.01 },
-  y: { name: "y", label: "y", unit: "m", min: -3, max: 3, step: 0.01 },
-  z: { name: "z", label: "z", unit: "m", min: -3, max: 3, step: 0.01 },
-  roll: { name: "roll", label: "roll", unit: "deg", min: -180, max: 180, step: 0.1, factor: DEGREE },
-  pitch: { name: "pitch", label: "pitch", unit: "deg", min: -90, max: 90, step: 0.1, factor: DEGREE },
-  yaw: { name: "yaw", label: "yaw", unit: "deg", min: -180, max: 180, step: 0.1, factor: DEGREE },
+  x: ["x", "m", -3, 3, 0.01],
+  y: ["y", "m", -3, 3, 0.01],
+  z: ["z", "m", -3, 3, 0.01],
+  roll: ["roll", "deg", -180, 180, 0.1],
+  pitch: ["pitch", "deg", -90, 90, 0.1],
+  yaw: ["yaw", "deg", -180, 180, 0.1],
 };
 
 /** One parameter's row: a slider and a number that agree. */
@@ -105,35 +55,37 @@ class NumberRow {
    * @param {string} help
    * @param {(value: number) => void} changed
    */
-  constructor(spec, help, changed) {
-    this.spec = spec;
-    this.factor = spec.factor ?? 1;
-    this.slider = Object.assign(document.createElement("input"), { type: "range", tabIndex: -1 });
-    this.number = Object.assign(document.createElement("input"), { type: "number", step: "any" });
-    for (const key of /** @type {const} */ (["min", "max", "step"])) this.slider[key] = String(spec[key]);
+  constructor([name, unit, min, max, step, none = "", empty], help, changed) {
+    this.none = none;
+    this.empty = empty;
+    this.factor = unit === "deg" ? DEGREE : 1;
+    const [low, high, by] = [min, max, step].map(String);
+    this.slider = make("input", { type: "range", tabIndex: -1, min: low, max: high, step: by });
+    this.number = make("input", { type: "number", step: "any", id: `param-${name}` });
     this.slider.setAttribute("aria-hidden", "true");
-    this.number.id = `param-${spec.name}`;
     this.slider.addEventListener("input", () => {
       this.number.value = this.slider.value;
       changed(Number(this.slider.value) * this.factor);
     });
     this.number.addEventListener("input", () => {
       const text = this.number.value.trim();
-      const value = text === "" && spec.empty !== undefined ? spec.empty : Number.parseFloat(text) * this.factor;
+      const value = text === "" && empty !== undefined ? empty : Number.parseFloat(text) * this.factor;
       if (Number.isFinite(value)) this.slider.value = String(value / this.factor);
       changed(value);
     });
-    this.element = row(spec.label, this.number.id, help, this.slider, this.number, unitOf(spec.unit));
+    const label = name === "angle_increment" ? "increment" : name;
+    const after = make("span", { className: "unit", textContent: unit });
+    this.element = row(label, this.number.id, help, this.slider, this.number, after);
   }
 
   /** @param {number} value */
   show(value) {
     const shown = Number((value / this.factor).toPrecision(9));
-    const none = Math.abs(value) >= NO_LIMIT || value === this.spec.empty;
+    const none = Math.abs(value) >= NO_LIMIT || value === this.empty;
     // Upstream's default min_height is the smallest number above 0.
     const above = value > 0 && value < 1e-300;
     const text = none || above ? "" : String(shown);
-    put(this.number, "placeholder", above ? "above 0" : (this.spec.none ?? ""));
+    put(this.number, "placeholder", above ? "above 0" : this.none);
     if (document.activeElement !== this.number) this.number.value = text;
     this.slider.value = String(Math.abs(value) >= NO_LIMIT ? Math.sign(value) * 1e9 : shown);
   }
@@ -153,8 +105,7 @@ class ChoiceRow {
    * @param {(value: string) => void} changed
    */
   constructor(name, choices, help, changed) {
-    this.select = document.createElement("select");
-    this.select.id = `param-${name}`;
+    this.select = make("select", { id: `param-${name}` });
     for (const choice of choices) this.select.add(new Option(choice || "none", choice));
     this.select.addEventListener("change", () => changed(this.select.value));
     this.element = row(name, this.select.id, help, this.select);
@@ -179,22 +130,8 @@ class ChoiceRow {
  * @param {...HTMLElement} parts
  */
 function row(text, id, help, ...parts) {
-  const element = document.createElement("div");
-  element.className = "row";
-  element.title = help;
-  const label = document.createElement("label");
-  label.htmlFor = id;
-  label.textContent = text;
-  element.append(label, ...parts);
-  return element;
-}
-
-/** @param {string} unit */
-function unitOf(unit) {
-  const element = document.createElement("span");
-  element.className = "unit";
-  element.textContent = unit;
-  return element;
+  const label = make("label", { htmlFor: id, textContent: text });
+  return make("div", { className: "row", title: help }, label, ...parts);
 }
 
 export class Controls {
@@ -213,52 +150,38 @@ export class Controls {
   constructor(panel, given, on) {
     /** @type {Map<string, NumberRow | ChoiceRow>} */
     this.rows = new Map();
-    const heading = document.createElement("h2");
-    heading.textContent = "Parameters";
-    this.presets = new ChoiceRow(
-      "preset",
-      ["", ...given.presets],
-      "Parameters that suit a consumer of the scans.",
-      on.preset,
-    );
-    panel.append(heading, this.presets.element);
-    for (const { title, rows } of GROUPS) {
-      const group = fieldset(title);
-      for (const spec of rows) {
-        const name = typeof spec === "string" ? spec : spec.name;
+    const about = "Parameters that suit a consumer of the scans.";
+    this.presets = new ChoiceRow("preset", ["", ...given.presets], about, on.preset);
+    panel.append(make("h2", { textContent: "Parameters" }), this.presets.element);
+    for (const [title, specs] of Object.entries(GROUPS)) {
+      const group = make("fieldset", {}, make("legend", { textContent: title }));
+      for (const spec of specs) {
+        const name = typeof spec === "string" ? spec : spec[0];
         const { help = "", choices = [] } = given.parameters[name] ?? {};
+        const changed = (/** @type {number | string} */ value) => on.param(name, value);
+        const words = name === "intensity_field" ? ["", ...given.fields] : choices;
         const made =
-          typeof spec === "string"
-            ? new ChoiceRow(name, name === "intensity_field" ? ["", ...given.fields] : choices, help, (value) =>
-                on.param(name, value),
-              )
-            : new NumberRow(spec, help, (value) => on.param(name, value));
+          typeof spec === "string" ? new ChoiceRow(name, words, help, changed) : new NumberRow(spec, help, changed);
         this.rows.set(name, made);
         group.append(made.element);
       }
       panel.append(group);
     }
-    const mount = fieldset("Mount: the sensor in the target frame");
+    const title = "Mount: the sensor in the target frame";
+    const mount = make("fieldset", {}, make("legend", { textContent: title }));
     for (const key of MOUNT_KEYS) {
-      const made = new NumberRow(
-        MOUNT_SPECS[key],
-        "Pose of the sensor in the target frame; see --static-tf.",
-        (value) => on.mount(key, value),
-      );
+      const help = "Pose of the sensor in the target frame; see --static-tf.";
+      const made = new NumberRow(MOUNT_SPECS[key], help, (value) => on.mount(key, value));
       made.number.id = `mount-${key}`;
       made.element.querySelector("label")?.setAttribute("for", made.number.id);
       this.rows.set(`mount-${key}`, made);
       mount.append(made.element);
     }
-    const reset = Object.assign(document.createElement("button"), { type: "button", textContent: "Reset all" });
+    const reset = make("button", { type: "button", textContent: "Reset all" });
     reset.addEventListener("click", on.reset);
-    const buttons = document.createElement("div");
-    buttons.className = "buttons";
-    buttons.append(reset);
-    this.problem = document.createElement("p");
-    this.problem.className = "problem";
+    this.problem = make("p", { className: "problem" });
     this.problem.setAttribute("role", "alert");
-    panel.append(mount, buttons, this.problem);
+    panel.append(mount, make("div", { className: "buttons" }, reset), this.problem);
   }
 
   /**
@@ -282,13 +205,4 @@ export class Controls {
     for (const [name, made] of this.rows) made.mark(problem?.name === name);
     put(this.problem, "textContent", problem ? `${problem.name} ${problem.message}` : "");
   }
-}
-
-/** @param {string} title */
-function fieldset(title) {
-  const element = document.createElement("fieldset");
-  const legend = document.createElement("legend");
-  legend.textContent = title;
-  element.append(legend);
-  return element;
 }

@@ -1,7 +1,8 @@
 // Draws over the points: beams, sector, rings, the height band, frames.
 
+import { styled } from "./page.mjs";
+
 /** @typedef {import("./flat.mjs").Flat} Flat */
-/** @typedef {import("./orbit.mjs").Orbit} Orbit */
 /** @typedef {import("./layout.mjs").Layout} Layout */
 
 /**
@@ -10,6 +11,20 @@
  * @property {Pick<Layout, "angleMin" | "increment">} layout
  * @property {Float32Array} ranges metres
  */
+
+/**
+ * Draw lines.
+ * @param {CanvasRenderingContext2D} pen
+ * @param {...number[]} lines x and y of both ends, pixels
+ */
+export function strokeLines(pen, ...lines) {
+  pen.beginPath();
+  for (const [x0, y0, x1, y1] of lines) {
+    pen.moveTo(x0, y0);
+    pen.lineTo(x1, y1);
+  }
+  pen.stroke();
+}
 
 /** Maximum number of returns with a line from the sensor; more lines would hide everything else. */
 const MOST_LINES = 1500;
@@ -63,13 +78,12 @@ export function beamsFromAbove(pen, view, ends, colour, origin, lines, size = 3)
  * @param {CanvasRenderingContext2D} pen
  * @param {Flat} view
  * @param {number} step metres
- * @param {CSSStyleDeclaration} style
  */
-export function rings(pen, view, step, style) {
+export function rings(pen, view, step) {
   const [x, y] = [view.px(0), view.py(0)];
   const { width, height } = view.stage;
   const reach = Math.hypot(Math.max(x, width - x), Math.max(y, height - y)) / view.shown.scale;
-  pen.strokeStyle = style.getPropertyValue("--line");
+  pen.strokeStyle = styled("--line");
   pen.beginPath();
   for (let n = 1; n * step <= reach && n <= 60; n++) {
     const radius = n * step * view.shown.scale;
@@ -84,11 +98,10 @@ export function rings(pen, view, step, style) {
  * @param {CanvasRenderingContext2D} pen
  * @param {Flat} view
  * @param {import("./params.mjs").Params} params
- * @param {CSSStyleDeclaration} style
  */
-export function sector(pen, view, params, style) {
+export function sector(pen, view, params) {
   const [x, y] = [view.px(0), view.py(0)];
-  pen.strokeStyle = style.getPropertyValue("--accent");
+  pen.strokeStyle = styled("--accent");
   pen.setLineDash([5, 4]);
   pen.beginPath();
   const reach = params.range_max < 1e6 ? params.range_max * view.shown.scale : 1e5;
@@ -113,18 +126,14 @@ export function sector(pen, view, params, style) {
  * @param {CanvasRenderingContext2D} pen
  * @param {Flat} view
  * @param {[number, number]} edges pixels, upper and lower; within the view
- * @param {CSSStyleDeclaration} style
  */
-export function band(pen, view, [upper, lower], style) {
+export function band(pen, view, [upper, lower]) {
   const { width } = view.stage;
-  pen.fillStyle = style.getPropertyValue("--band");
+  pen.fillStyle = styled("--band");
   pen.fillRect(0, upper, width, lower - upper);
-  pen.strokeStyle = pen.fillStyle = style.getPropertyValue("--accent");
+  pen.strokeStyle = pen.fillStyle = styled("--accent");
   for (const y of [upper, lower]) {
-    pen.beginPath();
-    pen.moveTo(0, y);
-    pen.lineTo(width, y);
-    pen.stroke();
+    strokeLines(pen, [0, y, width, y]);
     pen.fillRect(width / 2 - 22, y - 2.5, 44, 5);
   }
 }
@@ -135,33 +144,24 @@ export function band(pen, view, [upper, lower], style) {
  * @param {(x: number, y: number, z: number) => [number, number]} place
  * @param {{name: string, x: number, y: number, z: number}[]} frames
  * @param {number} length of the axes, metres
- * @param {CSSStyleDeclaration} style
  */
-export function frameMarks(pen, place, frames, length, style) {
+export function frameMarks(pen, place, frames, length) {
   const colours = ["#e0483e", "#3fa34d", "#3f7fe0"];
   const [x0, y0] = place(0, 0, 0);
   pen.lineWidth = 2;
   for (let axis = 0; axis < 3; axis++) {
     const tip = place(axis === 0 ? length : 0, axis === 1 ? length : 0, axis === 2 ? length : 0);
     pen.strokeStyle = colours[axis];
-    pen.beginPath();
-    pen.moveTo(x0, y0);
-    pen.lineTo(...tip);
-    pen.stroke();
+    strokeLines(pen, [x0, y0, ...tip]);
   }
   pen.lineWidth = 1;
-  pen.strokeStyle = pen.fillStyle = style.getPropertyValue("--ink");
+  pen.strokeStyle = pen.fillStyle = styled("--ink");
   pen.textAlign = "left";
   /** @type {[number, number, number][]} left, right and height of the names so far */
   const named = [];
   for (const { name, x, y, z } of together(frames)) {
     const [px, py] = place(x, y, z);
-    pen.beginPath();
-    pen.moveTo(px - 4, py);
-    pen.lineTo(px + 4, py);
-    pen.moveTo(px, py - 4);
-    pen.lineTo(px, py + 4);
-    pen.stroke();
+    strokeLines(pen, [px - 4, py, px + 4, py], [px, py - 4, px, py + 4]);
     pen.globalAlpha = 0.75;
     const end = px + 6 + pen.measureText(name).width;
     let line = py - 7;
@@ -169,7 +169,7 @@ export function frameMarks(pen, place, frames, length, style) {
     while (named.some(([from, to, at]) => px + 6 < to && end > from && Math.abs(at - line) < 12)) line -= 13;
     named.push([px + 6, end, line]);
     pen.lineWidth = 3;
-    pen.strokeStyle = style.getPropertyValue("--paper");
+    pen.strokeStyle = styled("--paper");
     pen.strokeText(name, px + 6, line);
     pen.lineWidth = 1;
     pen.strokeStyle = pen.fillStyle;

@@ -1,5 +1,7 @@
 // A view along an axis, with metres on its axes, pan and zoom. Views may share a window.
 
+import { strokeLines } from "./draw.mjs";
+import { styled } from "./page.mjs";
 import { Stage, niceStep, tick, ticks } from "./stage.mjs";
 
 /**
@@ -46,14 +48,8 @@ export class Flat {
       this.zoom(factor, at);
       on.change();
     });
-    element.addEventListener("dblclick", on.fit);
-    element.addEventListener("keydown", (event) => {
-      const steps = { ArrowLeft: [40, 0], ArrowRight: [-40, 0], ArrowUp: [0, 40], ArrowDown: [0, -40] };
-      const step = steps[/** @type {keyof typeof steps} */ (event.key)];
-      if (event.key === "0") on.fit();
-      if (!step) return;
-      event.preventDefault();
-      this.pan(step[0], step[1]);
+    this.stage.onKeys(on.fit, (right, down) => {
+      this.pan(-40 * right, -40 * down);
       on.change();
     });
   }
@@ -138,39 +134,36 @@ export class Flat {
 
   /**
    * Draw the grid and the axes' numbers, and return the pen for what is drawn above them.
-   * @param {CSSStyleDeclaration} style
    */
-  axes(style) {
+  axes() {
     const pen = this.stage.pen();
     const { width, height } = this.stage;
     const bottom = height - MARGIN.bottom;
     const step = niceStep(width / this.shown.scale, width / 90);
     const [left, low] = this.world([MARGIN.left, bottom]);
     const [right, high] = this.world([width, 0]);
-    pen.strokeStyle = style.getPropertyValue("--grid");
-    pen.fillStyle = style.getPropertyValue("--faint");
-    pen.beginPath();
+    pen.strokeStyle = styled("--grid");
+    pen.fillStyle = styled("--faint");
     const numbers = [];
+    const lines = [];
     for (const value of ticks(left, right, step)) {
       const x = Math.round(this.px(value)) + 0.5;
-      pen.moveTo(x, 0);
-      pen.lineTo(x, bottom);
+      lines.push([x, 0, x, bottom]);
       numbers.push({ x, y: bottom + 11, text: tick(value, step), align: "center" });
     }
     const stepUp = this.rise === this.shown.scale ? step : niceStep(height / this.rise, height / 30);
     for (const value of ticks(low, high, stepUp)) {
       const y = Math.round(this.py(value)) + 0.5;
-      pen.moveTo(MARGIN.left, y);
-      pen.lineTo(width, y);
+      lines.push([MARGIN.left, y, width, y]);
       numbers.push({ x: MARGIN.left - 6, y, text: tick(value, stepUp), align: "right" });
     }
     pen.globalCompositeOperation = "destination-over";
-    pen.stroke();
+    strokeLines(pen, ...lines);
     pen.globalCompositeOperation = "source-over";
-    pen.fillStyle = style.getPropertyValue("--plot");
+    pen.fillStyle = styled("--plot");
     pen.fillRect(0, 0, MARGIN.left, height);
     pen.fillRect(0, bottom, width, MARGIN.bottom);
-    pen.fillStyle = style.getPropertyValue("--faint");
+    pen.fillStyle = styled("--faint");
     for (const { x, y, text, align } of numbers) {
       if (y < 6 || x > width - 10 || (align === "center" && x < MARGIN.left + 4)) continue;
       pen.textAlign = /** @type {CanvasTextAlign} */ (align);

@@ -7,6 +7,8 @@ export const TURN = 2 * Math.PI;
 const SLACK = 1e-3;
 const GAP = 0.5e-3;
 
+/** @typedef {import("./params.mjs").Params} Params */
+
 /**
  * @typedef {object} Layout
  * @property {number} count length of `ranges`
@@ -29,39 +31,23 @@ function beamCount(angleMin, angleMax, increment) {
   return quotient > 0 && quotient < Infinity ? Math.ceil(quotient) : 0;
 }
 
-/**
- * @param {number} angleMin
- * @param {number} angleMax
- * @param {number} increment
- * @param {number} beams 0: the increment decides
- * @returns {Layout}
- */
-export function upstreamLayout(angleMin, angleMax, increment, beams) {
-  let step = increment;
+/** @param {Params} params */
+function upstreamLayout({ angle_min, angle_max, angle_increment, beams }) {
+  const [angleMin, angleMax] = [fround(angle_min), fround(angle_max)];
+  let step = angle_increment;
   if (beams) {
-    step = fround((fround(angleMax) - fround(angleMin)) / beams);
+    step = fround((angleMax - angleMin) / beams);
     while (beamCount(angleMin, angleMax, step) > beams) step = nextUp32(step);
   }
-  return {
-    count: beamCount(angleMin, angleMax, step),
-    angleMin: fround(angleMin),
-    angleMax: fround(angleMax),
-    increment: fround(step),
-    fullCircle: false,
-  };
+  const count = beamCount(angleMin, angleMax, step);
+  return { count, angleMin, angleMax, increment: fround(step), fullCircle: false };
 }
 
-/**
- * @param {number} angleMin
- * @param {number} angleMax
- * @param {number} increment
- * @param {number} beams 0: the increment decides
- * @returns {Layout}
- */
-export function centeredLayout(angleMin, angleMax, increment, beams) {
-  const first = fround(angleMin);
-  const span = angleMax - angleMin;
-  let step = beams ? span / (beams - 1) : increment;
+/** @param {Params} params */
+function centeredLayout({ angle_min, angle_max, angle_increment, beams }) {
+  const angleMin = fround(angle_min);
+  const span = angle_max - angle_min;
+  let step = beams ? span / (beams - 1) : angle_increment;
   let fullCircle = true;
   let count = beams;
   if (span < TURN) {
@@ -74,25 +60,16 @@ export function centeredLayout(angleMin, angleMax, increment, beams) {
   }
   let rounded = fround(step);
   if ((beams || fullCircle) && rounded > step) rounded = -nextUp32(-rounded);
-  return {
-    count,
-    angleMin: first,
-    angleMax: fround(first + (count - 1) * rounded),
-    increment: rounded,
-    fullCircle,
-  };
+  const angleMax = fround(angleMin + (count - 1) * rounded);
+  return { count, angleMin, angleMax, increment: rounded, fullCircle };
 }
 
 /**
  * The beams of `centeredLayout`, with `angleMax` one increment after the last beam's middle.
- * @param {number} angleMin
- * @param {number} angleMax
- * @param {number} increment
- * @param {number} beams 0: the increment decides
- * @returns {Layout}
+ * @param {Params} params
  */
-export function halfOpenLayout(angleMin, angleMax, increment, beams) {
-  const layout = centeredLayout(angleMin, angleMax, increment, beams);
+function halfOpenLayout(params) {
+  const layout = centeredLayout(params);
   return { ...layout, angleMax: fround(layout.angleMin + layout.count * layout.increment) };
 }
 
@@ -104,14 +81,10 @@ export const SYMMETRIC_BEAMS = [3, 100_000];
 
 /**
  * The beams of `centeredLayout`, shifted so that their middle is 0, but for ten float32 steps: MRPT then misreads none.
- * @param {number} angleMin
- * @param {number} angleMax
- * @param {number} increment
- * @param {number} beams 0: the increment decides
- * @returns {Layout}
+ * @param {Params} params
  */
-export function symmetricLayout(angleMin, angleMax, increment, beams) {
-  const layout = centeredLayout(angleMin, angleMax, increment, beams);
+function symmetricLayout(params) {
+  const layout = centeredLayout(params);
   const half = fround(((layout.count - 1) * layout.increment) / 2);
   const grid = 2 * (nextUp32(half) - half);
   const last = roundHalfEven(half / grid) * grid;
@@ -125,3 +98,14 @@ function roundHalfEven(value) {
   if (part !== 0.5) return Math.round(value);
   return floor % 2 === 0 ? floor : floor + 1;
 }
+
+/** @type {Record<string, (params: Params) => Layout>} */
+const LAYOUTS = {
+  upstream: upstreamLayout,
+  centered: centeredLayout,
+  "half-open": halfOpenLayout,
+  symmetric: symmetricLayout,
+};
+
+/** @param {Params} params */
+export const layoutOf = (params) => (LAYOUTS[params.geometry] ?? upstreamLayout)(params);

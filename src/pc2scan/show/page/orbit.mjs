@@ -24,14 +24,8 @@ export class Orbit {
       this.scale = Math.min(1e5, Math.max(0.01, this.scale * factor));
       on.draw();
     });
-    element.addEventListener("dblclick", on.fit);
-    element.addEventListener("keydown", (event) => {
-      const steps = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, -0.1], ArrowDown: [0, 0.1] };
-      const step = steps[/** @type {keyof typeof steps} */ (event.key)];
-      if (event.key === "0") on.fit();
-      if (!step) return;
-      event.preventDefault();
-      this.rotate(step[0], step[1]);
+    this.stage.onKeys(on.fit, (right, down) => {
+      this.rotate(0.1 * right, 0.1 * down);
       on.draw();
     });
   }

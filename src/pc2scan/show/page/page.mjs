@@ -25,6 +25,26 @@ export function put(element, property, value) {
   if (element[property] !== value) element[property] = value;
 }
 
+/**
+ * A colour of the style sheet in the present theme, such as `--ink`.
+ * @param {string} name
+ */
+export const styled = (name) => getComputedStyle(document.documentElement).getPropertyValue(name);
+
+/**
+ * A new element.
+ * @template {keyof HTMLElementTagNameMap} K
+ * @param {K} tag
+ * @param {Record<string, unknown>} properties
+ * @param {...(Node | string)} children
+ */
+export function make(tag, properties = {}, ...children) {
+  const made = document.createElement(tag);
+  Object.assign(made, properties);
+  made.append(...children);
+  return made;
+}
+
 /** @returns {import("./palette.mjs").Theme} */
 export function theme() {
   return document.documentElement.dataset.theme === "dark" ? "dark" : "light";
@@ -111,7 +131,7 @@ export function nameFrame(frame) {
  * @param {() => string} text
  */
 export function copyButton(label, text) {
-  const button = Object.assign(document.createElement("button"), { type: "button", textContent: label });
+  const button = make("button", { type: "button", textContent: label });
   button.addEventListener("click", async () => {
     const copied = await copy(text());
     button.textContent = copied ? "Copied" : "Select it below";
@@ -127,8 +147,7 @@ async function copy(text) {
     return true;
   } catch {
     // Browsers may deny the clipboard to pages from the disk; `execCommand` still works in most of them.
-    const area = document.createElement("textarea");
-    area.value = text;
+    const area = make("textarea", { value: text });
     document.body.append(area);
     area.select();
     const copied = document.execCommand("copy");

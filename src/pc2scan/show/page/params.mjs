@@ -1,7 +1,6 @@
 // The projection's parameters, with the checks of core/params.py.
 
-import { SYMMETRIC_BEAMS } from "./layout.mjs";
-import { layoutOf } from "./rule.mjs";
+import { SYMMETRIC_BEAMS, layoutOf } from "./layout.mjs";
 
 /**
  * The parameters of the projection that change the ranges; names, units and defaults are those of pc2scan.

@@ -3,7 +3,8 @@
 import { correctAngle, olderGlibcAngle } from "./angles.mjs";
 import { emptyRange } from "./params.mjs";
 import { means, winners } from "./reduce.mjs";
-import { layoutOf, ruleOf } from "./rule.mjs";
+import { layoutOf } from "./layout.mjs";
+import { ruleOf } from "./rule.mjs";
 
 /** @typedef {import("./params.mjs").Params} Params */
 /** @typedef {import("./layout.mjs").Layout} Layout */

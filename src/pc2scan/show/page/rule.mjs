@@ -1,18 +1,10 @@
 // The numbers that points are compared with: the rules of core/rule.py.
 
 import { firstFrom, nextDown64, nextUp32, nextUp64 } from "./float32.mjs";
-import { TURN, centeredLayout, halfOpenLayout, symmetricLayout, upstreamLayout } from "./layout.mjs";
+import { TURN, layoutOf } from "./layout.mjs";
 
 /** @typedef {import("./params.mjs").Params} Params */
 /** @typedef {import("./layout.mjs").Layout} Layout */
-
-/** @type {Record<string, (angleMin: number, angleMax: number, increment: number, beams: number) => Layout>} */
-const LAYOUTS = {
-  upstream: upstreamLayout,
-  centered: centeredLayout,
-  "half-open": halfOpenLayout,
-  symmetric: symmetricLayout,
-};
 
 /**
  * @typedef {object} Rule
@@ -32,48 +24,23 @@ const LAYOUTS = {
 
 /**
  * @param {Params} params
- * @returns {Layout}
- */
-export function layoutOf(params) {
-  return (LAYOUTS[params.geometry] ?? upstreamLayout)(
-    params.angle_min,
-    params.angle_max,
-    params.angle_increment,
-    params.beams,
-  );
-}
-
-/**
- * @param {Params} params
  * @returns {Rule}
  */
 export function ruleOf(params) {
   const layout = layoutOf(params);
-  let most = Infinity;
-  if (params.range_max < Infinity) {
-    most = nextDown64(firstSquare(nextUp32(-firstFrom(-params.range_max))));
-  }
+  const beyond = nextUp32(-firstFrom(-params.range_max));
   return {
     lowest: firstFrom(params.min_height),
     highest: -firstFrom(-params.max_height),
     least: firstSquare(firstFrom(params.range_min)),
-    most,
+    most: params.range_max < Infinity ? nextDown64(firstSquare(beyond)) : Infinity,
     ...(params.geometry === "upstream" ? upstreamBeams(layout) : centeredBeams(layout)),
   };
 }
 
 /** @param {Layout} layout */
-function upstreamBeams({ angleMin, angleMax, increment }) {
-  return {
-    first: angleMin,
-    last: angleMax,
-    offset: -angleMin,
-    turn: Infinity,
-    end: Infinity,
-    skew: 0,
-    increment,
-    closed: false,
-  };
+function upstreamBeams({ angleMin: first, angleMax: last, increment }) {
+  return { first, last, offset: -first, turn: Infinity, end: Infinity, skew: 0, increment, closed: false };
 }
 
 /** @param {Layout} layout */

@@ -3,7 +3,7 @@
 import { columns } from "./data.mjs";
 import { beamsFromAbove, endsOf, frameMarks, rings } from "./draw.mjs";
 import { Flat } from "./flat.mjs";
-import { element, figure, nameFrame, oncePerFrame, setUpTheme, setUpTime, theme } from "./page.mjs";
+import { element, figure, make, nameFrame, oncePerFrame, setUpTheme, setUpTime, theme } from "./page.mjs";
 import { layerColour, usualRange } from "./palette.mjs";
 import { niceStep } from "./stage.mjs";
 import { Unrolled } from "./unrolled.mjs";
@@ -30,7 +30,6 @@ import { Unrolled } from "./unrolled.mjs";
 
 /** @param {ScanRecording} recording */
 export function showScans(recording) {
-  const style = getComputedStyle(document.documentElement);
   const shown = { x: 0, y: 0, z: 0, scale: 20, stretch: 1 };
   /** @type {Loaded[]} */
   let layers = [];
@@ -43,7 +42,7 @@ export function showScans(recording) {
   const top = new Flat(element("top", HTMLElement), "y", shown, { change: draw, draw, fit });
   const unrolled = new Unrolled(element("unrolled", HTMLElement), draw);
   const readout = element("readout", HTMLElement);
-  const legend = document.createElement("table");
+  const legend = make("table");
   describeFindings(element("results", HTMLElement), recording, legend);
   const go = setUpTime(
     () => recording.moments.length,
@@ -74,8 +73,8 @@ export function showScans(recording) {
 
   function drawAll() {
     if (!layers.length) return;
-    const pen = top.axes(style);
-    rings(pen, top, niceStep(top.stage.width / shown.scale, 8), style);
+    const pen = top.axes();
+    rings(pen, top, niceStep(top.stage.width / shown.scale, 8));
     layers.forEach((layer, n) =>
       beamsFromAbove(
         pen,
@@ -87,7 +86,7 @@ export function showScans(recording) {
         1 + sizeOf(n),
       ),
     );
-    frameMarks(pen, (x, y) => [top.px(x), top.py(y)], [], 40 / shown.scale, style);
+    frameMarks(pen, (x, y) => [top.px(x), top.py(y)], [], 40 / shown.scale);
     pen.restore();
     unrolled.draw(
       layers.map((layer, n) => ({
@@ -98,7 +97,6 @@ export function showScans(recording) {
         size: sizeOf(n),
         isReturn: (range) => isReturn(layer, range),
       })),
-      style,
       pointed,
     );
     const text = layers.map(
@@ -133,16 +131,11 @@ export function showScans(recording) {
   function describeLayers() {
     legend.replaceChildren(
       ...layers.map((layer) => {
-        const row = document.createElement("tr");
-        const name = document.createElement("td");
-        const swatch = document.createElement("span");
-        swatch.className = "swatch";
+        const swatch = make("span", { className: "swatch" });
         swatch.style.background = layerColour(theme(), layer.colour);
-        name.append(swatch, layer.name);
-        const beams = Object.assign(document.createElement("td"), { className: "count" });
-        beams.textContent = `${returnsOf(layer)} of ${layer.ranges.length} beams`;
-        row.append(name, beams);
-        return row;
+        const beams = `${returnsOf(layer)} of ${layer.ranges.length} beams`;
+        const count = make("td", { className: "count", textContent: beams });
+        return make("tr", {}, make("td", {}, swatch, layer.name), count);
       }),
     );
   }
@@ -225,20 +218,11 @@ async function loadLayer(layer) {
  * @param {HTMLElement} legend
  */
 function describeFindings(panel, recording, legend) {
-  const heading = document.createElement("h2");
-  heading.textContent = "Scans";
-  panel.append(heading, legend);
-  for (const { heading: title, lines } of recording.findings) {
-    const above = document.createElement("h2");
-    above.textContent = title;
-    const list = document.createElement("ul");
-    list.className = "findings";
-    for (const { text, wrong } of lines) {
-      const item = document.createElement("li");
-      item.textContent = text;
-      if (wrong) item.className = "wrong";
-      list.append(item);
-    }
-    panel.append(above, list);
+  panel.append(make("h2", { textContent: "Scans" }), legend);
+  for (const { heading, lines } of recording.findings) {
+    const items = lines.map(({ text, wrong }) =>
+      make("li", wrong ? { textContent: text, className: "wrong" } : { textContent: text }),
+    );
+    panel.append(make("h2", { textContent: heading }), make("ul", { className: "findings" }, ...items));
   }
 }

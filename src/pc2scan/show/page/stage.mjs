@@ -92,16 +92,29 @@ export class Stage {
         if (this.fingers.size < 2) step(at[0] - last[0], at[1] - last[1], at);
         last = at;
       };
+      const released = new AbortController();
+      const { signal } = released;
       /** @param {PointerEvent} ended */
-      const end = (ended) => {
-        if (!ended.isPrimary) return;
-        this.element.removeEventListener("pointermove", move);
-        this.element.removeEventListener("pointerup", end);
-        this.element.removeEventListener("pointercancel", end);
-      };
-      this.element.addEventListener("pointermove", move);
-      this.element.addEventListener("pointerup", end);
-      this.element.addEventListener("pointercancel", end);
+      const end = (ended) => ended.isPrimary && released.abort();
+      this.element.addEventListener("pointermove", move, { signal });
+      this.element.addEventListener("pointerup", end, { signal });
+      this.element.addEventListener("pointercancel", end, { signal });
+    });
+  }
+
+  /**
+   * Call a function with each arrow key, and another one to show everything: on 0 and on a double click.
+   * @param {() => void} fit
+   * @param {(right: number, down: number) => void} step
+   */
+  onKeys(fit, step) {
+    this.element.addEventListener("dblclick", fit);
+    this.element.addEventListener("keydown", (event) => {
+      const arrow = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
+      if (event.key === "0") fit();
+      if (!arrow) return;
+      event.preventDefault();
+      step(arrow[0], arrow[1]);
     });
   }
 

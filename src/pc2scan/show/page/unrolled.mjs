@@ -1,5 +1,7 @@
 // The view of ranges over the angle: the scan beam by beam, like a consumer reads it.
 
+import { strokeLines } from "./draw.mjs";
+import { styled } from "./page.mjs";
 import { Stage, niceStep, tick, ticks } from "./stage.mjs";
 
 const LEFT = 40;
@@ -30,10 +32,9 @@ export class Unrolled {
 
   /**
    * @param {Curve[]} curves
-   * @param {CSSStyleDeclaration} style
    * @param {number} [marked] a beam of the first curve
    */
-  draw(curves, style, marked = -1) {
+  draw(curves, marked = -1) {
     const pen = this.stage.pen();
     const { width, height } = this.stage;
     if (!curves.length) return;
@@ -44,26 +45,24 @@ export class Unrolled {
     this.from = Math.min(...ends.map((end) => Math.min(...end)));
     this.to = Math.max(...ends.map((end) => Math.max(...end)), this.from + 1e-3);
     this.top = 1.06 * Math.max(0.5, ...curves.map(farthest));
-    pen.strokeStyle = style.getPropertyValue("--grid");
-    pen.fillStyle = style.getPropertyValue("--faint");
+    pen.strokeStyle = styled("--grid");
+    pen.fillStyle = styled("--faint");
     const step = [1, 5, 10, 15, 30, 45, 90, 180].find((value) => (this.to - this.from) / value <= width / 50) ?? 360;
-    pen.beginPath();
+    const lines = [];
     pen.textAlign = "center";
     for (const value of ticks(this.from, this.to, step)) {
       const x = Math.round(this.px(value)) + 0.5;
-      pen.moveTo(x, 0);
-      pen.lineTo(x, height - BOTTOM);
+      lines.push([x, 0, x, height - BOTTOM]);
       pen.fillText(`${value}\u00b0`, Math.min(width - 18, x), height - BOTTOM + 11);
     }
     const rise = niceStep(this.top, height / 36);
     pen.textAlign = "right";
     for (const value of ticks(0, this.top, rise)) {
       const y = Math.round(this.py(value)) + 0.5;
-      pen.moveTo(LEFT, y);
-      pen.lineTo(width, y);
+      lines.push([LEFT, y, width, y]);
       if (y > 8) pen.fillText(tick(value, rise), LEFT - 6, y);
     }
-    pen.stroke();
+    strokeLines(pen, ...lines);
     pen.textAlign = "left";
     pen.fillText("m", 8, height - BOTTOM + 11);
     for (const { angleMin, increment, ranges, colour, size, isReturn } of curves) {
@@ -76,11 +75,8 @@ export class Unrolled {
     }
     if (marked >= 0 && curves[0]) {
       const x = this.px((curves[0].angleMin + marked * curves[0].increment) / DEGREE);
-      pen.strokeStyle = style.getPropertyValue("--accent");
-      pen.beginPath();
-      pen.moveTo(x, 0);
-      pen.lineTo(x, height - BOTTOM);
-      pen.stroke();
+      pen.strokeStyle = styled("--accent");
+      strokeLines(pen, [x, 0, x, height - BOTTOM]);
     }
   }
 
