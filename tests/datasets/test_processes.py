@@ -85,10 +85,6 @@ def test_a_dataset_is_continued_after_kills(count: int, kills: int, tmp_path: Pa
     assert batch(folder, killed).exit_status == 1
     assert {key: line["outcome"] for key, line in manifest_of(killed).items()} == expected
     assert contents(killed) == contents(clean)
-    # Empty folders neither.
-    assert {path.relative_to(killed) for path in killed.rglob("*")} == {
-        path.relative_to(clean) for path in clean.rglob("*")
-    }
     assert contents(folder) == before
     # What failed is tried again; nothing else.
     assert batch(folder, killed).unchanged == len(expected) - list(expected.values()).count("failed")

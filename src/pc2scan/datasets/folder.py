@@ -10,11 +10,11 @@ import json
 import os
 import time
 from contextlib import ExitStack, contextmanager, suppress
+from functools import cached_property
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import DestinationError, MissingError, OutputError
-from pc2scan.files.ownership import first_link
 from pc2scan.files.places import check_new_folder, output_folder
 from pc2scan.files.staging import only_run
 from pc2scan.files.system import sync_directory
@@ -24,7 +24,6 @@ from pc2scan.version import __version__
 
 from .manifest import (
     MANIFEST,
-    History,
     Identity,
     identity_among,
     identity_of,
@@ -53,26 +52,8 @@ _NOTE_BEGINNING = b'{"pc2scan begun": '
 _PUSH_SECONDS = 10.0
 
 
-class _Unfinished(NamedTuple):
-    """What a run is going to write, relative to its folder.
-
-    Attributes
-    ----------
-    outputs
-        The results.
-    folders
-        The folders that it makes for them.
-    after
-        How many lines the manifest had.
-    """
-
-    outputs: frozenset[str] = frozenset()
-    folders: frozenset[str] = frozenset()
-    after: int = 0
-
-
 class BatchFolder:
-    """The folder of a batch. Its files are read once; results are recorded as they come.
+    """The folder of a batch: its manifest, and what earlier runs have recorded there. Its files are read once.
 
     Parameters
     ----------
@@ -83,8 +64,13 @@ class BatchFolder:
 
     Attributes
     ----------
-    history
-        What earlier runs have recorded.
+    records
+        The last line of each recording in the manifest, by key.
+    left
+        How the files of the outputs were left when they were last written, by output. The last line of a recording
+        that could not be converted again does not say it.
+    unfinished
+        Outputs that a killed run was going to write, and did not record; relative to the folder.
 
     Raises
     ------
@@ -101,10 +87,18 @@ class BatchFolder:
         self._stored = _listing(path)
         self._version = self._stored_version()
         data = self._read_manifest()
-        noted = self._read_note()
-        self.history = History.read(records_in(data, path / MANIFEST), noted.outputs, noted.after)
-        self._noted = noted._replace(outputs=self.history.unfinished)
-        self._count = data.count(b"\n")
+        noted, after = self._read_note()
+        self.records: dict[str, ManifestRecord] = {}
+        self.left: dict[str, Identity] = {}
+        self._count = 0
+        for line in records_in(data, path / MANIFEST):
+            self.records[line.key] = line
+            if line.is_written:
+                self.left[line.output] = line.output_identity
+            if self._count >= after:
+                noted -= {line.output}
+            self._count += 1
+        self.unfinished = noted
         #: How many bytes of the manifest are whole lines; in a store, those lines, and the time of the next upload.
         self._whole = data.rfind(b"\n") + 1
         self._lines = data[: self._whole] if isinstance(path, UrlPath) else b""
@@ -121,24 +115,23 @@ class BatchFolder:
         except OSError as err:
             raise OutputError(f"the manifest cannot be read: {err.strerror}", path=path) from err
 
-    def _read_note(self) -> _Unfinished:
-        """Return what a killed run was going to write; empty if no run was killed."""
+    def _read_note(self) -> tuple[frozenset[str], int]:
+        """Return what a killed run was going to write, and how many lines the manifest had then."""
         try:
             data = self._read(_UNFINISHED)
             if data is None:
-                return _Unfinished()
+                return frozenset(), 0
             noted = json.loads(data)
-            outputs, folders = (frozenset(map(str, noted[name])) for name in ("outputs", "folders"))
-            found = _Unfinished(outputs, folders, int(noted["after"]))
-            for place in (*found.outputs, *found.folders):
-                refuse_outside(place)
+            outputs = frozenset(map(str, noted["outputs"]))
+            for output in outputs:
+                refuse_outside(output)
+            return outputs, int(noted["after"])
         except (OSError, ValueError, LookupError, TypeError, AttributeError) as err:
             raise DestinationError(
                 "was not written by pc2scan batch, which uses this name",
                 path=self.path / _UNFINISHED,
                 hint="move it away",
             ) from err
-        return found
 
     def _read(self, name: str) -> bytes | None:
         """Return the content of a small file in the folder; None if there is none."""
@@ -157,6 +150,47 @@ class BatchFolder:
             return identity_among(self._stored, output)
         return identity_of([self.path / output])
 
+    @cached_property
+    def outputs(self) -> frozenset[str]:
+        """The outputs that were written by earlier runs, or may be."""
+        return self._unknown.union(self.left)
+
+    @cached_property
+    def _unknown(self) -> frozenset[str]:
+        """The outputs of which it is not known what a run left: it was killed, or the process died that wrote it."""
+        return self.unfinished | {
+            each.output for each in self.records.values() if each.output and each.outcome == "died"
+        }
+
+    def may_replace(self, output: str, there: Identity) -> bool:
+        """Whether an output that is there may be replaced: no one else has written or edited it."""
+        return not there.files or output in self._unknown or there == self.left.get(output)
+
+    def owned(self, output: str) -> frozenset[str] | None:
+        """Return the recorded files of an output, relative to its folder; None if it was never written."""
+        if output not in self.outputs:
+            return None
+        name = PurePosixPath(output).name
+        left = self.left.get(output, Identity())
+        return frozenset(file if file == name else f"{name}/{file}" for file, _, _ in left.files)
+
+    @cached_property
+    def _containers(self) -> dict[tuple[str, Any], str]:
+        """The formats of recordings and their parts, by path and files."""
+        containers: dict[tuple[str, Any], str] = {}
+        for record in self.records.values():
+            if not record.container:
+                continue
+            containers[record.sources[0], record.identity.files] = record.container
+            if len(record.sources) == len(record.identity.files) > 1:
+                for path, file in zip(record.sources, record.identity.files, strict=True):
+                    containers[path, (file,)] = record.container
+        return containers
+
+    def container_of(self, path: Path, identity: Identity) -> str:
+        """Return the format of a recording that an earlier run has found, by its first path and files; else empty."""
+        return self._containers.get((str(path), identity.files), "")
+
     def _unrecorded(self, outputs: Iterable[str]) -> frozenset[str]:
         """Return those outputs that exist now, and not as the manifest had them."""
         stored = _listing(self.path)
@@ -164,57 +198,43 @@ class BatchFolder:
             each: identity_of([self.path / each]) if stored is None else identity_among(stored, each)
             for each in outputs
         }
-        return frozenset(each for each, found in now.items() if found.files and found != self.history.left.get(each))
+        return frozenset(each for each, found in now.items() if found.files and found != self.left.get(each))
 
     @contextmanager
     def writing(self, outputs: Collection[str]) -> Iterator[None]:
         """Keep a note of outputs while they are written, and make their folders.
 
         After a run was killed, the note shows which files belong to the batch. At the end, only outputs that exist and
-        that the manifest does not have stay in it, and folders that stay empty are removed, also those of killed runs.
+        that the manifest does not have stay in it, and folders that this run has made and that stay empty are removed.
         """
-        folders = self._noted.folders
-        if isinstance(self.path, UrlPath):
-            # There, folders are only a part of names.
-            folders = frozenset()
-        else:
-            folders |= {folder for folder in _folders_of(outputs) if not (self.path / folder).is_dir()}
-        known: frozenset[str] = frozenset()
+        folders: list[str] = []
+        known = self.unfinished
         if outputs:
-            self._write_note(self._noted.outputs.union(outputs), folders)
-            known = frozenset(outputs) - self._unrecorded(outputs)
+            if not isinstance(self.path, UrlPath):
+                folders = sorted(folder for folder in _folders_of(outputs) if not (self.path / folder).is_dir())
+            self._write_note(self.unfinished.union(outputs))
+            known |= frozenset(outputs) - self._unrecorded(outputs)
         try:
-            for folder in sorted(folders) if outputs else ():
+            for folder in folders:
                 # If it cannot be made, the conversions that write into it report why.
                 with suppress(OSError):
                     (self.path / folder).mkdir()
             yield
         finally:
             self.close()
-            for folder in sorted(folders, key=lambda folder: folder.count("/"), reverse=True):
-                # Not through a link, which a batch has not made.
-                if first_link(self.path, folder) is None:
-                    with suppress(OSError):
-                        (self.path / folder).rmdir()
-            # What is new was made by this run.
-            known = (self._noted.outputs | known) - self._ended
-            # A note that stays names outputs that the manifest has.
+            for folder in reversed(folders):
+                with suppress(OSError):
+                    (self.path / folder).rmdir()
+            # A note that cannot be removed names outputs that the manifest has.
             with suppress(OutputError, OSError):
-                if left := self._unrecorded(known) if known else known:
+                if left := self._unrecorded(known - self._ended):
                     self._write_note(left)
                 elif outputs or self._stored is None or _UNFINISHED in self._stored:
                     (self.path / _UNFINISHED).unlink(missing_ok=True)
 
-    def _write_note(self, outputs: Iterable[str], folders: Iterable[str] = ()) -> None:
-        """Note what a run is going to write.
-
-        Raises
-        ------
-        OutputError
-            If it cannot be written.
-        """
-        noted = {"pc2scan begun": __version__, "outputs": sorted(outputs), "folders": sorted(folders)}
-        text = json.dumps({**noted, "after": self._count}) + "\n"
+    def _write_note(self, outputs: Iterable[str]) -> None:
+        """Note what a run is going to write; raises OutputError if that cannot be written."""
+        text = json.dumps({"pc2scan begun": __version__, "outputs": sorted(outputs), "after": self._count}) + "\n"
         with text_output(self.path / _UNFINISHED, beginning=_NOTE_BEGINNING, overwrite=False) as write:
             write(text)
 

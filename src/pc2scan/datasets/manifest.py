@@ -11,7 +11,6 @@ import json
 import os
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
 
@@ -293,78 +292,3 @@ def records_in(data: bytes, path: Path) -> Iterator[ManifestRecord]:
                 path=path,
                 hint="remove the line, and the output that it names: that recording is converted again",
             ) from err
-
-
-@dataclass(frozen=True)
-class History:
-    """What earlier runs have recorded.
-
-    Attributes
-    ----------
-    records
-        The manifest, by key.
-    unfinished
-        Outputs that a killed run was going to write, and did not record; relative to the folder of the batch.
-    left
-        How the files of the outputs were left when they were last written, by output. The last line of a recording
-        that could not be converted again does not say it.
-    """
-
-    records: Mapping[str, ManifestRecord]
-    unfinished: frozenset[str] = frozenset()
-    left: Mapping[str, Identity] = field(default_factory=dict)
-
-    @classmethod
-    def read(cls, lines: Iterable[ManifestRecord], noted: frozenset[str], noted_after: int = 0) -> History:
-        """Return the history that a manifest tells, and the note of outputs that a run made after so many lines."""
-        records: dict[str, ManifestRecord] = {}
-        left: dict[str, Identity] = {}
-        recorded = set()
-        for number, line in enumerate(lines):
-            records[line.key] = line
-            if line.is_written:
-                left[line.output] = line.output_identity
-            if number >= noted_after:
-                recorded.add(line.output)
-        return cls(records, noted - recorded, left)
-
-    @cached_property
-    def outputs(self) -> frozenset[str]:
-        """The outputs that were written by earlier runs, or may be."""
-        return self._unknown.union(self.left)
-
-    @cached_property
-    def _unknown(self) -> frozenset[str]:
-        """The outputs of which it is not known what a run left: it was killed, or the process died that wrote it."""
-        return self.unfinished | {
-            each.output for each in self.records.values() if each.output and each.outcome == "died"
-        }
-
-    def may_replace(self, output: str, there: Identity) -> bool:
-        """Whether an output that is there may be replaced: no one else has written or edited it."""
-        return not there.files or output in self._unknown or there == self.left.get(output)
-
-    @cached_property
-    def _containers(self) -> dict[tuple[str, Any], str]:
-        """The formats of recordings and their parts, by path and files."""
-        containers: dict[tuple[str, Any], str] = {}
-        for record in self.records.values():
-            if not record.container:
-                continue
-            containers[record.sources[0], record.identity.files] = record.container
-            if len(record.sources) == len(record.identity.files) > 1:
-                for path, file in zip(record.sources, record.identity.files, strict=True):
-                    containers[path, (file,)] = record.container
-        return containers
-
-    def container_of(self, path: Path, identity: Identity) -> str:
-        """Return the format of a recording that an earlier run has found, by its first path and files; else empty."""
-        return self._containers.get((str(path), identity.files), "")
-
-    def owned(self, output: str) -> frozenset[str] | None:
-        """Return the recorded files of an output, relative to its folder; None if it was never written."""
-        if output not in self.outputs:
-            return None
-        name = PurePosixPath(output).name
-        left = self.left.get(output, Identity())
-        return frozenset(file if file == name else f"{name}/{file}" for file, _, _ in left.files)

@@ -1,6 +1,6 @@
 """Plans a batch: decides what is done with each recording, and why.
 
-Pure functions: nothing is read or written.
+Nothing is written, and of the results only what they are is looked at.
 """
 
 from __future__ import annotations
@@ -22,8 +22,9 @@ if TYPE_CHECKING:
     from pc2scan.errors import Pc2ScanError
 
     from .find import Recording
+    from .folder import BatchFolder
     from .jobs import Request
-    from .manifest import History, Identity, ManifestRecord
+    from .manifest import Identity, ManifestRecord
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,11 +126,9 @@ def _result_name(found: Recording, request: Request, *, distinct: bool = False) 
 def make_plan(
     found: Sequence[Recording],
     requests: Mapping[str, Request | None],
-    history: History,
+    folder: BatchFolder,
     *,
-    out: Path,
     forbidden: Callable[[str], Pc2ScanError | None] = lambda _: None,
-    present: Callable[[str], Identity],
     again: bool = False,
 ) -> BatchPlan:
     """Decide what is done with each recording.
@@ -140,14 +139,10 @@ def make_plan(
         The recordings.
     requests
         Their options, by key; None for those that are skipped.
-    history
-        What earlier runs have recorded.
-    out
-        The folder of the batch, with links resolved.
+    folder
+        The folder of the batch, with what earlier runs have recorded.
     forbidden
         Returns why an output may not be written, whatever is there: it is a source, or behind a link.
-    present
-        Returns the identity of an output in the folder; without files if it does not exist.
     again
         Whether everything is converted again.
     """
@@ -157,7 +152,7 @@ def make_plan(
     left: dict[str, str] = {}
     for each in found:
         request = requests[each.key]
-        record = history.records.get(each.key)
+        record = folder.records.get(each.key)
         output = outputs.get(each.key, "")
         step = Step(each, "convert", "", request, output, record=record)
         if request is None:
@@ -166,20 +161,20 @@ def make_plan(
         if each.error is not None:
             steps.append(replace(step, action="refuse", why=each.error.message, error=each.error))
             continue
-        there = present(output)
-        step = replace(step, owned=history.owned(output), there=there)
-        why = "asked for" if again else _reason(each, request, output, history, there)
+        there = folder.present(output)
+        step = replace(step, owned=folder.owned(output), there=there)
+        why = "asked for" if again else _reason(each, request, output, folder, there)
         error = None
         if why:
             others = clashes.get(each.key)
-            error = _clash(each.key, others[0], outputs, out) if others else forbidden(output)
-            if error is None and not request.output.overwrite and not history.may_replace(output, there):
-                error = _ownership_error(out / output, there, history.left.get(output))
+            error = _clash(each.key, others[0], outputs, folder.path) if others else forbidden(output)
+            if error is None and not request.output.overwrite and not folder.may_replace(output, there):
+                error = _ownership_error(folder.path / output, there, folder.left.get(output))
         if error is not None:
             steps.append(replace(step, action="refuse", why=error.message, error=error))
             continue
         steps.append(replace(step, action="convert" if why else "keep", why=why or "unchanged"))
-        if record is not None and record.output and record.output != output and present(record.output).files:
+        if record is not None and record.output and record.output != output and folder.present(record.output).files:
             left[record.output] = output
     return BatchPlan(tuple(steps), tuple(_left_warning(left)))
 
@@ -221,13 +216,13 @@ def _reason(
     found: Recording,
     request: Request,
     output: str,
-    history: History,
+    folder: BatchFolder,
     there: Identity,
 ) -> str:
     """Return why a recording is converted; empty if its result is up to date."""
-    record = history.records.get(found.key)
+    record = folder.records.get(found.key)
     if record is None:
-        return "interrupted before" if output in history.unfinished else "new"
+        return "interrupted before" if output in folder.unfinished else "new"
     if record.version != __version__:
         return f"converted by pc2scan {record.version}"
     if record.options != request.digest:

@@ -188,9 +188,7 @@ def _open_report(options: BatchOptions, folder: BatchFolder, stack: ExitStack) -
     if path is None:
         return None
     real = Path(os.path.realpath(path))
-    if real.is_relative_to(folder.path) and (
-        real.relative_to(folder.path).as_posix() in {MANIFEST, *folder.history.outputs}
-    ):
+    if real.is_relative_to(folder.path) and (real.relative_to(folder.path).as_posix() in {MANIFEST, *folder.outputs}):
         raise DestinationError("the report cannot be written there: the batch writes this file itself", path=path)
     try:
         if options.dry_run:
@@ -207,9 +205,8 @@ def _open_report(options: BatchOptions, folder: BatchFolder, stack: ExitStack) -
 
 def _plan(sources: Sequence[str], folder: BatchFolder, choices: Choices, options: BatchOptions) -> BatchPlan:
     """Find the recordings, and decide what is done with each."""
-    history = folder.history
-    outputs = [folder.path / output for output in history.outputs]
-    found = find(sources, folder.path, known=history.container_of, outputs=outputs)
+    outputs = [folder.path / output for output in folder.outputs]
+    found = find(sources, folder.path, known=folder.container_of, outputs=outputs)
     if not found:
         raise UsageError(f"no recording found in {', '.join(sources)}")
     requests = choices.of(each.key for each in found)
@@ -221,10 +218,8 @@ def _plan(sources: Sequence[str], folder: BatchFolder, choices: Choices, options
     plan = make_plan(
         found,
         requests,
-        history,
-        out=folder.path,
+        folder,
         forbidden=partial(_forbidden, folder.path, cache(partial(Inputs, inputs))),
-        present=folder.present,
         again=options.again,
     )
     at_url = isinstance(folder.path, UrlPath) or any(isinstance(path, UrlPath) for each in found for path in each.paths)
@@ -323,12 +318,12 @@ class _Batch:
 
     def _clean_up(self) -> None:
         """Remove the temporary files that killed runs have left beside the outputs in this folder."""
-        out, history = self._folder.path, self._folder.history
+        out = self._folder.path
         if isinstance(out, UrlPath):
             # Nothing is beside them: see `pc2scan.files.transfers`.
             return
         planned = [step.output for action in ("convert", "keep") for step in self._plan.of(action)]
-        for output in {*history.outputs, *planned}:
+        for output in {*self._folder.outputs, *planned}:
             if first_link(out, output) is None:
                 clean_up(out / output)
 
