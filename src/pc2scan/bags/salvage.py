@@ -1,139 +1,117 @@
-"""The messages recovered from a damaged chunk, and the note of its damage."""
+"""The messages of a damaged chunk: those in front of the damage, and those that its index has behind it."""
 
 from __future__ import annotations
 
 from array import array
-from functools import partial
-from itertools import islice
-from operator import le
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.loading import LazyItems
+from .loading import LazyItems
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Sequence
+    from collections.abc import Callable, Container, Iterator, Sequence
 
-    from pc2scan.bags.damage import DamageLog
-    from pc2scan.errors import DamageError
-    from pc2scan.model import RawMessage
+    from pc2scan.model import Buffer, RawMessage
 
     from .chunks import Segment
 
 
-class SalvagedMessages(NamedTuple):
-    """The messages recovered from a chunk.
+class Salvage(NamedTuple):
+    """How the records of a container's chunk are read, each at its place.
 
     Attributes
     ----------
-    messages
-        In the order of the chunk.
-    bytes_lost
-        Uncompressed bytes that are in no record.
-    unknown_channel
-        Messages of unknown channels (connections).
+    end_of
+        Returns where the record that begins at a place ends; None if none begins there, or it reaches beyond the data.
+    head_of
+        Returns the connection's id and the log time of the message at a place; None if none is there.
+    message_at
+        Returns the message between two places; None if its connection is unknown.
     """
 
-    messages: list[RawMessage] | LazyItems[RawMessage]
-    bytes_lost: int
-    unknown_channel: int
+    end_of: Callable[[int], int | None]
+    head_of: Callable[[int], tuple[int, int] | None]
+    message_at: Callable[[int, int], RawMessage]
 
-    def select(
-        self, ids: Container[int], start_ns: int | None, stop_ns: int | None
-    ) -> list[RawMessage] | LazyItems[RawMessage]:
-        """Return the messages of some connections, with log times from ``start_ns`` on and before ``stop_ns``."""
+    def records(self, data: Buffer, places: Sequence[int], *, complete: bool) -> Iterator[tuple[int, int]]:
+        """Yield where records begin and end: one behind the other; behind damage, from the next place on.
 
-        def is_wanted(message: RawMessage) -> bool:
-            return (
-                message.connection.id in ids
-                and (start_ns is None or start_ns <= message.log_time_ns)
-                and (stop_ns is None or message.log_time_ns < stop_ns)
-            )
+        A message with a wrong length ends where the next one begins; the last one ends with the data, if these are
+        ``complete``.
 
-        found = self.messages
-        return found.filter(is_wanted) if isinstance(found, LazyItems) else list(filter(is_wanted, found))
+        Parameters
+        ----------
+        data
+            The records of a chunk.
+        places
+            Where messages begin by the chunk's index, sorted.
+        complete
+            Whether these are all of its bytes.
+        """
+        position = number = 0
+        while position < len(data):
+            while number < len(places) and places[number] <= position:
+                number += 1
+            following = places[number] if number < len(places) else len(data)
+            stop = self.end_of(position)
+            if stop is None or stop > following:
+                stop = following
+                if self.head_of(position) is None or (stop == len(data) and not complete):
+                    position = stop
+                    continue
+            yield position, stop
+            position = stop
 
+    def messages(
+        self, data: Buffer, segment: Segment, known: Container[int], entries: Sequence[tuple[int, int]] | None
+    ) -> tuple[LazyItems[RawMessage], dict[str, int | None]]:
+        """Return the messages of a damaged chunk, and how many bytes and messages are lost.
 
-def clamp_times(
-    messages: list[RawMessage] | LazyItems[RawMessage], span: tuple[int, int]
-) -> list[RawMessage] | LazyItems[RawMessage]:
-    """Replace log times outside the range that the chunk declares by the nearest time in the range.
+        A log time outside of the chunk's is replaced by that in the index, if the index is right about others.
 
-    If there are several of them, and all messages are in order by their own times, the declared times are wrong and
-    no message is changed. Nor is one if all of several are outside: they belong to another chunk.
+        Parameters
+        ----------
+        data
+            Its records, as far as they could be decompressed.
+        segment
+            The chunk.
+        known
+            The connections by id.
+        entries
+            The log times and the places of its messages in its index; None if it has none.
+        """
+        expected = {place: time_ns for time_ns, place in entries or ()}
+        # If the records are sound, their content is right, whatever the index says.
+        places = [] if self._are_sound(data) else sorted(place for place in expected if self.head_of(place))
+        starts, stops, replaced = array("Q"), array("Q"), {}
+        covered = unknown = confirmed = 0
+        for start, stop in self.records(data, places, complete=len(data) >= segment.uncompressed_size):
+            covered += stop - start
+            head = self.head_of(start)
+            if head is None:
+                continue
+            if head[0] not in known:
+                unknown += 1
+                continue
+            starts.append(start)
+            stops.append(stop)
+            confirmed += expected.get(start) == head[1]
+            if start in expected and not segment.start_ns <= head[1] <= segment.end_ns:
+                replaced[start] = expected[start]
+        replaced = replaced if len(replaced) < confirmed else {}
 
-    Parameters
-    ----------
-    messages
-        All messages of a chunk, in its order.
-    span
-        The declared first and last log time.
-    """
-    low, high = span
-    times = _times_of(messages)
-    outside = _outside(times, span)
-    if outside == 0 or (outside > 1 and (outside == len(times) or all(map(le, times, islice(times, 1, None))))):
-        return messages
-    if isinstance(messages, LazyItems):
-        nearest = array("Q", (max(low, min(time_ns, high)) for time_ns in times))
-        return messages.map(partial(_clamp, span), nearest)
-    return [_clamp(span, message) for message in messages]
+        def make(number: int) -> RawMessage:
+            message = self.message_at(starts[number], stops[number])
+            return message._replace(log_time_ns=replaced.get(starts[number], message.log_time_ns))
 
+        numbers = array("Q", range(len(starts)))
+        times = array("Q", (make(number).log_time_ns for number in numbers))
+        lost = len(entries) - confirmed - len(replaced) if entries else unknown or None
+        missing = max(segment.uncompressed_size, len(data)) - covered
+        return LazyItems(times, numbers, make, len(data)), {"bytes_lost": missing, "messages_lost": lost}
 
-def _times_of(messages: list[RawMessage] | LazyItems[RawMessage]) -> Sequence[int]:
-    return messages.times if isinstance(messages, LazyItems) else [message.log_time_ns for message in messages]
-
-
-def _outside(times: Sequence[int], span: tuple[int, int]) -> int:
-    return sum(not span[0] <= time_ns <= span[1] for time_ns in times)
-
-
-def _clamp(span: tuple[int, int], message: RawMessage) -> RawMessage:
-    """Set a message's log time to the nearest in a span, and its publish time too if the two are the same."""
-    if span[0] <= message.log_time_ns <= span[1]:
-        return message
-    nearest = max(span[0], min(message.log_time_ns, span[1]))
-    publish_time_ns = nearest if message.publish_time_ns == message.log_time_ns else message.publish_time_ns
-    return message._replace(log_time_ns=nearest, publish_time_ns=publish_time_ns)
-
-
-def note_salvaged(
-    log: DamageLog,
-    problem: DamageError,
-    segment: Segment,
-    offset: int,
-    size: int,
-    left: SalvagedMessages,
-    indexed: int | None,
-    *,
-    counted: bool,
-) -> None:
-    """Note a damaged chunk with recovered messages.
-
-    Parameters
-    ----------
-    offset
-        The reported place of the damage, bytes.
-    size
-        Number of bytes that could be decompressed.
-    left
-        The messages found in these.
-    indexed
-        How many messages the index has for the chunk; None if that is unknown.
-    counted
-        Whether the file declares how many messages it has, which is compared at the end.
-    """
-    cut = max(segment.uncompressed_size - size, 0)
-    missing = cut + left.bytes_lost
-    times = _times_of(left.messages)
-    # These may be the messages of another chunk, and those of this one are not here.
-    is_another = segment.end_ns and _outside(times, (segment.start_ns, segment.end_ns)) > 1
-    is_known = counted or (indexed is not None and indexed >= len(times))
-    unread = max(left.unknown_channel, (indexed or 0) - len(times))
-    log.note(
-        problem,
-        offset=offset,
-        bytes_lost=missing,
-        messages_lost=None if missing or is_another or not (unread or is_known) else unread,
-        first_ns=left.messages[-1].log_time_ns if left.messages and cut else segment.start_ns,
-        last_ns=segment.end_ns,
-    )
+    def _are_sound(self, data: Buffer) -> bool:
+        """Whether records follow each other up to the end."""
+        position: int | None = 0
+        while position is not None and position < len(data):
+            position = self.end_of(position)
+        return position is not None

@@ -8,14 +8,13 @@ from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from mcap.opcode import Opcode as LibrarysOpcode
 from mcap.records import ChunkIndex, DataEnd, Footer
 from mcap.writer import CompressionType
 from mcap.writer import Writer as LibraryWriter
 
 from pc2scan.bags.mcap import index as mcap_index
 from pc2scan.bags.mcap.read import McapReader
-from pc2scan.bags.mcap.records import MAGIC, Opcode
+from pc2scan.bags.mcap.records import MAGIC
 from support.mcap_files import (
     LIBRARY_OPTIONS,
     SAMPLE,
@@ -38,10 +37,6 @@ if TYPE_CHECKING:
     from pc2scan.bags.chunks import Segment
 
 EXPECTED = sorted(((i + 1, n, t, t + 5, data) for n, (i, t, data) in enumerate(SAMPLE)), key=lambda row: row[2])
-
-
-def test_opcodes_are_the_librarys() -> None:
-    assert {each.name: int(each) for each in Opcode} == {each.name: int(each) for each in LibrarysOpcode}
 
 
 def test_messages_beside_indexed_chunks_are_found(tmp_path: Path) -> None:

@@ -5,19 +5,14 @@ from __future__ import annotations
 import random
 import struct
 from contextlib import closing
-from itertools import product
-from time import process_time
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
 from mcap.records import DataEnd, MessageIndex
 
 from pc2scan.bags.mcap.read import McapReader
-from pc2scan.bags.mcap.records import MAGIC, OP_CHUNK, RECORD
-from pc2scan.bags.mcap.recover import is_message
-from pc2scan.bags.mcap.write import McapWriter
+from pc2scan.bags.mcap.records import MAGIC
 from pc2scan.errors import DamageError
-from pc2scan.model import Connection
 from support.bounded import watched
 from support.command import run
 from support.mcap_files import (
@@ -30,7 +25,6 @@ from support.mcap_files import (
     raw_chunk,
     raw_file,
     raw_message,
-    record,
     write,
     zstd,
 )
@@ -113,7 +107,7 @@ def with_length(delta: int, *, chunked: bool) -> Kept:
     return Kept([chunk] if chunked else body, list(range(16, 25)))
 
 
-LONG = raw_channel() + b"".join(raw_message(1, t, bytes([t]) * 40) for t in range(1, 9))
+LONG = b"".join(raw_message(1, t, bytes([t]) * 40) for t in range(1, 9))
 LAST = raw_channel() + raw_message(1, 1) + raw_message(1, 2, b"the last one")
 LAST_LENGTH = len(LAST) - len(raw_message(1, 2, b"the last one")) + 1
 FRONT = b"".join(raw_message(1, time, bytes([time]) * 40) for time in range(1, 30))
@@ -137,11 +131,18 @@ KEPT: dict[str, Kept] = {
         )
         for wrong in (0, 21, 35, 200, 1 << 40)
     },
-    "a message with an impossible time gets the nearest": Kept(
-        [raw_chunk(raw_channel() + b"".join(messages(100, 101, (0x7F << 56) + 102, 103)), message_start_time=100,
-                   message_end_time=103)],
-        [100, 101, 103, 103],
-    ),
+    **{
+        f"a wrong length inside a chunk is made good by its index: {wrong}": Kept(
+            [
+                raw_channel(),
+                raw_chunk(changed(LONG, 3 * 71 + 1, struct.pack("<Q", wrong)), message_end_time=8),
+                encoded(MessageIndex(channel_id=1, records=[(time, 71 * (time - 1)) for time in range(1, 9)])),
+            ],
+            [1, 2, 3, 4, 5, 6, 7, 8],
+            fields={"messages_lost": 0},
+        )
+        for wrong in (3, 45, 100, 1 << 40)
+    },
     "a channel that nothing describes": Kept(
         [timed(5, raw_channel(1) + raw_message(1, 5) + raw_message(2, 6), message_end_time=6)],
         [5],
@@ -157,10 +158,10 @@ KEPT: dict[str, Kept] = {
                 changed(raw_message(1, 6), 1, struct.pack("<Q", len(raw_message(1, 6)) - 9 + delta)),
                 *messages(7, 8, 9, 10, 11),
             ],
-            [5, 7, 8, 9, 10, 11],
+            [5, *([6] if swallowed else [7, 8]), 9, 10, 11],
             whole=False,
         )
-        for delta in (40, 1000)
+        for delta, swallowed in ((40, True), (1000, False))
     },
     "messages after the end of the data": Kept(
         [raw_channel(), *messages(5), encoded(DataEnd(0)), *messages(6)], [5, 6], "the data section ends at byte"
@@ -229,13 +230,6 @@ KEPT: dict[str, Kept] = {
 
 #: There may be more than these times.
 AT_LEAST: dict[str, Kept] = {
-    **{
-        f"a wrong length inside a chunk costs that message: {wrong}": Kept(
-            [raw_chunk(changed(LONG, LONG.index(bytes([4]) * 40) - 30, struct.pack("<Q", wrong)), message_end_time=8)],
-            [1, 2, 3, 5, 6, 7, 8],
-        )
-        for wrong in (3, 45, 100, 1 << 40)
-    },
     # Only another chunk declares their channel, so that it is not known when they are searched for.
     "a chunk whose front is zero": Kept(
         [raw_chunk(raw_channel() + FRONT, message_end_time=29), bytes(400) + SECOND[400:], timed(70)],
@@ -262,7 +256,6 @@ def test_what_is_sound_is_kept(name: str, tmp_path: Path) -> None:
     fields = kept.fields or {}
     assert {field: getattr(damage[0], field) for field in fields} == fields
     assert name in KEPT or damage[0].offset is not None
-    assert not name.startswith("a wrong length") or (damage[0].bytes_lost or 0) > 0
     again, said, whole = repaired(path)
     assert again == times
     assert kept.said in said
@@ -294,19 +287,6 @@ def test_a_gap_says_where_and_when(tmp_path: Path) -> None:
     (gap,) = [place for place in damage if place.bytes_lost]
     at = path.read_bytes().index(b"\xee")
     assert (gap.offset, gap.bytes_lost, gap.first_ns, gap.last_ns) == (at, 500, 10, 30)
-
-
-@pytest.mark.parametrize("opcode", [0x10, 0x45, 0x85])
-def test_a_message_that_became_an_unknown_record_is_lost(opcode: int, tmp_path: Path) -> None:
-    """Nothing but the message index tells it from a record of a later specification, of which there is one, too."""
-    first, second, third = messages(5, 6, 7)
-    inner = b"".join((first, bytes([opcode]) + second[1:], third, record(0x20, b"later")))
-    chunk = raw_chunk(inner, message_start_time=5, message_end_time=7, uncompressed_crc=0)
-    path = raw_file(tmp_path / "a.mcap", raw_channel(), chunk, index(5, 6, 7))
-    with closing(McapReader(path)) as reader:
-        # Of a cut, messages are not counted.
-        assert [row[2] for row in content(reader, start_ns=0, stop_ns=7)] == [5]
-        assert [damage.loses for damage in reader.damage] == [True]
 
 
 # --- Damage in files of writers ---
@@ -374,7 +354,7 @@ def test_a_misplaced_chunk_that_differs_from_its_index_is_read(tmp_path: Path) -
     path.write_bytes(b"".join(parts))
     times, said, _ = repaired(path)
     assert times == sound
-    assert said.count("the index places a chunk at byte") == 2
+    assert "the index and the chunk at byte" in said
 
 
 @pytest.mark.parametrize(("number", "words"), [(0, "follows no chunk"), (1, "is the second of channel")])
@@ -391,44 +371,14 @@ def test_a_message_index_without_its_chunk_is_damage(number: int, words: str, tm
     assert damage[0].loses
 
 
-@pytest.mark.parametrize("summary", ["sound", "of a wrong CRC"])
-def test_a_chunk_with_a_broken_header_is_read_by_the_index(summary: str, tmp_path: Path) -> None:
+def test_a_chunk_with_a_broken_header_is_read_by_the_index(tmp_path: Path) -> None:
     path = made(tmp_path)
     sound = sorted(row[2] for row in recovered(path)[0])
     parts = pieces(path)
     place = chunks_of(parts)[1]
     parts[place] = b"\xff" * 40 + parts[place][40:]
-    data = bytearray(b"".join(parts))
-    if summary != "sound":
-        # A byte of the last summary offset, in front of footer and magic.
-        data[-40] ^= 1
-    path.write_bytes(data)
-    times, said, _ = repaired(path)
-    assert sorted(times) == sound
-    assert ("the summary's CRC" in said) == (summary != "sound")
-
-
-def test_many_chunks_that_only_the_index_has_take_linear_time(tmp_path: Path) -> None:
-    times = []
-    for chunks in (1_000, 8_000):
-        path = tmp_path / f"{chunks}.mcap"
-        writer = McapWriter(path, "none", chunk_size=1)
-        handle = writer.add_connection(Connection(0, "/said", "std_msgs/msg/String", "ros1"))
-        for number in range(chunks):
-            writer.write(handle, number, b"\1\0\0\0x", number)
-        writer.finish()
-        data = bytearray(path.read_bytes())
-        # The summary's CRC, and the header of the first chunk.
-        data[-12] ^= 1
-        data[data.index(RECORD.pack(OP_CHUNK, 76))] = 0x20
-        path.write_bytes(data)
-        began = process_time()
-        with closing(McapReader(path)) as reader:
-            assert len(list(reader.messages())) == chunks
-            assert reader.damage
-        times.append(process_time() - began)
-    # Eight times as long; sixty times if each chunk is compared with all others.
-    assert times[1] < 24 * times[0]
+    path.write_bytes(b"".join(parts))
+    assert sorted(repaired(path)[0]) == sound
 
 
 def test_a_plain_chunk_with_a_wrong_crc_keeps_its_messages(tmp_path: Path) -> None:
@@ -485,16 +435,3 @@ def test_a_packed_message_that_is_broken_is_left_out(tmp_path: Path) -> None:
     assert (damage.messages_lost, damage.first_ns) == (1, packed[5][1])
     with closing(McapReader(path, strict=True)) as reader, pytest.raises(DamageError, match="it ends after"):
         content(reader)
-
-
-@pytest.mark.parametrize("known", [None, {1}])
-@pytest.mark.parametrize("span", [None, (5, 9)])
-def test_a_message_is_of_a_known_channel_and_of_a_time_in_the_span(
-    known: set[int] | None, span: tuple[int, int] | None
-) -> None:
-    for channel, time in product((1, 2), (4, 5, 9, 10)):
-        data = memoryview(b"\0" + raw_message(channel, time))
-        expected = (known is None or channel == 1) and (span is None or time in (5, 9))
-        assert is_message(data, 1, known, span) == expected
-        assert not is_message(data, 0, known, span)
-        assert not is_message(data[:-5], 1, known, span)

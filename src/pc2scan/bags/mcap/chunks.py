@@ -24,10 +24,8 @@ if TYPE_CHECKING:
     #: By channel: log times and places of its messages.
     Index = dict[int, list[tuple[int, int]]]
 
-# Maximum length of a compression's name. A longer one is damaged.
-_MAX_COMPRESSION_NAME = 64
-
-CHUNK_HEAD_SIZE = RECORD.size + CHUNK.size + _MAX_COMPRESSION_NAME + UINT64.size
+#: A chunk's record up to its payload; the name of its compression is no longer than 64 bytes.
+CHUNK_HEAD_SIZE = RECORD.size + CHUNK.size + 64 + UINT64.size
 
 
 class ChunkSegment(Segment):
@@ -47,24 +45,21 @@ class ChunkSegment(Segment):
         return head, self.length, self.padding, self.compression, self.uncompressed_size
 
 
-def chunk_at(data: Buffer, position: int, record_offset: int, file: RecordFile, *, fits: bool = True) -> ChunkSegment:
-    """Read the header of the chunk whose record begins at ``data[position]``.
+def chunk_at(head: Buffer, record_offset: int, file: RecordFile, *, fits: bool = True) -> ChunkSegment:
+    """Read the header of a chunk from the beginning of its record.
 
     With ``fits``, its payload must not be longer than its record.
     """
     malformed = f"the chunk at byte {record_offset} has a malformed header"
     try:
-        _, record_length = RECORD.unpack_from(data, position)
-        start_ns, end_ns, size, crc, name_size = CHUNK.unpack_from(data, position + RECORD.size)
-        name_at = position + RECORD.size + CHUNK.size
-        (length,) = UINT64.unpack_from(data, name_at + min(name_size, _MAX_COMPRESSION_NAME))
-        name = str(data[name_at : name_at + name_size], "utf-8")
+        _, record_length = RECORD.unpack_from(head)
+        start_ns, end_ns, size, crc, name_size = CHUNK.unpack_from(head, RECORD.size)
+        payload_at = RECORD.size + CHUNK.size + name_size + UINT64.size
+        (length,) = UINT64.unpack(head[payload_at - UINT64.size : payload_at])
+        name = str(head[payload_at - UINT64.size - name_size : payload_at - UINT64.size], "utf-8")
     except (struct.error, UnicodeDecodeError) as err:
         raise file.damage(malformed) from err
-    if name_size > _MAX_COMPRESSION_NAME:
-        raise file.damage(f"{malformed}: its compression has a name of {name_size} bytes")
-    head = CHUNK.size + name_size + UINT64.size
-    padding = record_length - head - length
+    padding = RECORD.size + record_length - payload_at - length
     if not length and padding > 0:
         raise file.damage(f"{malformed}: it declares no records in {record_length} bytes")
     if padding < 0 and fits:
@@ -72,7 +67,7 @@ def chunk_at(data: Buffer, position: int, record_offset: int, file: RecordFile, 
             f"the chunk at byte {record_offset} declares {length} bytes of records in {record_length} bytes",
         )
     return ChunkSegment(
-        offset=record_offset + RECORD.size + head,
+        offset=record_offset + payload_at,
         length=length,
         compression=name or "none",
         uncompressed_size=size,
@@ -102,7 +97,7 @@ def borrow_payload(file: RecordFile, segment: Segment) -> memoryview:
 
 def _check_header(record: memoryview, segment: ChunkSegment, file: RecordFile) -> ChunkSegment:
     """Return the chunk by its own header, which has a CRC, after comparing it with the index."""
-    chunk = chunk_at(record, 0, segment.record_offset, file)
+    chunk = chunk_at(record, segment.record_offset, file)
     if record[0] != OP_CHUNK or chunk.form != segment.form:
         raise file.damage(f"the index and the chunk at byte {segment.record_offset} contradict each other")
     return chunk

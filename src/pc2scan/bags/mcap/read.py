@@ -2,38 +2,44 @@
 
 from __future__ import annotations
 
-from collections import deque
 from contextlib import suppress
 from functools import partial
 from threading import Lock
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from mcap.opcode import Opcode
+from mcap.records import Attachment as AttachmentRecord
+from mcap.records import Metadata as MetadataRecord
 
 from pc2scan.bags.chunks import ChunkedReader, segment_chunks, whole_chunks
 from pc2scan.bags.damage import AnotherRecordingError, DamageLog
 from pc2scan.bags.loading import LazyItems, map_items
-from pc2scan.bags.reader import MAX_CONNECTIONS
-from pc2scan.bags.salvage import note_salvaged
 from pc2scan.bags.topics import latches
 from pc2scan.bags.zstd import decompress_messages
 from pc2scan.errors import DamageError, stamp_text
 from pc2scan.files.compression import combine_crc32, crc32
 from pc2scan.model import Attachment, Connection, Definition, Metadata, StoredChunk, Summary
 
-from . import records
 from .chunks import ChunkSegment, borrow_payload, chunk_at, whole_chunk
-from .index import McapIndex, find_declarations, find_index, indexed_times
-from .records import ANY_TIME, MESSAGE, RECORD, Opcode, RecordFile, parse, scan_messages, split
-from .recover import (
-    displaced_chunks,
-    is_at_its_place,
-    payload_prefix,
-    recover_index,
-    refuse_more,
-    salvage_messages,
-    salvage_records,
+from .index import (
+    McapIndex,
+    find_declarations,
+    find_index,
+    indexed_entries,
+    indexed_times,
+    name_of,
 )
+from .records import (
+    ANY_TIME,
+    DECLARATIONS,
+    RECORD,
+    RecordFile,
+    parse,
+    parse_fields,
+    scan_messages,
+)
+from .recover import displaced_chunks, is_at_its_place, payload_prefix, recover_index, salvage_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping
@@ -43,7 +49,6 @@ if TYPE_CHECKING:
     from pc2scan.bags.formats import ReadOptions
     from pc2scan.bags.loading import Chunk, Item, Loaded
     from pc2scan.bags.reader import Reader
-    from pc2scan.bags.salvage import SalvagedMessages
     from pc2scan.model import Buffer, ChunkRule, RawMessage
 
     from .records import Messages
@@ -102,8 +107,6 @@ class McapReader(ChunkedReader):
         self._log = DamageLog(strict=strict)
         #: The connections by channel.
         self._known: dict[int, Connection] = {}
-        #: Declarations in chunks that agree with those of the file.
-        self._agreed: set[bytes] = set()
         #: Chunks that are not where the index places them, by their places in the index; None until one is missing.
         self._displaced: dict[int, ChunkSegment] | None = None
         self._lock = Lock()
@@ -134,14 +137,9 @@ class McapReader(ChunkedReader):
     def _found_index(self) -> McapIndex:
         """Index the file, sound or damaged."""
         try:
-            index = find_index(self._file)
-            if index.rest is not None:
-                refuse_more(self._file, *index.rest)
+            return find_index(self._file)
         except DamageError as err:
-            problem = err
-        else:
-            return index
-        return recover_index(self._file, problem, self._log)
+            return recover_index(self._file, err, self._log)
 
     def chunks(
         self,
@@ -230,16 +228,29 @@ class McapReader(ChunkedReader):
         """Read a damaged segment, and return what can be recovered of it; the damage is noted."""
         place = self._locate(segment)
         data, problem = self._prefix(place)
-        found: Messages = []
+        messages: Messages = []
         try:
             if problem is None:
-                found = self._scan(selection, place, data)
+                messages = self._scan(selection, place, data)
         except DamageError as err:
             problem = err
         if problem is not None:
-            left = self._salvage(place, data, problem)
-            found = left.select(selection.wanted, selection.start_ns, selection.stop_ns)
-        return decompress_messages(found, self._log, place.offset, self._file.path)
+            messages = self._salvage(selection, place, data, problem)
+        return decompress_messages(messages, self._log, place.offset, self._file.path)
+
+    def _salvage(self, selection: _Selection, segment: Segment, data: memoryview, problem: DamageError) -> Messages:
+        """Note a damaged segment, and recover its messages."""
+        if self._log.strict:
+            raise problem
+        entries = [entry for _, more in indexed_entries(self._file, segment) for entry in more] or None
+        wanted, start_ns, stop_ns, _ = selection
+        messages, lost = salvage_of(data, self._known, self._file).messages(data, segment, self._known, entries)
+        offset = segment.record_offset if isinstance(segment, ChunkSegment) else segment.offset
+        self._log.note(problem, offset=offset, first_ns=segment.start_ns, last_ns=segment.end_ns, **lost)
+        ids = wanted.keys()
+        return messages.filter(
+            lambda item: item.connection.id in ids and start_ns <= item.log_time_ns < stop_ns
+        ).as_list()
 
     def _prefix(self, segment: Segment) -> tuple[memoryview, DamageError | None]:
         """A segment's records as far as they can be decompressed, and why that is not all."""
@@ -248,44 +259,27 @@ class McapReader(ChunkedReader):
         except DamageError as err:
             if self._log.strict:
                 raise
-            if (found := self._locate(segment)) is not segment:
-                return self._prefix(found)
             return payload_prefix(self._file, segment, err)
 
     def _locate(self, segment: Segment) -> Segment:
         """Return a damaged segment, or the chunk elsewhere in the file that the index has in its place."""
-        if self._log.strict or not isinstance(segment, ChunkSegment):
-            return segment
-        if is_at_its_place(self._file, segment):
+        if self._log.strict or not isinstance(segment, ChunkSegment) or is_at_its_place(self._file, segment):
             return segment
         with self._lock:
             if self._displaced is None:
                 self._displaced = displaced_chunks(self._file, self._index.segments)
-        found = self._displaced.get(segment.record_offset)
-        if found is None:
-            return segment
-        problem = f"the index places a chunk at byte {segment.record_offset}, it is at byte {found.record_offset}"
-        lost = 0 if self._is_counted else None
-        self._log.note(self._file.damage(problem), offset=segment.record_offset, key="place", messages_lost=lost)
-        return found
-
-    @property
-    def _is_counted(self) -> bool:
-        """Whether the file declares how many messages it has, apart from where they are."""
-        return self._index.statistics is not None
+        chunk = self._displaced.get(segment.record_offset, segment)
+        problem = f"the index places a chunk at byte {segment.record_offset}, it is at byte {chunk.record_offset}"
+        if chunk is not segment:
+            lost = 0 if self._index.statistics else None
+            self._log.note(self._file.damage(problem), offset=segment.record_offset, key="place", messages_lost=lost)
+        return chunk
 
     def _records(self, chunk: Segment) -> Iterator[tuple[int, memoryview]]:
-        """A chunk's records, as far as they can be read."""
-        data, problem = self._prefix(chunk)
-        if problem is None:
-            try:
-                # All of them first, and none is kept: there may be millions.
-                deque(split(data, chunk.offset, self._file), maxlen=0)
-                return split(data, chunk.offset, self._file)
-            except DamageError as err:
-                problem = err
-        self._salvage(chunk, data, problem)
-        return salvage_records(data)
+        """Yield the opcodes and contents of a chunk's records, as far as they can be read."""
+        data, _ = self._prefix(self._locate(chunk))
+        for start, stop in salvage_of(data, {}, self._file).records(data, (), complete=False):
+            yield data[start], data[start + RECORD.size : stop]
 
     def _compare_declaration(self, data: memoryview, chunk: ChunkSegment, position: int) -> None:
         """Compare a schema or a channel in a chunk with the rest of the file, and note it if it is another.
@@ -293,40 +287,26 @@ class McapReader(ChunkedReader):
         Raises
         ------
         DamageError
-            If the record is of a kind that no chunk may have. Unknown kinds are ignored, unless the record has the
-            channel and the log time of a message.
+            If the record is of a kind that no chunk may have. Unknown kinds are ignored.
         """
         opcode, length = RECORD.unpack_from(data, position)
-        if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
-            if opcode > Opcode.DATA_END and not self._resembles_message(data, chunk, position):
+        if opcode not in DECLARATIONS:
+            if opcode > Opcode.DATA_END:
                 return
             raise self._file.damage(f"the chunk at byte {chunk.record_offset} has a record of kind {opcode} in it")
         start = position + RECORD.size
-        record = bytes(data[position : start + length])
-        if record in self._agreed:
-            return
         try:
-            differing = self._index.contradicted_by(opcode, record[RECORD.size :], chunk.record_offset, self._file)
+            record = parse(DECLARATIONS[opcode], data[start : start + length], chunk.record_offset, self._file)
         except DamageError as err:
-            self._log.note(err, offset=chunk.record_offset, key=record[:64], messages_lost=0)
+            self._log.note(err, offset=chunk.record_offset, key=position, messages_lost=0)
             return
-        if differing:
-            self._log.note_index(self._file, chunk.record_offset, _twice(differing, chunk.record_offset))
-        elif len(self._agreed) < MAX_CONNECTIONS:
-            self._agreed.add(record)
-
-    def _resembles_message(self, data: memoryview, chunk: ChunkSegment, position: int) -> bool:
-        """Whether a record of a chunk would be a message of a known channel and time, if it were of that kind."""
-        if position + MESSAGE.size > len(data):
-            return False
-        _, _, channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(data, position)
-        first_ns, last_ns = _declared_span(chunk) or ANY_TIME
-        return channel_id in self._known and first_ns <= log_time_ns <= last_ns
+        if self._index.known(record).get(record.id, record) != record:
+            self._log.note_index(self._file, chunk.record_offset, _twice(name_of(record), chunk.record_offset))
 
     def _header(self, chunk: ChunkSegment) -> ChunkSegment:
         """Read the header of a chunk."""
         head = self._file.read(chunk.record_offset, chunk.offset - chunk.record_offset)
-        return chunk_at(head, 0, chunk.record_offset, self._file)
+        return chunk_at(head, chunk.record_offset, self._file)
 
     def _repeated_span(self, segment: Segment) -> tuple[int, int] | None:
         """Return the times in the message indexes after a chunk, or in its header."""
@@ -347,35 +327,20 @@ class McapReader(ChunkedReader):
         times = messages.times if isinstance(messages, LazyItems) else [message.log_time_ns for message in messages]
         return (min(times), max(times)) if times and problem is None else None
 
-    def _salvage(self, segment: Segment, data: memoryview, problem: DamageError) -> SalvagedMessages:
-        """Note a damaged segment, and recover its messages."""
-        if self._log.strict:
-            raise problem
-        complete = len(data) == segment.uncompressed_size
-        left = salvage_messages(data, self._known, _declared_span(segment), complete=complete)
-        offset = segment.record_offset if isinstance(segment, ChunkSegment) else segment.offset
-        times = indexed_times(self._file, segment) if segment.connection_ids else None
-        indexed = sum(map(len, times.values())) if times else None
-        note_salvaged(self._log, problem, segment, offset, len(data), left, indexed, counted=self._is_counted)
-        return left
-
     def attachments(self) -> Iterator[Attachment]:
         """Yield attachments in the order of the file; each is read when it is needed."""
         for offset in sorted(self._index.attachments):
             content = self._file.record(offset, Opcode.ATTACHMENT)
             try:
-                record = parse(records.AttachmentRecord, content, offset, self._file)
-                # The CRC follows the data, which follow two times, two strings and their own length.
-                texts = len(record.name.encode()) + len(record.media_type.encode())
-                covered = 8 + 8 + 4 + 4 + texts + 8 + len(record.data)
+                record, size = parse_fields(AttachmentRecord, content, offset, self._file)
             except DamageError as err:
                 self._log.note(err, offset=offset, bytes_lost=len(content))
                 continue
-            if record.crc and (actual := crc32(memoryview(content)[:covered])) != record.crc:
-                self._log.note(
-                    self._file.damage(f"attachment {record.name!r} has CRC {actual:08x}, recorded is {record.crc:08x}"),
-                    offset=offset,
-                )
+            # The last field, which the library skips.
+            crc = int.from_bytes(content[size - 4 : size], "little")
+            if crc and (actual := crc32(content[: size - 4])) != crc:
+                problem = f"attachment {record.name!r} has CRC {actual:08x}, recorded is {crc:08x}"
+                self._log.note(self._file.damage(problem), offset=offset)
             yield Attachment(record.name, record.media_type, record.log_time, record.create_time, record.data)
 
     def metadata(self) -> Iterator[Metadata]:
@@ -383,7 +348,7 @@ class McapReader(ChunkedReader):
         for offset in sorted(self._index.metadata):
             content = self._file.record(offset, Opcode.METADATA)
             try:
-                record = parse(records.MetadataRecord, content, offset, self._file)
+                record = parse(MetadataRecord, content, offset, self._file)
             except DamageError as err:
                 self._log.note(err, offset=offset, bytes_lost=len(content))
                 continue

@@ -1,15 +1,20 @@
-"""Reads and parses the records of MCAP files, and finds the messages among them.
+"""Reads records of MCAP files at their places, and finds the messages among them.
 
-Source of the format: https://mcap.dev/spec and https://mcap.dev/spec/registry.
+The library `mcap` has the classes of the records. Source of the format: https://mcap.dev/spec.
 """
 
 from __future__ import annotations
 
 import struct
 from array import array
-from enum import IntEnum
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
+from io import BytesIO
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
+
+from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.exceptions import EndOfFile
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Footer, Header, Metadata, Schema, Statistics
 
 from pc2scan.bags.damage import RECOVER
 from pc2scan.bags.formats import FORMATS
@@ -22,244 +27,11 @@ from pc2scan.model import RawMessage
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
+    from mcap.records import McapRecord
+
     from pc2scan.model import Buffer, Connection
 
     Messages = list[RawMessage] | LazyItems[RawMessage]
-
-
-class Opcode(IntEnum):
-    """The kinds of records."""
-
-    HEADER = 0x01
-    FOOTER = 0x02
-    SCHEMA = 0x03
-    CHANNEL = 0x04
-    MESSAGE = 0x05
-    CHUNK = 0x06
-    MESSAGE_INDEX = 0x07
-    CHUNK_INDEX = 0x08
-    ATTACHMENT = 0x09
-    ATTACHMENT_INDEX = 0x0A
-    STATISTICS = 0x0B
-    METADATA = 0x0C
-    METADATA_INDEX = 0x0D
-    SUMMARY_OFFSET = 0x0E
-    DATA_END = 0x0F
-
-
-# The fields of each are in the order in which they are stored.
-
-
-class Header(NamedTuple):
-    """The first record."""
-
-    profile: str
-    library: str
-
-
-class Footer(NamedTuple):
-    """The last record."""
-
-    summary_start: int
-    summary_offset_start: int
-    summary_crc: int
-
-
-class Schema(NamedTuple):
-    """A message definition."""
-
-    id: int
-    name: str
-    encoding: str
-    data: bytes
-
-
-class Channel(NamedTuple):
-    """A topic of one publisher."""
-
-    id: int
-    schema_id: int
-    topic: str
-    message_encoding: str
-    metadata: Mapping[str, str]
-
-
-class ChunkIndex(NamedTuple):
-    """The position of a chunk, and of the message indexes after it, by channel."""
-
-    message_start_time: int
-    message_end_time: int
-    chunk_start_offset: int
-    chunk_length: int
-    message_index_offsets: Mapping[int, int]
-    message_index_length: int
-    compression: str
-    compressed_size: int
-    uncompressed_size: int
-
-
-class AttachmentRecord(NamedTuple):
-    """A file in the recording. The CRC covers all other fields, or is 0."""
-
-    log_time: int
-    create_time: int
-    name: str
-    media_type: str
-    data: bytes
-    crc: int = 0
-
-
-class AttachmentIndex(NamedTuple):
-    """The position of an attachment."""
-
-    offset: int
-    length: int
-    log_time: int
-    create_time: int
-    data_size: int
-    name: str
-    media_type: str
-
-
-class Statistics(NamedTuple):
-    """The numbers of messages, schemas, channels, attachments, metadata records and chunks."""
-
-    message_count: int
-    schema_count: int
-    channel_count: int
-    attachment_count: int
-    metadata_count: int
-    chunk_count: int
-    message_start_time: int
-    message_end_time: int
-    channel_message_counts: Mapping[int, int]
-
-
-class MetadataRecord(NamedTuple):
-    """A metadata record: text by name."""
-
-    name: str
-    metadata: Mapping[str, str]
-
-
-class MetadataIndex(NamedTuple):
-    """The position of a metadata record."""
-
-    offset: int
-    length: int
-    name: str
-
-
-class SummaryOffset(NamedTuple):
-    """The position of the records of a kind in the summary."""
-
-    group_opcode: int
-    group_start: int
-    group_length: int
-
-
-class DataEnd(NamedTuple):
-    """The end of the data section, with its CRC or 0."""
-
-    data_section_crc: int
-
-
-Record: TypeAlias = (
-    Header
-    | Footer
-    | Schema
-    | Channel
-    | ChunkIndex
-    | AttachmentRecord
-    | AttachmentIndex
-    | Statistics
-    | MetadataRecord
-    | MetadataIndex
-    | SummaryOffset
-    | DataEnd
-)
-
-_Kind = TypeVar("_Kind", bound=Record)
-
-#: How each is stored: its opcode, and its fields. ``B H I Q`` are unsigned numbers, as in `struct`; ``s`` is text;
-#: ``x`` and ``X`` are bytes after their length of 32 and 64 bits; ``t`` and ``n`` are mappings of texts and numbers.
-_FORMS: Mapping[type, tuple[Opcode, str]] = {
-    Header: (Opcode.HEADER, "ss"),
-    Footer: (Opcode.FOOTER, "QQI"),
-    Schema: (Opcode.SCHEMA, "Hssx"),
-    Channel: (Opcode.CHANNEL, "HHsst"),
-    ChunkIndex: (Opcode.CHUNK_INDEX, "QQQQnQsQQ"),
-    AttachmentRecord: (Opcode.ATTACHMENT, "QQssXI"),
-    AttachmentIndex: (Opcode.ATTACHMENT_INDEX, "QQQQQss"),
-    Statistics: (Opcode.STATISTICS, "QHIIIIQQn"),
-    MetadataRecord: (Opcode.METADATA, "st"),
-    MetadataIndex: (Opcode.METADATA_INDEX, "QQs"),
-    SummaryOffset: (Opcode.SUMMARY_OFFSET, "BQQ"),
-    DataEnd: (Opcode.DATA_END, "I"),
-}
-
-_NUMBERS = {code: struct.Struct(f"<{code}") for code in "BHIQ"}
-#: The codes of a mapping's keys and values.
-_PAIRS = {"t": "ss", "n": "HQ"}
-
-
-def pack(record: Record) -> tuple[Opcode, bytes]:
-    """Return a record's opcode and content.
-
-    Raises
-    ------
-    struct.error
-        If a number is negative or too large.
-    """
-    opcode, codes = _FORMS[type(record)]
-    return opcode, b"".join(map(_stored_field, codes, record))
-
-
-def _stored_field(code: str, value: Any) -> bytes:
-    if code in _NUMBERS:
-        return _NUMBERS[code].pack(value)
-    if code in _PAIRS:
-        data = b"".join(part for pair in value.items() for part in map(_stored_field, _PAIRS[code], pair))
-    else:
-        data = value.encode() if code == "s" else value
-    return _NUMBERS["Q" if code == "X" else "I"].pack(len(data)) + data
-
-
-def unpack(kind: type[_Kind], content: Buffer) -> _Kind:
-    """Read a record's content; further bytes are ignored.
-
-    Raises
-    ------
-    struct.error
-        If it is too short.
-    UnicodeDecodeError
-        If a text is not UTF-8.
-    """
-    values, position, content = [], 0, memoryview(content)
-    for code in _FORMS[kind][1]:
-        value, position = _read_field(code, content, position)
-        values.append(value)
-    return kind(*values)
-
-
-def _read_field(code: str, content: memoryview, position: int) -> tuple[Any, int]:
-    """Read a field; return it and the position after it."""
-    number = _NUMBERS.get(code)
-    if number is not None:
-        return number.unpack_from(content, position)[0], position + number.size
-    length, position = _read_field("Q" if code == "X" else "I", content, position)
-    end = position + length
-    if end > len(content):
-        raise struct.error(f"{length} bytes are declared where there are {len(content) - position}")
-    if code in _PAIRS:
-        pairs = {}
-        while position < end:
-            key, position = _read_field(_PAIRS[code][0], content, position)
-            pairs[key], position = _read_field(_PAIRS[code][1], content, position)
-        return pairs, position
-    data = bytes(content[position:end])
-    return (data.decode() if code == "s" else data), end
-
 
 #: The first and the last eight bytes of every file.
 MAGIC = FORMATS["mcap"].magic
@@ -275,17 +47,12 @@ UINT64 = struct.Struct("<Q")
 
 # Plain integers: comparing an IntEnum member costs a method call for each message.
 OP_MESSAGE, OP_CHUNK, OP_MESSAGE_INDEX = 0x05, 0x06, 0x07
+DECLARATIONS: Mapping[int, type[Schema | Channel]] = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}
 
 #: Bytes that are read at a time for a CRC.
 _PIECE = 1 << 20
 
-#: Opcodes from here on are for private records. Those between `Opcode` and these are for later specifications.
-FIRST_PRIVATE = 0x80
-
-
-def has_meaning(opcode: int) -> bool:
-    """Whether an opcode is one of the specification or a private one."""
-    return 0 < opcode <= Opcode.DATA_END or opcode >= FIRST_PRIVATE
+_Record = TypeVar("_Record", Attachment, Footer, Header, Metadata, Schema | Channel, Statistics)
 
 
 class RecordFile(SourceFile):
@@ -299,9 +66,7 @@ class RecordFile(SourceFile):
         """Read the content of a record of a known kind."""
         actual, length = RECORD.unpack(self.read(offset, RECORD.size))
         if actual != opcode:
-            raise self.damage(
-                f"a record of kind {opcode} ({opcode.name}) is declared at byte {offset}, found {actual}",
-            )
+            raise self.damage(f"a record of kind {opcode} ({opcode.name}) should be at byte {offset}, found {actual}")
         return self.read(offset + RECORD.size, length)
 
     def crc(self, start: int, stop: int, value: int = 0) -> int:
@@ -311,41 +76,54 @@ class RecordFile(SourceFile):
         return value
 
 
-_Record = TypeVar("_Record", bound=Record)
+class _Content(BytesIO):
+    """A record's content: fields that it ends in are an error, where the library would shorten them."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        data = super().read(size)
+        if len(data) != size:
+            raise EndOfFile
+        return data
+
+
+def parse_fields(kind: type[_Record], content: Buffer, offset: int, file: RecordFile) -> tuple[_Record, int]:
+    """Parse a record's content; return it, and the length of its fields. ``offset`` is its place, for the error."""
+    stream = ReadDataStream(_Content(content))
+    try:
+        return kind.read(stream), stream.count
+    except (EndOfFile, OverflowError, UnicodeDecodeError) as err:
+        raise file.damage(
+            f"the {kind.__name__} record at byte {offset} ({len(content)} bytes) contradicts its own lengths"
+        ) from err
 
 
 def parse(kind: type[_Record], content: Buffer, offset: int, file: RecordFile) -> _Record:
     """Parse a record's content; ``offset`` is its place in the file, for the error."""
-    try:
-        return unpack(kind, content)
-    except (struct.error, UnicodeDecodeError) as err:
-        raise file.damage(
-            f"the {kind.__name__} record at byte {offset} ({len(content)} bytes) contradicts its own lengths",
-        ) from err
+    return parse_fields(kind, content, offset, file)[0]
 
 
-def split(data: memoryview, origin: int, file: RecordFile) -> Iterator[tuple[int, memoryview]]:
-    """Split consecutive records into opcodes and contents; ``origin`` is their place, for the error."""
-    position = 0
-    while position < len(data):
-        start = position + RECORD.size
-        if start > len(data):
-            break
-        opcode, length = RECORD.unpack_from(data, position)
-        position = start + length
-        if position > len(data):
-            break
-        yield opcode, data[start:position]
-    if position != len(data):
-        raise file.damage(f"the records from byte {origin} on do not end after {len(data)} bytes")
+def encode_record(record: McapRecord) -> bytes:
+    """Pack a record, with its opcode and length.
+
+    Raises
+    ------
+    struct.error
+        If a number is negative or too large.
+    """
+    builder = RecordBuilder()
+    record.write(builder)
+    packed: bytes = builder.end()  # type: ignore[no-untyped-call]
+    return packed
 
 
-def encode_record(record: Record) -> bytes:
-    """Pack a record, its opcode and length included, and the CRC of an attachment."""
-    opcode, content = pack(record)
-    if isinstance(record, AttachmentRecord):
-        content = content[:-4] + struct.pack("<I", crc32(content[:-4]))
-    return RECORD.pack(opcode, len(content)) + content
+def record_end(data: Buffer, position: int) -> int | None:
+    """Return the end of the record that begins here; None if none does, or it does not fit."""
+    if position + RECORD.size > len(data):
+        return None
+    opcode, length = RECORD.unpack_from(data, position)
+    stop = position + RECORD.size + length
+    is_too_short = opcode == OP_MESSAGE and length < MESSAGE.size - RECORD.size
+    return int(stop) if opcode and stop <= len(data) and not is_too_short else None
 
 
 # --- Messages ---
@@ -403,22 +181,15 @@ def scan_messages(
     if count <= MAX_LISTED_ITEMS:
         return MessageScan(messages, others, position, astray)
     start_ns, stop_ns = max(start_ns, span[0]), min(stop_ns, span[1] + 1)
-    return MessageScan(_lazy_messages(data[:position], wanted, start_ns, stop_ns), others, position, astray)
-
-
-def _lazy_messages(
-    data: memoryview, wanted: Mapping[int, Connection], start_ns: int, stop_ns: int
-) -> LazyItems[RawMessage]:
-    """Return the messages among sound records, each created when it is needed."""
     times, places = array("Q"), array("Q")
-    position, last = 0, len(data) - MESSAGE.size
-    while position <= last:
-        opcode, length, channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(data, position)
-        if opcode == OP_MESSAGE and channel_id in wanted and start_ns <= log_time_ns < stop_ns:
-            times.append(log_time_ns)
-            places.append(position)
-        position += RECORD.size + length
-    return LazyItems(times, places, partial(message_at, data, wanted), len(data))
+    for place, opcode, _ in split(data[:position]):
+        if opcode == OP_MESSAGE:
+            _, _, channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(data, place)
+            if channel_id in wanted and start_ns <= log_time_ns < stop_ns:
+                times.append(log_time_ns)
+                places.append(place)
+    make = partial(message_at, data, wanted)
+    return MessageScan(LazyItems(times, places, make, position), others, position, astray)
 
 
 def _scan_stretch(
@@ -435,9 +206,9 @@ def _scan_stretch(
     first_ns, last_ns = span
     # One comparison for cut and span; only if it fails, the two are distinguished.
     start_ns, stop_ns = max(start_ns, first_ns), min(stop_ns, last_ns + 1)
-    found: list[RawMessage] = []
+    messages: list[RawMessage] = []
     others: set[int] = set()
-    append, unpack = found.append, MESSAGE.unpack_from
+    append, unpack = messages.append, MESSAGE.unpack_from
     # The class's constructor takes twice as long, which matters for small messages.
     new: Callable[[type[RawMessage], tuple[object, ...]], RawMessage] = tuple.__new__
     size = len(data)
@@ -445,11 +216,9 @@ def _scan_stretch(
     while position <= last:
         opcode, length, channel_id, sequence, log_time_ns, publish_time_ns = unpack(data, position)
         following = position + 9 + length
-        if following > size:
-            return MessageScan(found, others, position, astray)
+        if following > size or (opcode == OP_MESSAGE and length < 22):
+            return MessageScan(messages, others, position, astray)
         if opcode == OP_MESSAGE:
-            if length < 22:
-                return MessageScan(found, others, position, astray)
             connection = wanted.get(channel_id)
             if connection is None:
                 others.add(channel_id)
@@ -462,18 +231,28 @@ def _scan_stretch(
             further(position)
         position = following
     # The rest is too short for a message, but may be another record.
-    while position + 9 <= size and data[position] != OP_MESSAGE:
-        following = position + 9 + RECORD.unpack_from(data, position)[1]
-        if following > size:
+    for place, opcode, content in split(data, position):
+        if opcode == OP_MESSAGE:
             break
         if further is not None:
-            further(position)
-        position = following
-    return MessageScan(found, others, position, astray)
+            further(place)
+        position = place + RECORD.size + len(content)
+    return MessageScan(messages, others, position, astray)
+
+
+def split(data: memoryview, position: int = 0) -> Iterator[tuple[int, int, memoryview]]:
+    """Yield the places, opcodes and contents of consecutive records, as far as they fit."""
+    while position + RECORD.size <= len(data):
+        opcode, length = RECORD.unpack_from(data, position)
+        start = position + RECORD.size
+        if start + length > len(data):
+            return
+        yield position, opcode, data[start : start + length]
+        position = start + length
 
 
 def message_at(data: memoryview, known: Mapping[int, Connection], place: int) -> RawMessage:
-    """Return the message of a known channel that begins at a place."""
+    """Return the message of a known channel that begins at a place; one that does not fit ends with the data."""
     _, length, channel_id, sequence, log_time_ns, publish_time_ns = MESSAGE.unpack_from(data, place)
     content = data[place + MESSAGE.size : place + RECORD.size + length]
     return RawMessage(known[channel_id], log_time_ns, content, publish_time_ns, sequence)

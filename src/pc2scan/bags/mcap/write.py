@@ -9,12 +9,14 @@ from io import BytesIO
 from itertools import chain
 from typing import TYPE_CHECKING
 
+from mcap import records
+from mcap.opcode import Opcode
+
 from pc2scan.errors import DestinationError, OutputError, UnwritableError
 from pc2scan.files.compression import compress, crc32
 from pc2scan.files.new_file import FreeIds, NewFile, WriteAhead
 from pc2scan.model import StoredChunk, normalized_type, ros1_type
 
-from . import records
 from .records import (
     CHUNK,
     COMPRESSIONS,
@@ -25,7 +27,6 @@ from .records import (
     OP_MESSAGE_INDEX,
     RECORD,
     UINT64,
-    Opcode,
     encode_record,
 )
 
@@ -183,7 +184,7 @@ class McapWriter:
             self._declare(Opcode.SCHEMA, schema)
         return equal[wanted]
 
-    def _declare(self, opcode: Opcode, record: records.Record) -> None:
+    def _declare(self, opcode: Opcode, record: records.McapRecord) -> None:
         packed = encode_record(record)
         self._put(packed)
         self._declared.add(packed)
@@ -295,7 +296,7 @@ class McapWriter:
 
     def add_attachment(self, attachment: Attachment) -> None:
         """Append an attachment, with CRC and index."""
-        record = records.AttachmentRecord(
+        record = records.Attachment(
             create_time=attachment.create_time_ns,
             log_time=attachment.log_time_ns,
             name=attachment.name,
@@ -324,7 +325,7 @@ class McapWriter:
 
     def add_metadata(self, metadata: Metadata) -> None:
         """Append a metadata record, with index."""
-        packed = encode_record(records.MetadataRecord(metadata.name, dict(metadata.entries)))
+        packed = encode_record(records.Metadata(metadata.name, dict(metadata.entries)))
         index = records.MetadataIndex(offset=self._put(packed), length=len(packed), name=metadata.name)
         self._groups[Opcode.METADATA_INDEX] += encode_record(index)
         self._numbers[Opcode.METADATA_INDEX] += 1

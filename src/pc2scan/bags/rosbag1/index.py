@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -33,7 +34,7 @@ from .records import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     from pc2scan.model import Buffer, Connection
 
@@ -187,6 +188,18 @@ def contained_span(file: BagFile, segment: Segment) -> tuple[int, int] | None:
     return (min(stamps), max(stamps)) if stamps else None
 
 
+def indexed_entries(file: BagFile, segment: Segment) -> Iterator[tuple[int, list[tuple[int, int]]]]:
+    """Yield the connections, and the log times and places of their messages, of the index records after a chunk."""
+    position = segment.offset + segment.length
+    with suppress(FormatError):
+        while True:
+            fields, start, position = file.record(position, INDEX_DATA)
+            if number_field(fields, "ver") != 1 or _ENTRY.size * number_field(fields, "count") != position - start:
+                return
+            entries = _ENTRY.iter_unpack(file.nearby(start, position - start))
+            yield number_field(fields, "conn"), [(time * SECOND_NS + more, place) for time, more, place in entries]
+
+
 def indexed_times(file: BagFile, segment: Segment, ids: frozenset[int] | None = None) -> dict[int, list[int]] | None:
     """Return the log times of a chunk's messages by connection, from the index records after it.
 
@@ -204,22 +217,13 @@ def indexed_times(file: BagFile, segment: Segment, ids: frozenset[int] | None = 
         return None
     missing = set(segment.connection_ids if ids is None else segment.connection_ids & ids)
     times: dict[int, list[int]] = {}
-    position = segment.offset + segment.length
-    try:
-        while missing:
-            fields, start, position = file.record(position, INDEX_DATA)
-            if number_field(fields, "ver") != 1 or _ENTRY.size * number_field(fields, "count") != position - start:
-                return None
-            identity = number_field(fields, "conn")
-            if ids is None or identity in ids:
-                missing.discard(identity)
-                entries = _ENTRY.iter_unpack(file.nearby(start, position - start))
-                times.setdefault(identity, []).extend(
-                    seconds * SECOND_NS + nanoseconds for seconds, nanoseconds, _ in entries
-                )
-    except FormatError:
-        return None
-    return times
+    for identity, entries in indexed_entries(file, segment) if missing else ():
+        if ids is None or identity in ids:
+            missing.discard(identity)
+            times.setdefault(identity, []).extend(time_ns for time_ns, _ in entries)
+        if not missing:
+            return times
+    return None if missing else times
 
 
 def _find_connections(file: BagFile, segments: Segments, missing: set[int], found: Connections) -> None:

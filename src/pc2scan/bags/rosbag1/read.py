@@ -16,13 +16,12 @@ import numpy as np
 from pc2scan.bags.chunks import ChunkedReader, segment_chunks, whole_chunks
 from pc2scan.bags.damage import AnotherRecordingError, DamageLog
 from pc2scan.bags.loading import MAX_LISTED_ITEMS, LazyItems, map_items
-from pc2scan.bags.salvage import note_salvaged
 from pc2scan.errors import stamp_text
 from pc2scan.files.compression import LZ4_MAGIC
 from pc2scan.model import RawMessage, StoredChunk, Summary
 from pc2scan.text import counted
 
-from .index import contained_span, indexed_times, read_index
+from .index import contained_span, indexed_entries, indexed_times, read_index
 from .records import (
     CONNECTION,
     LAYOUTS,
@@ -274,16 +273,17 @@ class Rosbag1Reader(ChunkedReader):
         error = self._file.damage_error(f"the chunk with data at byte {segment.offset} cannot be read: {problem}")
         if self._log.strict:
             raise error from problem
-        from .recover import payload_prefix, salvage_messages  # noqa: PLC0415
+        from .recover import payload_prefix, salvage_of  # noqa: PLC0415
 
-        chunk = payload_prefix(self._file, segment)
-        left = salvage_messages(chunk, self._index.connections, (segment.start_ns, segment.end_ns))
-        times = indexed_times(self._file, segment) if self._index.stop else None
-        indexed = None if times is None else sum(map(len, times.values()))
-        is_counted = None not in (connection.message_count for connection in self.connections)
-        note_salvaged(self._log, error, segment, segment.offset, len(chunk), left, indexed, counted=is_counted)
+        chunk = memoryview(payload_prefix(self._file, segment))
+        entries = [entry for _, more in indexed_entries(self._file, segment) for entry in more] or None
+        known = self._index.connections
+        messages, lost = salvage_of(chunk, known).messages(chunk, segment, known, entries)
+        self._log.note(error, offset=segment.offset, first_ns=segment.start_ns, last_ns=segment.end_ns, **lost)
+        start_ns, stop_ns = selection.start_ns or 0, _LATEST_NS if selection.stop_ns is None else selection.stop_ns
         ids = {key for key, connection in selection.wanted.items() if connection is not None}
-        return left.select(ids, selection.start_ns, selection.stop_ns)
+        wanted = messages.filter(lambda item: item.connection.id in ids and start_ns <= item.log_time_ns < stop_ns)
+        return wanted.as_list()
 
 
 def summary_of(index: BagIndex, size: int) -> Summary:
