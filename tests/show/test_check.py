@@ -68,16 +68,6 @@ def test_topics_are_looked_at_apart(tmp_path: Path) -> None:
         check(path, topics=["/left"])
 
 
-def test_two_sensors_on_one_topic_have_their_own_first_scan(tmp_path: Path) -> None:
-    other = replace(GOOD, frame_id="rear", ranges=np.ones(5, np.float32), angle_min=-0.5, angle_max=0.5)
-    content = scans(4)
-    content[1] = replace(other, stamp_ns=content[1].stamp_ns)
-    content[3] = replace(other, stamp_ns=content[3].stamp_ns)
-    topic = looked(tmp_path, *content, tree=(("odom", "base_link"), ("base_link", "laser"), ("base_link", "rear")))
-    assert {c.consumer: c.outcome for c in topic.consumers} == FINE
-    assert kinds(topic) == {"frames": "notice"}
-
-
 def test_scans_in_a_frame_that_the_robot_moves_in_are_defects(tmp_path: Path) -> None:
     path = tmp_path / "scan.mcap"
     pc2scan.convert(ROOT / "fixtures" / "hall.bag", path, target_frame="odom", min_height=0.1)

@@ -202,12 +202,6 @@ def test_nothing_to_draw_is_an_error(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["one.mcap"]
 
 
-def test_odd_scans_are_skipped(tmp_path: Path) -> None:
-    for changes in ({"angle_min": math.nan}, {"angle_min": math.inf}, {"frame": ""}, {"frame": "nowhere"}):
-        with pytest.raises(ResultError, match="no scan can be placed in odom"):
-            pc2scan.map(with_scan(tmp_path, np.ones(91, np.float32), **changes))
-
-
 def test_a_map_without_end_is_refused(tmp_path: Path) -> None:
     recording = drive_recording(seconds=1.0, rate=5.0, beams=91)
     far = {2: transform_message([("odom", "base_link", T0 + 600_000_000, drive(0.6)._replace(x=1e6, y=1e6))])}

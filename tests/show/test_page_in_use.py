@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from pc2scan.core.params import ProjectionParams
-from pc2scan.core.presets import PRESETS
 from show.browser import needs_chromium
 from show.test_page_projects_alike import read_scans
 from support import ROOT
@@ -123,46 +121,6 @@ def test_a_wrong_value_is_named_and_the_last_scan_stays(hall: Tab) -> None:
 
 
 @slow
-def test_presets_keep_what_the_user_set(hall: Tab) -> None:
-    for name, values in PRESETS.items():
-        hall.page.select_option("#param-preset", name)
-        params = hall.call("window.pc2scan.params()")
-        assert params["min_height"] == -0.3
-        expected = ProjectionParams(**values)  # type: ignore[arg-type]
-        assert {key: params[key] for key in ("geometry", "range_max", "no_return", "angle_max")} == {
-            key: getattr(expected, key) for key in ("geometry", "range_max", "no_return", "angle_max")
-        }
-        assert f"--preset {name}" in hall.call("window.pc2scan.command()")
-
-
-@slow
-def test_hovering_reads_a_point_and_its_beam(hall: Tab) -> None:
-    box = hall.page.locator("#top").bounding_box()
-    told = ""
-    for column in range(60, int(box["width"]), 7):
-        hall.page.mouse.move(box["x"] + column, box["y"] + box["height"] / 2)
-        told = hall.page.inner_text("#readout")
-        if told.startswith("Point"):
-            break
-    assert "intensity" in told
-    assert "x " in told
-
-
-@slow
-def test_keys_move_through_time_and_zoom(hall: Tab) -> None:
-    hall.page.focus("#time")
-    hall.page.keyboard.press("ArrowRight")
-    assert hall.page.inner_text("#moment").startswith("2 of 5")
-    hall.page.focus("#top")
-    drawn = int(hall.call("document.body.dataset.drawn"))
-    hall.page.keyboard.press("+")
-    hall.page.keyboard.press("ArrowLeft")
-    hall.page.wait_for_timeout(100)
-    assert int(hall.call("document.body.dataset.drawn")) > drawn
-    assert hall.page.get_attribute("#top", "aria-label").startswith("The cloud from above: 3840 points")
-
-
-@slow
 @pytest.mark.parametrize("theme", ["light", "dark"])
 @pytest.mark.parametrize(("width", "height"), [(1440, 900), (420, 800)])
 def test_nothing_overflows_in_any_window(opened: Callable[..., Tab], theme: str, width: int, height: int) -> None:
@@ -172,42 +130,6 @@ def test_nothing_overflows_in_any_window(opened: Callable[..., Tab], theme: str,
     # Something is drawn in every view: a canvas is not of one colour.
     for name in ("top", "side", "orbit"):
         assert tab.call(COLOURS, name) >= 3
-
-
-WRITTEN = """(changes) => {
-  const panel = document.getElementById("panel");
-  const observer = new MutationObserver(() => {});
-  observer.observe(panel, { subtree: true, childList: true, characterData: true });
-  window.pc2scan.set(changes);
-  return observer.takeRecords().map(({ target }) => target.className || target.tagName);
-}"""
-
-
-def test_only_the_texts_that_change_are_written(hall: Tab) -> None:
-    # The line with the time that the projection took.
-    assert set(hall.call(WRITTEN, {})) <= {"P"}
-    written = hall.call(WRITTEN, {"max_height": 0.5})
-    assert set(written) <= {"P", "count", "share", "PRE", "word"}
-    assert "count" in written
-
-
-@slow
-def test_reset_clears_half_a_number(hall: Tab) -> None:
-    # The browser shows what was typed, and gives an empty value, which the field also has after the reset.
-    hall.page.focus("#param-range_max")
-    hall.page.keyboard.type("1e")
-    wrong = "document.getElementById('param-range_max').validity.badInput"
-    assert hall.call(wrong)
-    hall.page.click("text=Reset all")
-    assert not hall.call(wrong)
-
-
-@slow
-def test_the_names_of_outcomes_follow_the_theme(hall: Tab) -> None:
-    swatch = "getComputedStyle(document.querySelector('.swatch')).backgroundColor"
-    assert hall.call(swatch) == "rgb(0, 114, 178)"
-    hall.page.click("#theme")
-    assert hall.call(swatch) == "rgb(86, 180, 233)"
 
 
 COLOURS = """(name) => {

@@ -72,17 +72,6 @@ def test_a_page_opens_with_what_is_asked_for(tmp_path: Path, words: tuple[str, s
     assert held["params"]["max_height"] == 3 or name
 
 
-def test_moments_are_chosen_by_time(tmp_path: Path) -> None:
-    page = tmp_path / "page.html"
-    assert run("view", HALL, "-o", page, "--at", "0.15", "--at", "0.3").status == 0
-    (topic,) = description(page)["topics"]
-    chosen = [cloud["moment"] for cloud in topic["clouds"]]
-    assert run("view", HALL, "-o", page).status == 0
-    (topic,) = description(page)["topics"]
-    everything = [cloud["moment"] for cloud in topic["clouds"]]
-    assert chosen == [everything[2], everything[3]]
-
-
 def test_the_cut_is_the_pages_too(tmp_path: Path) -> None:
     page, scans_made = tmp_path / "page.html", tmp_path / "scans.json"
     cut = ("--start", "0.15", "--end", "0.35")

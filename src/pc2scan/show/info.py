@@ -40,7 +40,7 @@ from pc2scan.transforms.world_frames import find_body_motion
 from .cloud_info import CloudInfo, CloudLook
 from .edges import EDGE_NS
 from .proposals import HEADERS, Lidar, ask_facts, missing_mounts, odometry_doubts, proposals, stamp_faults
-from .sampling import spread_over
+from .recording import spread_over
 from .scan_info import ScanInfo, ScanLook
 
 if TYPE_CHECKING:

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import heapq
+from collections import deque
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from functools import partial
+from itertools import islice
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.damage import mention
+from pc2scan.bags.observers import Observer, Spread, observing
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.conversion.cloud_scale import scaled
 from pc2scan.conversion.preparation import prepare, span_of
 from pc2scan.conversion.refusals import refuse_outside
 from pc2scan.conversion.stamps import corrected_transforms
 from pc2scan.errors import TopicError, UsageError, stamp_text
+from pc2scan.model import RawMessage, copied_message
 from pc2scan.result import tell_early
-
-from .sampling import sampled
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -27,7 +31,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.conversion.plan import Plan
     from pc2scan.conversion.preparation import Preparation
-    from pc2scan.model import Connection, RawMessage
+    from pc2scan.model import Connection
     from pc2scan.options.moment import TimeBound
     from pc2scan.progress import Meter
     from pc2scan.request.options import ConvertOptions
@@ -161,22 +165,86 @@ def moment_text(stamp_ns: int) -> str:
     return f"{datetime.fromtimestamp(seconds, timezone.utc):%Y-%m-%d %H:%M:%S}.{rest // 1_000_000:03d} UTC"
 
 
-def spread_messages(
-    reader: Reader, topics: Mapping[str, Sequence[Connection]], options: ConvertOptions, count: int
+def chosen_messages(
+    reader: Reader,
+    topics: Mapping[str, Sequence[Connection]],
+    options: ConvertOptions,
+    count: int,
+    at_ns: Sequence[int],
 ) -> Iterator[RawMessage]:
-    """Yield messages of each topic, evenly spread over the recording or over the cut; see `sampled`.
+    """Yield the first message of each topic at or after each of some log times.
+
+    Without any, ``count`` messages of each topic, evenly spread over the recording or over the cut; see `sampled`.
 
     Raises
     ------
     UsageError
         If the cut is empty, or lies outside of the recording.
     """
+    for time_ns in sorted(at_ns):
+        for connections in topics.values():
+            yield from islice(reader.messages(connections, time_ns), 1)
+    if at_ns:
+        return
     span = span_of(reader, options)
     refuse_outside(reader, span.start_ns, span.stop_ns)
-    start_ns = span.first_ns
     stop_ns = max(reader.summary.start_ns or 0, reader.summary.end_ns or 0) + 1
     if span.stop_ns is not None:
         stop_ns = min(stop_ns, span.stop_ns)
-    if start_ns >= stop_ns:
-        return
-    yield from sampled(reader, topics, count, start_ns, stop_ns)
+    if span.first_ns < stop_ns:
+        yield from sampled(reader, topics, count, span.first_ns, stop_ns)
+
+
+def sampled(
+    reader: Reader, topics: Mapping[str, Sequence[Connection]], samples: int, start_ns: int, stop_ns: int
+) -> Iterator[RawMessage]:
+    """Yield samples of every topic, as they are read: the first message of each of some equal parts of a time.
+
+    Parameters
+    ----------
+    reader
+        An open recording.
+    topics
+        The connections of each topic.
+    samples
+        The number of parts. If a topic has no more messages, all of them are samples.
+    start_ns, stop_ns
+        The time: ``start_ns <= log_time_ns < stop_ns``.
+
+    Yields
+    ------
+    RawMessage
+        By log time. Those of one topic do not depend on the other topics.
+    """
+    # A recording with chunks is read once; of one with rows, each topic is read by itself.
+    together = [list(topics.values())] if reader.has_chunks else [[own] for own in topics.values()]
+    found = [_sampled_together(reader, each, samples, start_ns, stop_ns) for each in together]
+    # Merging keeps two messages of each.
+    return found[0] if len(found) == 1 else heapq.merge(*found, key=attrgetter("log_time_ns"))
+
+
+def _sampled_together(
+    reader: Reader, topics: Sequence[Sequence[Connection]], samples: int, start_ns: int, stop_ns: int
+) -> Iterator[RawMessage]:
+    found: deque[RawMessage] = deque()
+    observers = [
+        Observer(
+            own,
+            copied_message,
+            start_ns=start_ns,
+            stop_ns=stop_ns,
+            keep=found.append,
+            spread=spread_over(own, samples, start_ns, stop_ns),
+        )
+        for own in topics
+    ]
+    for _ in observing(reader, observers):
+        while found:
+            yield found.popleft()
+
+
+def spread_over(connections: Sequence[Connection], samples: int, start_ns: int, stop_ns: int) -> Spread | None:
+    """Return the parts of a time for so many samples of connections; None if they have no more messages."""
+    counts = [each.message_count for each in connections]
+    messages = None if None in counts else sum(each or 0 for each in counts)
+    return Spread.of(start_ns, stop_ns, samples, messages)

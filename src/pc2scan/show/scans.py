@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.topics import find_topic
@@ -12,7 +13,7 @@ from pc2scan.messages.other_clouds import without
 from pc2scan.text import counted
 
 from .html import compress, description_of
-from .recording import moment_text, spread_messages
+from .recording import chosen_messages, moment_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -85,16 +86,17 @@ def scans_page(
     RecordingError
         If no scan can be shown.
     """
-    messages = _messages(reader, topics, options, count, at_ns)
+    taken: dict[str, list[RawMessage]] = {topic: [] for topic in topics}
+    for message in chosen_messages(reader, topics, options, count, at_ns):
+        taken[message.connection.topic].append(message)
     blobs: dict[str, bytes] = {}
     moments = []
     failed: list[str] = []
-    for together in messages:
+    for together in zip_longest(*taken.values()):
         layers: list[dict[str, Any]] = []
         stamps: list[int] = []
         common = options.scan.params.target_frame
-        for number, topic in enumerate(topics):
-            message = together.get(topic)
+        for number, (topic, message) in enumerate(zip(topics, together, strict=True)):
             if message is None:
                 continue
             try:
@@ -114,30 +116,6 @@ def scans_page(
         raise RecordingError(why, path=reader.path)
     warnings = [f"Not shown: {counted(len(failed), 'scan')}; {failed[0]}."] if failed else []
     return {"kind": "scans", "notes": [], "warnings": warnings, "moments": moments, "findings": []}, blobs
-
-
-def _messages(
-    reader: Reader,
-    topics: Mapping[str, Sequence[Connection]],
-    options: ConvertOptions,
-    count: int,
-    at_ns: Sequence[int],
-) -> list[dict[str, RawMessage]]:
-    """Return the scans of each moment, by topic."""
-    if at_ns:
-        return [
-            {
-                topic: message
-                for topic, connections in topics.items()
-                if (message := next(iter(reader.messages(connections, time_ns)), None)) is not None
-            }
-            for time_ns in sorted(at_ns)
-        ]
-    taken: dict[str, list[RawMessage]] = {topic: [] for topic in topics}
-    for message in spread_messages(reader, topics, options, count):
-        taken[message.connection.topic].append(message)
-    most = max(map(len, taken.values()))
-    return [{topic: some[n] for topic, some in taken.items() if n < len(some)} for n in range(most)]
 
 
 def _pose(buffer: TransformBuffer | None, target: str, source: str, stamp_ns: int) -> list[float] | None:

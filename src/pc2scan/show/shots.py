@@ -24,15 +24,14 @@ from pc2scan.errors import DecodeError, MessageError, RecordingError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.text import counted
 
-from .recording import moment_text, spread_messages
+from .recording import chosen_messages, moment_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from pc2scan.advice.checks.clouds import KnownTransforms
-    from pc2scan.bags.reader import Reader
     from pc2scan.conversion.stages.placement import PlacedCloud
     from pc2scan.core.params import ProjectionParams
     from pc2scan.core.points import Points
@@ -137,7 +136,9 @@ def take_shots(
     """
     reader = recording.reader
     options.scan.refuse_combining("pages and figures make")
-    options = options.with_scan(params=_without_times(options.scan.params))
+    # Pictures have neither times nor intensities.
+    params = replace(options.scan.params, scan_time=0.0, time_increment=0.0, intensity_field="")
+    options = options.with_scan(params=params)
     plan = make_plan(reader.connections, options)
     if options.clock:
         reader, notes = corrected_for(reader, plan, options)
@@ -153,7 +154,11 @@ def take_shots(
     shots: list[Shot] = []
     samples: dict[str, list[CloudSample]] = {}
     failed: list[str] = []
-    for message in _messages(reader, topics, options, count, at_ns):
+    seen: set[tuple[str, int]] = set()
+    for message in chosen_messages(reader, topics, options, count, at_ns):
+        if at_ns and (message.connection.topic, message.log_time_ns) in seen:
+            continue
+        seen.add((message.connection.topic, message.log_time_ns))
         try:
             shot = _shot(message, stages[message.connection.topic], samples)
             shots.append(shot if keep is None else keep(shot))
@@ -170,30 +175,6 @@ def take_shots(
     measured = next((each for topic in topics if (each := conversion.measurements.get(topic))), Measurements(0.0))
     params = measured.resolve(conversion.spec.params)
     return Shots(shots, params, prepared.transforms, [*plan.notes, *prepared.notes], warnings)
-
-
-def _without_times(params: ProjectionParams) -> ProjectionParams:
-    """Return parameters of which only the number of beams is measured: pictures have neither times nor intensity."""
-    return replace(params, scan_time=0.0, time_increment=0.0, intensity_field="")
-
-
-def _messages(
-    reader: Reader,
-    topics: Mapping[str, Sequence[Connection]],
-    options: ConvertOptions,
-    count: int,
-    at_ns: Sequence[int],
-) -> Iterator[RawMessage]:
-    if not at_ns:
-        yield from spread_messages(reader, topics, options, count)
-        return
-    seen: set[tuple[str, int]] = set()
-    for time_ns in sorted(at_ns):
-        for topic, connections in topics.items():
-            message = next(iter(reader.messages(connections, time_ns)), None)
-            if message is not None and (topic, message.log_time_ns) not in seen:
-                seen.add((topic, message.log_time_ns))
-                yield message
 
 
 class _Stages(NamedTuple):
