@@ -559,7 +559,7 @@ def scans(
     conversion = None
     if asked.makes_scans:
         given = {**asked.given, "topics": names, "only_scans": True}
-        conversion = conversion_of(Options("convert", given)).options
+        conversion = conversion_of(Options("convert", given))
         if conversion.scan.reverse:
             raise UsageError("the parameter file is for laserscan_to_pointcloud, which does not make scans")
     elif asked.given.keys() - options_of("clouds").keys() - {"jobs"}:

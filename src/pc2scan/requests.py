@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from .arguments import refuse_unknown
 from .conversion.run import report_failure, run
@@ -39,31 +39,13 @@ if TYPE_CHECKING:
     Warn: TypeAlias = Callable[[str], None]
 
 #: Options that are attributes of a conversion, as they are.
-_OF_ALL = ConvertOptions.__dataclass_fields__.keys() - {"scans", "frames", "clock"}
+_OF_ALL = ConvertOptions.__dataclass_fields__.keys() - {"scans", "frames", "clock", "files", "notes"}
 
 #: The options that are attributes of `FrameOptions`.
 OF_FRAMES = {*ConversionFrames.__annotations__, "write_static_tf"}
 
 #: The options that name files which are read.
 NAMED_FILES = ("params_file", "static_tf", "trajectory", "urdf", "scans")
-
-
-class ConversionRequest(NamedTuple):
-    """The options of a conversion, read and checked.
-
-    Attributes
-    ----------
-    options
-        The options of the conversion.
-    files
-        The files that were read for them, by option.
-    notes
-        Warnings about files.
-    """
-
-    options: ConvertOptions
-    files: Mapping[str, Path]
-    notes: tuple[str, ...] = ()
 
 
 def frames_of(options: Options) -> FrameOptions:
@@ -134,17 +116,16 @@ def _model(path: Path | None) -> RobotModel | None:
     return model_in_file(path)
 
 
-def first_output(request: ConversionRequest, verb: str, warn: Warn | None) -> ConversionRequest:
+def first_output(options: ConvertOptions, verb: str, warn: Warn | None) -> ConvertOptions:
     """Return a conversion with the first of its outputs only; ``verb`` says in a note what it is used for."""
-    options = request.options
-    if options.scans[1:]:
-        only = f"only the first of {len(options.scans)} outputs is {verb}: {options.scan.name}"
-        _pass_on([only], warn)
-        request = request._replace(notes=(*request.notes, only))
-    return request._replace(options=options.with_scan())
+    if not options.scans[1:]:
+        return options
+    only = f"only the first of {len(options.scans)} outputs is {verb}: {options.scan.name}"
+    _pass_on([only], warn)
+    return replace(options.with_scan(), notes=(*options.notes, only))
 
 
-def conversion_of(options: Options, warn: Warn | None = None) -> ConversionRequest:
+def conversion_of(options: Options, warn: Warn | None = None) -> ConvertOptions:
     """Read the options of a conversion.
 
     Parameters
@@ -185,16 +166,15 @@ def _refuse_scans(options: Options) -> None:
 
 def _of_nodes(
     options: Options, settings: list[Setting], nodes: Sequence[str], file: Path, warn: Warn | None
-) -> ConversionRequest:
+) -> ConvertOptions:
     """Read the options of a conversion with an output for each node of a parameter file."""
     from .request.nodes import options_of_nodes, refuse_topics  # noqa: PLC0415  # few files have several
 
     refuse_topics(options.topics, nodes, file)
-    each: list[ConversionRequest] = []
+    each: list[ConvertOptions] = []
     for node in nodes:
         each.append(_of_node(options, settings, node, warn, beside=tuple(each)))
-    conversion = options_of_nodes(nodes, [request.options for request in each], file)
-    return ConversionRequest(conversion, each[0].files, tuple(note for request in each for note in request.notes))
+    return options_of_nodes(nodes, each, file)
 
 
 def _pass_on(notes: Iterable[str], warn: Warn | None) -> None:
@@ -203,7 +183,7 @@ def _pass_on(notes: Iterable[str], warn: Warn | None) -> None:
             warn(note)
 
 
-def _several_scans(options: Options, settings: list[Setting], warn: Warn | None) -> ConversionRequest:
+def _several_scans(options: Options, settings: list[Setting], warn: Warn | None) -> ConvertOptions:
     """Read the options of a conversion with several outputs; parameters besides ``scans`` apply to all of them."""
     from .request.scans_file import load_scans, refuse_beside  # noqa: PLC0415
     from .request.yaml_nodes import parse_params  # noqa: PLC0415  # few conversions have several outputs
@@ -214,10 +194,8 @@ def _several_scans(options: Options, settings: list[Setting], warn: Warn | None)
     notes = tuple(_IGNORED + place for place in found.ignored)
     _pass_on(notes, warn)
     files = {f"{path.name} (from `scans`)": path for path in found.files}
-    conversion = ConvertOptions(
-        scans=found.specs, frames=frames_of(options), clock=clock_of(options), **options.among(_OF_ALL)
-    )
-    return ConversionRequest(conversion, named_files(options) | files, notes)
+    how = {"frames": frames_of(options), "clock": clock_of(options), **options.among(_OF_ALL)}
+    return ConvertOptions(scans=found.specs, **how, files=named_files(options) | files, notes=notes)
 
 
 def _of_node(
@@ -226,8 +204,8 @@ def _of_node(
     node: str | None,
     warn: Warn | None,
     *,
-    beside: Sequence[ConversionRequest] | None = None,
-) -> ConversionRequest:
+    beside: Sequence[ConvertOptions] | None = None,
+) -> ConvertOptions:
     """Read the options of a conversion with one output; a parameter file is read for one of its nodes.
 
     Parameters
@@ -274,8 +252,8 @@ def _of_node(
     scan = ScanSpec.of(options.given, resolved, topics=tuple(map(TopicRequest.parse, topics)), **more)
     files = named_files(options) | {f"{path.name} (from `params_file`)": path for path in resolved.files}
     clock = clock_of(options) if options.given.keys() & StampCorrection.__annotations__.keys() else None
-    conversion = ConvertOptions(scans=(scan,), frames=frames, clock=clock, **options.among(_OF_ALL))
-    return ConversionRequest(conversion, files, notes)
+    how = {"frames": frames, "clock": clock, **options.among(_OF_ALL)}
+    return ConvertOptions(scans=(scan,), **how, files=files, notes=notes)
 
 
 def _remapped(options: Options) -> set[str]:
@@ -380,16 +358,7 @@ def convert(
         failure = Failure([err], [str(source) for source in sources], str(path or folder or "") or None)
         report_failure(failure, sources, output, named_files(options))
         raise
-    return run(
-        sources,
-        path,
-        conversion.options,
-        output,
-        also_read=conversion.files,
-        warnings=conversion.notes,
-        progress=progress,
-        warn=warn,
-    )
+    return run(sources, path, conversion, output, progress=progress, warn=warn)
 
 
 def repair(source: Path, destination: PathText | None, options: Options, *, progress: Progress | None = None) -> Report:

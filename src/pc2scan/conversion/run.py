@@ -70,8 +70,6 @@ def run(
     options: ConvertOptions,
     output: OutputOptions,
     *,
-    also_read: Mapping[str, Path] | None = None,
-    warnings: Sequence[str] = (),
     progress: Progress | None = None,
     warn: Callable[[str], None] | None = None,
 ) -> Report:
@@ -79,10 +77,6 @@ def run(
 
     Parameters
     ----------
-    also_read
-        Files that were read for the request, by option: the destination must not overwrite them.
-    warnings
-        About the request; ``warn`` had them.
     progress
         Called regularly; see `pc2scan.progress.Progress`.
     warn
@@ -90,10 +84,10 @@ def run(
     """
     if not sources:
         raise UsageError("no source given")
-    files = RunFiles(sources, destination, options.frames, also_read or {}, output)
+    files = RunFiles(sources, destination, options.frames, options.files, output)
     report = Report([str(source) for source in sources], str(destination or ""), options.scans)
     report.source_frame = options.frames.source_frame
-    report.warnings += warnings
+    report.warnings += options.notes
     with ExitStack() as stack, files.reporting(report):
         tell = partial(tell_early, report.warnings, warn)
         reader, plan, target = _open(files, options, output, stack, report, tell)

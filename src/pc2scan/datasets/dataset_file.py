@@ -169,7 +169,7 @@ class Choices:
             for entry in self._dataset.entries
             if not any(map(entry.matches, listed))
         ]
-        notes = [note for request in self._made.values() if request for note in request.notes]
+        notes = [note for request in self._made.values() if request for note in request.options.notes]
         return [*unused, *dict.fromkeys(notes)]
 
     def _request(self, numbers: tuple[int, ...]) -> Request | None:

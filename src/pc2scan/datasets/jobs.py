@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 _OUTCOMES = {0: "converted", 3: "incomplete", 4: "empty"}
 
 #: Attributes that do not affect the output: where options come from.
-_PLACES = frozenset({"origins", "place"})
+_PLACES = frozenset({"origins", "place", "files", "notes"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,10 +54,6 @@ class Request:
     ----------
     options, output
         As `pc2scan.conversion.run.run` takes them.
-    files
-        The files that options name and that were read, by option.
-    notes
-        Warnings about the options.
     export
         How scans or clouds are exported; None if they are written to a recording instead.
     digest
@@ -66,8 +62,6 @@ class Request:
 
     options: ConvertOptions
     output: OutputOptions
-    files: Mapping[str, Path]
-    notes: tuple[str, ...] = ()
     export: ExportOptions | None = None
     digest: str = ""
 
@@ -96,12 +90,11 @@ def request_of(keywords: Mapping[str, Any], origins: Mapping[str, str] | None = 
     conversion = conversion_of(options)
     export = None
     if options.format is not None:
-        export = ExportOptions.of(options, conversion.options)
+        export = ExportOptions.of(options, conversion)
     # Absolute: another process may have another current folder.
-    frames = conversion.options.frames
-    frames = replace(frames, tf_from=tuple(map(absolute, frames.tf_from)))
+    frames = replace(conversion.frames, tf_from=tuple(map(absolute, conversion.frames.tf_from)))
     files = {name: absolute(path) for name, path in conversion.files.items()}
-    request = Request(replace(conversion.options, frames=frames), output, files, conversion.notes, export)
+    request = Request(replace(conversion, frames=frames, files=files), output, export)
     return replace(request, digest=digest_of(request))
 
 
@@ -324,17 +317,11 @@ def _run_job(job: Job, sources: list[Path], destination: Path) -> Report | Expor
     if request.export is None or job.dry_run:
         # An export that converts clouds would do what the conversion would.
         output = request.output._replace(owned=job.owned, dry_run=job.dry_run)
-        return run(
-            sources,
-            destination,
-            options,
-            output,
-            also_read=request.files,
-            # The batch says them once; here they count if they are errors.
-            warnings=request.notes if options.fail_on == "warning" else (),
-        )
+        # The batch says its notes once; here they count if they are errors.
+        notes = options.notes if options.fail_on == "warning" else ()
+        return run(sources, destination, replace(options, notes=notes), output)
     form = replace(request.export, overwrite=request.output.overwrite, owned=job.owned)
-    return export(sources, destination, options, form, in_folder=True, also_read=request.files)
+    return export(sources, destination, options, form, in_folder=True)
 
 
 def _inspect_export(job: Job, sources: list[Path]) -> ExportReport:

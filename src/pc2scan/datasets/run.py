@@ -214,7 +214,7 @@ def _plan(sources: Sequence[str], folder: BatchFolder, choices: Choices, options
     if options.dataset is not None:
         inputs.append(InputPath(options.dataset, "file of `dataset`"))
     for request in {id(request): request for request in requests.values() if request is not None}.values():
-        inputs += inputs_of((), request.options.frames.tf_from, request.files)
+        inputs += inputs_of((), request.options.frames.tf_from, request.options.files)
     plan = make_plan(
         found,
         requests,

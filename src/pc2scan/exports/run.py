@@ -113,13 +113,13 @@ def export(
     progress: Progress | None = None,
 ) -> ExportReport:
     """Write scans, trajectories or clouds as files; see `pc2scan.export`."""
-    request = conversion_of(options, warn)
+    conversion = conversion_of(options, warn)
     path, folder = destination_of(destination)
-    form = ExportOptions.of(options, request.options)
+    form = ExportOptions.of(options, conversion)
     place = path or folder
     assert place is not None
-    report = run(sources, place, request.options, form, request.files, warn, progress, in_folder=path is None)
-    report.warnings += request.notes
+    report = run(sources, place, conversion, form, warn, progress, in_folder=path is None)
+    report.warnings += conversion.notes
     return report
 
 
@@ -128,7 +128,6 @@ def run(
     destination: Path,
     options: ConvertOptions,
     form: ExportOptions,
-    also_read: Mapping[str, Path],
     warn: Callable[[str], None] | None = None,
     progress: Progress | None = None,
     *,
@@ -146,8 +145,6 @@ def run(
         As for a conversion: topics, ``start`` and ``end``, the source of transforms, and how clouds are converted.
     form
         The options of the files to write.
-    also_read
-        Files that were read for the options, by option.
     warn
         Called with each warning as soon as it is known, also if an error follows; the report has all of them.
     progress
@@ -171,7 +168,7 @@ def run(
     file_format = format_of(form.format, destination)
     frames = options.frames
     _check_request(file_format, options, form)
-    refuse_overlap(inputs_of(sources, frames.tf_from, also_read), [OutputPath(destination)])
+    refuse_overlap(inputs_of(sources, frames.tf_from, options.files), [OutputPath(destination)])
     meter = None if progress is None else Meter(progress)
     with ExitStack() as stack:
         if file_format.clouds:

@@ -155,7 +155,8 @@ def options_of_nodes(nodes: Sequence[str], options: Sequence[ConvertOptions], fi
     ]
     moved = dict.fromkeys(topic for each in options for topic in each.frames.tf_topics)
     frames = replace(options[0].frames, tf_topics=tuple(moved))
-    return replace(options[0], scans=tuple(specs), frames=frames)
+    notes = tuple(note for each in options for note in each.notes)
+    return replace(options[0], scans=tuple(specs), frames=frames, notes=notes)
 
 
 def _rename_output(spec: ScanSpec, target: str, place: str, source: str) -> ScanSpec:

@@ -23,6 +23,7 @@ from pc2scan.transforms.placing import FrameOptions
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable, Mapping
+    from pathlib import Path
 
     from pc2scan.core.rule import Rejection
     from pc2scan.core.unproject import UnprojectParams
@@ -512,6 +513,10 @@ class ConvertOptions:
         The share of the points of each topic, 0 to 1, that must be in its scans; otherwise the run fails.
     repair
         Convert nothing: all messages are copied, byte for byte.
+    files
+        The files that were read for these options, by option.
+    notes
+        Warnings about these files.
     """
 
     scans: tuple[ScanSpec, ...] = (ScanSpec(),)
@@ -530,6 +535,8 @@ class ConvertOptions:
     fail_on: str = ""
     min_used: float = 0.0
     repair: bool = False
+    files: Mapping[str, Path] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not 0 <= self.min_used <= 1:

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from pc2scan.options.call import Options
     from pc2scan.progress import Progress
     from pc2scan.request.options import ConvertOptions
-    from pc2scan.requests import ConversionRequest, Warn
+    from pc2scan.requests import Warn
     from pc2scan.streams.scans import Scan
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.placing import LevelTransform
@@ -105,12 +105,11 @@ def write_map(
 
 
 def _draw(
-    sources: Sequence[Path], request: ConversionRequest, asked: Options, warn: Warn | None, progress: Progress | None
+    sources: Sequence[Path], options: ConvertOptions, asked: Options, warn: Warn | None, progress: Progress | None
 ) -> Map:
-    options = request.options
     if options.scan.reverse:
         raise UsageError("`reverse` makes clouds, but a map is made of scans")
-    warnings = list(request.notes)
+    warnings = list(options.notes)
     tell = partial(tell_early, warnings, warn)
     frames = (asked.odom_frame, asked.base_frame)
     grid = OccupancyGrid(asked.resolution, _MAX_CELLS)

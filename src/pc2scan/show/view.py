@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
     from pc2scan.options.call import Options
-    from pc2scan.requests import ConversionRequest, Warn
+    from pc2scan.request.options import ConvertOptions
+    from pc2scan.requests import Warn
     from pc2scan.transforms.buffer import TransformBuffer
 
     from .recording import ShownRecording
@@ -116,9 +117,8 @@ def view(sources: Sequence[Path], destination: Path | None, options: Options, *,
     return replace(page, path=str(destination))
 
 
-def _page(sources: Sequence[Path], request: ConversionRequest, asked: Options, warn: Warn | None) -> Page:
+def _page(sources: Sequence[Path], options: ConvertOptions, asked: Options, warn: Warn | None) -> Page:
     """Make a page of a recording: of its clouds and their projection, or of its scans if it has no clouds."""
-    options = request.options
     if not 1 <= asked.clouds <= _MOST_CLOUDS:
         raise UsageError(f"`clouds` is {asked.clouds:,}, it must be from 1 to {_MOST_CLOUDS:,}")
     with open_recording(sources, options, warn) as recording:
@@ -140,7 +140,7 @@ def _page(sources: Sequence[Path], request: ConversionRequest, asked: Options, w
             described, blobs = scans_page(reader, topics, buffer, options, count=asked.clouds, at_ns=at_ns)
             frames = replace(options.frames, static=(), source_frame="", write_static=False)
             described["findings"] = findings(check(sources, topics=names, frames=frames))
-        notes, warnings = described["notes"], [*request.notes, *described.pop("warnings")]
+        notes, warnings = described["notes"], [*options.notes, *described.pop("warnings")]
         # The page shows both.
         described["notes"] = [*notes, *warnings]
         described |= {"title": title_of(sources), "subtitle": _subtitle(reader)}
