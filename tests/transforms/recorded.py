@@ -11,7 +11,7 @@ from pc2scan.transforms.placing import FrameOptions, Placer
 from pc2scan.transforms.reading import read_transforms
 from support.memory_reader import MemoryReader
 
-__all__ = ["connection", "frames", "made", "row"]
+__all__ = ["TF", "connection", "frames", "made", "row"]
 
 TF = "tf2_msgs/TFMessage"
 

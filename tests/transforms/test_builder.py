@@ -91,6 +91,10 @@ def test_what_is_collected_is_what_tf2_keeps(
     buffer = made.build()
     assert kept(buffer) == kept(pickle.loads(pickle.dumps(buffer))) == expected(rows, removed)
     assert len(buffer) == sum(map(len, kept(buffer).values()))
+    # Frames that were removed, and those of rejected transforms alone, are not there.
+    good = [entry[:2] for entry, _ in rows if entry[1][-1] not in removed and entry[0] != entry[1] and any(entry[6:10])]
+    assert set(buffer.frames) == {name[-1] for pair in good for name in pair}
+    assert not made.parents_of(removed)
     for child in kept(buffer):
         history = buffer.history(child)
         assert history is not None

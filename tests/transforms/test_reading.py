@@ -6,7 +6,7 @@ from pc2scan.errors import UsageError
 from pc2scan.transforms.placing import FrameOptions
 from pc2scan.transforms.reading import tf_connections
 from pc2scan.transforms.static import StaticTransform
-from transforms.recorded import connection, frames, made, row
+from transforms.recorded import TF, connection, frames, made, row
 
 
 def test_transforms_of_several_recordings_are_merged() -> None:
@@ -39,21 +39,22 @@ def test_unusable_transforms_become_warnings() -> None:
 
 
 def test_only_topics_named_tf_count_by_default() -> None:
-    chosen = tf_connections(
-        [
-            connection(1, "/tf"),
-            connection(2, "/tf_static"),
-            connection(3, "/tf_old"),
-            connection(4, "/tf", "std_msgs/String"),
-        ]
-    )
-    assert [c.id for c in chosen] == [1, 2]
-    assert [c.id for c in tf_connections([connection(3, "/tf_old"), connection(1, "/tf")], ["tf_old"])] == [3]
-
-
-def test_both_types_of_tf_count() -> None:
-    chosen = tf_connections([connection(1, "/tf", "tf/tfMessage"), connection(2, "/tf", "tf2_msgs/msg/TFMessage")])
-    assert [c.id for c in chosen] == [1, 2]
+    topics = [
+        ("/tf", TF),
+        ("/tf_static", "tf/tfMessage"),
+        ("/tf_old", TF),
+        ("/tf", "std_msgs/String"),
+        ("tf_static", TF),
+    ]
+    connections = [connection(number, *each) for number, each in enumerate(topics)]
+    assert [c.id for c in tf_connections(connections)] == [0, 1, 4]
+    assert [c.id for c in tf_connections(connections, ["tf_old"])] == [2]
+    # Bags of ROS 1 may leave out the leading slash.
+    assert [c.is_static for c in connections] == [False, True, False, False, True]
+    known, _ = frames([made(("tf_static", [row("base", "lidar", 5, 0.5)]))])
+    place = known.place("lidar", 1)
+    assert place.target_from_source is not None
+    assert place.target_from_source.translation.tolist() == [0.5, 0, 0]
 
 
 def test_one_namespace_is_found_several_are_a_choice() -> None:

@@ -31,7 +31,7 @@ from nanoseconds, which differs in the last bits of float64.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from operator import attrgetter
 from typing import TYPE_CHECKING
@@ -39,18 +39,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pc2scan.core.rigid import Rigid
-from pc2scan.errors import TransformError, UnconnectedError
 
 from .chain import Query, join_walks, walk_both, walk_up
 from .lookup_errors import (
     empty_name_error,
     extrapolation_error,
     loop_error,
-    parent_changes_error,
+    parent_change_error,
     unconnected_error,
     unknown_frame_error,
 )
-from .sampling import join_samples, sample_chain
+from .sampling import sample_chain
 from .summary import frame_info, trees_of
 
 if TYPE_CHECKING:
@@ -62,9 +61,6 @@ if TYPE_CHECKING:
     from .history import FrameHistory
     from .lookup_errors import RejectedTransforms
     from .summary import FrameInfo, Tree
-
-#: How often frames may change their parents while a cloud is measured.
-_MOST_CHANGES = 1000
 
 
 @dataclass(frozen=True, eq=False)  # not slotted: `infos` and `trees` are computed when first asked for
@@ -91,7 +87,6 @@ class TransformBuffer:
     _histories: tuple[FrameHistory | None, ...] = field(repr=False)
     _numbers: dict[str, int] = field(repr=False)
     _chains: dict[tuple[int, int], Chain | None] = field(default_factory=dict, repr=False)
-    _changes: dict[tuple[int, int], NDArray[np.int64]] = field(default_factory=dict, repr=False)
 
     def __len__(self) -> int:
         """Return the number of samples that are kept."""
@@ -157,16 +152,14 @@ class TransformBuffer:
             Both ends, the times of all samples between them, and times between these.
         rows : (2 N - 1, 12) float64
             ``target_from_source`` at these times, and in the middle between each and the next one: the rows of the
-            rotation, then the translation; NaN where there is no transform. If a frame changes its parent, both the
-            nanosecond before and the stamp of the change are among the times.
+            rotation, then the translation; NaN where there is no transform.
         gap_ns : int
             The longest time between two samples that it was interpolated over, nanoseconds.
 
         Raises
         ------
         TransformError
-            If a frame is unknown, the two are not connected, or frames change their parents more than a thousand times
-            in the interval.
+            If a frame is unknown, the two are not connected, or a frame changes its parent in the interval.
         """
         query = self._query(target, source, begin_ns, 0)
         if query is None:
@@ -178,16 +171,10 @@ class TransformBuffer:
         chain = self._chains[key]
         if chain is not None:
             return sample_chain(chain, begin_ns, end_ns, step_ns, needed_ns)
-        changes = self._changes_ns(key)
-        inside = changes[(changes > begin_ns) & (changes <= end_ns)].tolist()
-        if len(inside) > _MOST_CHANGES:
-            raise parent_changes_error(query, len(inside), _MOST_CHANGES, end_ns - begin_ns)
-        ends = [*(change_ns - 1 for change_ns in inside), end_ns]
-        parts = []
-        for first_ns, last_ns in zip([begin_ns, *inside], ends, strict=True):
-            part = self._chain_from(replace(query, stamp_ns=first_ns))
-            parts.append(sample_chain(part, first_ns, last_ns, step_ns, needed_ns))
-        return join_samples(parts)
+        chain = self._timed_chain(query, begin_ns)
+        if any(link.changes_within(begin_ns, end_ns) for link in chain.links):
+            raise parent_change_error(query, end_ns)
+        return sample_chain(chain, begin_ns, end_ns, step_ns, needed_ns)
 
     def between_ns(self, target: str, source: str, stamp_ns: int, tolerance_ns: int = 0) -> int:
         """Return over how long a time `lookup` interpolates: the longest one of all frames of the chain, nanoseconds.
@@ -317,31 +304,6 @@ class TransformBuffer:
         if blocked is not None:
             raise extrapolation_error(query, blocked, self.frames, time_ns)
         raise unconnected_error(query, source_walk, target_walk, self.frames, self.trees)
-
-    def _chain_from(self, query: Query) -> Chain | None:
-        """Return the chain from a stamp until a frame changes its parent; None if there is none at the stamp."""
-        try:
-            return self._timed_chain(query, query.stamp_ns)
-        except UnconnectedError:
-            raise
-        except TransformError:
-            return None
-
-    def _changes_ns(self, frames: tuple[int, int]) -> NDArray[np.int64]:
-        """Return when any frame that two frames may lead up to is first known, or changes its parent; increasing."""
-        if frames not in self._changes:
-            met: set[int] = set()
-            ahead, found = list(frames), [np.empty(0, np.int64)]
-            while ahead:
-                number = ahead.pop()
-                link = None if number in met else self._histories[number]
-                met.add(number)
-                if link is not None:
-                    changes_ns, parents = link.changes()
-                    ahead += dict.fromkeys(parents.tolist())
-                    found += [] if link.static else [changes_ns]
-            self._changes[frames] = np.unique(np.concatenate(found))
-        return self._changes[frames]
 
     def _latest_common_time(self, query: Query) -> int | None:
         """Return the earliest of the frames' latest stamps; None if no frame of the chain is dynamic.

@@ -98,7 +98,7 @@ class FrameHistory:
         """
         if self.static or self.sole_parent >= 0 or begin_ns < self.first_ns:
             return self
-        changes, _ = self.changes()
+        changes = self.stamps_ns[self.changed]
         change = int(changes.searchsorted(begin_ns, "right"))
         first = max(int(self.stamps_ns.searchsorted(begin_ns)) - 1, self.changed.item(change - 1))
         stop = int(self.stamps_ns.searchsorted(end_ns, "right")) + 1
@@ -151,9 +151,10 @@ class FrameHistory:
         x, y, z, i, j, k, r = self.poses[sample].tolist()
         return (x, y, z, i, j, k, r)
 
-    def changes(self) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-        """Return the stamps from which on a parent is known, or another one, (K,) int64, increasing; these parents."""
-        return self.stamps_ns[self.changed], self.parents[self.changed]
+    def changes_within(self, begin_ns: int, end_ns: int) -> bool:
+        """Whether it gets another parent after the first of two stamps, up to the second."""
+        changes = self.stamps_ns[self.changed[1:]]
+        return not self.static and bool(((changes > begin_ns) & (changes <= end_ns)).any())
 
     def all_parents(self) -> list[int]:
         """Return every parent that it had, in the order of time."""

@@ -80,9 +80,6 @@ def reasons_of(poses: NDArray[np.float64], reasons: NDArray[np.int32]) -> NDArra
 #: Maximum number of frames that an error message names.
 MAX_NAMES = 20
 
-#: Names of a lookup's arguments, as messages call them.
-_ROLES = {"target_frame": "target", "source_frame": "source"}
-
 #: A gap up to the first is usual, up to the second it may be bridged; from the third on it is a difference between
 #: clocks.
 _SMALL_NS = 100_000_000
@@ -95,7 +92,7 @@ _SEE_TF = "`pc2scan tf` shows the frames of a recording and their times"
 def empty_name_error(role: str, stamp_ns: int) -> TransformError:
     """Return the error for an empty frame name."""
     return UnconnectedError(
-        f"the {_ROLES[role]} frame has no name",
+        f"the {role.replace('_', ' ')} has no name",
         stamp_ns=stamp_ns,
         hint="`source_frame` names the frame of clouds whose frame_id is empty",
     )
@@ -243,11 +240,11 @@ def loop_error(query: Query, walk: Walk, loop: int, frames: Sequence[str]) -> Tr
     )
 
 
-def parent_changes_error(query: Query, changes: int, most: int, duration_ns: int) -> TransformError:
-    """Return the error for frames that change their parents too often within an interval."""
+def parent_change_error(query: Query, end_ns: int) -> TransformError:
+    """Return the error for frames that change their parents while a cloud is measured."""
     return TransformError(
-        f"between [{query.source}] and [{query.target}], frames change their parents {changes:,} times within "
-        f"{stamp_text(duration_ns)} s, at most {most:,} times are followed",
+        f"between [{query.source}] and [{query.target}], a frame changes its parent before {stamp_text(end_ns)}, while "
+        "the cloud is measured",
         stamp_ns=query.stamp_ns,
         hint=f"two nodes may publish one frame with different parents; {_SEE_TF}",
     )

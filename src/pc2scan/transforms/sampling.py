@@ -12,7 +12,7 @@ import numpy as np
 from pc2scan.core import kernel
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable
 
     from numpy.typing import NDArray
 
@@ -34,24 +34,11 @@ class _Links(NamedTuple):
 
 
 def sample_chain(
-    chain: Chain | None, begin_ns: int, end_ns: int, step_ns: int, needed_ns: Needed
+    chain: Chain, begin_ns: int, end_ns: int, step_ns: int, needed_ns: Needed
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], int]:
-    """Look up a chain at many times in an interval; see `TransformBuffer.rows`.
-
-    Parameters
-    ----------
-    chain
-        Whose frames have the same parents in the whole interval. None: there is no transform in it.
-    end_ns
-        The interval may be a single time, which has one row.
-    """
-    links = None
-    if chain is not None:
-        sides = (chain.source_side.links, chain.target_side.links, chain.above)
-        links = _Links(*(tuple([link.during(begin_ns, end_ns) for link in side]) for side in sides))
-    if links is None or begin_ns == end_ns:
-        times = np.array([begin_ns, begin_ns + (end_ns - begin_ns) // 2, end_ns][: 3 if begin_ns < end_ns else 1])
-        return times[::2], np.full((times.size, 12), np.nan) if links is None else rows_of(links, times), 0
+    """Look up a chain, whose parents do not change in the interval, at many times; see `TransformBuffer.rows`."""
+    sides = (chain.source_side.links, chain.target_side.links, chain.above)
+    links = _Links(*(tuple([link.during(begin_ns, end_ns) for link in side]) for side in sides))
     times, gap_ns = _node_times(links, begin_ns, end_ns, step_ns)
     found = rows_of(links, times)
     needed = needed_ns(times[::2], found)
@@ -59,17 +46,6 @@ def sample_chain(
         times, gap_ns = _node_times(links, begin_ns, end_ns, needed)
         found = rows_of(links, times)
     return times[::2], found, gap_ns
-
-
-def join_samples(
-    parts: Sequence[tuple[NDArray[np.int64], NDArray[np.float64], int]],
-) -> tuple[NDArray[np.int64], NDArray[np.float64], int]:
-    """Return several intervals as one, each of which begins a nanosecond after the one before; see `sample_chain`."""
-    rows: list[NDArray[np.float64]] = []
-    for _, found, _ in parts:
-        # The middle between the last time and the next one is the last time.
-        rows += [rows[-1][-1:], found] if rows else [found]
-    return np.concatenate([stamps for stamps, _, _ in parts]), np.concatenate(rows), max(gap for _, _, gap in parts)
 
 
 def _node_times(links: _Links, begin_ns: int, end_ns: int, step_ns: int) -> tuple[NDArray[np.int64], int]:

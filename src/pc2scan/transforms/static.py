@@ -57,14 +57,19 @@ class StaticTransform:
         if len(words) not in (8, 9):
             raise UsageError(f"{text!r} has {len(words)} values, a static transform has 8 or 9", hint=usage)
         _refuse_ros1_order(words)
-        units = ("m",) * 3 + (("rad",) * 3 if len(words) == 8 else ("",) * 4)
+        return cls.read(words[:2], words[2:])
+
+    @classmethod
+    def read(cls, frames: Sequence[str], words: Sequence[str]) -> StaticTransform:
+        """Read the numbers of a transform, each with a unit if it has one; see `parse`."""
+        units = ("m",) * 3 + (("rad",) * 3 if len(words) == 6 else ("",) * 4)
         numbers = []
-        for word, unit in zip(words[2:], units, strict=True):
+        for word, unit in zip(words, units, strict=True):
             number = number_in(word, unit)
             if number is None:
-                raise UsageError(f"{text!r} is not a static transform: {word!r} is not a number", hint=usage)
+                raise UsageError(f"{' '.join((*frames, *words))!r} is not a static transform: {word!r} is not a number")
             numbers.append(number)
-        return cls.of(words[0], words[1], numbers[:3], numbers[3:])
+        return cls.of(frames[0], frames[1], numbers[:3], numbers[3:])
 
     @classmethod
     def of(cls, parent: str, child: str, translation: Sequence[float], rotation: Sequence[float]) -> StaticTransform:
@@ -118,28 +123,19 @@ def _refuse_ros1_order(words: Sequence[str]) -> None:
 def _refuse_degrees(parent: str, child: str, translation: Sequence[float], rotation: Sequence[float]) -> None:
     """Raise for rotations that are mistakes: angles of more than a full turn, quaternions far from unit length."""
     where = f"static transform from {parent} to {child}"
-    if not all(map(math.isfinite, rotation)):
-        return  # another check raises
-    if len(rotation) == 3:
-        if max(map(abs, rotation)) <= FULL_TURN:
-            return
-        found = ", ".join(
-            f"{name} is {angle:g} rad"
-            for name, angle in zip(("roll", "pitch", "yaw"), rotation, strict=True)
-            if abs(angle) > FULL_TURN
-        )
-        numbers = [f"{angle:g}deg" if angle else "0" for angle in rotation]
-        raise UsageError(
-            f"{where}: {found}, more than a full turn (2 pi is 6.28319 rad)",
-            hint=f"for degrees write `static_tf='{parent} {child} {_numbers(translation)} {' '.join(numbers)}'`, "
-            f"which is {_numbers(map(math.radians, rotation))} rad",
-        )
+    write = f"`static_tf='{parent} {child} {_numbers(translation)}"
     length = math.hypot(*rotation)
-    if length and abs(length - 1) > _QUATERNION_SLACK:
+    if len(rotation) == 3 and FULL_TURN < max(map(abs, rotation)) < math.inf:
+        numbers = " ".join(f"{angle:g}deg" if angle else "0" for angle in rotation)
+        raise UsageError(
+            f"{where}: {_numbers(rotation)} rad are more than a full turn (2 pi is 6.28319 rad)",
+            hint=f"for degrees write {write} {numbers}'`, which is {_numbers(map(math.radians, rotation))} rad",
+        )
+    if len(rotation) == 4 and length and _QUATERNION_SLACK < abs(length - 1) < math.inf:
         raise UsageError(
             f"{where}: the quaternion {_numbers(rotation)} has the length {length:.4g}, it must be 1",
             hint="for roll, pitch and yaw give three numbers, not four; a quaternion of unit length is "
-            f"`static_tf='{parent} {child} {_numbers(translation)} {_numbers(x / length for x in rotation)}'`",
+            f"{write} {_numbers(x / length for x in rotation)}'`",
         )
 
 
@@ -195,7 +191,7 @@ def load_static_transforms(path: Path) -> tuple[StaticTransform, ...]:
         except Pc2ScanError as err:
             raise UsageError(f"entry {number}: {err.message}", path=path, hint=err.hint) from err
         except (ValueError, OverflowError) as err:
-            # An integer that is too large to be a float, or to be shown in an error.
+            # An integer that is too large to be a float, or to be text.
             raise UsageError(f"entry {number}: {str(err).partition(';')[0]}", path=path) from err
     return tuple(transforms)
 
@@ -205,30 +201,22 @@ def _static_transform(entry: Any) -> StaticTransform:
         return StaticTransform.parse(entry)
     if not isinstance(entry, dict):
         raise UsageError(f"{entry!r} is not a transform")
-    known = {"parent", "frame_id", "child", "child_frame_id", "translation", "rotation", "rpy"}
-    if unknown := entry.keys() - known:
+    if unknown := entry.keys() - _KEYS:
         key = min(map(str, unknown))
-        hint = f"{did_you_mean(key, sorted(known))} the keys are {', '.join(sorted(known))}".strip()
+        hint = f"{did_you_mean(key, _KEYS)} the keys are {', '.join(_KEYS)}".strip()
         raise UsageError(f"unknown key {key!r}", hint=hint)
-
-    def numbers(key: str, count: int) -> list[float]:
-        values = entry.get(key, [0.0] * (count - 1) + [float(count == 4)])
-        unit = {"translation": "m", "rpy": "rad"}.get(key, "")
-        found = [_read_number(value, unit) for value in values] if isinstance(values, list) else []
-        read = [number for number in found if number is not None]
-        if len(read) != count or len(found) != count:
-            raise UsageError(f"{key} is {values!r}, expected {count} numbers")
-        return read
-
-    return StaticTransform.of(
-        str(entry.get("parent", entry.get("frame_id", ""))),
-        str(entry.get("child", entry.get("child_frame_id", ""))),
-        numbers("translation", 3),
-        numbers("rpy", 3) if "rpy" in entry else numbers("rotation", 4),
-    )
+    key = "rpy" if "rpy" in entry else "rotation"
+    words: list[Any] = []
+    for name, default in (("translation", [0, 0, 0]), (key, [0, 0, 0] if key == "rpy" else [0, 0, 0, 1])):
+        values = entry.get(name, default)
+        if not isinstance(values, list) or len(values) != len(default):
+            raise UsageError(f"{name} is {values!r}, expected {len(default)} numbers")
+        words += values
+    names = [
+        str(entry.get(name, entry.get(ros, ""))) for name, ros in (("parent", "frame_id"), ("child", "child_frame_id"))
+    ]
+    return StaticTransform.read(names, list(map(str, words)))
 
 
-def _read_number(value: Any, unit: str) -> float | None:
-    if isinstance(value, str):
-        return number_in(value, unit)
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
+#: The keys of a transform in a YAML file.
+_KEYS = ("parent", "frame_id", "child", "child_frame_id", "translation", "rotation", "rpy")
