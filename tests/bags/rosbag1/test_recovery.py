@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import re
 from contextlib import closing
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -164,6 +165,20 @@ def test_index_records_that_lie_about_their_length(sound: bool, tmp_path: Path) 
     rows, damage = recovered(tmp_path / "a.bag")
     assert [row[1] for row in rows] == list(range(1, 12))
     assert bool(damage) is not sound
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_a_topic_is_what_chunks_say(number: int, tmp_path: Path) -> None:
+    """One bit of the index is another, in the record of a connection, or in the publisher's header."""
+    path = write(tmp_path / "a.bag", CONNECTIONS, ROWS, "lz4")
+    data = path.read_bytes()
+    sound, _ = recovered(path)
+    places = [match.start() for match in re.finditer(b"topic=/b", data)]
+    at = places[-number] + 7
+    path.write_bytes(data[:at] + b"c" + data[at + 1 :])
+    rows, damage = recovered(path)
+    assert rows == sound
+    assert damage
 
 
 def test_an_index_that_counts_too_few_chunks(tmp_path: Path) -> None:

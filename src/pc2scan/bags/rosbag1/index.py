@@ -125,8 +125,7 @@ def read_index(file: BagFile) -> BagIndex:
     if not has_messages.all():
         segments = segments.select(has_messages)
     unlisted = frozenset(counts) - connections.keys()
-    if unlisted:
-        _find_connections(file, segments, set(unlisted), found)
+    _compare_connections(file, segments, set(unlisted), found)
     return BagIndex(
         {key: replace(connection, message_count=counts[key]) for key, connection in connections.items()},
         segments,
@@ -226,14 +225,20 @@ def indexed_times(file: BagFile, segment: Segment, ids: frozenset[int] | None = 
     return None if missing else times
 
 
-def _find_connections(file: BagFile, segments: Segments, missing: set[int], found: Connections) -> None:
-    """Find connections in the chunks that have messages and are not in the index."""
+def _compare_connections(file: BagFile, segments: Segments, missing: set[int], connections: Connections) -> None:
+    """Add connections that only chunks describe, and compare those of whose topic the index says two things.
+
+    Chunks are right: where they differ, the index is not used.
+    """
+    doubtful = {key for key, connection in connections.by_id.items() if "topic" in connection.metadata}
+    missing = missing | doubtful
     for segment in segments:
-        if not missing:
-            return
-        for fields, body in records_of(file, segment):
-            if kind_of(fields) == CONNECTION and (identity := number_field(fields, "conn")) in missing:
-                found.add(fields, body)
-                missing.discard(identity)
-    if missing:
+        if not missing.isdisjoint(segment.connection_ids or ()):
+            for fields, body in records_of(file, segment):
+                if kind_of(fields) == CONNECTION and (identity := number_field(fields, "conn")) in missing:
+                    missing.discard(identity)
+                    connections.add(fields, body)
+                    if connections.by_id[identity] != (content := parse_connection(fields, body)):
+                        raise FormatError(f"connection {identity} is {content.topic} in a chunk, and not in it")
+    if missing := missing - doubtful:
         raise FormatError(f"connection {min(missing)} has messages but is not described")
