@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan.files import compression as module
-from pc2scan.files.compression import combine_crc32, crc32
+from pc2scan.files.compression import crc32
 
 if TYPE_CHECKING:
     import pytest
@@ -44,17 +44,3 @@ def test_threads_do_not_disturb_each_other() -> None:
 def test_where_there_is_no_library_zlib_does_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_zlib", zlib)
     assert crc32(NOISE) == zlib.crc32(NOISE)
-    assert combine_crc32(zlib.crc32(b"a"), zlib.crc32(NOISE), len(NOISE)) == zlib.crc32(b"a" + NOISE)
-
-
-@given(st.binary(max_size=200), st.binary(max_size=2000))
-def test_parts_are_combined(first: bytes, second: bytes) -> None:
-    expected = zlib.crc32(first + second)
-    assert combine_crc32(zlib.crc32(first), zlib.crc32(second), len(second)) == expected
-    assert module._shift(zlib.crc32(first), len(second)) ^ zlib.crc32(second) == expected
-
-
-def test_large_parts_are_combined() -> None:
-    first, second = NOISE[:100], NOISE[100:]
-    assert combine_crc32(zlib.crc32(first), zlib.crc32(second), len(second)) == zlib.crc32(NOISE)
-    assert module._shift(zlib.crc32(first), len(second)) ^ zlib.crc32(second) == zlib.crc32(NOISE)

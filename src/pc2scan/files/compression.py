@@ -292,32 +292,3 @@ def crc32(data: Buffer, value: int = 0) -> int:
     """
     checksum: int = _zlib.crc32(data, value)
     return checksum
-
-
-def combine_crc32(first: int, second: int, length: int) -> int:
-    """Return the CRC-32 of two parts together: ``first``, and ``second`` of ``length`` bytes."""
-    if _zlib is zlib:
-        return _shift(first, length) ^ second
-    return int(_zlib.crc32_combine(first, second, length))
-
-
-def _shift(value: int, length: int) -> int:
-    """Multiply a CRC, the remainder of a polynomial over GF(2), by x to the power of ``8 * length``."""
-    # x^8, the highest bit being x^0.
-    power = 1 << 23
-    while length:
-        if length & 1:
-            value = _multiply(value, power)
-        power = _multiply(power, power)
-        length >>= 1
-    return value
-
-
-def _multiply(one: int, other: int) -> int:
-    """Multiply two polynomials modulo that of CRC-32, bits reflected."""
-    product = 0
-    for bit in range(31, -1, -1):
-        if one >> bit & 1:
-            product ^= other
-        other = other >> 1 ^ (0xEDB88320 if other & 1 else 0)
-    return product

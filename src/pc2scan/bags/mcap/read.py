@@ -18,7 +18,7 @@ from pc2scan.bags.loading import LazyItems, map_items
 from pc2scan.bags.topics import latches
 from pc2scan.bags.zstd import decompress_messages
 from pc2scan.errors import DamageError, stamp_text
-from pc2scan.files.compression import combine_crc32, crc32
+from pc2scan.files.compression import crc32
 from pc2scan.model import Attachment, Connection, Definition, Metadata, StoredChunk, Summary
 
 from .chunks import ChunkSegment, borrow_payload, chunk_at, whole_chunk
@@ -45,11 +45,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping
     from pathlib import Path
 
-    from pc2scan.bags.chunks import Segment, Segments
+    from pc2scan.bags.chunks import Segment
     from pc2scan.bags.formats import ReadOptions
     from pc2scan.bags.loading import Chunk, Item, Loaded
     from pc2scan.bags.reader import Reader
-    from pc2scan.model import Buffer, ChunkRule, RawMessage
+    from pc2scan.model import ChunkRule, RawMessage
 
     from .records import Messages
 
@@ -128,7 +128,7 @@ class McapReader(ChunkedReader):
             self._indexed_times = partial(indexed_times, self._file)
             self._are_times_verified = self._index.verified
             self._confirm_ends()
-            self._data_crc = None if self._log.found else data_crc(self._file, self._index, self._log)
+            compare_data_crc(self._index, self._file, self._log)
             self.summary = summary_of(self._index, self._file, self._log)
         except BaseException:
             self._file.close()
@@ -173,10 +173,7 @@ class McapReader(ChunkedReader):
             found = self._sound(selection, segment, whole=whole)
         if found is None:
             found = self._recovered(selection, segment)
-        loaded = found if isinstance(found, StoredChunk) else map_items(callback, found)
-        if self._data_crc is not None:
-            self._data_crc.compare()
-        return loaded
+        return found if isinstance(found, StoredChunk) else map_items(callback, found)
 
     def _sound(self, selection: _Selection, segment: Segment, *, whole: bool) -> StoredChunk | Messages:
         """Return the wanted messages of a segment, or the chunk as a whole.
@@ -192,8 +189,6 @@ class McapReader(ChunkedReader):
         if isinstance(seen, StoredChunk):
             return seen
         data = borrow_payload(self._file, segment) if seen is None else seen
-        if self._data_crc is not None:
-            self._data_crc.add(segment, data)
         messages = self._scan(selection, segment, data)
         return decompress_messages(messages, DamageLog(strict=True), segment.offset, self._file.path)
 
@@ -461,83 +456,15 @@ def compare_counts(index: McapIndex, file: RecordFile, log: DamageLog) -> None:
             log.note(error, key=kind, messages_lost=lost)
 
 
-# --- The CRC of a data section ---
-
-
-class DataCrc:
-    """Compares the CRC of a data section when all of its messages were read.
-
-    Parameters
-    ----------
-    file
-        The file.
-    segments
-        All segments with messages, in the order of the file.
-    stop
-        The end of the data section.
-    recorded
-        Its recorded CRC.
-    log
-        Gets a difference.
-    counted
-        Whether statistics tell if messages are missing.
-    """
-
-    def __init__(
-        self,
-        file: RecordFile,
-        segments: Segments,
-        stop: int,
-        recorded: int,
-        log: DamageLog,
-        *,
-        counted: bool,
-    ) -> None:
-        self._file = file
-        self._segments = segments
-        self._stop = stop
-        self._recorded = recorded
-        self._log = log
-        self._counted = counted
-        self._found: dict[int, int] = {}
-        self._error: DamageError | None = None
-        self._lock = Lock()
-
-    def add(self, segment: Segment, data: Buffer) -> None:
-        """Add a segment that was read; may be called on any thread, and again."""
-        self._found[segment.offset] = crc32(data)
-
-    def compare(self) -> None:
-        """Compare the CRC when all segments were read.
-
-        Raises
-        ------
-        DamageError
-            If it differs, and damage is an error: from then on each time, because a reading beside this one may have
-            ignored it.
-        """
-        with self._lock:
-            if len(self._found) == len(self._segments):
-                found, self._found = self._found, {}
-                value = position = 0
-                for segment in self._segments:
-                    value = self._file.crc(position, segment.offset, value)
-                    value = combine_crc32(value, found[segment.offset], segment.length)
-                    position = segment.offset + segment.length
-                value = self._file.crc(position, self._stop, value)
-                if value != self._recorded:
-                    text = f"the data section has CRC {value:08x}, recorded is {self._recorded:08x}"
-                    self._error = self._file.damage(text)
-        if self._error is not None:
-            self._log.note(self._error, key="data", messages_lost=0 if self._counted else None)
-
-
-def data_crc(file: RecordFile, index: McapIndex, log: DamageLog) -> DataCrc | None:
-    """Return the comparison for a file; None if it has no CRC, or its chunks have their own."""
-    if index.data_end is None:
-        return None
+def compare_data_crc(index: McapIndex, file: RecordFile, log: DamageLog) -> None:
+    """Note a data section that fails its CRC; chunks have their own, and are not read for it."""
+    if index.data_end is None or log.found:
+        return
     stop, recorded = index.data_end
-    rows = index.segments.rows
-    if not recorded or not len(rows) or rows["record_offset"].any():
-        return None
-    return DataCrc(file, index.segments, stop, recorded, log, counted=index.statistics is not None)
+    if not recorded or index.segments.rows["record_offset"].any():
+        return
+    value = file.crc(0, stop)
+    if value != recorded:
+        lost = None if index.statistics is None else 0
+        error = file.damage(f"the data section has CRC {value:08x}, recorded is {recorded:08x}")
+        log.note(error, key="data", messages_lost=lost)
