@@ -56,7 +56,7 @@ def test_the_default_is_beside_the_source(
     source: str, form: tuple[str, ...], expected: str, storage: str | None
 ) -> None:
     of = summary(*form)
-    found = default_destination([Path(source), Path("elsewhere/y.bag")], [of, summary("rosbag1")])
+    found = default_destination(Path(source), of.container)
     assert found == Path(expected)
     assert default_storage(found, [of]) == storage
     container = plan_destination(found, storage=storage, source_ros_version=2).format.name
@@ -64,20 +64,20 @@ def test_the_default_is_beside_the_source(
 
 
 def test_destinations_in_a_folder_or_another_format() -> None:
-    found = default_destination([Path("a/x.bag")], [summary("rosbag1")], folder=Path("b"), to="mcap")
+    found = default_destination(Path("a/x.bag"), "rosbag1", folder=Path("b"), to="mcap")
     assert found == Path("b/x_scan.mcap")
     db3 = [summary("sqlite3")]
-    folder = default_destination([Path("a/x.db3")], db3, to="rosbag2")
+    folder = default_destination(Path("a/x.db3"), "sqlite3", to="rosbag2")
     assert (folder, default_storage(folder, db3)) == (Path("a/x_scan"), "sqlite3")
-    assert default_storage(default_destination([Path("a/x.db3")], db3, to="bag"), db3) is None
+    assert default_storage(default_destination(Path("a/x.db3"), "sqlite3", to="bag"), db3) is None
     with pytest.raises(DestinationError, match="is not a format; allowed: bag, mcap, rosbag2"):
-        default_destination([Path("a/x.bag")], [summary("rosbag1")], to="csv")
+        default_destination(Path("a/x.bag"), "rosbag1", to="csv")
 
 
 def test_the_default_destination_of_the_current_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "bag").mkdir()
     monkeypatch.chdir(tmp_path / "bag")
-    found = default_destination([Path()], [summary("rosbag2", "mcap")])
+    found = default_destination(Path(), "rosbag2")
     assert found == tmp_path.resolve() / "bag_scan"
 
 

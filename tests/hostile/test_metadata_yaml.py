@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from pc2scan.bags import open_recording
+from pc2scan.bags.opening import open_recording
 from support import sampled
 from support.bounded import run_bounded
 from support.builders import CONTENT, POINTS, Recording, write_mcap, write_rosbag2

@@ -191,12 +191,7 @@ def _one_of(option: str, value: str, allowed: Sequence[str], path: Path) -> str:
 
 
 def default_destination(
-    sources: Sequence[Path],
-    summaries: Sequence[Summary],
-    mark: str = "_scan",
-    *,
-    folder: Path | None = None,
-    to: str | None = None,
+    source: Path, container: str, mark: str = "_scan", *, folder: Path | None = None, to: str | None = None
 ) -> Path:
     """Name a destination after the first source: ``drive.bag`` becomes ``drive_scan.bag``.
 
@@ -204,8 +199,8 @@ def default_destination(
 
     Parameters
     ----------
-    sources, summaries
-        Of the conversion. What an interrupted run left is named like its destination.
+    source, container
+        The first source, and the name of its format. What an interrupted run left is named like its destination.
     mark
         What is put behind the name.
     folder
@@ -213,13 +208,6 @@ def default_destination(
     to
         One of `pc2scan.bags.formats.destinations`; None: the source's format.
     """
-    return name_after(sources[0], summaries[0].container, mark, folder=folder, to=to)
-
-
-def name_after(
-    source: Path, container: str, mark: str = "_scan", *, folder: Path | None = None, to: str | None = None
-) -> Path:
-    """Name a destination as `default_destination` does, after a source in a container of this name."""
     if source.name in {"", ".."}:
         source = Path(os.path.realpath(source))
     entry = FORMATS[container]

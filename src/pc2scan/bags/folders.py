@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from pc2scan.errors import UsageError
 
 from . import zstd
-from .formats import FORMATS
+from .formats import FORMATS, and_list
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -198,27 +198,27 @@ def overlap_warnings(readers: Sequence[Reader]) -> list[str]:
     list[str]
         One warning for all that overlap in time and have the same topics; none for parts of one recording.
     """
-    found: dict[str, None] = {}
-    topics: dict[str, None] = {}
-    longest_ns = 0
+    mixed = []
     for reader, other in combinations(readers, 2):
         common_ns = _common_ns(reader, other)
         is_parted = common_ns and are_named_as_parts((reader.path, other.path))
-        if common_ns <= (_allowed_ns(reader, other) if is_parted else 0):
-            continue
-        shared = sorted(_moving_topics(reader) & _moving_topics(other))
-        if shared:
-            found |= {str(reader.path): None, str(other.path): None}
-            topics |= dict.fromkeys(shared)
-            longest_ns = max(longest_ns, common_ns)
-    if not found:
+        shared = _moving_topics(reader) & _moving_topics(other)
+        if shared and common_ns > (_allowed_ns(reader, other) if is_parted else 0):
+            mixed.append((common_ns, (str(reader.path), str(other.path)), sorted(shared)))
+    if not mixed:
         return []
+    names = dict.fromkeys(path for _, paths, _ in mixed for path in paths)
+    topics = dict.fromkeys(topic for _, _, shared in mixed for topic in shared)
     warning = (
-        f"{_names_text(list(found))} overlap in time, by up to {_seconds_text(longest_ns)}, on "
-        f"{_names_text(list(topics))}: their messages are mixed into one recording; "
-        "pc2scan batch converts each by itself"
+        f"{_some_of(names)} overlap in time, by up to {_seconds_text(max(mixed)[0])}, on {_some_of(topics)}: their "
+        "messages are mixed into one recording; pc2scan batch converts each by itself"
     )
     return [warning]
+
+
+def _some_of(names: Iterable[str]) -> str:
+    first, more = list(names)[:_MAX_NAMED], list(names)[_MAX_NAMED:]
+    return and_list([*first, f"{len(more)} more"] if more else first)
 
 
 def _common_ns(reader: Reader, other: Reader) -> int:
@@ -250,13 +250,6 @@ def _types_by_topic(reader: Reader) -> dict[str, frozenset[str]]:
     for connection in reader.connections:
         types[connection.topic] = types.get(connection.topic, frozenset()) | {connection.ros_type}
     return types
-
-
-def _names_text(names: Sequence[str]) -> str:
-    more = len(names) - _MAX_NAMED
-    if more > 0:
-        return f"{', '.join(names[:_MAX_NAMED])} and {more} more"
-    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
 def _seconds_text(duration_ns: int) -> str:

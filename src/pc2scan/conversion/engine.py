@@ -14,7 +14,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.bags.loading import Chunk, merge_by_time
-from pc2scan.bags.topics import NewestItems
 from pc2scan.errors import DecodeError, MessageError
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
 from pc2scan.model import RawMessage, StoredChunk, copied_message, own_data, own_message
@@ -193,10 +192,11 @@ def latched_at(messages: Iterable[RawMessage], start_ns: int) -> Chunk:
     start_ns
         The beginning of the cut: at their own log times, they would make the recording begin when they were logged.
     """
-    newest: NewestItems[RawMessage] = NewestItems()
-    for message in messages:
-        newest.add(_names(message), copied_message(message))
-    found = [message._replace(log_time_ns=start_ns, publish_time_ns=start_ns) for message in newest]
+    newest: dict[Hashable, tuple[int, RawMessage]] = {}
+    for number, message in enumerate(messages):
+        newest |= dict.fromkeys(_names(message), (number, copied_message(message)))
+    by_number = dict(newest.values())
+    found = [by_number[number]._replace(log_time_ns=start_ns, publish_time_ns=start_ns) for number in sorted(by_number)]
 
     def load(callback: Callable[[RawMessage], Any]) -> list[Any]:
         return [callback(message) for message in found]

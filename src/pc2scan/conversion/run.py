@@ -283,7 +283,8 @@ def _target(
     is_named = files.destination is not None and not output.like_source
     if files.destination is None:
         mark = "_repaired" if options.repair else "_clouds" if options.no_scans else "_scan"
-        files.destination = default_destination(files.sources, summaries, mark, folder=output.folder, to=output.to)
+        first = files.sources[0], summaries[0].container
+        files.destination = default_destination(*first, mark, folder=output.folder, to=output.to)
     path = files.destination
     if output.to is not None:
         check_to(path, output.to)

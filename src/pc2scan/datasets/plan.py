@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.destinations import name_after
+from pc2scan.bags.destinations import default_destination
 from pc2scan.errors import DestinationError, name_list
 from pc2scan.files.ownership import name_key
 from pc2scan.files.places import working_names
@@ -120,7 +120,7 @@ def _result_name(found: Recording, request: Request, *, distinct: bool = False) 
     source = Path(found.key)
     suffix = f"_{source.suffix[1:] or 'folder'}" if distinct else ""
     mark, to = ("", "rosbag2") if request.export is not None else ("_scan", request.output.to)
-    return name_after(source, found.container, f"{suffix}{mark}", folder=source.parent, to=to).as_posix()
+    return default_destination(source, found.container, f"{suffix}{mark}", folder=source.parent, to=to).as_posix()
 
 
 def make_plan(

@@ -385,7 +385,6 @@ def info_of(
         warnings += dict.fromkeys(text for each in clouds for text in found.moving_frames(found.facts[each.topic]))
         warnings += (text for each in lidars for text in time_warnings(each.facts, PointTime()))
         warnings += (*missing_mounts(lidars), *odometry_doubts(lidars), *reader.remarks)
-        summaries = [each.summary for each in readers]
         # Landmarks and the like are no lidar's, if there is one.
         types = {topic.topic: [topic.msgtype] for topic in topics if topic.messages}
         usual = set() if described else set(usual_topics(types, (*CLOUDS, *SCANS)))
@@ -395,7 +394,7 @@ def info_of(
             given or {},
             {topic: up for topic, up in found.ups.items() if not isinstance(up, UsageError)},
             found.clocks,
-            lambda topic: str(default_destination([each.path for each in readers], summaries, _mark(topic))),
+            lambda topic: str(default_destination(readers[0].path, readers[0].summary.container, _mark(topic))),
             names_topics=len({topic.topic for topic in topics if topic.msgtype in CLOUDS and topic.messages}) > 1,
             has_scans=any(topic.topic == "/scan" for topic in topics),
         )
