@@ -304,7 +304,7 @@ class Writer(Protocol):
 
     def keep_ids(self, connections: Collection[Connection]) -> None:
         """Reserve the ids of these connections, so that they keep them when they are declared."""
-        ...
+        del connections
 
     def add_connection(self, connection: Connection) -> int:
         """Declare a connection, and return its handle for `write`. Its ``id`` is ignored unless it is reserved."""
@@ -312,7 +312,7 @@ class Writer(Protocol):
 
     def declarations(self) -> frozenset[bytes]:
         """Return the declarations written so far, which chunks may repeat; see `ChunkRule`."""
-        ...
+        return frozenset()
 
     def compress_ahead(self, pool: Threads) -> None:
         """Compress on these threads, which must run until `finish` or `abort`. The written bytes stay the same."""
@@ -324,15 +324,15 @@ class Writer(Protocol):
 
     def write_chunk(self, chunk: StoredChunk) -> None:
         """Append a whole chunk; its connections must be declared and have kept their ids."""
-        ...
+        del chunk
 
     def add_attachment(self, attachment: Attachment) -> None:
         """Append an attachment; containers without attachments ignore it."""
-        ...
+        del attachment
 
     def add_metadata(self, metadata: Metadata) -> None:
         """Append a metadata record; containers without them ignore it."""
-        ...
+        del metadata
 
     def finish(self) -> None:
         """Write indexes and summaries, and put everything on the disk."""

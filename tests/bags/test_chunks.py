@@ -1,12 +1,11 @@
 from __future__ import annotations
 
-from dataclasses import astuple, replace
+from dataclasses import astuple
 from itertools import compress
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
@@ -15,7 +14,6 @@ from pc2scan.bags.chunks import (
     ChunkedReader,
     Segment,
     Segments,
-    segment_chunks,
     times_around,
     whole_chunks,
 )
@@ -25,88 +23,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 RULE = ChunkRule("mcap", frozenset({"zstd"}), frozenset({1, 2}))
-
-
-def segment(offset: int, start_ns: int, end_ns: int, ids: Iterable[int] = (1,), **changes: int) -> Segment:
-    made = Segment(offset, 10, MIN_WHOLE_BYTES, start_ns, end_ns, compression="zstd", connection_ids=frozenset(ids))
-    return replace(made, **changes)  # type: ignore[arg-type]
-
-
-def whole(*segments: Segment, start_ns: int | None = None, stop_ns: int | None = None) -> dict[int, int]:
-    """When each whole chunk is due, by its offset."""
-    sorted_segments = Segments(segments)
-    sorted_segments.sort()
-    found = zip(sorted_segments, *whole_chunks(sorted_segments, RULE, start_ns, stop_ns), strict=True)
-    return {each.offset: int(due_ns) for each, is_whole, due_ns in found if is_whole}
-
-
-def test_of_no_chunks_none_is_whole() -> None:
-    assert whole() == {}
-
-
-def test_chunks_one_after_the_other_are_whole() -> None:
-    assert whole(segment(1, 1, 4), segment(2, 5, 8), segment(3, 9, 9)) == {1: 1, 2: 5, 3: 9}
-
-
-#: Chunks in the order of a file: log times, and whether their messages are read one by one; and when those are due that
-#: are whole.
-LAYOUTS = {
-    "apart": ([(0, 4), (5, 8, "read"), (9, 12)], {0: 0, 2: 9}),
-    "neighbours share a time": ([(0, 5), (5, 9, "read"), (9, 12), (12, 12), (12, 13)], {0: 0, 2: 9, 3: 12, 4: 12}),
-    "overlapping": ([(0, 5), (3, 8), (7, 9), (20, 21, "read")], {0: 0, 1: 5, 2: 8}),
-    "one overlaps what is read": ([(0, 5), (4, 8), (7, 10, "read"), (9, 13), (12, 15)], {0: 0, 1: 5, 3: 10, 4: 13}),
-    "what is read begins too early": ([(0, 5), (4, 8), (4, 10, "read"), (12, 15)], {0: 0, 3: 12}),
-    "topics have chunks of their own": ([(0, 9, "read"), (0, 9), (10, 19, "read"), (9, 20)], {1: 9, 3: 19}),
-    "topics have chunks that overlap": ([(0, 9, "read"), (0, 12), (10, 19, "read"), (9, 20)], {1: 9, 3: 19}),
-    "not in order": ([(40, 41), (10, 20), (50, 50, "read")], {0: 40, 1: 41}),
-    "what is read is earlier": ([(40, 41), (10, 20, "read"), (50, 50)], {2: 50}),
-}
-
-
-@pytest.mark.parametrize(("chunks", "expected"), LAYOUTS.values(), ids=LAYOUTS)
-def test_chunks_keep_their_place_in_the_file(
-    chunks: list[tuple[int, int] | tuple[int, int, str]], expected: dict[int, int]
-) -> None:
-    segments = [segment(n, start, end, (3,) if how else (1,)) for n, (start, end, *how) in enumerate(chunks)]
-    assert whole(*segments) == expected
-    assert whole(*reversed(segments)) == expected
-
-
-@pytest.mark.parametrize(
-    "other",
-    [
-        segment(1, 0, 9, (1, 3)),
-        segment(1, 0, 9, uncompressed_size=MIN_WHOLE_BYTES - 1),
-        replace(segment(1, 0, 9), connection_ids=None),
-    ],
-    ids=["another connection", "too small", "unknown"],
-)
-def test_what_the_rule_does_not_allow_is_not_whole(other: Segment) -> None:
-    assert whole(other, segment(2, 10, 11)) == {2: 10}
-
-
-def test_chunks_across_the_cut_are_not_whole() -> None:
-    chunks = [segment(n, 10 * n, 10 * n + 9) for n in range(5)]
-    assert whole(*chunks, start_ns=10, stop_ns=40) == {1: 10, 2: 20, 3: 30}
-    assert whole(*chunks, start_ns=11, stop_ns=39) == {2: 20}
-
-
-def test_units_are_in_the_order_in_which_they_are_due() -> None:
-    file: Any = object()
-
-    def load(*_: Any, **__: Any) -> list[Any]:
-        return []
-
-    late, early = segment(10, 5, 9), replace(segment(30, 1, 9), compression="none")
-    due = np.array([4, 1], np.uint64)
-    units = list(segment_chunks(Segments([late, early]), load, file, np.array([True, False]), due))
-    assert [(unit.start_ns, unit.place, unit.is_quick) for unit in units] == [
-        (1, (30,), True),
-        (4, (10,), False),
-    ]
-    assert [(unit.file, unit.offset, unit.length) for unit in units] == [(file, 30, 10), (file, 10, 10)]
-    large = replace(early, uncompressed_size=1 << 20)
-    assert not next(segment_chunks(Segments([large]), load, file, np.array([False]), due[:1])).is_quick
 
 
 # --- Against lists of segments, one at a time ---

@@ -41,10 +41,6 @@ def test_impossible_destinations_are_refused(name: str, options: dict[str, Any],
     assert caught.value.path == Path(name)
 
 
-def test_a_directory_may_have_the_name_of_a_file() -> None:
-    assert plan("k.mp4", is_directory=True).format.name == "rosbag2"
-
-
 def summary(container: str, storage: str = "") -> Summary:
     return Summary(container, storage, (), 0, None, None, None)
 
@@ -72,13 +68,6 @@ def test_destinations_in_a_folder_or_another_format() -> None:
     assert default_storage(default_destination(Path("a/x.db3"), "sqlite3", to="bag"), db3) is None
     with pytest.raises(DestinationError, match="is not a format; allowed: bag, mcap, rosbag2"):
         default_destination(Path("a/x.bag"), "rosbag1", to="csv")
-
-
-def test_the_default_destination_of_the_current_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "bag").mkdir()
-    monkeypatch.chdir(tmp_path / "bag")
-    found = default_destination(Path(), "rosbag2")
-    assert found == tmp_path.resolve() / "bag_scan"
 
 
 @pytest.mark.parametrize(("name", "storage", "earliest_ns"), [("a", "mcap", 0), ("b", "sqlite3", -150_000_000)])

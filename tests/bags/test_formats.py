@@ -12,7 +12,6 @@ import pytest
 import pc2scan
 from pc2scan.bags.formats import FORMATS, Format, ReadOptions, WriteOptions, destinations, storages
 from pc2scan.bags.opening import open_recording
-from pc2scan.errors import DestinationError, RecordingError
 from pc2scan.options.table import options_of
 from support import ROOT
 from support.command import run
@@ -116,15 +115,6 @@ def test_a_new_container_is_an_entry_and_a_package(tmp_path: Path, source: str, 
 
 
 @pytest.mark.usefixtures("toy")
-def test_a_new_container_has_a_default_destination(tmp_path: Path) -> None:
-    source = tmp_path / "a.toy"
-    pc2scan.convert(FIXTURES / "hall.mcap", source, keep_clouds=True)
-    report = pc2scan.convert(source, None, topics=["/points:=/other"])
-    assert report.destination == str(tmp_path / "a_scan.toy")
-    assert "/other" in {entry[0] for entry in content(tmp_path / "a_scan.toy")}
-
-
-@pytest.mark.usefixtures("toy")
 def test_the_command_and_batches_know_a_new_container(tmp_path: Path) -> None:
     words = ("convert", FIXTURES / "hall.mcap", "-o", tmp_path / "y.toy", "--keep-clouds")
     dry = run(*words, "--dry-run")
@@ -136,20 +126,6 @@ def test_the_command_and_batches_know_a_new_container(tmp_path: Path) -> None:
     asked: dict[str, Any] = {"to": "toy", "keep_clouds": True}
     report = pc2scan.convert(FIXTURES / "hall.mcap", f"{tmp_path}/", **asked)
     assert report.destination == str(tmp_path / "hall_scan.toy")
-
-
-@pytest.mark.usefixtures("toy")
-def test_a_new_container_is_in_what_errors_list(tmp_path: Path) -> None:
-    (tmp_path / "x").write_bytes(b"hello")
-    with pytest.raises(RecordingError) as caught:
-        open_recording(tmp_path / "x")
-    known = ", ".join(entry.readable for entry in FORMATS.values() if entry.name != "toy")
-    assert caught.value.hint == f"{known} and toys can be read"
-    with pytest.raises(DestinationError, match="`compression=zstd` is not possible here; allowed: none"):
-        pc2scan.convert(FIXTURES / "hall.mcap", tmp_path / "y.toy", compression="zstd")
-    with pytest.raises(DestinationError) as refused:
-        pc2scan.convert(FIXTURES / "hall.mcap", tmp_path / "y.db3")
-    assert "NAME.bag, NAME.mcap, NAME.toy, or NAME for a rosbag2 directory" in str(refused.value.hint)
 
 
 def test_the_table_is_consistent() -> None:

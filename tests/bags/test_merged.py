@@ -56,23 +56,6 @@ def test_messages_are_merged_and_renumbered(tmp_path: Path) -> None:
     assert [each.log[-1] for each in (first, second)] == ["closed 1", "closed 2"]
 
 
-def test_a_single_source_passes_through(tmp_path: Path) -> None:
-    only = source(tmp_path, "1", [(5, 1, b"p")], [connection(5)])
-    reader = MergedReader([only])
-    assert list(reader.connections) == only.connections
-    (message,) = reader.messages()
-    assert message.connection is only.connections[0]
-    assert reader.summary == only.summary
-
-
-def test_equal_connections_of_one_source_stay_two() -> None:
-    merged, ids = unify_connections(
-        [[connection(1), connection(2)], [connection(7), connection(8), connection(9, count=None)], [connection(1)]]
-    )
-    assert [(c.id, c.message_count) for c in merged] == [(1, 3), (2, 2), (3, None)]
-    assert ids == [{1: 1, 2: 2}, {7: 1, 8: 2, 9: 3}, {1: 1}]
-
-
 @pytest.mark.parametrize(
     "other",
     [

@@ -17,11 +17,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def test_names_and_compressions_around_others() -> None:
-    assert {zstd.without_suffix(name) for name in ("a.mcap", "a.mcap.zst", "a.mcap.zstd")} == {"a.mcap"}
-    assert (zstd.compressions(["none"]), zstd.compressions(["zstd", "lz4"])) == (("zstd",), ("lz4", "zstd"))
-
-
 def test_files_are_recognised_by_content_and_unpacked(tmp_path: Path) -> None:
     plain, packed = tmp_path / "a.mcap", tmp_path / "b.mcap.zst"
     plain.write_bytes(b"content")

@@ -40,7 +40,7 @@ __all__ = ["CORPUS", "DECODERS", "decode"]
 
 CORPUS = Path(__file__).with_name("corpus")
 
-_ENCODINGS = ("ros1msg", "ros2msg", "ros2idl")
+_ENCODINGS = ("ros1msg", "ros2msg")
 
 
 def _serialization(data: bytes) -> tuple[bytes, str]:

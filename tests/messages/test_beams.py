@@ -36,11 +36,6 @@ def test_beams_are_points_at_their_own_times() -> None:
     assert rejected == {"nan": 1, "range": 5}
 
 
-def test_a_scan_without_intensities_has_points_without() -> None:
-    points, _ = scan_points(scan(intensities=np.empty(0, np.float32)))
-    assert "intensity" not in points.fields
-
-
 def test_a_scan_that_makes_no_sense_is_an_error_with_its_stamp() -> None:
     with pytest.raises(DecodeError) as caught:
         scan_points(scan(angle_increment=math.nan))

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import base64
 import shutil
-import struct
 import subprocess
 import sys
 from functools import partial
@@ -94,16 +93,6 @@ def test_scans_are_those_of_the_same_points_as_pointcloud2(name: str, form: str,
     assert found == scans_of(recorded(tmp_path / "usual" / form, CLOUD, usual, ros_version), **options)
 
 
-@pytest.mark.parametrize("name", ["PointCloud", "zstd"])
-def test_info_describes_them_and_proposes_what_can_be_converted(name: str, tmp_path: Path) -> None:
-    kind, make = LOSSLESS[name]
-    messages = [make(clouds.lidar_points(step, 2_000), 2, T0 + step * SECOND // 10) for step in range(12)]
-    found = pc2scan.info(recorded(tmp_path / "a.mcap", kind, messages, 2))
-    (cloud,) = found.clouds
-    assert [field for field, *_ in cloud.fields] == ["x", "y", "z", "intensity", "ring"]
-    assert 0.01 < cloud.nan_share < 0.1
-
-
 @pytest.mark.parametrize("ros_version", [1, 2])
 @pytest.mark.parametrize("name", COMPRESSORS)
 def test_compressed_clouds_are_the_clouds_that_were_compressed(name: str, ros_version: int) -> None:
@@ -131,23 +120,6 @@ def test_old_clouds_have_their_channels_as_fields(count: int, ros_version: int) 
     for name, values in found.fields.items():
         np.testing.assert_array_equal(values, points[name])
     assert recorded_cloud(found).structured_points().tobytes() == old_columns(points).tobytes()
-
-
-def test_channels_of_another_length_and_of_a_taken_name_are_no_fields() -> None:
-    def channel(name: bytes, *values: float) -> bytes:
-        return struct.pack("<I", len(name)) + name + struct.pack(f"<I{len(values)}f", len(values), *values)
-
-    head = struct.pack("<IIII", 1, 10, 20, 1) + b"f" + struct.pack("<I6f", 2, 1, 2, 3, 4, 5, 6)
-    data = (
-        head + struct.pack("<I", 4) + channel(b"rgb") + channel(b"x", 7, 8) + channel(b"i", 9, 10) + channel(b"i", 1, 1)
-    )
-    found = decoded(OLD_CLOUD, data, 1)
-    assert {name: values.tolist() for name, values in found.fields.items()} == {
-        "x": [1, 4],
-        "y": [2, 5],
-        "z": [3, 6],
-        "i": [9, 10],
-    }
 
 
 def sound(ros_version: int) -> dict[str, tuple[str, bytes]]:
@@ -243,13 +215,6 @@ def test_draco_files_are_what_the_library_writes(tmp_path: Path) -> None:
         assert done.stdout == encoded()[name], name
 
 
-def test_draco_is_said_to_be_lossy(tmp_path: Path) -> None:
-    data = clouds.compressed(draco_points(), 2, data=encoded()["rounded"], form="draco")
-    report = pc2scan.convert(recorded(tmp_path / "a.mcap", COMPRESSED, [data, data], 2), min_height=-9.0)
-    assert [text for text in report.warnings if "Draco, which may round" in text]
-    assert report.topics[0].points.total == 108
-
-
 @pytest.mark.parametrize("place", [0, 7, 11, 12, 24, 31, 35, 36, 37, 39])
 def test_draco_that_declares_too_much_is_an_error(place: int) -> None:
     """Numbers in its head: of metadata, points, attributes and their components."""
@@ -295,30 +260,6 @@ def test_scans_of_packets_are_those_of_the_packages_points(form: str, tmp_path: 
     times = decoded(VELODYNE, clouds.velodyne(packets, ros_version), ros_version).field("time")
     np.testing.assert_allclose(times, points["time"] + (packets[-1][0] - T0) / 1e9, atol=2e-6)
     assert times.min() > -1e-4
-
-
-def test_a_point_is_where_the_manual_says() -> None:
-    """VLP-16 manual, 9.3: laser 0 looks down by 15 degrees, laser 1 up by 1; units of 2 mm; azimuth is clockwise."""
-    pytest.importorskip("velodyne_decoder")
-    distances = [0] * 32
-    distances[0], distances[1] = 2500, 5000
-    data = clouds.velodyne([(T0, clouds.packet(9000, distances, 0))] * 2, 2)
-    points = recorded_cloud(decoded(VELODYNE, data, 2)).structured_points()
-    ranges = np.sqrt(points["x"] ** 2 + points["y"] ** 2 + points["z"] ** 2)
-    down, up = points[ranges < 7.5], points[ranges > 7.5]
-    np.testing.assert_allclose(np.degrees(np.arcsin(down["z"] / 5.0)), -15, atol=0.3)
-    np.testing.assert_allclose(np.degrees(np.arcsin(up["z"] / 10.0)), 1, atol=0.3)
-    # ROS's x is ahead, at azimuth 0, and y to the left: 90 degrees clockwise are to the right.
-    assert (down["y"] < -4.5).all()
-    assert (np.abs(down["x"]) < 0.5).all()
-
-
-def test_packets_without_returns_and_no_packets_are_no_points() -> None:
-    pytest.importorskip("velodyne_decoder")
-    for packets in ([], [(T0, clouds.packet(0, [0] * 32, 0))]):
-        assert recorded_cloud(decoded(VELODYNE, clouds.velodyne(packets, 2), 2)).points == 0
-    with pytest.raises(DecodeError, match="unsupported Velodyne model"):
-        decoded(VELODYNE, clouds.velodyne([(T0, clouds.packet(0, [0] * 32, 0, model=99))], 2), 2)
 
 
 def test_packets_of_a_real_lidar_are_the_points_of_another_decoder() -> None:

@@ -134,26 +134,6 @@ def test_scans_are_those_of_the_same_points_as_pointcloud2(name: str, kind: str,
     assert scans[0] == scans[1]
 
 
-def test_info_describes_them_and_their_times_deskew(tmp_path: Path) -> None:
-    at = T0
-    stream = Stream("/livox/lidar", KINDS[1])
-    items = [builders.item(stream, at, lambda ros, seq: livox(points_of(1), ros, seq=seq, stamp_ns=at))]
-    source = written(tmp_path / "a.mcap", stream, items, 2)
-    (cloud,) = pc2scan.info(source).clouds
-    assert cloud.frames == ("livox_frame",)
-    assert [name for name, *_ in cloud.fields] == [
-        "x",
-        "y",
-        "z",
-        "offset_time",
-        "reflectivity",
-        "tag",
-        "line",
-        "intensity",
-    ]
-    assert cloud.nan_share > 0.1
-
-
 @pytest.mark.parametrize("ros_version", [1, 2])
 @pytest.mark.parametrize("count", [0, 1, 300])
 def test_as_pointcloud2_it_is_what_the_driver_publishes(count: int, ros_version: int) -> None:
@@ -170,24 +150,6 @@ def test_as_pointcloud2_it_is_what_the_driver_publishes(count: int, ros_version:
         for offset, x, y, z, reflectivity, tag, line in points.tolist()
     )
     assert bytes(cloud.data) == expected
-
-
-def test_diff_and_clouds_see_the_recorded_points_in_every_wire_format(tmp_path: Path) -> None:
-    points = points_of(4)
-    stream = Stream("/livox", KINDS[1])
-    paths = []
-    for name, lidar_id in (("a.bag", 3), ("b.mcap", 3), ("c.mcap", 4)):
-        data = {ros: livox(points, ros, lidar_id=lidar_id) for ros in (1, 2)}
-        paths.append(written(tmp_path / name, stream, [builders.Item(stream, T0, data)], 2 if ".mcap" in name else 1))
-    assert pc2scan.diff(paths[0], paths[1], ignore="seq").same
-    (topic,) = pc2scan.diff(paths[1], paths[2]).topics
-    assert list(topic.changes) == ["lidar_id"]
-    for path in paths:
-        (cloud,) = pc2scan.clouds(path)
-        assert len(cloud) == 300
-        for name in points.dtype.names or ():
-            np.testing.assert_array_equal(cloud[name], points[name])
-        np.testing.assert_array_equal(cloud["intensity"], points["reflectivity"])
 
 
 def test_offset_time_deskews_like_the_times_of_a_pointcloud2(tmp_path: Path) -> None:

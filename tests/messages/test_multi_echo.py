@@ -12,16 +12,14 @@ import pytest
 
 import pc2scan
 from pc2scan.bags.opening import open_recording
-from pc2scan.errors import DecodeError, UsageError
-from pc2scan.messages.laserscan import decode_laserscan
+from pc2scan.errors import DecodeError
 from pc2scan.messages.multi_echo import decode_multi_echo
 from support import RECORDINGS, builders
-from support.builders import T0, Item, Mcap, Recording, Stream
+from support.builders import T0
 from support.clouds import ECHO_INTENSITIES as INTENSITIES
 from support.clouds import ECHO_RANGES as RANGES
 from support.clouds import MULTI_ECHO as KIND
 from support.clouds import multi_echo
-from support.outputs import opened
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -73,50 +71,6 @@ def test_messages_that_end_too_early_or_contradict_themselves_are_errors(ros_ver
         decode_multi_echo(multi_echo(ros_version, intensities=()), serialization, "strongest")
     empty = decode_multi_echo(multi_echo(ros_version, (), ()), serialization, "strongest")
     assert empty.ranges.size == empty.intensities.size == 0
-
-
-def recording(path: Path) -> Path:
-    stream = Stream("/echoes", KIND)
-    items = [
-        Item(stream, T0 + step * 10**8, {ros: multi_echo(ros, stamp_ns=T0 + step * 10**8) for ros in (1, 2)})
-        for step in range(3)
-    ]
-    return builders.write_mcap(path, Recording((stream,), tuple(items)), Mcap())
-
-
-@pytest.mark.parametrize("echo", ECHOES)
-def test_each_command_reads_the_chosen_echo(echo: Any, tmp_path: Path) -> None:
-    source = recording(tmp_path / "a.mcap")
-    expected = [beam(*each, echo)[0] for each in zip(RANGES, INTENSITIES, strict=True)]
-    sound = [value for value in expected if value < 20]
-    report = pc2scan.convert(source, tmp_path / "clouds.mcap", reverse=True, echo=echo)
-    for cloud in pc2scan.clouds(report.destination):
-        np.testing.assert_allclose(np.hypot(cloud["x"], cloud["y"]), sound, rtol=1e-6)
-    asked: dict[str, Any] = {"geometry": "centered", "angle_min": -1.0, "angle_max": 1.0, "angle_increment": 0.4}
-    report = pc2scan.convert(source, tmp_path / "scans.mcap", rebin=True, echo=echo, range_min=0.5, **asked)
-    for each in opened(tmp_path / "scans.mcap").of("/echoes"):
-        ranges = decode_laserscan(each.data, "cdr").ranges
-        np.testing.assert_allclose(ranges[np.isfinite(ranges)], sound, rtol=1e-5)
-    (topic,) = pc2scan.check(source, echo=echo).topics
-    assert topic.topic == "/echoes"
-    (scan,) = pc2scan.info(source).scans
-    assert scan.topic == "/echoes"
-
-
-def test_commands_that_read_laser_scans_say_what_makes_them(tmp_path: Path) -> None:
-    source, made = recording(tmp_path / "echoes.mcap"), tmp_path / "scans.mcap"
-    for read in (pc2scan.view, pc2scan.scans):
-        with pytest.raises(UsageError, match="LaserScan topic, but scans with several echoes: /echoes") as caught:
-            read(source)
-        assert caught.value.hint == "pc2scan convert `rebin=True` makes LaserScans of them"
-    pc2scan.convert(source, made, rebin=True)
-    pc2scan.view(made)
-    assert len(list(pc2scan.scans(made))) == 3
-
-
-def test_an_echo_of_clouds_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="`echo` chooses among the echoes of 2D scans"):
-        pc2scan.convert(recording(tmp_path / "a.mcap"), echo="last")
 
 
 def test_a_real_recording_has_the_echoes_that_rosbags_reads(tmp_path: Path) -> None:

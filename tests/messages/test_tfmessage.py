@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan.errors import DecodeError
-from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms, encode_transforms
-from pc2scan.model import normalized_type
+from pc2scan.messages.tfmessage import decode_transforms, encode_transforms
 
 if TYPE_CHECKING:
     from pc2scan.core.rigid import TransformRow
@@ -66,8 +65,3 @@ def test_lengths_that_lie(serialization: str) -> None:
     data[length : length + 4] = b"\xff" * 4
     with pytest.raises(DecodeError, match="transform 1 of 3"):
         decode_transforms(bytes(data), serialization)
-
-
-def test_types() -> None:
-    for recorded in ("tf/tfMessage", "tf2_msgs/TFMessage", "tf2_msgs/msg/TFMessage"):
-        assert normalized_type(recorded) in TF_TYPES

@@ -16,7 +16,7 @@ from messages.twins import CODES, SEPARATOR, Twin, check_both_ways, of_kind, par
 from pc2scan.errors import DecodeError
 from pc2scan.messages import definitions, schema
 from pc2scan.messages.transcode import transcoder, with_definition
-from pc2scan.model import LATCHED_QOS, Connection, Definition, ros1_type
+from pc2scan.model import Connection, Definition, ros1_type
 from support import RECORDINGS, needs_shared, sampled
 from support.tables import rows
 
@@ -57,20 +57,6 @@ def test_common_types_go_there_and_back(name: str) -> None:
         assert back.digest == noetic.generate_msgdef(name, ros_version=1)[1]
 
 
-def test_common_types_are_most_of_those_of_ros1() -> None:
-    assert len(common_types()) > 90
-    assert {"std_msgs/msg/Empty", "nav_msgs/msg/Path", "sensor_msgs/msg/CameraInfo"} < set(common_types())
-
-
-@pytest.mark.parametrize("msgtype", sorted(definitions.TYPES))
-def test_own_types_pass_through_with_the_same_definition(msgtype: str) -> None:
-    for source, spelling, serialization in ((1, ros1_type(msgtype), "ros1"), (2, msgtype, "cdr")):
-        text, digest = definitions.definition(msgtype, source)
-        connection = Connection(1, "/topic", spelling, serialization, text, digest)
-        other = transcoder(connection, 3 - source).connection
-        assert (other.definition, other.digest) == definitions.definition(msgtype, 3 - source)
-
-
 # --- types of the recording's own ---
 
 NESTED = f"""\
@@ -102,12 +88,6 @@ string frame_id
 {SEPARATOR}
 MSG: nav/Nothing
 """
-
-
-@pytest.mark.parametrize("seed", sampled(range(30), 4))
-def test_custom_type_with_headers_in_arrays(seed: int) -> None:
-    connection = ros1(NESTED)
-    check_both_ways(connection, "pkg/msg/Type", parsed(connection), seed)
 
 
 WORDS = [*CODES, "string", "time", "duration", "Header", "pkg/Inner", "pkg/Deep", "pkg/Void"]
@@ -161,41 +141,6 @@ def test_a_custom_type_is_defined_in_the_other_versions_words() -> None:
     assert "builtin_interfaces" not in back.definition.text
 
 
-def test_empty_message() -> None:
-    for connection in (
-        ros1("", "std_msgs/Empty"),
-        ros1(""),
-        ros1("# nothing\n"),
-        ros1(f"# nothing\n{SEPARATOR}\n\n{SEPARATOR}\nMSG: pkg/Unused\nuint8 a\n"),
-    ):
-        there = transcoder(connection, 2)
-        assert bytes(there.encode(b"")) == b"\0\1\0\0\0"
-        back = transcoder(there.connection, 1)
-        assert bytes(back.encode(b"\0\1\0\0\0")) == b""
-        assert back.connection.digest == "d41d8cd98f00b204e9800998ecf8427e"
-
-
-def test_old_type_names() -> None:
-    text, _ = definitions.definition("tf2_msgs/TFMessage", 1)
-    there = transcoder(Connection(1, "/tf", "tf/tfMessage", "ros1", text), 2).connection
-    assert there.msgtype == "tf2_msgs/msg/TFMessage"
-    assert (there.definition, there.digest) == definitions.definition("tf2_msgs/TFMessage", 2)
-    assert transcoder(there, 1).connection.msgtype == "tf2_msgs/TFMessage"
-    old = f"Header header\n{SEPARATOR}\nMSG: roslib/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
-    check_both_ways(ros1(old), "pkg/msg/Type", parsed(ros1(old)), 1)
-    assert transcoder(ros1("uint32 seq\ntime stamp\nstring frame_id\n", "roslib/Header"), 2).connection.msgtype == (
-        "std_msgs/msg/Header"
-    )
-
-
-def test_the_other_versions_field_names_for_the_same_layout() -> None:
-    there = transcoder(Connection(1, "/camera_info", "sensor_msgs/CameraInfo", "ros1"), 2).connection
-    assert "float64[] d\nfloat64[9] k\nfloat64[9] r\nfloat64[12] p\n" in there.definition.text
-    custom = transcoder(ros1("sensor_msgs/CameraInfo info\nuint8 D\n"), 2).connection
-    assert "float64[] d\n" in custom.definition.text
-    assert "uint8 D\n" in custom.definition.text
-
-
 @pytest.mark.parametrize("msgtype", ["visualization_msgs/Marker", "sensor_msgs/Range"])
 def test_another_layout_keeps_its_definition_and_is_noted(msgtype: str) -> None:
     name = schema.canonical_type(msgtype)
@@ -207,11 +152,6 @@ def test_another_layout_keeps_its_definition_and_is_noted(msgtype: str) -> None:
     )
     assert written == own != other
     check_both_ways(Connection(1, "/topic", msgtype, "ros1"), name, schema.known_types(1), 1)
-
-
-def test_nested_type_with_another_layout_is_noted_too() -> None:
-    (note,) = transcoder(Connection(1, "/t", "visualization_msgs/msg/MarkerArray", "cdr"), 1).notes[1:]
-    assert "ROS 1 noetic's visualization_msgs/MarkerArray, visualization_msgs/Marker" in note
 
 
 # --- definitions as recordings have them ---
@@ -240,22 +180,6 @@ int32 id
     assert bytes(plan.encode(twin.cdr)) == twin.ros1
 
 
-def test_definitions_as_people_write_them() -> None:
-    """rosbags' own parser refuses each of these constants."""
-    text = (
-        "int32 lower_case=3\r\nstring VERSION=1.2.3\r\nfloat32 Kp=1e3\r\nuint8 TRAILING_=1\r\n"
-        "\tuint8\t x \t# tab\r\nuint8 lower_case\r\nuint8 class\r\nuint8 from_\r\n"
-    )
-    connection = ros1(text)
-    check_both_ways(connection, "pkg/msg/Type", parsed(connection), 1)
-    assert [field for field, _ in parsed(connection)["pkg/msg/Type"][1]] == [
-        "x",
-        "lower_case",
-        "class",
-        "from_",
-    ]
-
-
 @pytest.mark.parametrize(
     ("name", "md5sum"),
     [
@@ -269,67 +193,6 @@ def test_definitions_as_people_write_them() -> None:
 )
 def test_md5sums_as_ros1_nodes_know_them(name: str, md5sum: str) -> None:
     assert transcoder(Connection(1, "/topic", name, "cdr"), 1).connection.digest == md5sum
-
-
-def test_a_known_type_is_read_whatever_defines_it() -> None:
-    plan = transcoder(ros2("struct Imu {};", "sensor_msgs/msg/Imu", encoding="omgidl"), 1)
-    assert plan.notes == ("only a definition in omgidl in the recording: ROS 2 jazzy's sensor_msgs/msg/Imu is assumed",)
-    assert plan.connection.digest == "6a62c6daae103f4ff57a132d6f95cec2"
-
-
-IDL = f"""\
-{SEPARATOR}
-IDL: pkg/msg/Type
-// generated from rosidl_adapter/resource/msg.idl.em
-#include "pkg/msg/Item.idl"
-#include "std_msgs/msg/Header.idl"
-
-module pkg {{
-  module msg {{
-    typedef double double__3[3];
-    module Type_Constants {{
-      @verbatim (language="comment", text=
-        "((nested)) \\"quoted\\"" "\\n" "text")
-      const uint8 HIGH = 7;
-      const string WORD = "a b";
-    }};
-    @verbatim (language="comment", text="A type.")
-    struct Type {{
-      std_msgs::msg::Header header;
-      @default (value=TRUE)
-      boolean flag;
-      double__3 xyz;
-      sequence<pkg::msg::Item> items;
-      @unit (value="m")
-      octet b;
-      string<8> name;
-    }};
-  }};
-}};
-
-{SEPARATOR}
-IDL: pkg/msg/Item
-module pkg {{ module msg {{ struct Item {{ uint8 structure_needs_at_least_one_member; }}; }}; }};
-"""
-
-
-def test_idl() -> None:
-    idl = IDL.replace("sequence<pkg::msg::Item> items", "pkg::msg::Item items")
-    plan = transcoder(ros2(idl, encoding="ros2idl"), 1)
-    assert plan.connection.definition.text == (
-        "uint8 HIGH=7\nstring WORD=a b\nstd_msgs/Header header\nbool flag\nfloat64[3] xyz\npkg/Item items\n"
-        f"byte b\nstring name\n{SEPARATOR}\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
-        f"{SEPARATOR}\nMSG: pkg/Item\n"
-    )
-    structs = schema.known_types(2) | parsed(ros2(idl, encoding="ros2idl"))
-    twin = Twin(structs, "pkg/msg/Type", 5)
-    assert bytes(plan.encode(twin.cdr)) == twin.ros1_unnumbered
-
-
-@pytest.mark.parametrize("text", ['\\"' * 30_000, '"\\' * 30_000, "/* " * 20_000, '@a("\\"' * 10_000, "x" * 70_000])
-def test_idl_without_ends_takes_no_time(text: str) -> None:
-    with pytest.raises(DecodeError, match="its definition cannot be read"):
-        transcoder(ros2(text, encoding="ros2idl"), 1)
 
 
 # --- where the definition comes from ---
@@ -365,37 +228,7 @@ def test_a_connection_without_definition_gets_the_distributions(msgtype: str) ->
 # --- what is declared ---
 
 
-def test_latching_becomes_transient_local_and_back() -> None:
-    from rosbags.interfaces import QosDurability, QosHistory, QosReliability
-    from rosbags.rosbag2.metadata import parse_qos
-
-    latched = ros1("uint8 a\n", latching=True, callerid="/node", metadata={"callerid": "/node", "mine": "kept"})
-    there = transcoder(latched, 2).connection
-    assert (there.qos, there.latching, there.callerid, there.metadata) == (LATCHED_QOS, True, None, {"mine": "kept"})
-    (profile,) = parse_qos(there.qos)
-    assert (profile.durability, profile.reliability) == (QosDurability.TRANSIENT_LOCAL, QosReliability.RELIABLE)
-    assert (profile.history, profile.depth) == (QosHistory.KEEP_LAST, 1)
-    assert transcoder(ros1("uint8 a\n"), 2).connection.qos == ""
-    own = {"offered_qos_profiles": "x", "mine": "kept"}
-    back = transcoder(ros2("uint8 a\n", latching=True, qos=LATCHED_QOS, metadata=own), 1).connection
-    assert (back.latching, back.qos, back.metadata) == (True, "", {"mine": "kept"})
-
-
 # --- what cannot be ---
-
-
-def test_same_ros_version_is_the_callers_mistake() -> None:
-    with pytest.raises(ValueError, match="already is of ROS version 1"):
-        transcoder(ros1("uint8 a\n"), 1)
-
-
-@pytest.mark.parametrize(("kind", "text", "data", "message"), rows(TABLES, "damaged messages"))
-def test_damaged_messages(kind: str, text: str, data: bytes, message: str) -> None:
-    connection = of_kind(kind, text)
-    encode = transcoder(connection, 3 - (connection.ros_version or 1)).encode
-    with pytest.raises(DecodeError, match=message) as caught:
-        encode(data)
-    assert caught.value.topic == "/topic"
 
 
 @given(data=st.binary(max_size=120), ros_version=st.sampled_from([1, 2]))
@@ -473,7 +306,6 @@ def executed(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         ros1(f'pkg/T"+str(print(1))+" a\n{SEPARATOR}\nMSG: pkg/T"+str(print(1))+"\nuint8 b\n'),
         ros1(f"1/2 a\n{SEPARATOR}\nMSG: 1/2\nuint8 b\n"),
         ros1("uint8 a\nuint8 b‿c\n"),
-        ros2(f"module pkg {{ module msg {{ struct Type {{ long {EVIL}; }}; }}; }};", encoding="ros2idl"),
     ],
     ids=repr,
 )
@@ -527,28 +359,3 @@ def test_real_recording_goes_there_and_back(name: str) -> None:
                 assert again[4:] == data[4:]
             count += 1
     assert count > 7000
-
-
-@needs_shared
-@pytest.mark.parametrize("name", ["ouster_os1_32", "d435_depth"])
-def test_real_ros2_recording_reaches_ros1(name: str) -> None:
-    from mcap.reader import make_reader
-    from rosbags.typesys import Stores, get_typestore
-
-    noetic = get_typestore(Stores.ROS1_NOETIC)
-    with (RECORDINGS / f"{name}.mcap").open("rb") as stream:
-        for channel_schema, channel, message in make_reader(stream).iter_messages():
-            assert channel_schema is not None
-            text = Definition(channel_schema.encoding, channel_schema.data)
-            connection = Connection(channel.id, channel.topic, channel_schema.name, "cdr", text)
-            plan = transcoder(connection, 1)
-            encoded = bytes(plan.encode(message.data))
-            assert not plan.notes
-            again = bytes(transcoder(plan.connection, 2).encode(encoded))
-            # ROS 2 pads the end of some messages to a multiple of 4 bytes.
-            assert again == message.data[: len(again)]
-            assert message.data[len(again) :] == bytes(len(message.data) - len(again)) < bytes(4)
-            if channel_schema.name == "sensor_msgs/msg/PointCloud2":
-                cloud: Any = noetic.deserialize_ros1(encoded, channel_schema.name)
-                assert cloud.header.seq == 0
-                assert cloud.height * cloud.row_step == len(cloud.data)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     Messages = list[RawMessage] | LazyItems[RawMessage]
 
 #: Bytes that are decompressed at a time. The result, which may be 30,000 times as large, is held in memory.
-_PIECE = 1 << 11
+_PIECE = 1 << 10
 
 #: Suffixes of compressed files.
 SUFFIXES = (".zstd", ".zst")
@@ -87,19 +87,17 @@ def decompress_file(path: Path, folder: Path, log: DamageLog) -> Path:
                 offset=offset,
                 bytes_lost=path.stat().st_size - offset,
             )
-            # Once more, with small pieces near the damage, because a piece that fails is lost.
-            _decompress_pieces(path, target, broken_at=offset)
     return target
 
 
-def _decompress_pieces(path: Path, target: Path, broken_at: int | None = None) -> tuple[int, str] | None:
+def _decompress_pieces(path: Path, target: Path) -> tuple[int, str] | None:
     """Write the decompressed file; returns the offset of the first piece that cannot be decompressed, and why."""
     offset = 0
     with open_bytes(path) as packed, target.open("wb") as out:
         complete = True
         decoder = compression.decoder("zstd")
         allowed = MAX_UNPACKED + MAX_RATIO * path.stat().st_size
-        while piece := packed.read(_PIECE if broken_at is None or offset < broken_at else 64):
+        while piece := packed.read(_PIECE):
             begin, offset = offset, offset + len(piece)
             while piece:
                 try:

@@ -8,7 +8,7 @@ Types are named as in ROS 2, whatever the source, and have only what both ROS ve
 number, and ROS 1's ``time`` and ``duration`` are messages of ``builtin_interfaces``.
 
 Sources: http://wiki.ros.org/msg, https://docs.ros.org/en/jazzy/Concepts/Basic/About-Interfaces.html,
-https://mcap.dev/spec/registry (how ``ros1msg``, ``ros2msg`` and ``ros2idl`` concatenate definitions).
+https://mcap.dev/spec/registry (how ``ros1msg`` and ``ros2msg`` concatenate definitions).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
 from pc2scan.errors import DecodeError
 from pc2scan.model import normalized_type
@@ -36,9 +36,6 @@ BUILTIN = frozenset({"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Dura
 
 _RENAMED = {"roslib/msg/Header": HEADER, "tf/msg/tfMessage": TRANSFORMS}
 
-#: The field that ROS 2's IDL generator adds to a message without fields, since IDL has no empty struct.
-_PLACEHOLDER = "structure_needs_at_least_one_member"
-
 #: Bytes of the primitives that have a fixed size.
 _WIDTHS = {"bool": 1, "byte": 1, "char": 1, "float32": 4, "float64": 8} | {
     f"{sign}int{bits}": bits // 8 for sign in ("", "u") for bits in (8, 16, 32, 64)
@@ -46,15 +43,8 @@ _WIDTHS = {"bool": 1, "byte": 1, "char": 1, "float32": 4, "float64": 8} | {
 
 _CONSTANT = re.compile(rf"\s*({'|'.join(_WIDTHS)}|string)\s+([A-Za-z]\w*)\s*=(.*)", re.ASCII)
 
-_IDL_NOISE = re.compile(
-    r'//[^\n]*|/\*.*?\*/|^[ \t]*[#=][^\n]*|^IDL:[^\n]*|@\w+(?:\s*\((?:"(?:\\.|[^"\\])*"|[^()"])*\))?',
-    re.DOTALL | re.MULTILINE,
-)
 #: What rosbags' parsers raise.
 _UNREADABLE = TypesysError, ArithmeticError, AttributeError, AssertionError, LookupError, RecursionError, ValueError
-
-#: A text without ends of comments takes the square of its length.
-_MAX_IDL = 1 << 16
 
 #: Limits of a definition: bytes of its text, levels, declared fields, and fields with all nested types expanded.
 #: rosbags needs up to a millisecond and 45 kB to compile a field. The largest known definitions have 60 kB.
@@ -131,42 +121,18 @@ def parse(definition: Definition, msgtype: str) -> Types:
     DecodeError
         If it is of another encoding, longer than 256 KiB, or not a definition.
     """
-    if definition.encoding not in {"ros1msg", "ros2msg", "ros2idl"}:
-        raise DecodeError(f"{msgtype} is defined in {definition.encoding!r}, expected ros1msg, ros2msg or ros2idl")
+    if definition.encoding not in {"ros1msg", "ros2msg"}:
+        raise DecodeError(f"{msgtype} is defined in {definition.encoding!r}, expected ros1msg or ros2msg")
     if len(definition.data) > MAX_BYTES:
         raise DecodeError(f"{msgtype}: definition of {len(definition.data)} bytes, allowed are {MAX_BYTES}")
     try:
-        if definition.encoding == "ros2idl":
-            return _plain(get_types_from_idl(_plain_idl(definition.text)))
         text, constants = _without_constants(definition.text, msgtype, ros1=definition.encoding == "ros1msg")
         parsed = get_types_from_msg(text, msgtype)
-    except (
-        TypesysError,
-        ArithmeticError,
-        AttributeError,
-        AssertionError,
-        LookupError,
-        RecursionError,
-        ValueError,
-    ) as err:
+    except _UNREADABLE as err:
         # rosbags' errors have the whole text, the place, and the rest.
         rest = str(err).split("\n")[3:4] or str(err).split("\n")[:1]
         raise DecodeError(f"{msgtype}: its definition cannot be read: {rest[0][:60]!r}") from err
     return _plain({name: (constants.get(name, []), fields) for name, (_, fields) in parsed.items()})
-
-
-def _plain_idl(text: str) -> str:
-    """Return IDL without comments, annotations and includes.
-
-    What ROS 2 does not generate is refused: rosbags' parser needs 64 times as long for each nested parenthesis, twice
-    as long for each nested sequence, and a shift can ask for any number of bits. Optional members are not plain CDR.
-    """
-    if len(text) > _MAX_IDL:
-        raise ValueError(f"IDL of {len(text)} characters, allowed are {_MAX_IDL}")
-    text = _IDL_NOISE.sub(lambda match: "@optional" if match[0].startswith("@optional") else " ", text)
-    if refused := re.search(r"\([^)]*\(|<<|sequence\s*<\s*sequence|\\\\|/\*|@optional", text):
-        raise ValueError(f"IDL with {refused[0]}, which ROS 2 does not generate")
-    return text
 
 
 def _without_constants(text: str, msgtype: str, *, ros1: bool) -> tuple[str, dict[str, list[tuple[str, str, str]]]]:
@@ -194,11 +160,11 @@ def _without_constants(text: str, msgtype: str, *, ros1: bool) -> tuple[str, dic
 
 
 def _plain(types: Mapping[str, Any]) -> Types:
-    """Give types their current names, Headers no sequence number, and messages without fields none."""
+    """Give types their current names, Headers no sequence number."""
     plain: Types = {}
     for name, (constants, fields) in types.items():
         renamed = canonical_type(name)
-        kept = [(field, mapped(desc, name=canonical_type)) for field, desc in fields if field != _PLACEHOLDER]
+        kept = [(field, mapped(desc, name=canonical_type)) for field, desc in fields]
         plain[renamed] = (list(constants), kept)
         if renamed == HEADER:
             shape = [(field.type, field.size) for field in fields_of(plain, HEADER)]

@@ -36,6 +36,9 @@ _METADATA_OF = {
     2: frozenset({"offered_qos_profiles", "topic_type_hash"}),
 }
 
+#: Definitions that are not read.
+_IDL = ("omgidl", "ros2idl")
+
 _SETS = {1: "ROS 1 noetic", 2: "ROS 2 jazzy"}
 
 #: At the end of a message, the generated functions may skip to the alignment of a member that does not exist.
@@ -198,12 +201,12 @@ def _new_type_plan(msgtype: str, definition: Definition, source: int) -> _TypePl
 
 
 def _recorded_types(msgtype: str, definition: Definition, source: int) -> tuple[schema.Types, tuple[str, ...]]:
-    """Read the recording's definition; ROS's message set is used where there is none, or one in DDS's IDL."""
+    """Read the recording's definition; ROS's message set is used where there is none, or one in IDL."""
     known = schema.known_types(source).get(schema.canonical_type(msgtype))
-    if known is not None and (not definition.data.strip() or definition.encoding == "omgidl"):
+    if known is not None and (not definition.data.strip() or definition.encoding in _IDL):
         # A message without fields has an empty definition, as if it had none.
         _, fields = known
-        what = "only a definition in omgidl" if definition.data.strip() else "no definition"
+        what = f"only a definition in {definition.encoding}" if definition.data.strip() else "no definition"
         return {}, (f"{what} in the recording: {_SETS[source]}'s {msgtype} is assumed",) if fields else ()
     return schema.parse(definition, msgtype) if definition.encoding or definition.data else {}, ()
 

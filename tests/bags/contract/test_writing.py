@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import resource
-import struct
 import sys
 import tempfile
 from contextlib import closing
@@ -20,15 +19,13 @@ from pc2scan.bags.mcap.write import McapWriter
 from pc2scan.bags.opening import open_recording, sniff
 from pc2scan.bags.rosbag1.write import Rosbag1Writer
 from pc2scan.bags.rosbag2.sqlite3.write import Sqlite3Writer
-from pc2scan.errors import DestinationError, OutputError, RecordingError, UnwritableError
+from pc2scan.errors import DestinationError, OutputError, UnwritableError
 from pc2scan.model import Attachment, Definition, Metadata
 from support import RECORDINGS, needs_shared, sampled
 from support.containers import FORMATS, KINDS, connection_for, read, recorded
 from support.outputs import opened
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from pc2scan.model import Writer
 
 T0 = 1_700_000_000_123_456_789
@@ -91,25 +88,6 @@ def test_connections_are_kept_as_they_are(kind: Any, tmp_path: Path) -> None:
                 assert getattr(own, name) == getattr(other, name), name
 
 
-TWINS: dict[str, Callable[[Path], Writer]] = {
-    "bag": lambda path: Rosbag1Writer(path, "lz4", 1),
-    "mcap": lambda path: McapWriter(path, compression="lz4", chunk_size=1),
-    "sqlite3": Sqlite3Writer,
-}
-
-
-@pytest.mark.parametrize("name", TWINS)
-def test_equal_connections_are_never_merged(name: str, tmp_path: Path) -> None:
-    writer = TWINS[name](tmp_path / "file")
-    handles = [writer.add_connection(connection_for(1 if name == "bag" else 2)) for _ in range(3)]
-    for time_ns, handle in enumerate(handles):
-        writer.write(handle, time_ns, b"\0", time_ns)
-    writer.finish()
-    with closing(open_recording(tmp_path / "file")) as reader:
-        assert [each.id for each in reader.connections] == handles
-        assert [each.connection.id for each in reader.messages()] == handles
-
-
 @given(
     # As CDR, a message begins with a zero byte.
     rows=st.lists(st.tuples(st.integers(0, 2), st.integers(0, 6), st.binary(max_size=300).map(lambda b: b"\0" + b))),
@@ -170,12 +148,6 @@ def test_buffers_may_be_reused_after_the_call(kind: Any, tmp_path: Path) -> None
     assert [data for _, _, data in read(tmp_path / kind.name)] == [b"x" * size for size in sizes]
 
 
-def test_views_of_other_items_are_written_as_bytes(tmp_path: Path) -> None:
-    view = memoryview(struct.pack("<3d", 1, 2, 3)).cast("d")
-    path = recorded(FORMATS["bag"], tmp_path, [("/a", 1, view)])  # type: ignore[list-item]
-    assert read(path) == [("/a", 1, struct.pack("<3d", 1, 2, 3))]
-
-
 @pytest.mark.parametrize("name", FORMATS)
 def test_attachments_are_kept_or_left_out(name: str, tmp_path: Path) -> None:
     attachments = [Attachment("a.bin", "x/y", 3, 4, bytes(range(256))), Attachment("", "", 0, 0, b"")]
@@ -203,20 +175,6 @@ def test_nothing_is_overwritten_or_made_elsewhere(name: str, tmp_path: Path) -> 
     with pytest.raises(OutputError, match="No such file") as caught:
         kind.writer(tmp_path / "missing")
     assert caught.value.path == tmp_path / "missing" / kind.name
-
-
-@pytest.mark.parametrize("name", FORMATS)
-def test_an_aborted_recording_is_no_recording(name: str, tmp_path: Path) -> None:
-    kind = FORMATS[name]
-    writer = kind.writer(tmp_path)
-    writer.write(writer.add_connection(connection_for(kind.ros_version)), 1, bytes(1_000_000), 1)
-    writer.abort()
-    writer.abort()
-    if path := next((tmp_path / "out").glob("*.db3"), None):
-        assert [entry.name for entry in path.parent.iterdir()] == [path.name]
-    else:
-        with pytest.raises(RecordingError):
-            read(tmp_path / kind.name, strict=True)
 
 
 @pytest.mark.parametrize("size", [500, 50_000])

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-import zstandard
 from ruamel.yaml import YAML
 
 from pc2scan.bags.mcap.write import McapWriter
@@ -87,12 +86,6 @@ def test_split_recordings_are_merged_by_time(suffix: str, with_metadata: bool, b
         assert reader.summary.size_bytes == sum(f.stat().st_size for f in storage_files(bag))
 
 
-def test_files_have_a_natural_order(bag: Path) -> None:
-    for name in ("x_10.mcap", "x_9.mcap.zstd", "x_9b.mcap", "7.mcap", "notes.txt"):
-        (bag / name).touch()
-    assert [f.name for f in storage_files(bag)] == ["7.mcap", "x_9.mcap.zstd", "x_9b.mcap", "x_10.mcap"]
-
-
 @pytest.mark.parametrize(
     ("suffix", "mode"), [("db3", "FILE"), ("mcap", "file"), ("db3", "File"), ("mcap", None), ("db3", None)]
 )
@@ -113,21 +106,6 @@ def test_compressed_files_are_read_from_copies(suffix: str, mode: str | None, ba
     reader.close()
     assert not Path(temporary.name).exists()
     assert names(bag) == before
-
-
-def test_compressed_files_may_have_several_frames(bag: Path) -> None:
-    write_storage(bag / "bag_0.db3", [("/a", 3)])
-    content = (bag / "bag_0.db3").read_bytes()
-    frames = (zstandard.compress(content[start : start + 5000]) for start in range(0, len(content), 5000))
-    (bag / "bag_0.db3.zst").write_bytes(b"".join(frames))
-    (bag / "bag_0.db3").unlink()
-    assert [m[1] for m in read(bag)] == [3]
-
-
-def test_files_that_were_unpacked_by_hand_are_found(bag: Path) -> None:
-    write_storage(bag / "bag_0.db3", [("/a", 3)])
-    write_metadata(bag, 8, ["bag_0.db3.zstd"], compression_format="zstd", compression_mode="file")
-    assert [m[1] for m in read(bag)] == [3]
 
 
 @pytest.mark.parametrize("name", ["../outside.db3", "/etc/outside.db3", "C:\\x\\outside.db3", "sub/outside.db3"])
@@ -182,31 +160,6 @@ def test_a_disk_that_fails_is_no_damage(bag: Path, monkeypatch: pytest.MonkeyPat
     for read_it in (Rosbag2Reader, recorded_in):
         with pytest.raises(RecordingError, match="cannot be read: Input/output error"):
             read_it(bag)
-
-
-def test_directories_without_one_recording_are_refused(bag: Path) -> None:
-    with pytest.raises(RecordingError, match=r"neither metadata\.yaml nor"):
-        Rosbag2Reader(bag)
-    write_storage(bag / "x.db3", [("/a", 3)])
-    write_storage(bag / "x.mcap", [("/a", 3)])
-    with pytest.raises(RecordingError, match="has mcap and sqlite3 files"):
-        Rosbag2Reader(bag)
-
-
-def test_no_room_to_decompress_is_an_error(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_storage(bag / "bag_0.db3", [("/a", 3)])
-    compress_file(bag / "bag_0.db3")
-    unpatched = Path.open
-
-    def refuse(self: Path, mode: str = "r", **options: Any) -> Any:
-        if mode == "wb":
-            raise OSError(28, "No space left on device")
-        return unpatched(self, mode, **options)
-
-    monkeypatch.setattr(Path, "open", refuse)
-    with pytest.raises(RecordingError, match="No space left") as caught:
-        read(bag)
-    assert "TMPDIR" in (caught.value.hint or "")
 
 
 @pytest.mark.parametrize("damage", [lambda data: data[:-2], lambda data: data[:8] + bytes(32) + data[40:]])
@@ -264,12 +217,6 @@ def test_a_contradiction_is_damage_and_the_rest_is_read(
     with pytest.raises(DamageError) as caught:
         Rosbag2Reader(bag, strict=True)
     assert told in caught.value.message
-
-
-def test_without_any_part_there_is_nothing(bag: Path) -> None:
-    write_metadata(bag, 8, ["bag_0.db3", "bag_1.db3"])
-    with pytest.raises(DamageError, match=r"names bag_1\.db3, which is not in the directory"):
-        Rosbag2Reader(bag)
 
 
 def test_a_part_in_which_a_topic_has_no_serialization(bag: Path) -> None:

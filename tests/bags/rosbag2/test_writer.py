@@ -13,11 +13,9 @@ from rosbags.rosbag2 import Reader as TheirReader
 from ruamel.yaml import YAML
 
 from pc2scan.bags.mcap.read import McapReader
-from pc2scan.bags.opening import open_recording
 from pc2scan.bags.qos import parse_qos, respell_qos
 from pc2scan.bags.rosbag2.read import Rosbag2Reader
 from pc2scan.bags.rosbag2.write import Rosbag2Writer
-from pc2scan.errors import OutputError
 from support.rosbag2_files import QOS_NUMBERS, STORE, STRING, names, read, text, topic
 
 if TYPE_CHECKING:
@@ -129,30 +127,3 @@ def test_mutilated_profiles_are_completed_if_they_can_be(storage: str, tmp_path:
         assert len(list(reader.messages())) == len(PROFILES)
     # metadata.yaml is well-formed whatever the profiles are.
     assert info_of(tmp_path / "bag")
-
-
-def test_types_are_spelled_as_ros2_does(tmp_path: Path) -> None:
-    writer = Rosbag2Writer(tmp_path / "bag", "bag", storage="sqlite3")
-    writer.add_connection(topic("/a", msgtype="std_msgs/String"))
-    writer.finish()
-    with closing(open_recording(tmp_path / "bag" / "bag_0.db3")) as reader:
-        assert reader.connections[0].msgtype == STRING
-
-
-def test_the_distribution_of_the_machine_is_not_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for storage in SUFFIXES:
-        for distro in ("humble", "jazzy"):
-            monkeypatch.setenv("ROS_DISTRO", distro)
-            writer = Rosbag2Writer(tmp_path / f"{storage}-{distro}", "bag", storage=storage)
-            writer.write(writer.add_connection(topic("/a")), 1, text("x"), 1)
-            writer.finish()
-        for file in (tmp_path / f"{storage}-humble").iterdir():
-            assert file.read_bytes() == (tmp_path / f"{storage}-jazzy" / file.name).read_bytes()
-
-
-def test_files_that_appear_meanwhile_are_not_replaced(tmp_path: Path) -> None:
-    writer = Rosbag2Writer(tmp_path / "bag", "x")
-    (tmp_path / "bag" / "metadata.yaml").touch()
-    with pytest.raises(OutputError, match="File exists"):
-        writer.finish()
-    writer.abort()

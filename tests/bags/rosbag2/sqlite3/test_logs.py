@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pc2scan.bags.rosbag2.sqlite3.read import Sqlite3Reader
-from pc2scan.errors import DamageError, RecordingError
+from pc2scan.errors import DamageError
 from support import sampled
 from support.sqlite3_files import Rows, build, hot_log, recovered, rosbag2_pages
 
@@ -133,9 +133,3 @@ def test_a_damaged_journal_is_reported(place: int, data: bytes, tmp_path: Path) 
     good = journal.read_bytes()
     journal.write_bytes(good[:place] + (data + good[place + 1 :] if data else b""))
     assert recovered(path)[1]
-
-
-def test_a_copy_needs_room(hot: tuple[Path, Rows, list[int]], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(9, 9, 100_000))
-    with pytest.raises(RecordingError, match=r"cannot be copied to .*: this takes 2\.\d MB, 100\.0 kB are free"):
-        Sqlite3Reader(hot[0])

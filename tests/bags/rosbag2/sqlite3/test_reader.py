@@ -75,25 +75,6 @@ def test_every_schema_version_is_read(version: int, more: str, tmp_path: Path) -
     assert [entry.name for entry in tmp_path.iterdir()] == ["x.db3"]
 
 
-def test_a_file_of_more_than_2_gib_is_read(tmp_path: Path) -> None:
-    path = build(tmp_path / "x.db3")
-    with path.open("r+b") as file:
-        file.truncate((2 << 30) + 4096)  # a hole, which takes no room
-    assert read(path) == ROWS
-
-
-def test_a_selection_of_topics_does_not_lose_the_index(tmp_path: Path) -> None:
-    path = build(tmp_path / "x.db3", script="CREATE INDEX by_topic ON messages (topic_id); ANALYZE")
-    with closing(Sqlite3Reader(path)) as reader:
-        seen: list[str] = []
-        opened = reader._database._database().connection
-        opened.set_trace_callback(seen.append)
-        assert len(list(reader.messages([reader.connections[0]]))) == 2
-        opened.set_trace_callback(None)
-        (plan,) = opened.execute(f"EXPLAIN QUERY PLAN {seen[-1]}").fetchall()
-        assert "timestamp_idx" in plan[3]
-
-
 def test_a_definition_is_chosen_by_hash(tmp_path: Path) -> None:
     script = f"""UPDATE topics SET type_description_hash = 'RIHS01_new' WHERE name = '/chatter';
         UPDATE message_definitions SET type_description_hash = 'RIHS01_old' WHERE topic_type = '{STRING}';
@@ -102,28 +83,6 @@ def test_a_definition_is_chosen_by_hash(tmp_path: Path) -> None:
     with closing(Sqlite3Reader(build(tmp_path / "x.db3", script=script))) as reader:
         found = {each.topic: each.definition for each in reader.connections}
         assert (found["/chatter"], found["/tf"]) == (Definition("ros2idl", b"idl"), Definition())
-
-
-def test_names_that_are_not_utf8_do_not_stop_reading(tmp_path: Path) -> None:
-    script = "UPDATE topics SET name = CAST(x'2f61ff' AS TEXT) WHERE id = 1"
-    with closing(Sqlite3Reader(build(tmp_path / "x.db3", script=script))) as reader:
-        assert reader.connections[0].topic == "/a\ufffd"
-
-
-def test_a_hot_rollback_journal_is_rolled_back(tmp_path: Path) -> None:
-    live, folder = tmp_path / "live.db3", tmp_path / "copy"
-    folder.mkdir()
-    build(live)
-    with closing(sqlite3.connect(live, isolation_level=None)) as database:
-        database.execute("PRAGMA cache_size=1")
-        database.execute("BEGIN")
-        database.execute("UPDATE messages SET timestamp = 99")
-        for number in range(200):
-            database.execute("INSERT INTO messages VALUES (?, 1, 99, zeroblob(4000))", (number + 100,))
-        for suffix in ("", "-journal"):
-            (folder / f"x.db3{suffix}").write_bytes((tmp_path / f"live.db3{suffix}").read_bytes())
-    assert (folder / "x.db3-journal").stat().st_size
-    assert read(folder / "x.db3") == ROWS
 
 
 def test_without_an_index_memory_does_not_grow(tmp_path: Path) -> None:
@@ -161,22 +120,6 @@ def test_compressed_messages_are_recognised(declared: str, content_size: bool, t
     assert read(path, message_compression=declared) == ROWS
     with closing(Sqlite3Reader(path)) as reader:
         assert reader.summary.compression == ("zstd",)
-
-
-CUT_OFF = zstandard.compress(b"hello" * 100)[:-3].hex()
-
-
-@pytest.mark.parametrize(
-    ("script", "compression", "told"),
-    [
-        (f"UPDATE messages SET data = x'{CUT_OFF}'", "none", r"/tf_static: .*it ends after"),
-        ("", "zstd", "cannot be decompressed"),
-    ],
-)
-def test_damaged_messages_are_named(script: str, compression: str, told: str, tmp_path: Path) -> None:
-    path = build(tmp_path / "x.db3", script=script)
-    with pytest.raises(RecordingError, match=told):
-        read(path, message_compression=compression, strict=True)
 
 
 def test_what_is_not_rosbag2_is_refused(tmp_path: Path) -> None:

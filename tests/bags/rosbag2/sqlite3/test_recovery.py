@@ -11,10 +11,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pc2scan.bags.rosbag2.sqlite3.read import Sqlite3Reader
-from pc2scan.bags.rosbag2.sqlite3.write import Sqlite3Writer
 from pc2scan.errors import DamageError
 from support import sampled
-from support.rosbag2_files import topic
 from support.sqlite3_files import build, hot_log, recovered, rosbag2_pages
 
 if TYPE_CHECKING:
@@ -75,34 +73,6 @@ def test_of_an_overwritten_page_only_its_own_rows_are_lost(tmp_path: Path) -> No
         if len(rows) < len(complete):
             assert damage, page
         assert rows == sorted(rows, key=lambda row: row[1])
-
-
-@pytest.mark.parametrize("size", [20, 60, 99])
-def test_of_a_header_nothing_is_recovered(size: int, tmp_path: Path) -> None:
-    build(tmp_path / "a.db3")
-    (tmp_path / "b.db3").write_bytes((tmp_path / "a.db3").read_bytes()[:size])
-    with pytest.raises(DamageError, match="nothing of it can be recovered"):
-        recovered(tmp_path / "b.db3")
-
-
-def test_values_of_every_size_are_recovered(tmp_path: Path) -> None:
-    """Times of each of SQLite's widths of integers; and texts that go on in other pages."""
-    qos = "".join(f"- durability: 1\n  depth: {number}\n" for number in range(1_000))
-    times = [0, 1, 5, 300, 100_000, 10_000_000, 1 << 40, 1 << 60]
-    path = tmp_path / "a.db3"
-    writer = Sqlite3Writer(path)
-    handle = writer.add_connection(topic("/a", qos=qos))
-    for time_ns in times:
-        writer.write(handle, time_ns, b"\0\1\0\0", time_ns)
-    writer.finish()
-    data = bytearray(path.read_bytes())
-    # The header declares more pages than there are, so that the rows are searched for.
-    struct.pack_into(">I", data, 28, 1_000_000)
-    path.write_bytes(data)
-    with closing(Sqlite3Reader(path)) as reader:
-        assert reader.damage
-        assert [connection.qos for connection in reader.connections] == [qos]
-        assert [message.log_time_ns for message in reader.messages()] == times
 
 
 def test_damage_that_shows_midway_repeats_nothing(tmp_path: Path) -> None:

@@ -11,15 +11,13 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, NamedTuple
 
 import pytest
-import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan.bags.opening import open_recording
 from pc2scan.bags.rosbag2.sqlite3.read import Sqlite3Reader
-from pc2scan.cli.in_process import run_command
 from pc2scan.errors import DamageError
-from support.builders import CONTENT, write_db3, write_rosbag2
+from support.builders import CONTENT, write_db3
 
 if TYPE_CHECKING:
     from pc2scan.bags.damage import Damage
@@ -90,18 +88,6 @@ def test_a_row_with_a_wrong_value_is_one_damaged_row(wrong: str, pages: bool, tm
         list(reader.messages())
 
 
-@pytest.mark.parametrize("command", ["info", "convert", "repair"])
-def test_commands_read_what_other_rows_have(command: str, tmp_path: Path) -> None:
-    folder = write_rosbag2(tmp_path / "drive", CONTENT)
-    change(folder / "drive_0.db3", "UPDATE messages SET timestamp = 1e300 WHERE id = 4;")
-    output = [] if command == "info" else ["-o", str(tmp_path / "out.mcap")]
-    ended = run_command([command, str(folder), *output])
-    assert ended.status == (0 if command == "info" else 3), ended.messages
-    assert "drive_0.db3: has 1 row of messages" in ended.messages
-    # metadata.yaml counts it, too: it is lost once.
-    assert ended.messages.count("(1 message lost)") == 1
-
-
 @pytest.mark.parametrize(
     "statement",
     [
@@ -127,42 +113,6 @@ def test_a_topic_with_a_wrong_id_leaves_the_others(value: str, tmp_path: Path) -
         damage = reader.damage
     assert sum(place.messages_lost or 0 for place in damage) == len(CONTENT.items) - len(expected)
     assert any("has no id of its own" in place.what for place in damage)
-
-
-@pytest.mark.parametrize("value", ["x'00'", "1e300", "'text'"])
-def test_tables_that_are_not_read_may_have_any_value(value: str, tmp_path: Path) -> None:
-    path = write_db3(tmp_path / "drive.db3", CONTENT)
-    change(
-        path,
-        f"UPDATE schema SET ros_distro = {value}; CREATE TABLE metadata(id, x); "
-        f"INSERT INTO metadata VALUES (NULL, {value});",
-    )
-    with closing(open_recording(path)) as reader:
-        assert len(list(reader.messages())) == len(CONTENT.items)
-        assert not reader.damage
-
-
-def test_text_in_the_first_message_does_not_hide_compression(tmp_path: Path) -> None:
-    path = write_db3(tmp_path / "drive.db3", CONTENT, pack=zstandard.ZstdCompressor().compress)
-    change(path, "UPDATE messages SET data = 'text' WHERE id = 1;")
-    with closing(open_recording(path)) as reader:
-        assert reader.summary.compression == ("zstd",)
-
-
-def test_large_ids_are_no_damage(tmp_path: Path) -> None:
-    path = change(write_db3(tmp_path / "drive.db3", CONTENT), "UPDATE messages SET id = 9223372036854775807 - id;")
-    with closing(open_recording(path)) as reader:
-        assert len(list(reader.messages())) == len(CONTENT.items)
-        assert not reader.damage
-
-
-def test_more_topics_than_sqlite_takes_values_are_read(tmp_path: Path) -> None:
-    path = write_db3(tmp_path / "drive.db3", CONTENT)
-    with closing(Sqlite3Reader(path)) as reader:
-        opened = reader._database._database().connection
-        if hasattr(opened, "setlimit"):
-            opened.setlimit(sqlite3.SQLITE_LIMIT_VARIABLE_NUMBER, 2)
-        assert len(list(reader.messages())) == len(CONTENT.items)
 
 
 # --- Rows of any type, compared with what SQLite says of their types ---

@@ -18,13 +18,14 @@ from pc2scan.errors import OutputError, UnwritableError
 from pc2scan.files.compression import compress
 from pc2scan.files.new_file import WriteAhead
 from pc2scan.files.staging import sync
+from pc2scan.model import Writer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from pc2scan.bags.formats import WriteOptions
-    from pc2scan.model import Attachment, Buffer, Connection, Metadata, StoredChunk
+    from pc2scan.model import Buffer, Connection
     from pc2scan.threads import Threads
 
 _SCHEMA = """
@@ -58,7 +59,7 @@ def open_storage(path: Path, options: WriteOptions) -> tuple[Sqlite3Writer, Call
     return writer, writer.add_bag_metadata
 
 
-class Sqlite3Writer:
+class Sqlite3Writer(Writer):
     """Writes a ``.db3`` file; see `pc2scan.model.Writer`.
 
     The file has schema version 4, as rosbag2 has written it since Iron. ``ros_distro`` is empty: what is
@@ -101,9 +102,6 @@ class Sqlite3Writer:
             self.abort()
             raise self._write_error(err) from err
 
-    def keep_ids(self, connections: Collection[Connection]) -> None:
-        """Do nothing: there are no chunks with ids."""
-
     def compress_ahead(self, pool: Threads) -> None:
         """Compress messages on these threads from now on; the file stays the same."""
         self._ahead.use(pool)
@@ -133,10 +131,6 @@ class Sqlite3Writer:
             ),
         )
 
-    def declarations(self) -> frozenset[bytes]:
-        """Return none: there are no chunks that repeat declarations."""
-        return frozenset()
-
     def write(
         self,
         handle: int,
@@ -164,10 +158,6 @@ class Sqlite3Writer:
         else:
             insert(data)
 
-    def write_chunk(self, chunk: StoredChunk) -> None:
-        """Refuse: the storage has no chunks."""
-        raise NotImplementedError
-
     def _insert_message(self, handle: int, log_time_ns: int, data: Buffer) -> None:
         self._insert("INSERT INTO messages(timestamp, topic_id, data) VALUES (?, ?, ?)", (log_time_ns, handle, data))
         self._pending += len(data)
@@ -175,12 +165,6 @@ class Sqlite3Writer:
             self._pending = 0
             self._run("COMMIT")
             self._run("BEGIN")
-
-    def add_attachment(self, attachment: Attachment) -> None:
-        """Do nothing: the storage has no attachments."""
-
-    def add_metadata(self, metadata: Metadata) -> None:
-        """Do nothing: the storage has no metadata records."""
 
     def add_bag_metadata(self, text: str) -> None:
         """Write rosbag2's metadata.yaml (its ``rosbag2_bagfile_information``) to the file, as rosbag2 does."""
