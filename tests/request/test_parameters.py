@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -26,24 +25,6 @@ from support import ROOT
 from support.tables import rows
 
 VALUES = Path(__file__).parent / "values.txt"
-
-
-def test_the_table_has_every_parameter_in_order() -> None:
-    assert list(PARAMETERS) == [field.name for field in fields(ProjectionParams)]
-    assert {name: p.default for name, p in PARAMETERS.items()} == asdict(ProjectionParams())
-    for number, (name, parameter) in enumerate(PARAMETERS.items()):
-        assert (parameter.name, parameter.spelling) == (name, "--" + name.replace("_", "-"))
-        assert parameter.upstreams == (number < 13)
-        assert parameter.help.endswith(".")
-        assert 20 < len(parameter.help) < 150
-    assert "rejects z <= 0" in PARAMETERS["min_height"].help
-    reverse = {name for name, p in PARAMETERS.items() if p.is_shared}
-    assert reverse == {"target_frame", "transform_tolerance", "queue_size"}
-    units = {name: parameter.value.unit for name, parameter in PARAMETERS.items()}
-    assert {name for name in units if units[name] == "rad"} == {"angle_min", "angle_max", "angle_increment"}
-    assert {name for name in units if units[name] == "s"} == {"transform_tolerance", "scan_time", "time_increment"}
-    assert all(units[name] == "m" for name in units if "range_" in name or "height" in name)
-    assert set(units.values()) == {"", "m", "rad", "s"}
 
 
 # name:=value
@@ -183,21 +164,6 @@ def test_the_section_of_a_file_decides_the_direction(file: Path) -> None:
     assert (back.reverse, back.params.target_frame) == (True, "base")
     with pytest.raises(ParameterError, match="has no parameter 'range_min'"):
         resolve_sources([Setting("range_min", 1.0, "--range-min")], file=file)
-
-
-def test_advice_is_spelled_as_the_user_did(file: Path) -> None:
-    # A range_max that float32 makes infinite.
-    needed = Setting("no_return", "range-max-plus", "--no-return")
-    file.write_text(FORWARD.replace("20.0", "1e300"), "utf-8")
-    place = f"{file}, line 4, pointcloud_to_laserscan.ros__parameters.range_max"
-    for own, elsewhere, written in (
-        ([], {}, "`range_max=100.0`"),
-        ([Setting("range_max", 1e300, "--range-max")], {}, "`range_max=100.0`"),
-        ([], {"assignments": ("range_max:=1e300",)}, "--param range_max:=100.0"),
-        ([], {"file": file}, f"range_max: 100.0 ({place})"),
-    ):
-        err = failure(resolve_sources, [needed, *own], **elsewhere)
-        assert err.hint == f"say how far the sensor sees: {written}"
 
 
 # Other options

@@ -4,7 +4,7 @@ No ``from __future__ import annotations`` here: see `pc2scan.options.table`.
 """
 
 from collections.abc import Iterable
-from typing import Annotated, TypedDict, get_args
+from typing import Annotated, TypedDict
 
 from pc2scan.core.presets import PRESETS
 
@@ -44,11 +44,28 @@ class ExportFormat(TypedDict, total=False):
         Option(
             "For scans: npz (NumPy arrays), csv (one row per scan), carmen (ROBOTLASER1, .log), flaser (FLASER, .clf). "
             "For the trajectory only: tum. For clouds, in a folder: pcd, kitti.",
-            Text(words=get_args(FileFormat)),
             default_text="by OUT's suffix",
             short="-f",
         ),
     ]
+    overwrite: Annotated[bool, Option("Replace OUT: a file, or a folder with an export and nothing else.")]
+
+
+class BatchExport(TypedDict, total=False):
+    """Results of a batch that are not recordings."""
+
+    format: Annotated[
+        FileFormat | None,
+        Option(
+            "Write the files of pc2scan export instead of recordings, in a folder for each recording.",
+            short="-f",
+        ),
+    ]
+
+
+class Poses(TypedDict, total=False):
+    """The robot's poses in an export."""
+
     pose_frame: Annotated[
         str,
         Option(
@@ -64,24 +81,6 @@ class ExportFormat(TypedDict, total=False):
             default_text="base_link, base_footprint, or the frame that the sensor is mounted on",
         ),
     ]
-    overwrite: Annotated[bool, Option("Replace OUT: a file, or a folder with an export and nothing else.")]
-
-
-class BatchExport(TypedDict, total=False):
-    """Results of a batch that are not recordings."""
-
-    format: Annotated[
-        FileFormat | None,
-        Option(
-            "Write the files of pc2scan export instead of recordings, in a folder for each recording.",
-            Text(words=get_args(FileFormat)),
-            short="-f",
-        ),
-    ]
-    pose_frame: Annotated[
-        str, Option("With `format`: the robot's pose in this frame (odom, map) at each stamp.", Text("FRAME"))
-    ]
-    base_frame: Annotated[str, Option("With `format`: the robot's frame, whose pose is written.", Text("FRAME"))]
 
 
 class BatchRun(TypedDict, total=False):
@@ -146,7 +145,16 @@ class BatchRunProgress(TypedDict, total=False):
     ]
 
 
-class PageClouds(TypedDict, total=False):
+class FirstClouds(TypedDict, total=False):
+    """Which clouds a picture shows."""
+
+    at: Annotated[
+        Time | Iterable[Time] | None,
+        Option("Show the first cloud at or after this time, written like `start`.", Moments("TIME")),
+    ]
+
+
+class PageClouds(FirstClouds, total=False):
     """Which clouds a page shows."""
 
     clouds: Annotated[
@@ -157,21 +165,17 @@ class PageClouds(TypedDict, total=False):
             default=10,
         ),
     ]
-    at: Annotated[
-        Time | Iterable[Time] | None,
-        Option("Show the first cloud at or after this time, written like `start`.", Moments("TIME")),
-    ]
 
 
-class PageOutput(TypedDict, total=False):
-    """The page on the disk; only the command has it."""
+class ShownFiles(TypedDict, total=False):
+    """A page or a map on the disk; only the command has it."""
 
     overwrite: Annotated[
-        bool, Option("Replace any file of that name; an older page is always replaced.", command_only=True)
+        bool, Option("Replace files of these names; an older page is always replaced.", command_only=True)
     ]
 
 
-class FigureClouds(TypedDict, total=False):
+class FigureClouds(FirstClouds, total=False):
     """Which clouds a figure shows."""
 
     clouds: Annotated[
@@ -183,31 +187,26 @@ class FigureClouds(TypedDict, total=False):
             short="--frames",
         ),
     ]
-    at: Annotated[
-        Time | Iterable[Time] | None,
-        Option("Show the first cloud at or after this time, written like `start`.", Moments("TIME")),
-    ]
     overwrite: Annotated[bool, Option("Replace a file of that name.")]
 
 
-class MapDrawing(TypedDict, total=False):
+class RobotFrames(TypedDict, total=False):
+    """The robot's frames."""
+
+    odom_frame: Annotated[
+        str,
+        Option("The odometry's frame, to which scans must be connected.", Text("FRAME"), default="odom"),
+    ]
+    base_frame: Annotated[str, Option("The robot's frame.", Text("FRAME"), default_text="base_link, or base_footprint")]
+
+
+class MapDrawing(RobotFrames, total=False):
     """A map."""
 
     resolution: Annotated[Quantity, Option("Side of a cell: 0.05, or 5cm.", Number("m"), default=0.05)]
-    odom_frame: Annotated[str, Option("The frame of the map, in which the robot moves.", Text("FRAME"), default="odom")]
-    base_frame: Annotated[
-        str,
-        Option("The robot's frame, whose path is drawn.", Text("FRAME"), default_text="base_link, or base_footprint"),
-    ]
 
 
-class MapFiles(TypedDict, total=False):
-    """A map on the disk; only the command has it."""
-
-    overwrite: Annotated[bool, Option("Replace files of these names.", command_only=True)]
-
-
-class CheckRules(TypedDict, total=False):
+class CheckRules(RobotFrames, total=False):
     """A check."""
 
     consumers: Annotated[
@@ -229,10 +228,6 @@ class CheckRules(TypedDict, total=False):
             offers=("topics", "/LaserScan"),
         ),
     ]
-    odom_frame: Annotated[
-        str, Option("The odometry's frame; the scans' frames must be connected to it.", Text("FRAME"), default="odom")
-    ]
-    base_frame: Annotated[str, Option("The robot's frame.", Text("FRAME"), default_text="base_link, or base_footprint")]
 
 
 class InfoSamples(TypedDict, total=False):
@@ -254,12 +249,8 @@ class InfoSamples(TypedDict, total=False):
 class RepairContainer(TypedDict, total=False):
     """A repair."""
 
-    storage: Annotated[
-        Storage | None, Option("Storage of a rosbag2 directory.", Text(words=get_args(Storage)), default_text="SRC's")
-    ]
-    compression: Annotated[
-        Compression | None, Option("Compression of DST.", Text(words=get_args(Compression)), default_text="SRC's")
-    ]
+    storage: Annotated[Storage | None, Option("Storage of a rosbag2 directory.", default_text="SRC's")]
+    compression: Annotated[Compression | None, Option("Compression of DST.", default_text="SRC's")]
 
 
 class RepairScreen(TypedDict, total=False):

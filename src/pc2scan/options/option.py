@@ -147,14 +147,14 @@ class Option:
         self.spelling += name.replace("_", "-") if self.spelling == "--" else ""
         self.panel = panel if self.panel is None else self.panel
         self.scope = scope if self.scope is None else self.scope
-        words = get_args(kind) if get_origin(kind) is Literal else ()
+        words = [word for part in (kind, *get_args(kind)) if get_origin(part) is Literal for word in get_args(part)]
         if self._is_open and words:
             self.value = Text(words=filter(None, words))
         if self.value.metavar == "FRAME":
             self.offers = ("frames",)
         if self.default is None:
             # A flag is off, a text is empty, and a word is the first one.
-            usual = {bool: False, str: ""}.get(kind, words[0] if words else None)
+            usual = {bool: False, str: ""}.get(kind, words[0] if get_origin(kind) is Literal else None)
             self.default = () if self.value.repeats else usual
 
     @property

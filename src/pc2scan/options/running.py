@@ -3,10 +3,10 @@
 No ``from __future__ import annotations`` here: see `pc2scan.options.table`.
 """
 
-from typing import Annotated, Literal, TypedDict, get_args
+from typing import Annotated, Literal, TypedDict
 
 from .option import Compression, Option, Path, Progress, Storage
-from .values import Count, Function, OpenText, PathName, Text
+from .values import Count, Function, OpenText, PathName
 
 #: The largest number of threads, or of processes of a batch. More than any machine has cores would only take memory.
 MAX_JOBS = 1024
@@ -23,20 +23,17 @@ class Container(TypedDict, total=False):
             default_text="SRC's",
         ),
     ]
-    storage: Annotated[
-        Storage | None, Option("Storage of a rosbag2 directory.", Text(words=get_args(Storage)), default_text="mcap")
-    ]
+    storage: Annotated[Storage | None, Option("Storage of a rosbag2 directory.", default_text="mcap")]
     compression: Annotated[
         Compression | None,
         Option(
             "Bags: lz4 (default), none, bz2. MCAP: zstd (default), none, lz4. sqlite3: none (default), zstd. Without "
             "this option, chunks that are copied whole keep their compression.",
-            Text(words=get_args(Compression)),
         ),
     ]
     profile: Annotated[
         Literal["ros1", "ros2"] | None,
-        Option("ROS version of an .mcap file.", Text(words=("ros1", "ros2")), default_text="the source's"),
+        Option("ROS version of an .mcap file.", default_text="the source's"),
     ]
 
 

@@ -27,11 +27,11 @@ from .commands import (
     GoldenScreen,
     InfoSamples,
     MapDrawing,
-    MapFiles,
     PageClouds,
-    PageOutput,
+    Poses,
     RepairContainer,
     RepairScreen,
+    ShownFiles,
 )
 from .conversion import (
     CloudCombination,
@@ -129,11 +129,11 @@ class Convert(_Conversion, RunReport, ThreadCount, RunProgress, total=False):
     """``convert``."""
 
 
-class Batch(BatchRun, BatchExport, _Conversion, BatchRunProgress, total=False):
+class Batch(BatchRun, BatchExport, Poses, _Conversion, BatchRunProgress, total=False):
     """``batch``."""
 
 
-class Export(ExportFormat, SourceTopics, _Scans, ThreadCount, RunProgress, total=False):
+class Export(ExportFormat, Poses, SourceTopics, _Scans, ThreadCount, RunProgress, total=False):
     """``export``."""
 
 
@@ -187,9 +187,9 @@ GROUPS: Mapping[str, tuple[Any, ...]] = {
     "convert": (Convert, ScreenOutput),
     "batch": (Batch, BatchScreen),
     "export": (Export, JsonOutput),
-    "view": (View, PageOutput),
+    "view": (View, ShownFiles),
     "plot": (Plot,),
-    "map": (Map, MapFiles, JsonOutput),
+    "map": (Map, ShownFiles, JsonOutput),
     "check": (Check, JsonOutput),
     "info": (Info, JsonOutput),
     "tf": (Tf, JsonOutput),
@@ -227,7 +227,9 @@ _SECTIONS: Mapping[Any, tuple[str, str]] = {
     ThreadCount: (RUN, CALL_ONLY),
     RunProgress: (PYTHON, CALL_ONLY),
     ScreenOutput: (REPORT, CALL_ONLY),
+    ExportFormat: (EXPORT, CALL_ONLY),
     BatchExport: (EXPORT, CONVERSION),
+    Poses: (EXPORT, CONVERSION),
     BatchRun: (BATCH, CALL_ONLY),
     BatchScreen: (BATCH, CALL_ONLY),
     BatchRunProgress: (PYTHON, CALL_ONLY),
@@ -277,22 +279,10 @@ def spelling_of(name: str) -> str | None:
 _SPELLINGS: dict[str, str] = {}
 
 
-#: What to use instead of options that there are no more, by command and name.
-_GONE = {
-    ("convert", "each"): "pc2scan batch converts each recording on its own",
-    **dict.fromkeys(
-        (("diff", "explain"), ("diff", "clouds")),
-        "for differences of libm, convert again with the other `angle_rounding`",
-    ),
-}
-
-
 def instead_of(command: str, name: str) -> str:
     """Return what to use instead of an option that a command does not have; empty if nothing is known."""
     if name in options_of(command):
         return ""
-    if (command, name) in _GONE:
-        return _GONE[command, name]
     others = [other for other in GROUPS if name in options_of(other) and not options_of(other)[name].command_only]
     if not others:
         return ""

@@ -261,14 +261,14 @@ def refuse_degrees(
         raise ParameterError(
             f"{text}, more than a full turn (360 degrees are 6.28319 rad) ({places})",
             name=beyond[0],
-            hint=f"a full circle is {_where_given('`angle_min=-180deg`, `angle_max=180deg`', origin)}",
+            hint="a full circle is `angle_min=-180deg`, `angle_max=180deg`",
         )
     cures = ", ".join(f"`{name}={degrees_text(values[name])}`" for name in beyond)
     numbers = ", ".join(f"{math.radians(values[name]):.6g}" for name in beyond)
     raise ParameterError(
         f"{text}, more than a full turn (2 pi is 6.28319 rad) ({places})",
         name=beyond[0],
-        hint=f"for degrees write {_where_given(cures, origin)}, which is {numbers} rad",
+        hint=f"for degrees write {cures}, which is {numbers} rad",
     )
 
 
@@ -323,24 +323,7 @@ def _raise_with_origin(err: ParameterError, origin: Mapping[str, str]) -> NoRetu
         places = "; ".join(
             f"{name} is the default" if origin[name] == "default" else f"{name} from {origin[name]}" for name in named
         )
-    hint = err.hint and _where_given(err.hint, origin)
-    raise ParameterError(f"{err.message} ({places})", name=err.name, hint=hint) from err
-
-
-def _where_given(hint: str, origin: Mapping[str, str]) -> str:
-    """Spell the parameters in a hint as the user gave them: as an option, with ``--param``, or in a file."""
-
-    def spelled(advice: re.Match[str]) -> str:
-        name, value = advice.groups()
-        place = origin.get(name, "default")
-        if place == CALL:
-            return f"{name}={value}" if plain_scalar(value) != value else f'{name}="{value}"'
-        if place.startswith("--param "):
-            return f"--param {name}:={value}"
-        # An option overrides presets and defaults, and is the shortest way to write it.
-        return advice[0] if place == "default" or place.startswith("--") else f"{name}: {value} ({place})"
-
-    return re.sub(r"`(\w+)=([^`]*)`", spelled, hint)
+    raise ParameterError(f"{err.message} ({places})", name=err.name, hint=err.hint) from err
 
 
 def plain_scalar(text: str) -> bool | int | float | str | None:
