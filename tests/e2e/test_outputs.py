@@ -78,7 +78,7 @@ def test_devices_are_not_written_to(folder: Path) -> None:
                 command, folder / "drive.bag", "-o", folder / "out.bag", "--report", folder / name, "--overwrite"
             )
             assert (done.status, done.stdout) == (2, "")
-            assert "it is not a file" in done.stderr
+            assert "is neither a file nor a directory" in done.stderr
             assert not changed(before, folder)
 
 

@@ -14,8 +14,8 @@ import pytest
 from pc2scan.bags.rosbag2.metadata import recorded_in
 from pc2scan.errors import DestinationError, OutputError
 from pc2scan.files.new_file import NewFile
+from pc2scan.files.outputs import files_output
 from pc2scan.files.staging import staged_output as output_anywhere
-from pc2scan.files.text_output import files_output
 from support.rosbag2_files import compress_file, write_metadata
 
 if TYPE_CHECKING:

@@ -7,9 +7,9 @@ from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import DestinationError, OutputError, Pc2ScanError
+from pc2scan.files.outputs import check_file_output, file_output
 from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.source import changed_while_read, state_of
-from pc2scan.files.text_output import check_text_output, text_output
 from pc2scan.result import BEGINNING, Result
 
 if TYPE_CHECKING:
@@ -103,9 +103,9 @@ class RunFiles:
             return
         try:
             if output.dry_run:
-                check_text_output(path, beginning=BEGINNING, overwrite=output.overwrite)
+                check_file_output(path, beginning=BEGINNING, overwrite=output.overwrite)
             else:
-                written = text_output(path, beginning=BEGINNING, overwrite=output.overwrite)
+                written = file_output(path, beginning=BEGINNING, overwrite=output.overwrite)
                 self._write_report = stack.enter_context(written)
         except (DestinationError, OutputError) as err:
             err.message = f"the report cannot be written there: {err.message}"

@@ -15,10 +15,10 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import DestinationError, MissingError, OutputError
+from pc2scan.files.outputs import file_output
 from pc2scan.files.places import check_new_folder, output_folder
 from pc2scan.files.staging import only_run
 from pc2scan.files.system import sync_directory
-from pc2scan.files.text_output import text_output
 from pc2scan.files.urls import UrlPath
 from pc2scan.version import __version__
 
@@ -235,7 +235,7 @@ class BatchFolder:
     def _write_note(self, outputs: Iterable[str]) -> None:
         """Note what a run is going to write; raises OutputError if that cannot be written."""
         text = json.dumps({"pc2scan begun": __version__, "outputs": sorted(outputs), "after": self._count}) + "\n"
-        with text_output(self.path / _UNFINISHED, beginning=_NOTE_BEGINNING, overwrite=False) as write:
+        with file_output(self.path / _UNFINISHED, beginning=_NOTE_BEGINNING, overwrite=False) as write:
             write(text)
 
     # --- The manifest ---

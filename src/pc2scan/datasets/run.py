@@ -12,10 +12,10 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.errors import DestinationError, DiskFullError, OutputError, UsageError
+from pc2scan.files.outputs import check_file_output, file_output
 from pc2scan.files.ownership import InputPath, Inputs, OutputPath, first_link, inputs_of
 from pc2scan.files.staging import clean_up, note_written
 from pc2scan.files.system import copying_to, is_full
-from pc2scan.files.text_output import check_text_output, text_output
 from pc2scan.files.transfers import refuse_without_room
 from pc2scan.files.urls import UrlPath, absolute, is_url
 from pc2scan.result import BEGINNING
@@ -192,9 +192,9 @@ def _open_report(options: BatchOptions, folder: BatchFolder, stack: ExitStack) -
         raise DestinationError("the report cannot be written there: the batch writes this file itself", path=path)
     try:
         if options.dry_run:
-            check_text_output(path, beginning=BEGINNING, overwrite=False)
+            check_file_output(path, beginning=BEGINNING, overwrite=False)
             return None
-        return stack.enter_context(text_output(path, beginning=BEGINNING, overwrite=False))
+        return stack.enter_context(file_output(path, beginning=BEGINNING, overwrite=False))
     except (DestinationError, OutputError) as err:
         err.message = f"the report cannot be written there: {err.message}"
         raise

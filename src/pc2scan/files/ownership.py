@@ -14,6 +14,7 @@ replaced, never followed.
 
 from __future__ import annotations
 
+import itertools
 import os
 import shlex
 import stat
@@ -26,7 +27,7 @@ from pc2scan.errors import DestinationError, OutputError, name_list
 
 from .places import working_names
 from .records import files_below, is_unchanged
-from .urls import UrlPath, exists
+from .urls import UrlPath
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -128,50 +129,16 @@ def existing_error(dst: Path) -> DestinationError:
     return DestinationError("exists already", path=dst, hint="`overwrite=True` replaces it")
 
 
-def check_kind(path: Path, beginning: bytes | None, *, overwrite: bool) -> bool:
-    """Return whether there is a file that may be replaced by a small file, such as a report, of a known kind.
-
-    Parameters
-    ----------
-    path
-        The file.
-    beginning
-        The first bytes of files of this kind. A file that has them, or is empty, may be replaced. None: no file may.
-    overwrite
-        Whether any other file may be replaced. A symbolic link itself is replaced, not the file that it leads to.
-
-    Raises
-    ------
-    DestinationError
-        If there is something else.
-    OutputError
-        If it cannot be read.
-    """
-    if not exists(path):
-        return False
-    if path.is_dir() and not path.is_symlink():
-        raise DestinationError("cannot be written: it is a directory", path=path, hint="choose another name")
-    if path.exists() and not path.is_file() and not path.is_dir():
-        raise DestinationError("cannot be written: it is not a file", path=path, hint="choose another name")
-    if not overwrite and not _is_of_kind(path, beginning):
-        # Only kinds of files with a known beginning can be recognised as written by pc2scan.
-        raise DestinationError(
-            "exists already" if beginning is None else "exists already, and was not written by pc2scan",
-            path=path,
-            hint="choose another name; or `overwrite=True` replaces it",
-        )
-    return True
-
-
-def _is_of_kind(path: Path, beginning: bytes | None) -> bool:
+def is_of_kind(path: Path, beginning: bytes | None) -> bool:
     """Return whether a file has this beginning, or is empty."""
+    length = len(beginning or b" ")
     if isinstance(path, UrlPath):
-        return path.remote.read(len(beginning or b" ")) in (beginning, b"")
+        return path.remote.read(length) in (beginning, b"")
     try:
         if not stat.S_ISREG(path.lstat().st_mode):
             return False
         with path.open("rb") as file:
-            return file.read(len(beginning or b" ")) in (beginning, b"")
+            return file.read(length) in (beginning, b"")
     except OSError as err:
         raise OutputError(f"cannot be written: {err.strerror}", path=path) from err
 
@@ -255,27 +222,24 @@ class Inputs:
     """
 
     def __init__(self, inputs: Iterable[InputPath]) -> None:
-        self._paths: dict[Path, InputPath] = {}
+        #: Names count, too: a log that does not exist yet would be read with its database.
+        self._names: dict[str, InputPath] = {}
         self._ids: dict[FileId, InputPath] = {}
         self._folders: dict[FileId, InputPath] = {}
-        self._seen: set[Path] = set()
+        seen: set[Path] = set()
         for given in inputs:
             for path in (given.path, *_entries(given.path)):
                 for place in path_identities(path):
-                    for read in (place, *_logs(place)):
-                        self._add(given, read)
-
-    def _add(self, given: InputPath, path: Path) -> None:
-        for place in path_identities(path):
-            self._paths.setdefault(place, given)
-            for identity in file_ids(place):
-                self._ids.setdefault(identity, given)
-            for folder in place.parents:
-                if folder in self._seen:
-                    break
-                self._seen.add(folder)
-                for identity in file_ids(folder):
-                    self._folders.setdefault(identity, given)
+                    # SQLite reads logs beside a database, if they are files.
+                    logs = (Path(f"{place}{suffix}") for suffix in _LOGS)
+                    for name in (place, *itertools.filterfalse(os.path.isdir, logs)):
+                        self._names.setdefault(str(name), given)
+                        for identity in file_ids(name):
+                            self._ids.setdefault(identity, given)
+                    for folder in itertools.takewhile(lambda folder: folder not in seen, place.parents):
+                        seen.add(folder)
+                        for identity in file_ids(folder):
+                            self._folders.setdefault(identity, given)
 
     def refuse(self, output: OutputPath) -> None:
         """Raise if an output, or a name that it has while it is written, is an input, is inside one or contains one.
@@ -289,55 +253,49 @@ class Inputs:
             if (related := self._relation(path)) is None:
                 continue
             relation, found = related
+            role = f"an {found.role}" if found.role[0] in "aeiou" else f"a {found.role}"
             if path != output.path:
-                raise _leftover_error(output, path, found)
-            what = _with_article(found.role) if relation == "is" else f"the {found.role} {found.path}"
-            raise DestinationError(
-                f"{_subject(output)}{relation} {what}",
-                path=path,
-                hint="sources are never changed; choose another name",
-            )
+                # What a killed run left may be a source.
+                better = output.path.with_name(f"interrupted_{output.path.name}")
+                rename = f"mv -n {shlex.quote(str(path))} {shlex.quote(str(better))}"
+                raise DestinationError(
+                    f"needs the name {path.name} while it is written, which is {role}",
+                    path=output.path,
+                    hint=f"choose another name for it, or rename the {found.role} first ({rename})",
+                )
+            what = role if relation == "is" else f"the {found.role} {found.path}"
+            hint = "sources are never changed; choose another name"
+            raise DestinationError(f"{_subject(output)}{relation} {what}", path=path, hint=hint)
 
     def _relation(self, path: Path) -> tuple[str, InputPath] | None:
         """Return how a path is related to an input, and to which; None if to none."""
-        found_at = list(path_identities(path))
-        # A file that does not exist has no inode, but a log that appears beside a database would be read with it.
-        if found := self._paths.get(found_at[0]):
+        places = list(path_identities(path))
+        if found := self._names.get(str(places[0])):
             return "is", found
-        above = [folder for place in found_at for folder in place.parents]
+        above = [folder for place in places for folder in place.parents]
         for relation, known, paths in (
-            ("is", self._ids, found_at),
-            ("contains", self._folders, found_at),
+            ("is", self._ids, places),
+            ("contains", self._folders, places),
             ("is inside", self._ids, above),
         ):
-            for identity in file_ids(*paths):
+            for identity in itertools.chain.from_iterable(map(file_ids, paths)):
                 if identity in known:
                     return relation, known[identity]
         return None
 
 
-def _leftover_error(output: OutputPath, path: Path, found: InputPath) -> DestinationError:
-    """Return the error for an input with a name that staging needs, and a command that renames it."""
-    better = output.path.with_name(f"interrupted_{output.path.name}")
-    rename = f" (mv {shlex.quote(str(path))} {shlex.quote(str(better))})" if not os.path.lexists(better) else ""
-    return DestinationError(
-        f"needs the name {path.name} while it is written, which is {_with_article(found.role)}",
-        path=output.path,
-        hint=f"choose another name for it, or rename the {found.role} first{rename}",
-    )
-
-
 def _refuse_output(output: OutputPath, earlier: OutputPath) -> None:
-    other = f"the file of {earlier.option}" if earlier.option else "the destination"
-    own, others = ({path_key(path) for path in (each.path, *working_names(each.path))} for each in (output, earlier))
-    relation = None
-    if own & others:
-        relation = "is"
-    elif others & _folder_keys(output.path):
-        relation = "is inside"
-    elif own & _folder_keys(earlier.path):
-        relation = "contains"
-    if relation:
+    """Raise if two outputs are one file, or one is inside the other."""
+    (own, own_folders), (others, other_folders) = (
+        (
+            {path_key(path) for path in (each.path, *working_names(each.path))},
+            {path_key(folder) for folder in next(path_identities(each.path)).parents},
+        )
+        for each in (output, earlier)
+    )
+    relation = "is" if own & others else "is inside" if others & own_folders else "contains"
+    if own & others or others & own_folders or own & other_folders:
+        other = f"the file of {earlier.option}" if earlier.option else "the destination"
         raise DestinationError(f"{_subject(output)}{relation} {other}", path=output.path, hint="choose another name")
 
 
@@ -351,22 +309,6 @@ def _entries(path: Path) -> list[Path]:
         return [] if isinstance(path, UrlPath) else list(path.iterdir())
     except OSError:
         return []
-
-
-def _logs(path: Path) -> Iterator[Path]:
-    """Return the paths that SQLite would read beside a database, if they are files or do not exist."""
-    for log in (path.with_name(path.name + suffix) for suffix in _LOGS if path.name):
-        # A name may be too long, which `Path.is_dir` raises.
-        if not os.path.isdir(log):  # noqa: PTH112
-            yield log
-
-
-def _folder_keys(path: Path) -> set[object]:
-    return {path_key(folder) for folder in next(path_identities(path)).parents}
-
-
-def _with_article(role: str) -> str:
-    return f"an {role}" if role[0] in "aeiou" else f"a {role}"
 
 
 #: Device and inode; or a URL.
@@ -391,17 +333,17 @@ def path_identities(path: Path) -> Iterator[Path]:
             return
 
 
-def file_ids(*paths: Path) -> list[FileId]:
-    """Return device and inode of those paths that exist; for a symbolic link its own and its target's."""
+def file_ids(path: Path) -> list[FileId]:
+    """Return device and inode of a path that exists; for a symbolic link its own and its target's."""
+    if isinstance(path, UrlPath):
+        return [path.identity]
     found: list[FileId] = []
-    for path in paths:
-        if isinstance(path, UrlPath):
-            found.append(path.identity)
-            continue
-        for look in (os.lstat, os.stat):
-            with suppress(OSError):
-                status = look(path)
-                found.append((status.st_dev, status.st_ino))
+    with suppress(OSError):
+        status = path.lstat()
+        found.append((status.st_dev, status.st_ino))
+        if stat.S_ISLNK(status.st_mode):
+            status = path.stat()
+            found.append((status.st_dev, status.st_ino))
     return found
 
 

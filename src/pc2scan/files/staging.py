@@ -41,11 +41,6 @@ def written_paths() -> list[Path]:
     return list(dict.fromkeys(dst for dst, identity in named if identity and identity == file_ids(dst)[:1]))
 
 
-def note_renaming(partial: Path, dst: Path) -> None:
-    """Note that a complete file or directory is about to get its name."""
-    _renamed.append((dst, file_ids(partial)[:1]))
-
-
 def note_written(dst: Path) -> None:
     """Note a destination that another process has written for this one."""
     _renamed.append((dst, file_ids(dst)[:1]))
@@ -55,49 +50,47 @@ def note_written(dst: Path) -> None:
 def staged_output(
     dst: Path, *, overwrite: bool, owned: Collection[str] | None = None, record_in: FolderRecord | None = None
 ) -> Iterator[Path]:
-    """Yield a path to write to, and rename it to the destination at the end.
+    """Yield a path to write to, and rename it to the destination at the end; see `staged`."""
+    with staged(dst, overwrite=overwrite, owned=owned, record_in=record_in) as (partial, finish):
+        yield partial
+        finish()
+
+
+@contextmanager
+def staged(
+    dst: Path, *, overwrite: bool, owned: Collection[str] | None = None, record_in: FolderRecord | None = None
+) -> Iterator[tuple[Path, Callable[[], None]]]:
+    """Yield a path to write to, and the function that renames it to the destination.
 
     Parameters
     ----------
     dst
         The file or directory to write. Neither it nor one of its `working_names` may be an input.
-    overwrite
-        Whether an existing file, or a directory of which a record accounts for everything, may be replaced.
-        It stays unchanged until the new one is complete.
-    owned
-        What earlier runs wrote into the folder of ``dst``: that may be replaced without ``overwrite``, too.
-    record_in
-        Reads the record of what is in a directory. Without it no directory is replaced.
+    overwrite, owned, record_in
+        See `pc2scan.files.ownership.check_existing`. What is there stays unchanged until the new one is complete.
 
     Yields
     ------
-    Path
-        ``<dst>.pc2scan-partial``, which does not exist. The body creates a file or a directory there. If the body
-        raises, that is removed.
+    path, function
+        ``<dst>.pc2scan-partial``, which does not exist; at a URL, a path in a folder of its own. Without a call of the
+        function it is removed at the end.
 
     Raises
     ------
     DestinationError
-        If ``dst`` exists and may not be replaced (checked first, and again by the final step), has no parent
-        directory, or is being written by another run.
+        If ``dst`` exists and may not be replaced (checked first, and again by the function), has no parent directory,
+        or is being written by another run.
     OutputError
         If its directory or the result cannot be written.
     """
     if isinstance(dst, UrlPath):
         check_destination(dst, overwrite=overwrite, owned=owned)
         with upload(dst, overwrite=overwrite, owned=owned) as (local, finish):
-            yield local
-            finish()
+            yield local, finish
         return
-
-    def check_again(partial: Path) -> None:
-        # Other files may have been added since the beginning.
-        refuse_others(dst, record_in, set(files_below(partial)) if partial.is_dir() else ())
-
-    with temporary_path(dst) as partial:
+    with _temporary_path(dst) as partial:
         check_existing(dst, overwrite=overwrite, owned=owned, record_in=record_in)
-        yield partial
-        commit(partial, dst, check_again, overwrite=overwrite or owned is not None)
+        yield partial, lambda: _commit(partial, dst, record_in, overwrite=overwrite or owned is not None)
 
 
 def check_destination(
@@ -108,19 +101,9 @@ def check_destination(
     record_in: FolderRecord | None = None,
     folder: Path | None = None,
 ) -> None:
-    """Raise what `staged_output` would raise at its beginning, as far as that is known without writing anything.
+    """Raise what `staged` would raise at its beginning, as far as that is known without writing anything.
 
-    Parameters
-    ----------
-    dst, overwrite, owned, record_in
-        See `staged_output`.
-    folder
-        The folder of `dst`, if it will be made.
-
-    Raises
-    ------
-    DestinationError, OutputError
-        See `staged_output` and `output_folder`.
+    ``folder`` is the folder of ``dst``, if it will be made; see `pc2scan.files.places.output_folder`.
     """
     if folder is not None and not isinstance(dst, UrlPath) and not folder.is_dir():
         check_new_folder(folder)
@@ -133,15 +116,10 @@ def check_destination(
 
 
 @contextmanager
-def temporary_path(dst: Path) -> Iterator[Path]:
-    """Yield a path beside a local destination, which does not exist; if `commit` does not rename it, it is removed.
+def _temporary_path(dst: Path) -> Iterator[Path]:
+    """Yield a path beside a local destination, which does not exist; if it is not renamed, it is removed.
 
     What a killed run left is undone or completed before, so the caller checks then whether it may write ``dst``.
-
-    Raises
-    ------
-    DestinationError, OutputError
-        See `staged_output`.
     """
     check_place(dst)
     partial = dst.with_name(dst.name + PARTIAL)
@@ -161,16 +139,9 @@ def temporary_path(dst: Path) -> Iterator[Path]:
 
 
 def clean_up(dst: Path) -> bool:
-    """Remove the files that a killed run left beside a destination, and restore those that it had set aside.
+    """Remove what a killed run left beside a destination that nobody writes, and restore what it had set aside.
 
     Returns whether nothing of any run is left there.
-
-    Nothing is done for a destination that another run is writing.
-
-    Raises
-    ------
-    OutputError
-        If something cannot be removed.
     """
     if isinstance(dst, UrlPath) or not any(map(os.path.lexists, working_names(dst))):
         return True
@@ -180,13 +151,7 @@ def clean_up(dst: Path) -> bool:
 
 
 def _recover(dst: Path) -> None:
-    """Undo or complete what a killed run left; the caller holds the destination's lock.
-
-    Raises
-    ------
-    OutputError
-        If something cannot be removed or renamed.
-    """
+    """Undo or complete what a killed run left; the caller holds the destination's lock."""
     partial, aside = (dst.with_name(dst.name + ending) for ending in LEFTOVERS)
     try:
         remove(partial)
@@ -199,27 +164,17 @@ def _recover(dst: Path) -> None:
         raise OutputError(f"the files of an interrupted run cannot be removed: {err.strerror}", path=dst) from err
 
 
-def commit(partial: Path, dst: Path, check_again: Callable[[Path], None] | None = None, *, overwrite: bool) -> None:
-    """Rename what is complete at a temporary path to the destination.
-
-    Parameters
-    ----------
-    partial, dst
-        See `temporary_path`.
-    check_again
-        Called with the new directory before it replaces a directory; raises if it may not.
-    overwrite
-        Whether what has the destination's name now may be replaced.
-    """
+def _commit(partial: Path, dst: Path, record_in: FolderRecord | None, *, overwrite: bool) -> None:
+    """Rename what is complete at a temporary path to the destination."""
     try:
         sync(partial)
-        note_renaming(partial, dst)
+        _renamed.append((dst, file_ids(partial)[:1]))
         if overwrite and os.path.lexists(dst):
-            _replace(partial, dst, check_again)
+            _replace(partial, dst, record_in)
         elif partial.is_dir():
             _rename_directory(partial, dst)
         else:
-            rename_file(partial, dst)
+            _rename_file(partial, dst)
         sync_directory(dst.parent)
     except OSError as err:
         raise OutputError(f"cannot be renamed to its final name: {err.strerror}", path=dst) from err
@@ -237,16 +192,14 @@ def sync(path: Path) -> None:
             os.fsync(file.fileno())
 
 
-def rename_file(partial: Path, dst: Path) -> None:
+def _rename_file(partial: Path, dst: Path) -> None:
     """Rename a file by a link, which unlike renaming fails if another file has appeared under the name meanwhile."""
     try:
         os.link(partial, dst)
-    except FileExistsError as err:
-        raise existing_error(dst) from err
-    except OSError:
+    except OSError as err:
         # FAT and some network file systems have no links.
         if os.path.lexists(dst):
-            raise existing_error(dst) from None
+            raise existing_error(dst) from err
         partial.replace(dst)
     else:
         partial.unlink()
@@ -254,30 +207,31 @@ def rename_file(partial: Path, dst: Path) -> None:
 
 def _rename_directory(partial: Path, dst: Path) -> None:
     """Rename a directory; the system refuses if the name exists and is not an empty directory."""
-    if os.path.lexists(dst):
-        raise existing_error(dst)
     try:
-        partial.rename(dst)
-    except OSError as err:
-        if os.path.lexists(dst):
-            raise existing_error(dst) from err
-        raise
+        if not os.path.lexists(dst):
+            partial.rename(dst)
+            return
+    except OSError:
+        if not os.path.lexists(dst):
+            raise
+    raise existing_error(dst)
 
 
-def _replace(partial: Path, dst: Path, check_again: Callable[[Path], None] | None) -> None:
+def _replace(partial: Path, dst: Path, record_in: FolderRecord | None) -> None:
     """Replace the old output by the new one; if that fails, restore the old one."""
-    if not partial.is_dir() and (dst.is_symlink() or not dst.is_dir()):
+    is_folder = dst.is_dir() and not dst.is_symlink()
+    if not is_folder and not partial.is_dir():
         partial.replace(dst)
         return
-    if dst.is_dir() and not dst.is_symlink():
-        if check_again is None:
-            raise existing_error(dst)
-        check_again(partial)
+    if is_folder:
+        # Other files may have been added since the beginning.
+        refuse_others(dst, record_in, set(files_below(partial)) if partial.is_dir() else ())
     aside = dst.with_name(dst.name + OLD)
     dst.rename(aside)
     try:
         partial.rename(dst)
     except BaseException:
+        # Not if the interruption came after the renaming.
         if not os.path.lexists(dst):
             aside.rename(dst)
         raise
@@ -323,17 +277,14 @@ def _acquire(lock: Path) -> int:
     while True:
         descriptor = _open_lock(lock)
         try:
-            try:
-                lock_descriptor(descriptor)
-            except BlockingIOError:
-                raise
-            except OSError:
-                # Some network file systems cannot lock files. Writing goes on without a lock.
-                return descriptor
+            lock_descriptor(descriptor)
             with suppress(FileNotFoundError):
                 if os.path.samestat(os.fstat(descriptor), lock.lstat()):
                     return descriptor
-        except BaseException:
+        except BaseException as err:
+            if isinstance(err, OSError) and not isinstance(err, BlockingIOError):
+                # Some network file systems cannot lock files. Writing goes on without a lock.
+                return descriptor
             os.close(descriptor)
             raise
         # The run that held the lock has removed the file between opening and locking it here.
@@ -342,21 +293,12 @@ def _acquire(lock: Path) -> int:
 
 def _open_lock(lock: Path) -> int:
     """Open a lock file, or create it; never through a link, and never a file that is not empty."""
-    flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | REFUSES_LINKS
-    if not REFUSES_LINKS and lock.is_symlink():
-        raise _no_lock(lock, "a symbolic link")
-    try:
-        descriptor = os.open(lock, flags, 0o644)
-    except OSError as err:
-        if lock.is_symlink():
-            raise _no_lock(lock, "a symbolic link") from err
-        raise
-    status = os.fstat(descriptor)
-    if not stat.S_ISREG(status.st_mode) or status.st_size:
+    wrong = "a symbolic link" if lock.is_symlink() else ""
+    if not wrong:
+        descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | REFUSES_LINKS, 0o644)
+        status = os.fstat(descriptor)
+        if stat.S_ISREG(status.st_mode) and not status.st_size:
+            return descriptor
         os.close(descriptor)
-        raise _no_lock(lock, "not a lock of pc2scan: it is not empty")
-    return descriptor
-
-
-def _no_lock(lock: Path, what: str) -> DestinationError:
-    return DestinationError(f"has the name of the run's lock, but is {what}", path=lock, hint="move it away")
+        wrong = "not a lock of pc2scan: it is not empty"
+    raise DestinationError(f"has the name of the run's lock, but is {wrong}", path=lock, hint="move it away")

@@ -21,7 +21,7 @@ import numpy as np
 
 from pc2scan.core.occupancy import FREE, OCCUPIED, UNSEEN
 from pc2scan.errors import UsageError
-from pc2scan.files.text_output import files_output
+from pc2scan.files.outputs import files_output
 from pc2scan.files.urls import path_of
 from pc2scan.result import Part, Remark, Result, skipped_remarks
 from pc2scan.text import duration

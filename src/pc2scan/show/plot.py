@@ -15,8 +15,8 @@ from pc2scan.core import kernel
 from pc2scan.core.project import Projector
 from pc2scan.core.rule import rule_of
 from pc2scan.errors import NothingToConvertError, UsageError, leading, visible
+from pc2scan.files.outputs import file_output
 from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
-from pc2scan.files.text_output import file_output
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.requests import conversion_of, first_output
 from pc2scan.result import Part, Result
@@ -107,7 +107,7 @@ def plot(sources: Sequence[Path], destination: Path, options: Options, *, warn: 
         raise UsageError(f"`clouds` is {options.clouds}, it must be from 1 to {_MOST_CLOUDS}")
     refuse_overlap(inputs_of(sources, options.tf_from, request.files), [OutputPath(destination)])
     with (
-        file_output(destination, beginning=None, overwrite=options.overwrite) as deliver,
+        file_output(destination, overwrite=options.overwrite) as deliver,
         open_recording(sources, request, warn) as recording,
     ):
         at_ns = recording.log_times(options.at)

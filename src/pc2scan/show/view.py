@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, ClassVar
 
 from pc2scan.conversion.stamps import corrected
 from pc2scan.errors import UsageError, leading
+from pc2scan.files.outputs import file_output
 from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
-from pc2scan.files.text_output import text_output
 from pc2scan.files.urls import path_of
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.requests import conversion_of, first_output
@@ -99,7 +99,7 @@ class Page(Result):
         """
         path = path_of("destination", destination)
         check_page_name(path)
-        with text_output(path, beginning=BEGINNING, overwrite=overwrite) as deliver:
+        with file_output(path, beginning=BEGINNING, overwrite=overwrite) as deliver:
             deliver(self.html)
         return path
 
@@ -111,7 +111,7 @@ def view(sources: Sequence[Path], destination: Path | None, options: Options, *,
         return _page(sources, request, options, warn)
     check_page_name(destination)
     refuse_overlap(inputs_of(sources, options.tf_from, request.files), [OutputPath(destination)])
-    with text_output(destination, beginning=BEGINNING, overwrite=options.overwrite) as deliver:
+    with file_output(destination, beginning=BEGINNING, overwrite=options.overwrite) as deliver:
         page = _page(sources, request, options, warn)
         deliver(page.html)
     return replace(page, path=str(destination))

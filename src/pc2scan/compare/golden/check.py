@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 from pc2scan.compare.diff import diff, open_source
 from pc2scan.compare.scan_text import render_scans
 from pc2scan.errors import OutputError, Pc2ScanError, RecordingError, UsageError
-from pc2scan.files.text_output import text_output
+from pc2scan.files.outputs import file_output
 from pc2scan.messages.laserscan import LASERSCAN
 
 from .case import EXPECTED_TEXT, SETTINGS, case_folders, load_case
@@ -151,7 +151,7 @@ def _write_expected(case: Case, actual: Path, command: Command) -> None:
         text = render_scans(source.messages()) if path.name == EXPECTED_TEXT else ""
     if text:
         # Any existing file may be replaced: in a case, a file of this name is always its expected output.
-        with text_output(path, beginning=b"", overwrite=True) as write:
+        with file_output(path, beginning=b"", overwrite=True) as write:
             write(text)
         return
     result = _run_conversion(case, command, path, "--overwrite")
