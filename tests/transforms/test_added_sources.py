@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from contextlib import closing
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ import pc2scan
 from pc2scan.bags.opening import open_recording
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import Pc2ScanError, UsageError, stamp_text
+from support import sampled
 from support.builders import STRING, T0, Item, Stream, item, string, write_mcap, write_rosbag1
 from support.tables import rows
 from support.worlds.posed import KINDS, SAMPLES, message, pose_at, recording
@@ -51,10 +53,10 @@ def is_pose(tree: pc2scan.FrameTree, stamp_ns: int) -> bool:
     return np.allclose(tree.lookup("odom", "base_link", stamp_ns).pose, pose_at(stamp_ns), rtol=0, atol=1e-12)
 
 
-def are_near(one: tuple[int, str, bytes], other: tuple[int, str, bytes], rtol: float = 1e-5) -> bool:
+def are_near(one: tuple[int, str, bytes], other: tuple[int, str, bytes]) -> bool:
     """Whether nearly all ranges of two scans are the same; a point at the edge of a beam may be in the next one."""
     a, b = (np.frombuffer(each[2], np.float32) for each in (one, other))
-    return one[:2] == other[:2] and float(np.isclose(a, b, rtol=rtol).mean()) > 0.99
+    return one[:2] == other[:2] and float(np.isclose(a, b, rtol=1e-5).mean()) > 0.99
 
 
 def written(folder: Path, made: Recording, name: str = "a", suffix: str = "mcap") -> Path:
@@ -69,8 +71,7 @@ def by_tf(tmp_path: Path) -> list[tuple[int, str, bytes]]:
     return found
 
 
-@pytest.mark.parametrize("suffix", WRITERS)
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "tf"])
+@pytest.mark.parametrize(("kind", "suffix"), sampled(product([kind for kind in KINDS if kind != "tf"], WRITERS), 6))
 def test_poses_of_a_topic_are_transforms_to_the_bit(
     kind: str, suffix: str, tmp_path: Path, by_tf: list[tuple[int, str, bytes]]
 ) -> None:
@@ -214,16 +215,6 @@ def test_a_trajectory_is_transforms(suffix: str, tmp_path: Path, by_tf: list[tup
     assert is_pose(pc2scan.tf(out), SAMPLES[5])
     times = [log for _, log in _log_times(out)]
     assert times == sorted(times)
-
-
-def test_evo_writes_what_is_read(tmp_path: Path, by_tf: list[tuple[int, str, bytes]]) -> None:
-    """Its stamps are float64, to a quarter of a microsecond."""
-    tools = pytest.importorskip("evo.tools.file_interface")
-    read = tools.read_tum_trajectory_file(str(_tum(tmp_path / "poses.tum")))
-    tools.write_tum_trajectory_file(tmp_path / "evo.tum", read)
-    path = written(tmp_path, recording())
-    for one, other in zip(scans_of(path, trajectory=tmp_path / "evo.tum", **FRAMES), by_tf, strict=True):
-        assert are_near(one, other, rtol=1e-4)
 
 
 @pytest.mark.parametrize(("content", "said"), rows(TABLES, "wrong files"))

@@ -15,8 +15,6 @@ import pytest
 
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import TransformError
-from pc2scan.messages.tfmessage import decode_transforms
-from support import RECORDINGS, needs_shared
 from transforms.trees import EPOCH, SECOND, built, changing_tree, random_pose, random_questions, random_tree, row
 
 if TYPE_CHECKING:
@@ -173,23 +171,6 @@ def nearly_equal_rotations() -> Case:
     return Case(rows, questions, {})
 
 
-def a_real_recording(name: str) -> Case:
-    from rosbags.rosbag1 import Reader
-
-    rows: Rows = []
-    log_times = []
-    with Reader(RECORDINGS / name) as reader:
-        connections = [entry for entry in reader.connections if entry.topic in {"/tf", "/tf_static"}]
-        for connection, log_time_ns, data in reader.messages(connections):
-            rows += [(entry, connection.topic == "/tf_static") for entry in decode_transforms(data, "ros1")]
-            log_times.append(log_time_ns)
-    assert len(rows) > 8000
-    frames = sorted({frame for entry, _ in rows for frame in entry[:2]})
-    stamps = [entry[2] for entry, _ in rows] + log_times[::10]
-    questions = random_questions(np.random.default_rng(15), frames, stamps, 5000)
-    return Case(rows, questions, {"found": 1001, "ExtrapolationException": 51})
-
-
 def loops() -> Case:
     """From the source up, they are met before the target, or not."""
     edges = [("a", "b", 0), ("b", "c", 0), ("c", "a", 0), ("b", "left", 0), ("c", "right", 0), ("left", "shelf", 0)]
@@ -210,10 +191,10 @@ def loops_for_a_while() -> Case:
     return Case(rows, questions, {"LookupException": 10, "found": 80, "ExtrapolationException": 10})
 
 
-#: In the quick run all of them are one question to tf2.
-QUICK: dict[str, Callable[[], Case]] = {
-    "a random tree": partial(a_random_tree, 0),
-    "children that change parents": partial(children_that_change_parents, 0),
+#: All of them are one question to tf2.
+CASES: dict[str, Callable[[], Case]] = {
+    **{f"random tree {seed}": partial(a_random_tree, seed) for seed in range(2)},
+    **{f"children that change parents {seed}": partial(children_that_change_parents, seed) for seed in range(2)},
     "a frame on both topics": partial(a_frame_on_both_topics, False, True),
     "a frame on both topics, static first": partial(a_frame_on_both_topics, True, False),
     **{
@@ -225,10 +206,6 @@ QUICK: dict[str, Callable[[], Case]] = {
         )
     },
 }  # fmt: skip
-SLOW: dict[str, Callable[[], Case]] = {
-    **{f"random tree {seed}": partial(a_random_tree, seed) for seed in range(1, 6)},
-    **{f"children that change parents {seed}": partial(children_that_change_parents, seed) for seed in range(1, 6)},
-}
 
 
 @cache
@@ -271,8 +248,8 @@ def ask_tf2(cases: list[Case]) -> list[list[Answer]]:
 
 
 @cache
-def all_answered(slow: bool) -> dict[str, tuple[Case, list[Answer]]]:
-    made = {name: in_the_first_days(case()) for name, case in (SLOW if slow else QUICK).items()}
+def all_answered() -> dict[str, tuple[Case, list[Answer]]]:
+    made = {name: in_the_first_days(case()) for name, case in CASES.items()}
     return dict(zip(made, zip(made.values(), ask_tf2([*made.values()]), strict=True), strict=True))
 
 
@@ -298,18 +275,8 @@ def assert_agreement(case: Case, answers: list[Answer]) -> None:
     assert all(kinds.get(kind, 0) >= count for kind, count in case.least.items()), kinds
 
 
-@pytest.mark.parametrize("name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)])
+@pytest.mark.parametrize("name", CASES)
 def test_tf2_answers_alike(name: str) -> None:
     if why_not():
         pytest.skip(why_not())
-    assert_agreement(*all_answered(name in SLOW)[name])
-
-
-@needs_shared
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["jarvis_two_lasers.bag", "guardian_pallet.bag"])
-def test_tf2_answers_alike_of_real_recordings(name: str) -> None:
-    if why_not():
-        pytest.skip(why_not())
-    case = in_the_first_days(a_real_recording(name))
-    assert_agreement(case, *ask_tf2([case]))
+    assert_agreement(*all_answered()[name])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -26,10 +26,9 @@ __all__ = [
     "random_drive",
     "random_throughs",
     "recorded",
-    "save",
 ]
 
-#: What tf2 answered; written by ``tests/parity/record_through.py``.
+#: What tf2 answered; numbers as hexadecimal text, so that every bit survives.
 RECORDED = Path(__file__).with_name("through.json")
 
 
@@ -90,20 +89,6 @@ def assert_close(ours: Rigid, theirs: NDArray[np.float64], question: Through) ->
     quaternion = ours.quaternion * np.copysign(1.0, ours.quaternion @ theirs[3:])
     np.testing.assert_allclose(ours.translation, theirs[:3], rtol=0, atol=1e-9, err_msg=str(question))
     np.testing.assert_allclose(quaternion, theirs[3:], rtol=0, atol=1e-9, err_msg=str(question))
-
-
-def save(rows: Rows, questions: list[Through], answers: list[list[float] | None]) -> None:
-    """Write `RECORDED`; numbers as hexadecimal text, so that every bit survives."""
-    content: dict[str, list[Any]] = {
-        "transforms": [[*entry[:3], *(float(value).hex() for value in entry[3:]), static] for entry, static in rows],
-        "lookups": [list(question) for question in questions],
-        "answers": [None if answer is None else [value.hex() for value in answer] for answer in answers],
-    }
-    lines = ",\n".join(
-        f' "{name}": [\n' + ",\n".join("  " + json.dumps(entry) for entry in entries) + "\n ]"
-        for name, entries in content.items()
-    )
-    RECORDED.write_text("{\n" + lines + "\n}\n")
 
 
 def recorded() -> tuple[Rows, list[Through], list[NDArray[np.float64] | None]]:
