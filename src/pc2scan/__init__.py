@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from .api import scans as scans
     from .api import tf as tf
     from .api import view as view
-    from .compare.golden.result import GoldenReport as GoldenReport
+    from .compare.golden.check import GoldenReport as GoldenReport
     from .compare.result import Difference as Difference
     from .conversion.report import Report as Report
     from .core.params import ProjectionParams as ProjectionParams
@@ -92,7 +92,7 @@ _HOMES = {
     "ExcludePolygon": "request.regions",
     "ExportReport": "exports.report",
     "FrameTree": "show.tf",
-    "GoldenReport": "compare.golden.result",
+    "GoldenReport": "compare.golden.check",
     "Info": "show.info",
     "Map": "show.map_result",
     "MinHeightSlope": "request.ground",

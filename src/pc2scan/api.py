@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
     from typing_extensions import Unpack
 
-    from .compare.golden.result import GoldenReport
+    from .compare.golden.check import GoldenReport
     from .compare.result import Difference
     from .conversion.report import Report
     from .datasets.summary import BatchReport

@@ -15,7 +15,7 @@ from .in_process import run_command
 from .render import progress_bar, say, show, show_parts
 
 if TYPE_CHECKING:
-    from pc2scan.compare.golden.result import CaseResult
+    from pc2scan.compare.golden.check import CaseResult
 
 
 def golden(folder: Path, pattern: str | None, *, options: Options) -> int:

@@ -19,10 +19,9 @@ from pc2scan.text import did_you_mean
 
 from .match import OpenRecording, TopicStream, header_stamp_ns, match_messages
 from .messages import DECODED_TYPES, compare_bytes, compare_messages
-from .result import Difference
+from .result import Difference, MessageTimes, TopicDifference
 from .rules import Rules
 from .scan_text import is_scan_text, open_scan_text
-from .topic_difference import MessageTimes, TopicDifference
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

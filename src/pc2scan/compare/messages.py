@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -122,7 +122,9 @@ def cloud_values(a: PointCloud2, b: PointCloud2, rules: Rules) -> Iterator[Value
     for field in _readable_fields(a):
         other = others.get(field.name)
         if other is not None and _field_text(field) == _field_text(other):
-            found = compare_arrays(field_elements(a, field), field_elements(b, other), rules.tolerance(field.name))
+            shape = a.points, max(field.count, 1)
+            values = a.elements(field).reshape(shape), b.elements(other).reshape(shape)
+            found = compare_arrays(*values, rules.tolerance(field.name))
             if found.differing:
                 yield ValueChange(field.name, found)
 
@@ -148,22 +150,6 @@ def _readable_fields(cloud: PointCloud2) -> list[PointField]:
     return [field for field in first.values() if field.datatype in DATATYPES and field in places.values()]
 
 
-def field_elements(cloud: PointCloud2, field: PointField) -> NDArray[Any]:
-    """Return all elements of a field: shape (points, count), a view if rows follow each other without a gap."""
-    first = cloud.field(field.name)
-    count = max(field.count, 1)
-    if field.offset + count * first.itemsize > cloud.point_step:
-        raise DecodeError(
-            f"field {field.name!r} has {count} elements, more than fit into point_step {cloud.point_step}",
-            stamp_ns=cloud.stamp_ns,
-        )
-    if not cloud.points:
-        return np.empty((0, count), first.dtype)
-    strides = (*first.strides, first.itemsize)
-    view: NDArray[Any] = np.ndarray((*first.shape, count), first.dtype, cloud.data, field.offset, strides)
-    return view.reshape(cloud.points, count)
-
-
 def _byte_array(cloud: PointCloud2) -> NDArray[np.uint8]:
     return np.frombuffer(cloud.data, np.uint8)
 
@@ -175,7 +161,7 @@ def _differing_padding(a: PointCloud2, b: PointCloud2) -> int:
         return 0
     # Clears the bytes of each field, with the field's view on the mask instead of the data.
     for field in _readable_fields(a) if a.points else ():
-        width = field_elements(a, field).shape[1] * np.dtype(DATATYPES[field.datatype]).itemsize
+        width = a.elements(field).shape[-1] * np.dtype(DATATYPES[field.datatype]).itemsize
         first = a.field(field.name)
         np.ndarray((*first.shape, width), bool, differs, field.offset, (*first.strides, 1))[...] = False
     return int(np.count_nonzero(differs))

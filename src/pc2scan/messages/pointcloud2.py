@@ -180,7 +180,7 @@ class PointCloud2:
         sizes = [np.dtype(DATATYPES.get(each.datatype, "f8")).itemsize * max(each.count, 1) for each in self.fields]
         if sum(sizes) > _MOST_OVERLAP * max(self.point_step, 1):
             raise self._error(f"its fields have {sum(sizes)} bytes, and a point has {self.point_step}")
-        views = {field.name: self._elements(field) for field in self.fields}
+        views = {field.name: self.elements(field) for field in self.fields}
         dtype = np.dtype(
             [
                 (name, view.dtype.newbyteorder("<"), view.shape[-1:] if view.shape[-1] != 1 else ())
@@ -192,7 +192,7 @@ class PointCloud2:
             packed[name] = view.reshape(self.points, *dtype[name].shape)
         return packed
 
-    def _elements(self, field: PointField) -> NDArray[Any]:
+    def elements(self, field: PointField) -> NDArray[Any]:
         """Return all elements of a field, along the last axis."""
         first = self.field(field.name)
         # Drivers write 0 for a single element.

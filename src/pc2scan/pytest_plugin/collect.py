@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from pc2scan.compare.golden.result import CaseResult
+    from pc2scan.compare.golden.check import CaseResult
 
 
 def check(folder: Path, *, update: bool) -> CaseResult:
