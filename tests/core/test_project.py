@@ -223,10 +223,6 @@ def test_any_cloud_is_projected_as_by_the_reference(
             assert again.ranges.tobytes() == scans[1].ranges.tobytes()
             assert again.intensities.tobytes() == scans[1].intensities.tobytes()
             assert set(beams.tolist()) == set(np.flatnonzero(expected.returns >= least).tolist())
-            begins = [0, len(parts[0].x)]
-            own = project.read_together(parts)
-            assert [n + k for k, (mine, _) in zip(begins, own, strict=True) for n in mine.tolist()] == numbers.tolist()
-            assert [beam for _, mine in own for beam in mine.tolist()] == beams.tolist()
             bins, _ = project.bins(PointsPart(x, y, z))
             assert np.bincount(bins, minlength=params.length).tolist() == expected.returns.tolist()
 

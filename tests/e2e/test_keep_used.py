@@ -1,4 +1,4 @@
-"""``--keep-used``: the points that beams read, as recorded or, in scans of several messages, as projected."""
+"""``--keep-used``: the points that beams read, as recorded."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ import pc2scan
 from pc2scan.bags.mcap.write import McapWriter
 from pc2scan.bags.opening import open_recording
 from pc2scan.core.points import Points
-from pc2scan.core.rigid import Rigid
-from pc2scan.errors import TopicError
+from pc2scan.errors import TopicError, UsageError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.laserscan import decode_laserscan
@@ -27,7 +26,6 @@ from support import ROOT, sampled
 from support.builders import POINTS, Item, Recording, write_rosbag1
 from support.command import run
 from support.tables import rows
-from support.worlds.moving import Lidar, write_world
 
 TABLES = Path(__file__).with_name("keep_used.txt")
 HALL = ROOT / "fixtures" / "hall.mcap"
@@ -196,48 +194,6 @@ def test_two_outputs_keep_points_on_topics_of_their_own(tmp_path: Path) -> None:
         pc2scan.convert(HALL, tmp_path / "a.mcap", scans={"/a": {"keep_used": "/u"}, "/b": {"keep_used": "/u"}})
 
 
-FRONT = Lidar("/front", "front", Rigid.from_rpy(0.0, 0.0, 0.0, (0.4, 0.0, 0.5)), columns=360)
-REAR = Lidar("/rear", "rear", Rigid.from_rpy(0.0, 0.0, 3.0, (-0.4, 0.1, 0.6)), phase=0.037, columns=360)
-FLAT = Lidar("/flat", "flat", Rigid.from_rpy(0.0, 0.0, -1.2, (0.1, -0.3, 0.4)), kind="flat", phase=0.061, columns=720)
-
-
-@pytest.fixture(scope="module")
-def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_world(tmp_path_factory.mktemp("world") / "w.mcap", [FRONT, REAR, FLAT], seconds=0.8)
-
-
-@pytest.mark.parametrize("options", sampled([row for (row,) in rows(TABLES, "of joined clouds")], 3), ids=str)
-def test_kept_points_of_joined_clouds_give_the_same_scans(options: dict[str, Any], world: Path, tmp_path: Path) -> None:
-    """Points are written as they were projected, so converting them again needs no frames or times."""
-    common: dict[str, Any] = {"min_height": 0.1, "beams": 720}
-    kept, again, one = (tmp_path / f"{name}.mcap" for name in ("kept", "again", "one"))
-    keeping = pc2scan.convert(world, kept, keep_used="/used", **common, **options)
-    projection = {name: options[name] for name in ("reduce", "remove") if name in options}
-    pc2scan.convert(kept, again, topics="/used:=/scan2", **common, **projection)
-    scans, points = messages(kept, "/scan"), messages(kept, "/used")
-    assert len(scans) >= 3
-    assert [log_time for log_time, _, _ in points] == [log_time for log_time, _, _ in scans]
-    first, second = (
-        [decode_laserscan(data, serialization) for _, serialization, data in found]
-        for found in (scans, messages(again, "/scan2"))
-    )
-    numbers = set()
-    for scan, same, used in zip(first, second, clouds(kept, "/used"), strict=True):
-        assert (scan.stamp_ns, scan.frame_id) == (same.stamp_ns, same.frame_id) == (used.stamp_ns, used.frame_id)
-        assert np.array_equal(scan.ranges, same.ranges)
-        names = [field.name for field in used.fields]
-        assert (names[:3], names[-2:]) == (["x", "y", "z"], ["source", "beam"])
-        assert "t" in names or "/flat" in str(options)
-        read = set(np.flatnonzero(np.isfinite(scan.ranges)).tolist())
-        beams = set(used.field("beam").reshape(-1).tolist())
-        assert beams >= read if "remove" in options else beams == read
-        numbers |= set(used.field("source").reshape(-1).tolist())
-    topics = options["topics"] if isinstance(options["topics"], list) else [options["topics"]]
-    assert numbers == set(range(len(topics)))
-    # The scans are those of any number of jobs, and of a conversion that keeps no points.
-    pc2scan.convert(world, one, keep_used="/used", jobs=1, **common, **options)
-    assert one.read_bytes() == kept.read_bytes()
-    plain = pc2scan.convert(world, one, overwrite=True, **common, **options)
-    assert messages(one, "/scan") == scans
-    counts = [[entry.points for entry in each.topics if entry.target == "/scan"] for each in (keeping, plain)]
-    assert counts[0] == counts[1]
+def test_scans_of_several_clouds_keep_no_points(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="made of one cloud each"):
+        pc2scan.convert(HALL, tmp_path / "a.mcap", keep_used="/used", accumulate="3clouds")

@@ -155,7 +155,7 @@ class Plan(NamedTuple):
     @property
     def combined(self) -> Mapping[tuple[Any, str], Output]:
         """The outputs whose scans are made of several messages, by their conversions."""
-        return {each.key: each for route in self.routes for each in route.outputs if each.scan and not each.used}
+        return {each.key: each for route in self.routes for each in route.outputs if each.scan}
 
     def sources_of(self, spec: ScanSpec, scan: str | None = None) -> list[Connection]:
         """Return the connections that an output converts.
@@ -222,7 +222,7 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
         outputs: list[Output] = []
         for spec in specs:
             begin = outputs[-1].index + 1 if outputs else 0
-            outputs += _outputs(spec, topic, kind, targets[spec].get(topic, ()), together[spec], begin)
+            outputs += _outputs(spec, kind, targets[spec].get(topic, ()), together[spec], begin)
         wanted = (not options.keep or matches(topic, options.keep)) and not matches(topic, options.drop)
         passes = not options.only_scans and (options.keep_clouds if outputs else wanted)
         routes.append(Route(connection, outputs, passes))
@@ -237,12 +237,7 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
 
 
 def _outputs(
-    spec: ScanSpec,
-    topic: str,
-    kind: str,
-    targets: Sequence[str],
-    together: Mapping[str, Sequence[str]],
-    begin: int,
+    spec: ScanSpec, kind: str, targets: Sequence[str], together: Mapping[str, Sequence[str]], begin: int
 ) -> Iterator[Output]:
     """Yield the outputs of the messages of a type on a topic; conversions are numbered from ``begin`` on."""
     alone = [target for target in targets if target not in together] if kind in spec.source_types else []
@@ -250,8 +245,8 @@ def _outputs(
     for number, (scan, names) in enumerate([("", alone)] * bool(alone) + [(name, [name]) for name in joined], begin):
         sources = tuple(together.get(scan, ()))
         yield from (Output(spec, name, scan, sources, index=number) for name in names)
-        if spec.keep_used and (not sources or sources[0] == topic):
-            yield Output(spec, spec.keep_used, scan, sources, used=True, index=number)
+        if spec.keep_used:
+            yield Output(spec, spec.keep_used, used=True, index=number)
 
 
 def _combined(

@@ -195,8 +195,7 @@ class _OutputFacts:
         for output in (each for each in plan.combined.values() if each.spec is spec):
             own = survey.topics(plan.sources_of(spec, output.scan))
             facts_of = {topic: own[topic] for topic in output.sources}
-            self._sources.append(SourceFacts(output, facts_of, survey.reader, survey.span))
-            survey.observers += self._sources[-1].observers
+            self._sources.append(SourceFacts(output, facts_of))
         if spec.needs_measuring:
             for facts in self._alone.values():
                 ask_measurements(facts, spec)

@@ -277,25 +277,10 @@ class Projector:
         (K,) int64, (K,) int32
             The numbers of points, increasing, and the beam of each. See `pc2scan.core.reduce.read`.
         """
-        return self.read_together((PointsPart(x, y, z, target_from_source),))[0]
-
-    def read_together(self, parts: Sequence[PointsPart]) -> list[tuple[NDArray[np.int64], NDArray[np.int32]]]:
-        """Return which points of several messages the beams of their scan read; see `together`.
-
-        Returns
-        -------
-        list of ((K,) int64, (K,) int32)
-            For each part, the numbers of its points, increasing, and the beam of each.
-        """
-        _, bins, returns, numbers = zip(*map(self._gather_parts, parts), strict=True)
-        ends = np.cumsum([each.size for each in bins])
+        _, bins, returns, numbers = self._gather_parts(PointsPart(x, y, z, target_from_source))
         with np.errstate(all="ignore"):
-            chosen = read(np.concatenate(bins), np.concatenate(returns), self._beams, self.params)
-        found = []
-        for k, own in enumerate(np.split(chosen, np.searchsorted(chosen, ends[:-1]))):
-            places = own - (ends[k] - bins[k].size)
-            found.append((numbers[k][places], bins[k][places]))
-        return found
+            chosen = read(bins, returns, self._beams, self.params)
+        return numbers[chosen], bins[chosen]
 
     def _reduce(
         self, bins: NDArray[np.int32], returns: NDArray[np.float32], values: NDArray[Any] | None, points: PointCounts

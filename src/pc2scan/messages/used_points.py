@@ -7,26 +7,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pc2scan.core.points import Points
-
 from .pointcloud2 import PointField, as_pointcloud2, encode_pointcloud2
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
-    from .laserscan import LaserScan
+    from pc2scan.core.points import Points
+
     from .pointcloud2 import PointCloud2
 
 #: The field with the number of the beam. If the cloud has such a field, ``scan_`` precedes its name.
 BEAM = "beam"
 
-#: The field with the number of the source topic, of points of several messages. If they have such a field, as `BEAM`.
-SOURCE = "source"
-
 _UINT32 = 6
-_AXES = ("x", "y", "z")
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,48 +71,6 @@ class UsedPoints:
         )
 
 
-def gather_points(
-    scan: LaserScan, parts: Sequence[tuple[int, Points, NDArray[np.int64], NDArray[np.int32]]]
-) -> UsedPoints:
-    """Return the points that give a scan of several messages its ranges, as one cloud in the scan's frame.
-
-    It has ``x``, ``y`` and ``z`` as they were projected, all other fields that the messages have in common, and the
-    number of each point's topic.
-
-    Parameters
-    ----------
-    scan
-        The scan, whose header the cloud gets.
-    parts
-        For each message the number of its topic, its points in the scan's frame, the indices of the used points, and
-        the beam of each.
-    """
-    shared = _shared_fields(points for _, points, _, _ in parts)
-    columns: dict[str, NDArray[Any]] = {}
-    for name in shared:
-        values = [np.asarray(points.field(name)).reshape(-1)[numbers] for _, points, numbers, _ in parts]
-        columns[name] = np.concatenate([each.astype(np.float32) for each in values] if name in _AXES else values)
-    sources = [np.full(numbers.size, topic, np.uint32) for topic, _, numbers, _ in parts]
-    columns[_unused_name(columns, SOURCE)] = np.concatenate(sources)
-    beams = np.concatenate([beams for _, _, _, beams in parts])
-    cloud = Points(scan.sequence, scan.stamp_ns, scan.frame_id, columns)
-    return UsedPoints(cloud, np.arange(beams.size), beams)
-
-
-def _shared_fields(clouds: Iterable[Points]) -> list[str]:
-    """Return the fields that all clouds have with one datatype: the axes, then the others as in the first cloud."""
-    first, *others = clouds
-    kinds = {name: first.field(name).dtype.newbyteorder("=") for name in first.fields}
-    same = [
-        name
-        for name, kind in kinds.items()
-        if name not in _AXES
-        and not name.startswith("<")
-        and all(name in each.fields and each.field(name).dtype.newbyteorder("=") == kind for each in others)
-    ]
-    return [*_AXES, *same]
-
-
 def _bytes_of(message: PointCloud2) -> NDArray[np.uint8]:
     """Return the bytes of each point, (height, width, point_step)."""
     shape = (message.height, message.width, message.point_step)
@@ -130,9 +83,9 @@ def _bytes_of(message: PointCloud2) -> NDArray[np.uint8]:
     return np.ndarray(shape, np.uint8, data, 0, (stride, message.point_step, 1))
 
 
-def _unused_name(names: Iterable[str], name: str = BEAM) -> str:
-    """Return the name of a new field."""
-    taken = set(names)
+def _unused_name(names: Iterable[str]) -> str:
+    """Return the name of the new field."""
+    taken, name = set(names), BEAM
     while name in taken:
         name = f"scan_{name}"
     return name

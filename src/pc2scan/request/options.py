@@ -297,6 +297,11 @@ class ScanSpec:
                 "`window` needs several topics that become one scan",
                 hint="such as `topics=/front:=/scan` `topics=/rear:=/scan` `target_frame=base_link`",
             )
+        if self.may_combine and self.keep_used:
+            raise UsageError(
+                "`keep_used` needs scans that are made of one cloud each",
+                hint="without `accumulate`, `every`, `rebin` and topics that share a target",
+            )
         if self.may_combine and self.params.time_increment != 0:
             raise UsageError(
                 f"time_increment is {self.params.time_increment}, but a scan of several messages has one time",

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from pc2scan.advice.measurements import Measurements
 from pc2scan.conversion.cloud_to_scan import CloudToScan
-from pc2scan.conversion.combine import conversion as combine
-from pc2scan.conversion.combine.conversion import Contribution, MessagesToScan, are_one_view
+from pc2scan.conversion.combine.conversion import Contribution, MessagesToScan
 from pc2scan.conversion.combine.grouping import Grouper
 from pc2scan.conversion.combine.rules import Nearest
 from pc2scan.conversion.steps import ConvertedMessage
@@ -20,7 +19,6 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import DecodeError
-from pc2scan.files.source import lend
 from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.request.ground import MinHeightSlope
 from pc2scan.request.options import Combining, ScanSpec, TopicRequest
@@ -125,59 +123,6 @@ def test_preparing_keeps_nothing_of_the_message(choice: dict[str, Any], kept: se
         each.field("x")[:] = 1.0
     assert encode_laserscan(made.scan(contribution[0], contribution).message, "cdr") == before
     assert all(each.points.fields.keys() == kept for each in contribution)
-
-
-def moving_frames() -> Placer:
-    builder = TransformBuilder()
-    builder.add([("base_link", frame, T0, *mount.pose) for frame, mount in MOUNTS.items()], static=True)
-    for tick in range(40):
-        moved = Rigid.from_rpy(0.0, 0.01, 0.02 * tick, (0.03 * tick, 0.0, 0.0))
-        builder.add([("odom", "base_link", T0 + tick * 10_000_000, *moved.pose)], static=False)
-    return Placer("base_link", "", builder.build(), 0)
-
-
-@pytest.mark.parametrize("filters", [(), (MinHeightSlope(-0.5, 0.05),)])
-def test_messages_projected_for_another_scan_make_the_same(filters: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A message is projected for the scan that it seems to belong to; it may be another one."""
-
-    def scans() -> tuple[list[bytes], int]:
-        rng = np.random.default_rng(5)
-        params = ProjectionParams(target_frame="base_link", min_height=-0.5, angle_increment=0.02)
-        spec = ScanSpec(
-            topics=tuple(TopicRequest(topic, "/scan") for topic in TOPICS),
-            params=params,
-            fixed_frame="odom",
-            filters=filters,
-        )
-        made = MessagesToScan(
-            spec, TOPICS, moving_frames(), Measurements(0.1), lambda: Grouper(Nearest(windows_ns=(0, 0, 0)), 3)
-        )
-        stages = [made.steps(topic).project for topic in TOPICS]
-        first, second = (stages[0](cloud(rng, "a", T0 + ms * 1_000_000)) for ms in (0, 200))
-        rear: Contribution = stages[1](cloud(rng, "b", T0 + 237_000_000))
-        last = stages[0](cloud(rng, "a", T0 + 240_000_000))
-        found = [made.scan(lead, [lead, rear]) for lead in (first, second, last)]
-        counts = [result.counts for result in found]
-        assert counts[1] != counts[2]
-        assert [result.motion is not None for result in found] == [True] * 3
-        return [encode_laserscan(result.message, "cdr") + repr(result.counts).encode() for result in found], (
-            rear.nearest is not None
-        )
-
-    supposed, is_projected = scans()
-    assert is_projected
-    monkeypatch.setattr(combine, "_FEWEST_LEADS", 100)
-    late, is_projected = scans()
-    assert not is_projected
-    assert supposed == late
-
-
-def test_only_points_that_take_most_of_their_memory_are_not_copied() -> None:
-    rows = np.frombuffer(lend(1 << 20).toreadonly()[:960_000], np.float32).reshape(-1, 4)
-    assert are_one_view(rows[:, axis] for axis in range(3))
-    assert not are_one_view([rows[:, 0], np.zeros(len(rows), np.float32)])
-    # A copy of a small part takes less than all of it.
-    assert not are_one_view([rows[:1000, 0]])
 
 
 def test_a_missing_field_is_the_error_of_its_message() -> None:

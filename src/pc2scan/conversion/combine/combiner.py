@@ -92,15 +92,11 @@ class Combiner:
         except MessageError as err:
             made = err
             err.stamp_ns = err.stamp_ns or contribution.stamp_ns
-        others = [each for each in route.outputs if each.used and each.index == output.index]
-        results = [(output, made)] if isinstance(made, MessageError) else [(each, made) for each in (output, *others)]
-        return Item(route, log_time_ns, log_time_ns, sequence, 0, results, is_group=True)
+        return Item(route, log_time_ns, log_time_ns, sequence, 0, [(output, made)], is_group=True)
 
     def is_quick(self, group: Group[Arrival]) -> bool:
-        """Whether making a scan takes less time than handing it to another thread."""
-        return self._conversion.is_projected(
-            group.lead.item.contribution, [each.item.contribution for each in group.members]
-        )
+        """Whether making a scan takes less time than handing it to another thread: all points are projected already."""
+        return all(member.item.contribution.nearest is not None for member in group.members)
 
     def alone(self, contribution: Contribution) -> ConvertedMessage:
         """Make the scan of one message alone, for dry runs."""

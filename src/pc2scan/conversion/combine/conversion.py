@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from operator import attrgetter, mul
+from operator import mul
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
@@ -24,19 +24,17 @@ from pc2scan.core.points import Points
 from pc2scan.core.project import PointsPart, ProjectedScan, contiguous
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.rule import PointCounts
-from pc2scan.errors import MessageError
 from pc2scan.messages.beams import scan_points
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
-from pc2scan.messages.used_points import gather_points
 from pc2scan.request.filters import Frame
 from pc2scan.transforms.placing import Placement
 
 from .rebinning import count_rebinning
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -45,7 +43,6 @@ if TYPE_CHECKING:
     from pc2scan.conversion.stages.deskew import Deskew, Track
     from pc2scan.core.moving import MovingTransform
     from pc2scan.core.project import Transform
-    from pc2scan.messages.used_points import UsedPoints
     from pc2scan.model import Buffer
     from pc2scan.request.filters import Filter
     from pc2scan.request.options import ScanSpec
@@ -59,12 +56,6 @@ _OVERHEAD = 2_000
 
 _DEFAULTS = ProjectionParams()
 _AXES = frozenset("xyz")
-
-#: How many messages of the leading topic are remembered, and how many are needed to know their period.
-_LEADS = 16
-_FEWEST_LEADS = 2
-
-_NO_POINTS = Points(0, 0, "", {})
 
 #: The transform that changes nothing.
 _NOWHERE = Rigid.identity()
@@ -103,9 +94,6 @@ class Contribution(NamedTuple):
         The ranges of the beams, if the points are projected already.
     motion
         How far the sensor moved, if ``nearest`` is of points that were moved.
-    assumed
-        The time and the frame of the scan that ``nearest`` is for; ``points`` are held in case that the message
-        belongs to another scan. None: ``nearest`` is right for its only scan.
     size
         Bytes that the message holds.
     """
@@ -125,7 +113,6 @@ class Contribution(NamedTuple):
     flat: bool
     nearest: ProjectedScan | None = None
     motion: Motion | None = None
-    assumed: tuple[int, str] | None = None
     size: int = 0
 
 
@@ -177,9 +164,6 @@ class MessagesToScan(Conversion):
         self._rigid = not spec.fixed_frame and placer.up is None
         #: Whether a message is in at most one scan. A leading message is in the scan of its own time.
         self._once = not spec.combining.accumulates
-        #: The messages of the leading topic that were prepared last, in any order. The list is replaced, never changed,
-        #: because threads share it.
-        self._leads: list[Contribution] = []
         self._early: SelectStage | None = None
         self._late: SelectStage | None = None
         late: Sequence[Filter] = ()
@@ -188,7 +172,6 @@ class MessagesToScan(Conversion):
             early = tuple(each for each in spec.filters if each not in late)
             self._early = SelectStage(early, placer) if early else None
             self._late = SelectStage(late, placer) if late else None
-        self._keeps_used = bool(spec.keep_used)
         self._intensity = params.intensity_field or ("intensity" if spec.combining.rebin else "")
         self._remove = partial(remove_beams, spec.remove, params.empty_range) if spec.remove else None
         self._kept = {"x", "y", "z", self._intensity, *(field for each in late for field in each.fields)}
@@ -256,50 +239,15 @@ class MessagesToScan(Conversion):
             rejected,
             flat,
         )
-        lead = self._lead_of(contribution)
-        return self._keep_points(contribution) if lead is None else self._project(lead, contribution)
-
-    def _lead_of(self, contribution: Contribution) -> Contribution | None:
-        """Return the message whose scan a message can be projected for at once; None if it must wait for its group.
-
-        It is the message itself if its place does not depend on the scan's time, or if it leads. A message of another
-        topic probably belongs to the leading message that is nearest in time. That is a guess: if it is wrong, the
-        message is projected again for the scan that it belongs to. It changes the time that this takes, not the scan.
-        """
-        if contribution.flat or self._intensity or self._keeps_used or not self._projector.reads_nearest:
-            return None
-        if self._rigid:
-            return contribution
-        if not self._once:
-            return None
-        if contribution.source == 0:
-            self._leads = [*self._leads[1 - _LEADS :], contribution._replace(points=_NO_POINTS, track=None)]
-            return contribution
-        leads = sorted(self._leads, key=attrgetter("stamp_ns"))
-        if len(leads) < _FEWEST_LEADS:
-            return None
-        lead = min(leads, key=lambda lead: abs(lead.stamp_ns - contribution.stamp_ns))
-        is_near = 2 * abs(lead.stamp_ns - contribution.stamp_ns) <= leads[-1].stamp_ns - leads[-2].stamp_ns
-        return lead if is_near else None
-
-    def _project(self, lead: Contribution, contribution: Contribution) -> Contribution:
-        """Return a message with the ranges of the beams in the scan of ``lead``.
-
-        The points are in the processor's cache now; projecting them later takes twice as long. They are kept if another
-        message leads, because the message may belong to another scan.
-        """
-        if lead is contribution:
-            nearest, motion = self._find_nearest(lead, contribution)
-            points = Points(contribution.points.sequence, contribution.stamp_ns, contribution.points.frame_id, {})
-            size = _OVERHEAD + nearest.ranges.nbytes
-            return contribution._replace(points=points, nearest=nearest, motion=motion, size=size)
-        held = self._keep_points(contribution)
-        try:
-            nearest, motion = self._find_nearest(lead, contribution)
-        except MessageError:
-            # The error is raised when the scan is made, if the message belongs to it.
-            return held
-        return held._replace(nearest=nearest, motion=motion, assumed=(lead.reference_ns, lead.frame_id))
+        # The place of these points does not depend on the time of a scan that another message leads.
+        is_certain = self._rigid or (self._once and number == 0)
+        if flat or self._intensity or not self._projector.reads_nearest or not is_certain:
+            return self._keep_points(contribution)
+        # They are in the processor's cache now; projecting them later takes twice as long.
+        nearest, motion = self._find_nearest(contribution, contribution)
+        nothing = Points(points.sequence, stamp_ns, points.frame_id, {})
+        size = _OVERHEAD + nearest.ranges.nbytes
+        return contribution._replace(points=nothing, track=None, nearest=nearest, motion=motion, size=size)
 
     def _find_nearest(self, lead: Contribution, member: Contribution) -> tuple[ProjectedScan, Motion | None]:
         """Return the ranges and counts of one message in a scan, and how far its sensor moved."""
@@ -320,22 +268,12 @@ class MessagesToScan(Conversion):
             *(("index",) if contribution.flat else ()),
             *(() if track is None else (track.time_field,)),
         }
-        if self._keeps_used:
-            names.update(points.fields)
         views = {name: points.field(name) for name in dict.fromkeys(("x", "y", "z", *points.fields)) if name in names}
-        if self._keeps_used:
-            # Fields with several values a point are not written.
-            views = {name: each for name, each in views.items() if each.shape == views["x"].shape}
         size = _OVERHEAD + sum(each.nbytes for each in views.values())
-        # Messages that are in many scans are held for longer, so their fields are copied, which takes less memory.
-        if self.grouper is not None and not (self._once and are_one_view(views.values())):
+        if self.grouper is not None:
             views = _copy_fields(views)
         held = Points(points.sequence, points.stamp_ns, points.frame_id, views)
         return contribution._replace(points=held, size=size)
-
-    def is_projected(self, lead: Contribution, members: Iterable[Contribution]) -> bool:
-        """Whether the points of all members are projected already, as this scan needs them."""
-        return all(_fits(member, lead) for member in members)
 
     def scan(self, lead: Contribution, members: Sequence[Contribution]) -> ConvertedMessage:
         """Make the scan of a group of messages.
@@ -357,9 +295,8 @@ class MessagesToScan(Conversion):
         known: list[ProjectedScan] = []
         motions: list[Motion] = []
         beams: list[tuple[PointsPart, NDArray[np.int32]]] = []
-        sources: list[tuple[int, Points]] = []
         for member in members:
-            if member.nearest is not None and _fits(member, lead):
+            if member.nearest is not None:
                 known.append(member.nearest)
                 motions += [] if member.motion is None else [member.motion]
                 continue
@@ -373,8 +310,6 @@ class MessagesToScan(Conversion):
             parts.append(PointsPart(*points.xyz(), _round_transform(transform), values, any_height=not by_height))
             if member.flat:
                 beams.append((parts[-1], points.field("index")))
-            if self._keeps_used:
-                sources.append((member.source, _transform_points(points, transform, lead.frame_id)))
         if known:
             scan = self._projector.nearest_of([*known, *map(self._projector.nearest, parts)])
         else:
@@ -383,10 +318,9 @@ class MessagesToScan(Conversion):
         largest = Motion(*map(max, zip(*motions, strict=True))) if motions else None
         shared = self._rebin(beams) if len(beams) == len(members) else None
         level = None if lead.level is None else lead.level.at(lead.reference_ns)
-        used = self._gather_used(message, parts, sources) if self._keeps_used else None
         counts = sum(others, scan.counts)
         result = ConvertedMessage(
-            *(message, counts, empty, largest, level, shared, used, scan.removed),
+            *(message, counts, empty, largest, level, shared, None, scan.removed),
             stamp_ns=lead.reference_ns,
         )
         return result if self._remove is None else self._remove(result)
@@ -411,23 +345,11 @@ class MessagesToScan(Conversion):
         elif lead.target_from_fixed is not None and member.fixed_from_source is not None:
             transform = lead.target_from_fixed.product(member.fixed_from_source)
             motion = _motion_of(transform, mount)._replace(gap=max(lead.gap_ns, member.gap_ns) / 1e9)
-        if self._late is None and self._keeps_used and moving is not None:
-            # The points are written as they are projected.
-            points, placed, lost = moving.place(member.points)
-            points = points if placed is None else points.select(placed)
-            return points, None, {**member.rejected, **lost}, motion
         if self._late is None:
             return member.points, transform if moving is None else moving.transform, member.rejected, motion
         selected = self._late.apply(member.points, Placement(lead.frame_id, transform), moving)
         rejected = {**member.rejected, **selected.rejected}
         return selected.points, selected.transform, rejected, motion
-
-    def _gather_used(
-        self, scan: LaserScan, parts: Sequence[PointsPart], sources: Sequence[tuple[int, Points]]
-    ) -> UsedPoints:
-        """Return the points that the beams of a scan read."""
-        read = self._projector.read_together(parts)
-        return gather_points(scan, [(*source, *own) for source, own in zip(sources, read, strict=True)])
 
     def _rebin(self, beams: Sequence[tuple[PointsPart, NDArray[np.int32]]]) -> Rebinning:
         found = []
@@ -440,34 +362,9 @@ class MessagesToScan(Conversion):
         return count_rebinning(found, layout.count, full_circle=around)
 
 
-def _fits(member: Contribution, lead: Contribution) -> bool:
-    """Whether a member is projected as the scan needs it."""
-    return member.nearest is not None and member.assumed in {None, (lead.reference_ns, lead.frame_id)}
-
-
-def _transform_points(points: Points, transform: Rigid | MovingTransform | None, frame_id: str) -> Points:
-    """Return points as they are projected; those of a moving sensor are transformed already."""
-    return points.transform(transform.as_float32(), frame_id) if isinstance(transform, Rigid) else points
-
-
 def _round_transform(transform: Rigid | MovingTransform | None) -> Transform | MovingTransform | None:
     """Return a transform as it is applied to points."""
     return None if transform is None else transform.as_float32()
-
-
-def are_one_view(arrays: Iterable[NDArray[Any]]) -> bool:
-    """Whether all these arrays are views of one memory, of which they span at least half: copies take less else."""
-    whole: object = None
-    for array in arrays:
-        base: Any = array
-        while isinstance(base, np.ndarray | memoryview):
-            base = base.obj if isinstance(base, memoryview) else base.base
-        if whole is None and isinstance(base, bytes | bytearray):
-            spanned = sum(abs(step) * (count - 1) for step, count in zip(array.strides, array.shape, strict=True))
-            whole = base if 2 * spanned >= len(base) else None
-        if whole is None or base is not whole:
-            return False
-    return whole is not None
 
 
 def _copy_fields(fields: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:

@@ -17,10 +17,9 @@ from .grouping import Grouper
 from .rules import Interval, Nearest, Recent
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
-    from pc2scan.advice.survey import Header, Span, TopicFacts
-    from pc2scan.bags.observers import Observer
+    from pc2scan.advice.survey import Header, TopicFacts
     from pc2scan.bags.reader import Reader
     from pc2scan.conversion.plan import Output
     from pc2scan.transforms.placing import Placer
@@ -36,9 +35,6 @@ _HALF_PERIOD_NS = 50_000_000
 
 #: Two topics have different clocks if the delays from their stamps to their log times differ by this.
 _SURELY_ANOTHER_NS = 2_000_000_000
-
-#: At the beginning of each of so many parts of the recording, clocks are compared that differ in the first messages.
-_QUARTERS = 4
 
 #: A window of more periods was probably meant in milliseconds.
 _MOST_PERIODS = 5
@@ -63,16 +59,6 @@ class SourceFacts:
         The request, and the topics.
     facts
         Of each topic.
-    reader
-        The recording.
-    span
-        The cut.
-
-    Attributes
-    ----------
-    observers
-        Of the delays at some later places, which are only read if the clocks of the first messages differ: a clock
-        that is wrong only at first is no other clock.
 
     Raises
     ------
@@ -80,7 +66,7 @@ class SourceFacts:
         If a field is requested that the beams of LaserScans do not have.
     """
 
-    def __init__(self, output: Output, facts: Mapping[str, TopicFacts], reader: Reader, span: Span) -> None:
+    def __init__(self, output: Output, facts: Mapping[str, TopicFacts]) -> None:
         self.output, self.facts = output, facts
         spec, topics = output.spec, output.sources
         asked, params = spec.combining, spec.params
@@ -94,13 +80,9 @@ class SourceFacts:
         if spec.needs_measuring:
             for each in facts.values():
                 ask_measurements(each, spec)
-        self._later: list[Mapping[str, Observer[int]]] = []
         if self._is_compared:
             for each in facts.values():
                 each.ask_headers(_HEADERS)
-        if len(topics) > 1:
-            self._later = list(self._later_observers(reader, span))
-        self.observers = [observer for place in self._later for observer in place.values()]
 
     def firsts(self, topic: str) -> Sequence[Header]:
         """Return the first headers of a topic; none if they are not needed."""
@@ -111,41 +93,9 @@ class SourceFacts:
         return median_interval_ns(each.stamp_ns for each in self.firsts(topic))
 
     def delays(self, topic: str, lead: str) -> tuple[int, int] | None:
-        """Return the median delays from stamps to log times of two topics, nanoseconds; None if one has no messages.
-
-        If they differ in the first messages, those of the place where they differ least.
-        """
-        places = [self._first_delays(topic, lead)]
-        if places[0] is not None and _surely_differ(*places[0]):
-            for place in self._later:
-                own, other = place[topic].found, place[lead].found
-                places.append((median_low(own), median_low(other)) if own and other else None)
-        return min((each for each in places if each is not None), key=lambda each: abs(each[0] - each[1]), default=None)
-
-    def _first_delays(self, topic: str, lead: str) -> tuple[int, int] | None:
+        """Return the median delays from stamps to log times of two topics, nanoseconds; None if one has no messages."""
         own, other = ([each.delay_ns for each in self.firsts(name)] for name in (topic, lead))
         return (median_low(own), median_low(other)) if own and other else None
-
-    def _later_observers(self, reader: Reader, span: Span) -> Iterator[Mapping[str, Observer[int]]]:
-        """Yield the observers at each of some places of the recording."""
-        first_ns, last_ns = reader.summary.start_ns, reader.summary.end_ns
-        if first_ns is None or last_ns is None:
-            return
-        first_ns = first_ns if span.start_ns is None else max(first_ns, span.start_ns)
-        last_ns = last_ns if span.stop_ns is None else min(last_ns, span.stop_ns)
-        lead, *others = self.output.sources
-
-        def is_needless(topics: Sequence[str]) -> bool:
-            found = [self._first_delays(topic, lead) for topic in topics]
-            return not any(delays is None or _surely_differ(*delays) for delays in found)
-
-        for quarter in range(1, _QUARTERS):
-            begin_ns = first_ns + (last_ns - first_ns) * quarter // _QUARTERS
-            place = {}
-            for topic, facts in self.facts.items():
-                place[topic] = facts.delays_from(begin_ns, _HEADERS)
-                place[topic].is_needless = partial(is_needless, others if topic == lead else [topic])
-            yield place
 
 
 def _surely_differ(one_ns: int, other_ns: int) -> bool:
