@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from pc2scan.request.options import ScanSpec
 
     from .combine.counts import SourceCounts
-    from .combine.rebinning import Rebinning
     from .steps import ConvertedMessage
 
 #: The text for the frame of scans without a target frame.
@@ -111,8 +110,6 @@ class TopicReport:
     removed_beams
         How many beams had ``returns``, and how many of these are removed: too ``sparse`` for ``min_points`` or
         ``reduce``, and by each filter of beams. Empty without any of them.
-    rebinned
-        Counts of beams, for scans that are made of scans; None for all others.
     clouds_kept
         Whether the converted clouds were written, too.
     lost
@@ -130,7 +127,7 @@ class TopicReport:
 
     json_names: ClassVar[tuple[str, ...]] = (
         *("topic", "msgtype", "target", "action", "note", "messages_in", "messages_out", "skipped", "empty_scans"),
-        *("removed_beams", "clouds_kept", "lost", "advice", "scan", "motion", "tilt", "joined", "rebinned", "points"),
+        *("removed_beams", "clouds_kept", "lost", "advice", "scan", "motion", "tilt", "joined", "points"),
     )
 
     topic: str
@@ -147,7 +144,6 @@ class TopicReport:
     tilts: list[float] = field(default_factory=list)
     joined: SourceCounts | None = None
     removed_beams: dict[str, int] = field(default_factory=dict)
-    rebinned: Rebinning | None = None
     clouds_kept: bool = False
     lost: bool = False
     advice: str = ""
@@ -194,9 +190,6 @@ class TopicReport:
             self.tilts.append(result.level.tilt)
         for name, number in (result.removed or {}).items():
             self.removed_beams[name] = self.removed_beams.get(name, 0) + number
-        if (more := result.rebinned) is not None:
-            known = self.rebinned or (0, 0, 0)
-            self.rebinned = type(more)(*(one + other for one, other in zip(known, more, strict=True)))
 
     def skip(self, count: int) -> None:
         """Count messages of a topic that is not written; they are missing unless the user dropped the topic."""

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-from pc2scan.advice.checks import Checks, found_by
 from pc2scan.advice.checks.clouds import NOTABLE_SHARE, notable_share
 from pc2scan.core.consumers import CONSUMERS, judge
 from pc2scan.core.params import ProjectionParams
@@ -16,7 +15,7 @@ from pc2scan.request.parameters import preset_of
 from pc2scan.text import agreeing, counted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from pc2scan.core.rule import Rejection
     from pc2scan.core.verdicts import Outcome, Verdict
@@ -64,78 +63,13 @@ _DOES: dict[Outcome, str] = {
 }
 
 
-class Result(NamedTuple):
-    """The result of a conversion whose messages are all counted.
-
-    Attributes
-    ----------
-    report
-        The counts of its topics.
-    first_scans
-        The first scan of each topic that was written, serialised. Empty for a dry run.
-    serialization
-        That of the scans: ``ros1`` or ``cdr``.
-    """
-
-    report: Report
-    first_scans: Sequence[tuple[TopicReport, Buffer]] = ()
-    serialization: str = ""
-
-
-class TopicResult(NamedTuple):
-    """The result of one topic, and of all.
-
-    Attributes
-    ----------
-    topic
-        What happened to the topic.
-    report
-        The whole report.
-    """
-
-    topic: TopicReport
-    report: Report
-
-    @property
-    def spec(self) -> ScanSpec:
-        """Its request; that of the first output for a topic without a request of its own."""
-        return self.topic.spec or self.report.scans[0]
-
-    @property
-    def is_made(self) -> bool:
-        """Whether messages were converted."""
-        return self.topic.action == "converted" and self.topic.messages_out > 0
-
-    @property
-    def levelled(self) -> tuple[str, str]:
-        """By what its scans are level, and in which frame they would be otherwise."""
-        spec = self.topic.spec
-        frame = (spec.params.target_frame if spec else "") or self.report.source_frame or "the clouds' frame"
-        return (spec.imu or spec.fixed_frame) if spec else "", frame
-
-
-class JoinedResult(NamedTuple):
-    """The result of one topic whose messages are in scans of several messages.
-
-    Attributes
-    ----------
-    topic
-        What happened to the topic.
-    counts
-        Which of its messages are in scans.
-    """
-
-    topic: TopicReport
-    counts: SourceCounts
-
-
-def refused_scans(result: Result) -> Iterator[str]:
+def refused_scans(first_scans: Sequence[tuple[TopicReport, Buffer]], serialization: str) -> Iterator[str]:
     """Yield a warning for each reason why consumers would ignore the scans, or abort, with the topics."""
     topics: dict[str, dict[str, None]] = {}
-    for topic, data in result.first_scans:
+    for topic, data in first_scans:
         origins = topic.spec.origins.values() if topic.spec else ()
         chosen = next(filter(None, map(preset_of, origins)), "")
-        if text := _refusal(data, result.serialization, chosen):
+        if text := _refusal(data, serialization, chosen):
             topics.setdefault(text, {})[topic.target or ""] = None
     yield from (f"{', '.join(names)}: {text}" for text, names in topics.items())
 
@@ -174,9 +108,9 @@ def _explanation(verdict: Verdict) -> str:
     return f"{verdict.observed} where it allows {verdict.allowed}. {verdict.cure[:1].upper()}{verdict.cure[1:]}"
 
 
-def lost_topics(result: Result) -> Iterator[str]:
+def lost_topics(report: Report) -> Iterator[str]:
     """Yield a warning of how many messages of which topics are missing, and why."""
-    topics = result.report.lost_topics
+    topics = report.lost_topics
     if not topics:
         return
     count = sum(topic.messages_in for topic in topics)
@@ -188,66 +122,64 @@ def lost_topics(result: Result) -> Iterator[str]:
     )
 
 
-def unconverted_topic(result: TopicResult) -> Iterator[str]:
+def unconverted_topic(topic: TopicReport, _: Report) -> Iterator[str]:
     """Yield a warning if no message of a topic was converted."""
-    topic = result.topic
     if topic.action == "converted" and not topic.messages_out:
         why = "could be converted" if topic.messages_in else "was there to convert (see `start` and `end`)"
         yield f"no message of {topic.topic} {why}"
 
 
-def unordered_stamps(result: TopicResult) -> Iterator[str]:
+def unordered_stamps(topic: TopicReport, _: Report) -> Iterator[str]:
     """Yield a warning if stamps go back or are 0."""
-    yield from result.topic.stamps.faults(result.topic.topic)
+    yield from topic.stamps.faults(topic.topic)
 
 
-def scans_without_return(result: TopicResult) -> Iterator[str]:
+def scans_without_return(topic: TopicReport, report: Report) -> Iterator[str]:
     """Yield a warning that names the cause of scans without returns."""
-    topic = result.topic
-    if result.is_made and topic.empty_scans:
+    if _is_made(topic) and topic.empty_scans:
         scans = f"{counted(topic.messages_out, 'scan')} on {topic.target}"
         empty = f"{topic.empty_scans:,} of {scans} {agreeing(topic.empty_scans, 'have')} no return at all"
-        yield f"{empty}: {_blame(topic, result.spec, result.report.rejections)}"
+        yield f"{empty}: {_blame(topic, _spec_of(topic, report), report.rejections)}"
 
 
-def points_rejected_by_default(result: TopicResult) -> Iterator[str]:
+def points_rejected_by_default(topic: TopicReport, report: Report) -> Iterator[str]:
     """Yield a warning for each default that rejects many points."""
-    topic, points = result.topic, result.topic.points
-    if not result.is_made or topic.empty_scans:
+    points = topic.points
+    if not _is_made(topic) or topic.empty_scans:
         return
-    for each in result.report.rejections.values():
+    for each in report.rejections.values():
         share = points.rejected.get(each.name, 0) / points.total if points.total else 0.0
         no_returns = topic.no_returns if each.name == "height" else 0.0
         if 0 < no_returns < 1:
             share = (share - no_returns) / (1 - no_returns)
-        least = notable_share(result.spec) if each.name == "height" else NOTABLE_SHARE
-        if share >= least and _surprises(result.spec, each):
+        least = notable_share(_spec_of(topic, report)) if each.name == "height" else NOTABLE_SHARE
+        if share >= least and _surprises(_spec_of(topic, report), each):
             advice = f": {topic.advice}" if topic.advice and each.name == "height" else ""
             of = "returns" if no_returns else "points"
             yield f"{topic.target}: {share:.0%} of the {of} were {each.by_default[1]}{advice}"
 
 
-def filters_without_effect(result: TopicResult) -> Iterator[str]:
+def filters_without_effect(topic: TopicReport, report: Report) -> Iterator[str]:
     """Yield a warning for each filter that should have rejected points, and rejected none."""
-    topic, points = result.topic, result.topic.points
-    if not result.is_made or topic.empty_scans or not points.total:
+    points = topic.points
+    if not _is_made(topic) or topic.empty_scans or not points.total:
         return
-    for each in result.report.rejections.values():
+    for each in report.rejections.values():
         if each.absent and points.rejected.get(each.name) == 0:
             yield f"{topic.target}: {each.absent}"
 
 
-def faults_without_number(result: TopicResult) -> Iterator[str]:
+def faults_without_number(topic: TopicReport, report: Report) -> Iterator[str]:
     """Yield warnings of filters that remove far more than the faults that they are for.
 
     Not of limits, conditions and regions, nor of the ground: they reject what users ask them to, and often most of it.
     """
-    topic, points, beams = result.topic, result.topic.points, result.topic.removed_beams
-    if not result.is_made:
+    points, beams = topic.points, topic.removed_beams
+    if not _is_made(topic):
         return
-    faulty = [(each.name, each.explanation, each.remedy) for each in result.report.rejections.values() if each.remedy]
+    faulty = [(each.name, each.explanation, each.remedy) for each in report.rejections.values() if each.remedy]
     removals = [(points.rejected.get(name, 0), points.total, "point", what, remedy) for name, what, remedy in faulty]
-    remedies = {"sparse": _OF_SPARSE} | {each.name: each.remedy for each in result.spec.remove}
+    remedies = {"sparse": _OF_SPARSE} | {each.name: each.remedy for each in _spec_of(topic, report).remove}
     removals += [
         (beams[name], beams["returns"], "beam", f"removed as {name}", remedy)
         for name, remedy in remedies.items()
@@ -293,10 +225,10 @@ def _blame(topic: TopicReport, spec: ScanSpec, rejections: Mapping[str, Rejectio
     return "; ".join(parts)
 
 
-def jumping_stamps(result: JoinedResult) -> Iterator[str]:
+def jumping_stamps(topic: TopicReport, _: Report) -> Iterator[str]:
     """Yield a warning about stamps that jump, which no scan may combine."""
-    topic, counts = result
-    if not counts.jumped:
+    counts = topic.joined
+    if counts is None or not counts.jumped:
         return
     listed = [
         f"{'back' if jump.by_ns < 0 else 'ahead'} by {f'{abs(jump.by_ns) / 1e9:,.3f}'.rstrip('0').rstrip('.')} s "
@@ -310,11 +242,10 @@ def jumping_stamps(result: JoinedResult) -> Iterator[str]:
     )
 
 
-def source_in_no_scan(result: JoinedResult) -> Iterator[str]:
+def source_in_no_scan(topic: TopicReport, _: Report) -> Iterator[str]:
     """Yield a warning about a topic whose messages are in no scan, or not in some."""
-    topic, counts = result
-    scans = topic.target
-    if topic.action != "joined":
+    counts, scans = topic.joined, topic.target
+    if topic.action != "joined" or counts is None:
         return
     if counts.messages and not counts.used:
         yield (
@@ -330,18 +261,18 @@ def source_in_no_scan(result: JoinedResult) -> Iterator[str]:
         )
 
 
-def messages_in_no_scan(result: JoinedResult) -> Iterator[str]:
+def messages_in_no_scan(topic: TopicReport, _: Report) -> Iterator[str]:
     """Yield a warning about many messages in a row that are in no scan."""
-    if _are_left_long(*result):
-        yield (f"{_unmatched(*result)}. Scans are made for messages of the leading topic, the first one of `topics`")
+    if topic.joined is not None and _are_left_long(topic, topic.joined):
+        leads = "Scans are made for messages of the leading topic, the first one of `topics`"
+        yield f"{_unmatched(topic, topic.joined)}. {leads}"
 
 
 def _are_left_long(topic: TopicReport, counts: SourceCounts) -> bool:
     """Whether messages in a row are in no scan for so long that the leading topic is silent, or far from them."""
-    if topic.action != "joined":
-        return False
     every_ns = topic.spec.combining.every_ns if topic.spec else 0
-    return counts.left.last_stamp_ns - counts.left.first_stamp_ns > _NOTABLE_SILENCE_NS + every_ns
+    long_ns = counts.left.last_stamp_ns - counts.left.first_stamp_ns
+    return topic.action == "joined" and long_ns > _NOTABLE_SILENCE_NS + every_ns
 
 
 def _unmatched(topic: TopicReport, counts: SourceCounts) -> str:
@@ -354,9 +285,9 @@ def _unmatched(topic: TopicReport, counts: SourceCounts) -> str:
     )
 
 
-def missing_transforms(result: TopicResult) -> Iterator[str]:
+def missing_transforms(topic: TopicReport, _: Report) -> Iterator[str]:
     """Yield a warning about gaps in the transforms while clouds were measured."""
-    topic, motion = result.topic, result.topic.motion
+    motion = topic.motion
     if motion and motion["longest_gap_s"] > _NOTABLE_GAP:
         yield (
             f"{topic.target}: while clouds were measured, transforms to `fixed_frame` were missing for up "
@@ -364,9 +295,9 @@ def missing_transforms(result: TopicResult) -> Iterator[str]:
         )
 
 
-def implausible_tilt(result: TopicResult) -> Iterator[str]:
+def implausible_tilt(topic: TopicReport, report: Report) -> Iterator[str]:
     """Yield a warning if the target frame is tilted more than a robot is, or never."""
-    topic, tilt, (by, frame) = result.topic, result.topic.tilt, result.levelled
+    tilt, (by, frame) = topic.tilt, _levelled(topic, report)
     if not tilt:
         return
     if (median := tilt["median_deg"]) > _NOTABLE_TILT:
@@ -393,25 +324,14 @@ def evenly_divided_circle(spec: ScanSpec) -> Iterator[str]:
         )
 
 
-def range_of_preset(spec: ScanSpec) -> Iterator[str]:
-    """Yield a note if a preset limits the range."""
-    origin = spec.origins.get("range_max", "")
-    if preset_of(origin):
-        yield (
-            f"range_max is {spec.params.range_max:g} m, chosen by {origin}: returns beyond are ignored; "
-            "`range_max` chooses another"
-        )
-
-
-def unmatched_messages(result: JoinedResult) -> Iterator[str]:
+def unmatched_messages(topic: TopicReport, _: Report) -> Iterator[str]:
     """Yield a note about messages that are in no scan, if there is no warning about them."""
-    if result.counts.unmatched and not _are_left_long(*result):
-        yield _unmatched(*result)
+    if (counts := topic.joined) is not None and counts.unmatched and not _are_left_long(topic, counts):
+        yield _unmatched(topic, counts)
 
 
-def removed_beams(result: TopicResult) -> Iterator[str]:
+def removed_beams(topic: TopicReport, _: Report) -> Iterator[str]:
     """Yield a note for each reason for which beams are removed."""
-    topic = result.topic
     if not topic.removed_beams:
         return
     returns = topic.removed_beams["returns"]
@@ -421,21 +341,9 @@ def removed_beams(result: TopicResult) -> Iterator[str]:
             yield f"{of} {agreeing(number, 'were')} {name}, and {agreeing(number, 'are')} removed"
 
 
-def rebinned_beams(result: TopicResult) -> Iterator[str]:
-    """Yield a note about beams that became other beams."""
-    if beams := result.topic.rebinned:
-        of = f"{result.topic.target}: of {beams.beams:,} beams"
-        # Upstream's beams end where those of most lidars are: by rounding, two are in one, and none is in the next.
-        is_edgy = result.spec.params.geometry == "upstream" and min(beams.shared, beams.between) > 0.02 * beams.beams
-        yield (
-            f"{of} {beams.shared:,} share one of the new scans with another; {beams.between:,} of the new ones lie "
-            f"between two neighbours, without a return{'; `geometry=centered` has them in the middle' * is_edgy}"
-        )
-
-
-def motion_of_sensor(result: TopicResult) -> Iterator[str]:
+def motion_of_sensor(topic: TopicReport, _: Report) -> Iterator[str]:
     """Yield a note about how far the sensor moved while clouds were measured."""
-    topic, motion = result.topic, result.topic.motion
+    motion = topic.motion
     if not motion:
         return
     placed = "deskewed" if topic.spec is not None and topic.spec.deskew else "placed through `fixed_frame`"
@@ -447,56 +355,72 @@ def motion_of_sensor(result: TopicResult) -> Iterator[str]:
     )
 
 
-def tilt_of_frame(result: TopicResult) -> Iterator[str]:
+def tilt_of_frame(topic: TopicReport, report: Report) -> Iterator[str]:
     """Yield a note about the tilt of the target frame, if it is plausible."""
-    topic, tilt, (by, frame) = result.topic, result.topic.tilt, result.levelled
-    if tilt and not any(implausible_tilt(result)):
+    tilt, (by, frame) = topic.tilt, _levelled(topic, report)
+    if tilt and not any(implausible_tilt(topic, report)):
         yield (
             f"{topic.target}: level by {by}; {frame} was tilted by up to {tilt['largest_deg']:.3g} degrees "
             f"(median {tilt['median_deg']:.3g})"
         )
 
 
-#: What the whole result shows.
-RESULT: Checks[Result] = (refused_scans, lost_topics)
-RESULT_NOTES: Checks[ScanSpec] = (evenly_divided_circle, range_of_preset)
+def _is_made(topic: TopicReport) -> bool:
+    """Whether messages were converted."""
+    return topic.action == "converted" and topic.messages_out > 0
 
-#: What the counts of a topic show.
-TOPIC: Checks[TopicResult] = (
+
+def _spec_of(topic: TopicReport, report: Report) -> ScanSpec:
+    """Return the request of a topic; that of the first output for a topic without a request of its own."""
+    return topic.spec or report.scans[0]
+
+
+def _levelled(topic: TopicReport, report: Report) -> tuple[str, str]:
+    """Return by what the scans of a topic are level, and in which frame they would be otherwise."""
+    spec = topic.spec
+    frame = (spec.params.target_frame if spec else "") or report.source_frame or "the clouds' frame"
+    return (spec.imu or spec.fixed_frame) if spec else "", frame
+
+
+#: What the counts of a topic show: warnings and notes, in this order.
+WARNINGS: Sequence[Callable[[TopicReport, Report], Iterator[str]]] = (
     unconverted_topic,
     unordered_stamps,
     scans_without_return,
     points_rejected_by_default,
     filters_without_effect,
     faults_without_number,
+    jumping_stamps,
+    source_in_no_scan,
+    messages_in_no_scan,
+    missing_transforms,
+    implausible_tilt,
 )
-TOPIC_NOTES: Checks[TopicResult] = (removed_beams, rebinned_beams)
-
-#: What the counts of a topic show whose scans are made of several messages.
-JOINED: Checks[JoinedResult] = (jumping_stamps, source_in_no_scan, messages_in_no_scan)
-JOINED_NOTES: Checks[JoinedResult] = (unmatched_messages,)
-
-#: What the motions and the tilts of a topic's sensor show.
-MOVED: Checks[TopicResult] = (missing_transforms, implausible_tilt)
-MOVED_NOTES: Checks[TopicResult] = (motion_of_sensor, tilt_of_frame)
+NOTES: Sequence[Callable[[TopicReport, Report], Iterator[str]]] = (
+    unmatched_messages,
+    removed_beams,
+    motion_of_sensor,
+    tilt_of_frame,
+)
 
 
 def result_findings(
     report: Report, first_scans: Sequence[tuple[TopicReport, Buffer]] = (), serialization: str = ""
 ) -> tuple[list[str], list[str]]:
-    """Return the warnings and the notes about a result; see `Result`."""
-    warnings = found_by(RESULT, Result(report, first_scans, serialization))
-    notes = dict.fromkeys(text for spec in report.scans for text in found_by(RESULT_NOTES, spec))
-    further: list[str] = []
+    """Return the warnings and the notes about a result.
+
+    Parameters
+    ----------
+    report
+        The counts of its topics.
+    first_scans
+        The first scan of each topic that was written, serialised. Empty for a dry run.
+    serialization
+        That of the scans: ``ros1`` or ``cdr``.
+    """
+    warnings = [*refused_scans(first_scans, serialization), *lost_topics(report)]
+    notes = dict.fromkeys(text for spec in report.scans for text in evenly_divided_circle(spec))
     for topic in report.topics:
-        counted = TopicResult(topic, report)
-        warnings += found_by(TOPIC, counted)
-        if topic.joined is not None:
-            joined = JoinedResult(topic, topic.joined)
-            warnings += found_by(JOINED, joined)
-            further += found_by(JOINED_NOTES, joined)
-        further += found_by(TOPIC_NOTES, counted)
-        if topic.motions or topic.tilts:
-            warnings += found_by(MOVED, counted)
-            further += found_by(MOVED_NOTES, counted)
-    return warnings, [*notes, *further]
+        warnings += (text for check in WARNINGS for text in check(topic, report))
+        notes.update(dict.fromkeys(text for note in NOTES for text in note(topic, report)))
+    return warnings, [*notes]

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from pc2scan.model import Buffer
     from pc2scan.transforms.placing import LevelTransform, Placer
 
-    from .combine.rebinning import Rebinning
-
 
 class Motion(NamedTuple):
     """The largest distance of the sensor from its pose at the scan's time: metres and radians.
@@ -35,9 +33,9 @@ class ConvertedMessage:
     The stages make ``message`` and ``used`` of arrays; the consumer's last step may replace both by their serialised
     form, and says in ``size`` how many bytes they take. ``empty`` is whether the message has no return, or no point;
     ``motion`` is how far the sensor moved, if it was deskewed. ``level`` is the transform of its frame, if that is made
-    level. ``rebinned`` counts how beams of scans became other beams. ``used`` are the points that beams read, if they
-    are written. ``removed`` is how many beams had ``returns``, how many of these were too ``sparse`` for ``min_points``
-    or ``reduce``, and how many each beam filter removed; None without any of them.
+    level. ``used`` are the points that beams read, if they are written. ``removed`` is how many beams had ``returns``,
+    how many of these were too ``sparse`` for ``min_points`` or ``reduce``, and how many each beam filter removed; None
+    without any of them.
     """
 
     message: Any
@@ -45,7 +43,6 @@ class ConvertedMessage:
     empty: bool
     motion: Motion | None = None
     level: LevelTransform | None = None
-    rebinned: Rebinning | None = None
     used: Any = None
     removed: Mapping[str, int] | None = None
     size: int = 0

@@ -185,11 +185,6 @@ class Projector:
         ranges[np.isinf(ranges)] = self._empty
         return ProjectedScan(ranges, counts, _NO_VALUES)
 
-    def bins(self, part: PointsPart) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-        """Return the beams of a part's returns, and the numbers of their points, in their order."""
-        _, bins, _, numbers = self._gather_parts(part)
-        return bins, numbers
-
     def _gather_parts(
         self, part: PointsPart
     ) -> tuple[PointCounts, NDArray[np.int32], NDArray[np.float32], NDArray[np.int64]]:

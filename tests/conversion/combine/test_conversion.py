@@ -138,4 +138,3 @@ def test_heights_of_beams_count_only_if_they_are_asked_for() -> None:
         made = MessagesToScan(spec, ["/a"], Placer(), Measurements(0.1), None)
         result = stepped(made, "/a", flat)
         assert (result.counts.used, result.counts.height) == (kept, 9 - kept)
-        assert result.rebinned is not None

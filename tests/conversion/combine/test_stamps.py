@@ -176,18 +176,6 @@ def test_stamps_that_jump_back_begin_a_new_series(tmp_path: Path) -> None:
         assert entry["joined"]["jumps"] == [{"stamp_ns": T0 + 10 * SECOND - HOUR, "by_ns": -HOUR}]
 
 
-@pytest.mark.parametrize("options", sampled([{}, {"accumulate": "100ms"}, {"every": "100ms"}], 1))
-def test_four_wrong_first_stamps_are_no_other_clock(options: dict[str, Any], tmp_path: Path) -> None:
-    rear = clouds("/rear", tenths(0, 30, 0.03), lambda at: DAY if at < 0.4 else 0)
-    source = recorded(tmp_path / "d.mcap", [*clouds("/front", tenths(0, 30)), *rear])
-    done = made(source, **BOTH, **options)
-    assert len(done.stamps) == 300
-    (entry,) = (topic for topic in done.report.topics if topic.topic == "/rear")
-    assert entry.joined is not None
-    assert (entry.joined.unmatched, entry.joined.jumped) in {(4, 1), (5, 1)}
-    assert any("the stamps of /rear jump back by 86,400 s" in each for each in done.report.warnings)
-
-
 @pytest.mark.parametrize("options", [{"every": 1}, {"every": 1, "accumulate": "10clouds"}], ids=["", "count"])
 def test_jitter_moves_no_cloud_into_another_interval(options: dict[str, Any], tmp_path: Path) -> None:
     jittered = [at + (-0.02, 0.02)[number // 10 % 2] for number, at in enumerate(tenths(1, 9))]

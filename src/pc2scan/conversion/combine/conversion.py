@@ -18,7 +18,6 @@ from pc2scan.conversion.cloud_to_scan import Beams
 from pc2scan.conversion.stages.removal import remove_beams
 from pc2scan.conversion.stages.selection import SelectStage
 from pc2scan.conversion.steps import Conversion, ConvertedMessage, Motion, Steps
-from pc2scan.core.layout import TURN
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.points import Points
 from pc2scan.core.project import PointsPart, ProjectedScan, contiguous
@@ -30,8 +29,6 @@ from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.request.filters import Frame
 from pc2scan.transforms.placing import Placement
-
-from .rebinning import count_rebinning
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -49,7 +46,6 @@ if TYPE_CHECKING:
     from pc2scan.transforms.placing import LevelFrame, Placer
 
     from .grouping import Grouper
-    from .rebinning import Rebinning
 
 #: Bytes that a message takes besides its arrays.
 _OVERHEAD = 2_000
@@ -265,7 +261,6 @@ class MessagesToScan(Conversion):
             points.field(self._intensity)
         names = {
             *self._kept,
-            *(("index",) if contribution.flat else ()),
             *(() if track is None else (track.time_field,)),
         }
         views = {name: points.field(name) for name in dict.fromkeys(("x", "y", "z", *points.fields)) if name in names}
@@ -294,7 +289,6 @@ class MessagesToScan(Conversion):
         parts: list[PointsPart] = []
         known: list[ProjectedScan] = []
         motions: list[Motion] = []
-        beams: list[tuple[PointsPart, NDArray[np.int32]]] = []
         for member in members:
             if member.nearest is not None:
                 known.append(member.nearest)
@@ -308,19 +302,16 @@ class MessagesToScan(Conversion):
             values = points.field(self._intensity) if self._intensity in points.fields else None
             by_height = not (member.flat and self._any_height)
             parts.append(PointsPart(*points.xyz(), _round_transform(transform), values, any_height=not by_height))
-            if member.flat:
-                beams.append((parts[-1], points.field("index")))
         if known:
             scan = self._projector.nearest_of([*known, *map(self._projector.nearest, parts)])
         else:
             scan = self._projector.together(parts)
         message, empty = self._beams.message(lead.points.sequence, lead.reference_ns, lead.frame_id, scan)
         largest = Motion(*map(max, zip(*motions, strict=True))) if motions else None
-        shared = self._rebin(beams) if len(beams) == len(members) else None
         level = None if lead.level is None else lead.level.at(lead.reference_ns)
         counts = sum(others, scan.counts)
         result = ConvertedMessage(
-            *(message, counts, empty, largest, level, shared, None, scan.removed),
+            *(message, counts, empty, largest, level, None, scan.removed),
             stamp_ns=lead.reference_ns,
         )
         return result if self._remove is None else self._remove(result)
@@ -350,16 +341,6 @@ class MessagesToScan(Conversion):
         selected = self._late.apply(member.points, Placement(lead.frame_id, transform), moving)
         rejected = {**member.rejected, **selected.rejected}
         return selected.points, selected.transform, rejected, motion
-
-    def _rebin(self, beams: Sequence[tuple[PointsPart, NDArray[np.int32]]]) -> Rebinning:
-        found = []
-        for part, numbers in beams:
-            bins, used = self._projector.bins(part)
-            found.append((bins, numbers[used]))
-        layout = self._beams.layout
-        # Upstream's layout does not join the two ends of a circle, but neighbouring points lie on both sides of them.
-        around = layout.full_circle or layout.angle_max - layout.angle_min > TURN - 2 * layout.angle_increment
-        return count_rebinning(found, layout.count, full_circle=around)
 
 
 def _round_transform(transform: Rigid | MovingTransform | None) -> Transform | MovingTransform | None:
