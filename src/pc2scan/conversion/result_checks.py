@@ -324,6 +324,16 @@ def evenly_divided_circle(spec: ScanSpec) -> Iterator[str]:
         )
 
 
+def range_of_preset(spec: ScanSpec) -> Iterator[str]:
+    """Yield a note if a preset limits the range."""
+    origin = spec.origins.get("range_max", "")
+    if preset_of(origin):
+        yield (
+            f"range_max is {spec.params.range_max:g} m, chosen by {origin}: returns beyond are ignored; "
+            "`range_max` chooses another"
+        )
+
+
 def unmatched_messages(topic: TopicReport, _: Report) -> Iterator[str]:
     """Yield a note about messages that are in no scan, if there is no warning about them."""
     if (counts := topic.joined) is not None and counts.unmatched and not _are_left_long(topic, counts):
@@ -419,7 +429,9 @@ def result_findings(
         That of the scans: ``ros1`` or ``cdr``.
     """
     warnings = [*refused_scans(first_scans, serialization), *lost_topics(report)]
-    notes = dict.fromkeys(text for spec in report.scans for text in evenly_divided_circle(spec))
+    notes = dict.fromkeys(
+        text for spec in report.scans for text in (*evenly_divided_circle(spec), *range_of_preset(spec))
+    )
     for topic in report.topics:
         warnings += (text for check in WARNINGS for text in check(topic, report))
         notes.update(dict.fromkeys(text for note in NOTES for text in note(topic, report)))
