@@ -59,7 +59,7 @@ RECORDED = Summary("mcap", "", (), 0, 0, None, None)
 
 @pytest.mark.parametrize(("options", "name", "text"), rows(TABLE, "request"))
 def test_a_check_of_the_request(options: dict[str, Any], name: str, text: str) -> None:
-    request = conversion_of(Options("convert", options)).options
+    request = conversion_of(Options("convert", options))
     found = named(checks.REQUEST, OutputRequest(request, request.scan))
     assert list(found) == [name]
     assert found[name][0].startswith(text)
@@ -68,7 +68,7 @@ def test_a_check_of_the_request(options: dict[str, Any], name: str, text: str) -
 
 @pytest.mark.parametrize(("roll", "options", "used", "name", "text"), rows(TABLE, "clouds"))
 def test_a_check_of_the_first_clouds(roll: float, options: dict[str, Any], used: int, name: str, text: str) -> None:
-    request = conversion_of(Options("convert", options)).options
+    request = conversion_of(Options("convert", options))
     static, target = request.frames.static, request.scan.params.target_frame
     moved = Rigid.from_pose((0, 0, -0.6, 0, 0, 0, 1)) if target else None
     points = cloud(PLACES["hall"], "32 rings", mounted(roll, 0), 0.6)
