@@ -147,8 +147,12 @@ class Lookup(Result):
         The frames.
     stamp_ns
         The time; None for the latest that all frames on the way have.
-    transform
-        The transform.
+    translation
+        x, y and z, metres.
+    rotation
+        The quaternion: x, y, z, w.
+    rpy
+        Roll, pitch and yaw, radians.
     """
 
     kind: ClassVar[str] = "transform"
@@ -157,30 +161,15 @@ class Lookup(Result):
     target: str
     source: str
     stamp_ns: int | None
-    transform: Rigid
+    translation: list[float]
+    rotation: list[float]
+    rpy: tuple[float, float, float]
     damage: tuple[Damage, ...] = ()
 
     @property
     def exit_status(self) -> int:
         """The exit status of the command: 0."""
         return 0
-
-    @property
-    def translation(self) -> list[float]:
-        """x, y and z, metres."""
-        found: list[float] = self.transform.translation.tolist()
-        return found
-
-    @property
-    def rotation(self) -> list[float]:
-        """The quaternion: x, y, z, w."""
-        found: list[float] = self.transform.quaternion.tolist()
-        return found
-
-    @property
-    def rpy(self) -> tuple[float, float, float]:
-        """Roll, pitch and yaw, radians."""
-        return self.transform.rpy
 
     def body(self, *, verbose: bool = False) -> Iterator[Part]:
         """Yield translation and rotation."""
