@@ -182,10 +182,8 @@ def test_a_grid_that_would_be_too_large_is_refused() -> None:
     grid = OccupancyGrid(0.05, 1_000_000)
     here, hit = np.zeros((1, 2)), np.array([True])
     grid.add(here, np.array([[40.0, 40.0]]), hit)
-    with pytest.raises(UsageError, match=r"2,001 x 801 cells of 0.05 m \(100 x 40 m\); at most 1,000,000") as caught:
+    with pytest.raises(UsageError, match=r"2,001 x 801 cells of 0.05 m \(100 x 40 m\); at most 1,000,000"):
         grid.add(here, np.array([[100.0, 0.0]]), hit)
-    assert caught.value.hint is not None
-    assert "`resolution=0.07`" in caught.value.hint
     with pytest.raises(UsageError, match="m from the origin"):
         grid.add(here, np.array([[1e300, 0.0]]), hit)
     # What is there stays as it was.

@@ -244,7 +244,13 @@ class OccupancyGrid:
         old = (*self._first, self._first[0] + width, self._first[1] + height)
         needed = _enclosing_bounds(self._needed, (left, below, right, above))
         if _grid_with_bounds(needed) > self._most:
-            raise self._too_large(needed[2] - needed[0], needed[3] - needed[1])
+            width, height = needed[2] - needed[0], needed[3] - needed[1]
+            size = self.resolution
+            raise UsageError(
+                f"the map would have {width:,} x {height:,} cells of {size:g} m ({width * size:,.0f} x "
+                f"{height * size:,.0f} m); at most {self._most:,} cells are possible",
+                hint="a larger `resolution` makes larger cells, `start` and `end` cut",
+            )
         self._needed = needed
         if width and _enclosing_bounds(old, needed) == old:
             return
@@ -261,18 +267,6 @@ class OccupancyGrid:
         chosen = with_room if _grid_with_bounds(with_room) <= self._most else needed
         self._cells = _resize(self._cells, old, chosen)
         self._first = chosen[:2]
-
-    def _too_large(self, width: int, height: int) -> UsageError:
-        size = self.resolution
-        coarser = size * math.sqrt(width * height / self._most)
-        digits = -math.floor(math.log10(coarser))
-        # Rounded up to one digit, so that it is enough.
-        coarser = math.ceil(coarser * 10**digits) / 10**digits
-        return UsageError(
-            f"the map would have {width:,} x {height:,} cells of {size:g} m ({width * size:,.0f} x "
-            f"{height * size:,.0f} m); at most {self._most:,} cells are possible",
-            hint=f"`resolution={coarser:g}` makes larger cells, `start` and `end` cut",
-        )
 
     def occupancy(self) -> Occupancy | None:
         """Return the map: the cells that were observed, and the rectangle around them; None if there are none.

@@ -325,17 +325,15 @@ export function showClouds(recording) {
   /** Show the whole cloud except for a few points far away. */
   function fit() {
     fitted = true;
-    const [[x0, x1], [y0, y1], heights] = [cloud.x, cloud.y, cloud.z].map(usualRange);
-    // With the sensor.
-    const limits = [[Math.min(x0, 0), Math.max(x1, 0)], [Math.min(y0, 0), Math.max(y1, 0)], heights];
-    const [x, y, z] = limits.map(([low, high]) => ({ middle: (low + high) / 2, size: Math.max(1, high - low) }));
-    const [across, upward] = top.room;
-    Object.assign(shown, { x: x.middle, y: y.middle, z: z.middle });
-    shown.scale = 0.92 * Math.min(across / x.size, upward / y.size);
-    shown.stretch = Math.min(MOST_STRETCH, Math.max(1, (0.75 * side.room[1]) / (z.size * shown.scale)));
+    const [x, y, z] = [cloud.x, cloud.y, cloud.z].map(usualRange);
+    top.fit(x, y);
+    shown.z = (z[0] + z[1]) / 2;
+    const rise = Math.max(1, z[1] - z[0]) * shown.scale;
+    shown.stretch = Math.min(MOST_STRETCH, Math.max(1, (0.75 * side.room[1]) / rise));
     element("stretch", HTMLElement).textContent =
       shown.stretch > 1 ? `, heights \u00d7 ${figure(shown.stretch, 1)}` : "";
-    orbit.fit(/** @type {[number, number][]} */ (limits));
+    const withSensor = [x, y].map(([low, high]) => [Math.min(low, 0), Math.max(high, 0)]);
+    orbit.fit(/** @type {[number, number][]} */ ([...withSensor, z]));
     draw();
   }
 

@@ -69,6 +69,19 @@ export class Flat {
     return [(this.stage.width + MARGIN.left) / 2, (this.stage.height - MARGIN.bottom) / 2];
   }
 
+  /**
+   * Show a rectangle from above, and the sensor.
+   * @param {[number, number]} x limits, metres
+   * @param {[number, number]} y
+   */
+  fit(x, y) {
+    const sides = [x, y].map(([low, high]) => [Math.min(low, 0), Math.max(high, 0)]);
+    const [middleX, middleY] = sides.map(([low, high]) => (low + high) / 2);
+    const [width, height] = sides.map(([low, high]) => Math.max(1, high - low));
+    const scale = 0.92 * Math.min(this.room[0] / width, this.room[1] / height);
+    Object.assign(this.shown, { x: middleX, y: middleY, scale });
+  }
+
   /** @param {number} x metres */
   px(x) {
     return this.middle[0] + (x - this.shown.x) * this.shown.scale;

@@ -118,13 +118,8 @@ export function showScans(recording) {
   function fit() {
     fitted = true;
     const all = layers.flatMap((layer) => [...layer.ends]);
-    const [x0, x1] = usualRange(all.filter((_, n) => n % 2 === 0));
-    const [y0, y1] = usualRange(all.filter((_, n) => n % 2 === 1));
-    const [width, height] = top.room;
-    shown.x = (Math.max(x1, 0) + Math.min(x0, 0)) / 2;
-    shown.y = (Math.max(y1, 0) + Math.min(y0, 0)) / 2;
-    const reach = [Math.max(1, Math.max(x1, 0) - Math.min(x0, 0)), Math.max(1, Math.max(y1, 0) - Math.min(y0, 0))];
-    shown.scale = 0.92 * Math.min(width / reach[0], height / reach[1]);
+    const [x, y] = [0, 1].map((axis) => usualRange(all.filter((_, n) => n % 2 === axis)));
+    top.fit(x, y);
     draw();
   }
 
