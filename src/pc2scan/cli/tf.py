@@ -30,8 +30,9 @@ def tf(sources: list[Path], lookup: tuple[str, str] | None, at: str | None, *, o
                 meant = stamp_text(first_ns + stamp_ns)
                 err.hint = f"--at counts from 1970; {at} s after the first transform is --at {meant}"
             raise
-        values = rigid.translation.tolist(), rigid.quaternion.tolist(), rigid.rpy
-        show(Lookup(*lookup, stamp_ns or None, *values, tree.damage), as_json=options.as_json)
+        place, rotation = rigid.translation.tolist(), rigid.quaternion.tolist()
+        found = Lookup(lookup[0], lookup[1], stamp_ns or None, place, rotation, rigid.rpy, tree.damage)
+        show(found, as_json=options.as_json)
     else:
         show(tree, as_json=options.as_json)
     return 0
