@@ -41,12 +41,6 @@ if TYPE_CHECKING:
 
 _INTERRUPTED = 128 + signal.SIGINT
 
-#: Options after ``--ros-args`` that set what a ROS node logs: with a value, and without.
-_ROS_LOGGING = ("--log-level", "--log-config-file")
-_ROS_LOGS = tuple(
-    f"--{verb}-{log}-logs" for verb in ("enable", "disable") for log in ("rosout", "stdout", "external-lib")
-)
-
 _HELP = {"help": ("--help", "-h"), "help_all": ("--help-all",)}
 
 
@@ -225,22 +219,11 @@ def _annotation(option: Option) -> Any:
 
 def _prepared(words: Sequence[str]) -> list[str]:
     """Return the words in the forms that Typer knows: no value is optional, and ROS 2's marker is left out."""
-    prepared: list[str] = []
-    following, in_ros = iter([*words[1:], ""]), False
-    skip = False
-    for word in words:
-        after = next(following)
-        if skip:
-            skip = False
-        elif word == "--ros-args":
-            in_ros = True
-        elif in_ros and word in _ROS_LOGGING:
-            skip = True
-        elif in_ros and word in _ROS_LOGS:
-            pass
-        elif word == "--dask" and "://" not in after:
+    prepared = []
+    for word, after in zip(words, [*words[1:], ""], strict=False):
+        if word == "--dask" and "://" not in after:
             prepared.append("--dask=local")
-        else:
+        elif word != "--ros-args":
             prepared.append(word)
     return prepared
 

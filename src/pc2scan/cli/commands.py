@@ -71,17 +71,12 @@ COMMANDS = {
         PointCloud2 becomes LaserScan, with the results of ROS's pointcloud_to_laserscan. All other topics are copied.
         Messages that cannot be converted are counted, listed, and reflected in the exit status.""",
         (
-            _sources(
-                "ROS 1 bag, rosbag2 directory, .db3 or .mcap file, or a URL of one. Several are merged in time order."
-            ),
+            _sources("ROS 1 bag, rosbag2 directory, .db3 or .mcap file, or a URL; several are merged in time order."),
             _DST,
         ),
         (
             ("pc2scan convert drive.bag --min-height 0.1 --max-height 1.5", "writes drive_scan.bag"),
-            (
-                "pc2scan convert drive.bag -o drive.mcap --params-file params.yaml",
-                "with the parameter file of the robot",
-            ),
+            ("pc2scan convert drive.bag -o drive.mcap --params-file params.yaml", "with the robot's parameters"),
             ("pc2scan convert drive.bag --preset slam_toolbox --target-frame base_link", "scans that SLAM takes"),
         ),
     ),
@@ -89,22 +84,12 @@ COMMANDS = {
         """Convert every recording of a dataset, each on its own, in several processes.
 
         If a recording fails, the others are still converted. A second run converts only what is missing, has changed or
-        failed. OUT/manifest.jsonl has the result of each recording. After an interruption, run the same command
-        again.""",
+        failed. OUT/manifest.jsonl has the result of each recording.""",
         (
-            Argument(
-                "sources",
-                "SRC...",
-                "Folders, which are searched for recordings; recordings; globs in quotes; text files with one path per "
-                "line; URLs.",
-                required=True,
-                is_path=False,
+            _sources("Folders that have recordings; recordings; globs in quotes; lists of paths; URLs.")._replace(
+                is_path=False
             ),
-            _output(
-                "OUT",
-                "Folder for the results, with the subfolders of the sources, and for manifest.jsonl. May be a URL.",
-                required=True,
-            ),
+            _output("OUT", "Folder for the results and manifest.jsonl. May be a URL.", required=True),
         ),
         (
             ("pc2scan batch recordings/ -o scans/ --preset slam_toolbox", "every recording, several at a time"),
@@ -115,22 +100,16 @@ COMMANDS = {
     "export": Command(
         """Write scans with poses, the trajectory, or clouds as files for learning and evaluation.
 
-        The scans are those of the LaserScan topics. With any parameter of the projection, the clouds are converted
-        first, like with `pc2scan convert`. Poses are interpolated like in tf2, and never extrapolated: messages without
-        a pose at their stamp are skipped and counted, and the exit status is 3.""",
+        With any parameter of the projection, clouds are converted to scans first. Poses are interpolated as in tf2:
+        messages without a pose at their stamp are skipped and counted, and the exit status is 3.""",
         (
             _sources("Recordings with scans or clouds; several are merged in time order."),
             _output(
-                "OUT",
-                "The file to write. DIR/: a new folder with a file for each topic. For clouds: always a folder.",
-                required=True,
+                "OUT", "The file. DIR/: a new folder with a file for each topic. For clouds: a folder.", required=True
             ),
         ),
         (
-            (
-                "pc2scan export scans.mcap -o scans.npz --pose-frame odom",
-                "scans with the robot's pose, as NumPy arrays",
-            ),
+            ("pc2scan export scans.mcap -o scans.npz --pose-frame odom", "scans with poses, as NumPy arrays"),
             ("pc2scan export drive.bag -o scans.csv --min-height -0.3", "convert its clouds; one row per scan"),
             ("pc2scan export drive.bag -o clouds --format pcd", "one file per cloud"),
         ),
@@ -138,16 +117,11 @@ COMMANDS = {
     "view": Command(
         """Write a page that shows clouds and the scans made of them, to tune the parameters by eye.
 
-        The page is one HTML file that needs no network. In it you change heights, ranges, sector, mount and all other
-        parameters. It computes the same scans as `pc2scan convert`, to the bit, and shows the command line and
-        parameter files for them. Of a recording without clouds, it shows the scans.""",
+        The page is one HTML file that needs no network. It computes the same scans as `pc2scan convert`, to the bit,
+        and shows the command line for them. Of a recording without clouds, it shows the scans.""",
         (
             _sources("Recordings with clouds or scans; several are merged in time order."),
-            _output(
-                "PAGE",
-                "The page, an HTML file.",
-                default_text="next to SRC, named after it, with _view.html at the end",
-            ),
+            _output("PAGE", "The page, an HTML file.", default_text="next to SRC, with _view.html in its name"),
         ),
         (
             ("pc2scan view drive.bag", "a page that shows its clouds and scans"),
@@ -163,46 +137,34 @@ COMMANDS = {
             _output("FIGURE", "The figure: *.png, *.svg or *.pdf.", required=True),
         ),
         (
-            (
-                "pc2scan plot drive.bag -o figure.png --min-height -0.3 --max-height 1",
-                "a cloud, the height band, and the scan",
-            ),
+            ("pc2scan plot drive.bag -o figure.png --min-height -0.3 --max-height 1", "a cloud and its scan"),
             ("pc2scan plot drive.bag -o figure.pdf --frames 3", "three moments side by side"),
         ),
     ),
     "map": Command(
         """Draw the scans of a recording into a map, placed by the recorded odometry: a preview, not SLAM.
 
-        Nothing is matched or corrected: doubled walls show that mounts, stamps or odometry do not fit together. A scan
-        is placed at its stamp; if it has a time_increment, each beam is placed at its own time. Clouds are converted
-        and drawn if there are no scans, if --topic names them, or with any option that is about their conversion.
+        Nothing is matched or corrected: doubled walls show that mounts, stamps or odometry do not fit together. Clouds
+        are converted and drawn if there are no scans, if --topic names them, or with an option about conversion.
 
         Exit status: 0 done, 1 failed, 2 wrong usage, 3 written, but with scans skipped or from a damaged source.""",
         (
-            _sources(
-                "Recordings with scans, or with clouds, which are converted like with `pc2scan convert`; several are "
-                "merged in time order."
-            ),
+            _sources("Recordings with scans or clouds; several are merged in time order."),
             _output(
-                "MAP",
-                "NAME.yaml: the map for map_server, with NAME.pgm, and the picture NAME.png. NAME.png: only that.",
+                "MAP", "NAME.yaml: the map for map_server, with NAME.pgm and NAME.png. NAME.png: only the picture."
             ),
         ),
         (
             ("pc2scan map scans.mcap -o map.png", "its scans, placed by the odometry"),
-            (
-                "pc2scan map drive.bag -o map.yaml --min-height 0.1 --max-height 1.5",
-                "a map for map_server, made of clouds",
-            ),
+            ("pc2scan map drive.bag -o map.yaml --min-height 0.1 --max-height 1.5", "for map_server, of clouds"),
         ),
     ),
     "check": Command(
         """Check whether SLAM and navigation accept a recording's scans.
 
-        The verdict for each LaserScan topic and consumer is: accepted; shifted (accepted, but rotated by up to one
-        beam); misplaced (accepted, but with beams or ranges in wrong places); ignored; or aborts (the consumer
-        crashes). Each comes with the rule, the numbers and a remedy. Problems for all consumers follow, as defects or
-        notices: frames and transforms, stamps, rates, lengths, ranges.
+        The verdict for each topic and consumer: accepted, shifted (by up to one beam), misplaced (beams or ranges in
+        wrong places), ignored, or aborts (the consumer crashes); with the rule, the numbers and a remedy. Then defects
+        and notices for all consumers.
 
         Exit status: 0 all accepted (without --for: or shifted, and no defect), 1 not all, 2 wrong usage.""",
         (_sources("Recordings with scans; several are merged in time order."),),
@@ -214,11 +176,8 @@ COMMANDS = {
     "info": Command(
         """Describe a recording, its clouds and its scans.
 
-        For each topic with clouds, it shows fields, points, frame, NaN, the spread of x, y, z and range, and a
-        histogram of heights, which helps to choose --min-height and --max-height. For each LaserScan topic: beams,
-        sector and increment, limits, the share of returns, and the consumers that accept them. Then the heights of
-        floor and ceiling, whether the clouds are tilted, upside down or in a camera's optical frame, and a convert
-        command for them.""",
+        For clouds: fields, points, frame, and a histogram of heights. For scans: beams, limits, the share of returns,
+        and the consumers that accept them. Then how the lidar is mounted, and a convert command.""",
         (_sources("Recordings; several are merged in time order."),),
         (
             ("pc2scan info drive.bag", "its topics, and the heights of its points"),
@@ -293,20 +252,11 @@ COMMANDS = {
         Exit status: 0 all as expected, 1 some differ, 2 some could not be checked.""",
         (
             Argument("folder", "DIR", "A folder of cases, or one case.", required=True),
-            Argument(
-                "pattern",
-                "PATTERN",
-                "Run only cases whose name contains this or matches this glob.",
-                ("-k",),
-                is_path=False,
-            ),
+            Argument("pattern", "PATTERN", "Only cases whose name has this or fits this glob.", ("-k",), is_path=False),
         ),
         (
             ("pc2scan golden golden/", "do conversions still give the expected output?"),
-            (
-                "pc2scan golden golden/turn --init drive.bag --start 12 --end 14",
-                "make a new case of two seconds of a drive",
-            ),
+            ("pc2scan golden golden/turn --init drive.bag --start 12 --end 14", "make a case of two seconds"),
             ("pc2scan golden golden/ -k drive --update", "expect the present output from now on"),
         ),
     ),

@@ -50,10 +50,6 @@ _COLOURS = (
     (r"(?:hint|next|note|recovered):", _BOLD),
 )
 
-#: Verdicts of ``check``, which follow the name of a consumer.
-_VERDICT = r"  \w+ +(accepted|misplaced|ignored|aborts)\b"
-_VERDICTS = {"accepted": _GREEN, "misplaced": _YELLOW, "ignored": _RED, "aborts": _RED}
-
 #: An option in a text, as in Python, in backticks.
 _NAMED = re.compile(r"`([a-z_]+)(?:=([^`]*))?`")
 
@@ -320,12 +316,7 @@ def _wrapped(line: str, width: int) -> str:
 
 
 def _coloured(line: str) -> str:
-    verdict = re.match(_VERDICT, line)
-    if verdict:
-        start, end = verdict.span(1)
-        return f"{line[:start]}{_VERDICTS[verdict[1]]}{line[start:end]}{_PLAIN}{line[end:]}"
     for pattern, colour in _COLOURS:
-        found = re.match(pattern, line)
-        if found:
+        if found := re.match(pattern, line):
             return f"{colour}{found[0]}{_PLAIN}{line[found.end() :]}"
     return line
