@@ -15,11 +15,11 @@ from pc2scan.advice.checks.request import OutputRequest
 from pc2scan.conversion import result_checks as result
 from pc2scan.conversion.combine.counts import Jump, Run, SourceCounts
 from pc2scan.conversion.report import Report, TopicReport
-from pc2scan.core.floor import CloudSample
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.rule import PointCounts
+from pc2scan.core.scene import CloudSample
 from pc2scan.model import Summary
 from pc2scan.options.call import Options
 from pc2scan.request.options import ScanSpec
@@ -42,6 +42,7 @@ ELSEWHERE = {
     "clouds_in_fixed_frame",
     "returns_at_sensor",
     "clouds_in_another_unit",
+    "ceiling_within_heights",
     "fixed_frame_of_rebinned",
     "unordered_stamps",
     "filters_without_effect",

@@ -24,7 +24,6 @@ from pc2scan.bags.rosbag1 import write as rosbag1_writer
 from pc2scan.bags.rosbag1.read import Rosbag1Reader
 from pc2scan.bags.rosbag1.write import Rosbag1Writer
 from pc2scan.bags.rosbag2.write import Rosbag2Writer
-from pc2scan.core.floor import JUDGED_CLOUDS
 from pc2scan.errors import DamageError
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
@@ -166,9 +165,9 @@ def test_copying_is_seen_in_the_work_and_not_in_the_messages(source: Path, monke
     assert there == 2 * ROUNDS
     counts = Counts(monkeypatch)
     copied = opened(convert(source, jobs=2))
-    # Each is decompressed once, to be verified, and the first clouds to be judged; only the mixed ones are compressed
-    # again.
-    assert counts.done.count("decompressed") == there + JUDGED_CLOUDS
+    # Each is decompressed once, to be verified, and small clouds are judged together; only the mixed ones are
+    # compressed again.
+    assert counts.done.count("decompressed") == there + ROUNDS
     assert counts.done.count("compressed") == ROUNDS
     monkeypatch.setattr(chunks, "MIN_WHOLE_BYTES", 1 << 40)
     taken_apart = opened(convert(source, jobs=2))
@@ -185,7 +184,7 @@ def test_another_compression_leaves_chunks_whole(suffix: str, tmp_path: Path, mo
     there = write(tmp_path / f"plain{suffix}", "none")
     assert images_only(destination) == images_only(there)
     if suffix == ".mcap":
-        assert counts.done.count("split") == ROUNDS + JUDGED_CLOUDS
+        assert counts.done.count("split") == ROUNDS + ROUNDS
     monkeypatch.setattr(chunks, "MIN_WHOLE_BYTES", 1 << 40)
     assert opened(destination) == opened(convert(source, compression="none"))
 

@@ -21,9 +21,9 @@ from pc2scan.conversion.engine import DeferredMessage
 from pc2scan.conversion.items import Item
 from pc2scan.conversion.plan import Output, Route
 from pc2scan.conversion.steps import ConvertedMessage, Steps
-from pc2scan.core.floor import JUDGED_CLOUDS
 from pc2scan.core.project import Projector
 from pc2scan.core.rule import PointCounts
+from pc2scan.core.scene import JUDGED_CLOUDS
 from pc2scan.files import source as files
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2

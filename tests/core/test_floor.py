@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.core.floor import LEVEL, MOST_POINTS, cells_of, level_floor, thin_points
+from pc2scan.core.scene import LEVEL, MOST_POINTS, cells_of, level_floor, thin_points
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

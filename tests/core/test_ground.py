@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from pc2scan.bags.opening import open_recording
-from pc2scan.core.floor import thin_points
-from pc2scan.core.ground import Ground, common_ground, find_ground
 from pc2scan.core.rigid import Rigid
+from pc2scan.core.scene import Ground, common_ground, find_ground, thin_points
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, decode_pointcloud2
 from support import RECORDINGS, needs_shared, sampled
 from support.worlds.mounted import PLACES, SENSORS, Place, cloud, mounted, up_in_sensor, without

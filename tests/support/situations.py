@@ -417,6 +417,15 @@ SITUATIONS = (
         (f"{_HALL} {_HEIGHTS}",),
     ),
     Situation(
+        "the ceiling within the heights",
+        hall(sensor="128 rings"),
+        (
+            (f"{_HALL} --min-height -0.4", "max_height is without limit"),
+            (f"{_HALL} --min-height -0.4 --overwrite", "--max-height 2.19 ends below it"),
+        ),
+        (f"{_HALL} {_HEIGHTS}",),
+    ),
+    Situation(
         "points at the sensor itself",
         hall(zeros=True),
         ((f"{_HALL} {_HEIGHTS}", "are at (0, 0, 0)"),),

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pc2scan.core.floor import JUDGED_CLOUDS, CloudSample
+from pc2scan.core.rule import PointCounts
+from pc2scan.core.scene import JUDGED_CLOUDS, PARTS, WHOLE_POINTS, CloudSample, gathered
 
 from .checks import EACH_CLOUD, FIRST_CLOUDS, FIRST_CLOUDS_NOTES, FRAME, found_by
 from .checks.clouds import CloudFacts, KnownTransforms
@@ -14,7 +15,6 @@ from .checks.clouds import CloudFacts, KnownTransforms
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pc2scan.core.rule import PointCounts
     from pc2scan.request.options import ScanSpec
 
 
@@ -46,6 +46,8 @@ class Judgement(NamedTuple):
 
 def are_enough(topic: str, spec: ScanSpec, clouds: Sequence[FirstCloud], known: KnownTransforms) -> bool:
     """Whether no more clouds are needed for a judgement: a level floor in the first one leaves no doubt."""
+    if clouds and len(clouds[0].sample.points) < WHOLE_POINTS:
+        return len(clouds) >= PARTS
     with np.errstate(all="ignore"):
         return len(clouds) >= JUDGED_CLOUDS or (len(clouds) == 1 and _facts(topic, spec, clouds, known).are_fine)
 
@@ -53,7 +55,7 @@ def are_enough(topic: str, spec: ScanSpec, clouds: Sequence[FirstCloud], known: 
 def judge(topic: str, spec: ScanSpec, clouds: Sequence[FirstCloud], known: KnownTransforms) -> Judgement:
     """Return what the first clouds of a topic, one at least, show for one output."""
     seen = [_facts(topic, spec, clouds[:number], known) for number in range(1, len(clouds) + 1)]
-    facts, label = seen[-1], spec.label
+    facts, label = _facts(topic, spec, _together(clouds), known), spec.label
     warnings = [text for each in seen for text in found_by(EACH_CLOUD, each, label)]
     no_returns = 0.0
     with np.errstate(all="ignore"):
@@ -63,6 +65,14 @@ def judge(topic: str, spec: ScanSpec, clouds: Sequence[FirstCloud], known: Known
             return Judgement(warnings, no_returns=no_returns)
         warnings += (*found_by(FRAME, facts), *found_by(FIRST_CLOUDS, facts, label))
         return Judgement(warnings, found_by(FIRST_CLOUDS_NOTES, facts, label), facts.advice, no_returns)
+
+
+def _together(clouds: Sequence[FirstCloud]) -> Sequence[FirstCloud]:
+    """Return the clouds, with those that are parts of a turn or of a pattern as one."""
+    samples = gathered([each.sample for each in clouds])
+    if len(samples) == len(clouds):
+        return clouds
+    return [FirstCloud(samples[0], sum((each.counts for each in clouds), PointCounts()))]
 
 
 def _facts(topic: str, spec: ScanSpec, clouds: Sequence[FirstCloud], known: KnownTransforms) -> CloudFacts:

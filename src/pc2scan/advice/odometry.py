@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pc2scan.core.floor import GOLDEN
 from pc2scan.core.percentiles import median, percentiles
+from pc2scan.core.scene import GOLDEN
 from pc2scan.core.sharpness import LEVER, Window, busiest, noise, spread, steps_of
 from pc2scan.core.timing import fit_sweep
 from pc2scan.errors import DecodeError, TransformError

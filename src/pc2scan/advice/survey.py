@@ -12,13 +12,15 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 from pc2scan.bags.observers import Observer, observe
 from pc2scan.bags.topics import by_topic
-from pc2scan.core.floor import CloudSample, are_enough
 from pc2scan.core.layout import TURN
+from pc2scan.core.rigid import Rigid
+from pc2scan.core.scene import PARTS, CloudSample, are_enough
 from pc2scan.errors import TransformError
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.transforms.imu import ImuReading
 from pc2scan.transforms.mounting import mounting, unit_warning
 from pc2scan.transforms.reading import RobotTransforms, TransformReading
+from pc2scan.transforms.summary import WORLDS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Sequence
@@ -32,7 +34,10 @@ if TYPE_CHECKING:
     from pc2scan.transforms.placing import FrameOptions, Placer
 
 #: How many messages are read to find the first clouds that can be decoded and transformed.
-_MOST_SAMPLES = 30
+_MOST_SAMPLES = PARTS
+
+#: Clouds that are registered in a world's frame are judged from so far above the robot's frame, metres.
+_ABOVE_ROBOT = 0.5
 
 _Value = TypeVar("_Value")
 
@@ -195,12 +200,15 @@ class TopicFacts:
         Those that have no place there are left out.
         """
         clouds: list[CloudSample] = []
+        above = Rigid.from_rpy(0.0, 0.0, 0.0, (0.0, 0.0, _ABOVE_ROBOT))
         for sample in self.found(_samples(moved=moved)):
             try:
                 place = placer.place(sample.frame_id, sample.stamp_ns)
             except TransformError:
                 continue
-            clouds.append(sample.placed_in(place.frame_id, place.target_from_source))
+            placed = sample.placed_in(place.frame_id, place.target_from_source)
+            is_registered = placed.transform is not None and sample.frame_id.removeprefix("/") in WORLDS
+            clouds.append(placed.seen_from(above) if is_registered else placed)
             if are_enough(clouds):
                 break
         return clouds

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.advice.first_clouds import FirstCloud, are_enough, judge
 from pc2scan.bags.topics import by_topic
-from pc2scan.core.floor import JUDGED_CLOUDS, CloudSample
 from pc2scan.core.points import Points
+from pc2scan.core.scene import JUDGED_CLOUDS, PARTS, WHOLE_POINTS, CloudSample
 from pc2scan.errors import MessageError, UnconnectedError
 
 from .combine.conversion import Contribution
@@ -78,7 +78,11 @@ def judge_first(
                     clouds[spec].append(cloud)
                 if tally is None and all(are_enough(topic, *each, prepared.known) for each in clouds.items()):
                     break
-                if made == JUDGED_CLOUDS or (read >= _MOST_READ and (tally is None or tally.is_connected)):
+                are_parts = tally is None and any(
+                    own and len(own[0].sample.points) < WHOLE_POINTS for own in clouds.values()
+                )
+                most = PARTS if are_parts else JUDGED_CLOUDS
+                if made == most or (read >= max(most, _MOST_READ) and (tally is None or tally.is_connected)):
                     break
         for spec, own in clouds.items():
             if own:

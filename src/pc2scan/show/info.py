@@ -34,12 +34,14 @@ from pc2scan.result import Call, Part, Result
 from pc2scan.tables import Table
 from pc2scan.text import count, counted, height_text, size, stamp
 from pc2scan.transforms.placing import FrameOptions, Placer
-from pc2scan.transforms.summary import BODIES
+from pc2scan.transforms.sources import PoseTopic
+from pc2scan.transforms.summary import BODIES, WORLDS
 from pc2scan.transforms.world_frames import find_body_motion
 
 from .cloud_info import CloudInfo, CloudLook
 from .edges import EDGE_NS
-from .proposals import HEADERS, Lidar, ask_facts, missing_mounts, odometry_doubts, proposals, stamp_faults
+from .lidar import HEADERS, Lidar, ask_facts, stamp_faults
+from .proposals import missing_mounts, odometry_doubts, proposals
 from .recording import spread_over
 from .scan_info import ScanInfo, ScanLook
 
@@ -266,11 +268,12 @@ def _ground_text(mounting: Mounting) -> str:
     """Return where floor and ceiling are, as text."""
     ground, heights = mounting.ground, mounting.heights
     if heights is None or heights.floor is None:
-        return "no floor found; the heights are those of most points"
+        return "no floor found; the heights are those around the sensor"
     frame = mounting.target_frame or mounting.judged_in
     ceiling = "" if heights.ceiling is None else f", ceiling at {height_text(heights.ceiling)} m"
     sensor = "" if ground.height is None else f"; the sensor is {ground.height:.2f} m above the floor"
-    return f"floor at z = {height_text(heights.floor)} m in frame {frame!r}{ceiling}{sensor}"
+    question = f"; {heights.question}" if heights.question else ""
+    return f"floor at z = {height_text(heights.floor)} m in frame {frame!r}{ceiling}{sensor}{question}"
 
 
 def info(sources: Sequence[Path], options: Options) -> Info:
@@ -337,6 +340,7 @@ def info_of(
         reader = scaled(as_one(readers), cloud_scale)
         counts, start_ns, end_ns = _message_counts(reader)
         topics = _topic_infos(reader.connections, counts, start_ns, end_ns)
+        asked, given = _with_odometry(reader, counts, asked, given or {})
         others = open_recordings(asked.tf_from, stack)
         shown = _described(topics, described)
         has_clouds = start_ns is not None and any(topic.msgtype in CLOUDS for topic in shown)
@@ -374,7 +378,9 @@ def info_of(
                 on_robot[each.topic],
                 found.buffer,
                 # Where the robot moves in the frame of these points, its own body is not at one place.
-                of_clouds[each.topic].parts if on_robot[each.topic] is each.mounting else (),
+                of_clouds[each.topic].parts
+                if on_robot[each.topic] is each.mounting and not found.registered(each.mounting.frame)
+                else (),
                 bool(each.zero_share),
                 seconds[each.topic],
                 (start_ns or 0, end_ns if found.knows_end else None),
@@ -382,6 +388,11 @@ def info_of(
             for each in clouds
             if each.mounting is not None
         ]
+        warnings += (
+            f"{each.topic}: {each.mounting.heights.doubt}"
+            for each in lidars
+            if each.mounting.heights and each.mounting.heights.doubt
+        )
         warnings += dict.fromkeys(text for each in clouds for text in found.moving_frames(found.facts[each.topic]))
         warnings += (text for each in lidars for text in time_warnings(each.facts, PointTime()))
         warnings += (*missing_mounts(lidars), *odometry_doubts(lidars), *reader.remarks)
@@ -395,6 +406,8 @@ def info_of(
             {topic: up for topic, up in found.ups.items() if not isinstance(up, UsageError)},
             found.clocks,
             lambda topic: str(default_destination(readers[0].path, readers[0].summary.container, _mark(topic))),
+            reader.summary,
+            warnings,
             names_topics=len({topic.topic for topic in topics if topic.msgtype in CLOUDS and topic.messages}) > 1,
             has_scans=any(topic.topic == "/scan" for topic in topics),
         )
@@ -414,6 +427,21 @@ def info_of(
             if asked.adds_poses or asked.tf_from
             else _lacking([each for each in reader.connections if counts[each.id]]),
         )
+
+
+def _with_odometry(
+    reader: Reader, counts: Counter[int], frames: FrameOptions, given: Mapping[str, Any]
+) -> tuple[FrameOptions, Mapping[str, Any]]:
+    """Return options with the only topic that has odometry, if transforms mount the lidar and none move it."""
+    recorded = [each for each in reader.connections if counts[each.id]]
+    transforms = [each for each in recorded if each.ros_type in TF_TYPES]
+    moves = not transforms or not all(each.is_static for each in transforms)
+    topics = {each.topic for each in recorded if each.ros_type == "nav_msgs/msg/Odometry"}
+    has_clouds = any(each.ros_type in CLOUDS for each in recorded)
+    if moves or len(topics) != 1 or not has_clouds or frames.adds_poses or frames.tf_from:
+        return frames, given
+    (topic,) = topics
+    return replace(frames, odometry=(PoseTopic.parse(topic),)), {**given, "odom_topic": topic}
 
 
 def _lacking(connections: Sequence[Connection]) -> str:
@@ -463,8 +491,20 @@ class _Surveyed(NamedTuple):
     def mountings(self) -> dict[str, Mounting | None]:
         """Return how the clouds of each topic are mounted."""
         moved = bool(self.places.target_frame)
-        found = {topic: each.mounting(self.places, self.buffer, moved=moved) for topic, each in self.facts.items()}
-        return found if moved else {topic: self._in_body(topic, each) for topic, each in found.items()}
+        found: dict[str, Mounting | None] = {}
+        for topic, each in self.facts.items():
+            body = "" if moved else self.registered(each.frame)
+            places = self.places._replace(target_frame=body, buffer=self.buffer) if body else self.places
+            found[topic] = each.mounting(places, self.buffer, moved=moved)
+            if not moved and not body:
+                found[topic] = self._in_body(topic, found[topic])
+        return found
+
+    def registered(self, frame: str) -> str:
+        """Return the robot's frame if clouds in a frame are registered in a world's; else nothing."""
+        if self.buffer is None or frame.removeprefix("/") not in WORLDS:
+            return ""
+        return next((name for name in BODIES if name in self.buffer.frames), "")
 
     def moving_frames(self, facts: TopicFacts) -> Iterator[str]:
         """Yield a warning for each frame that is given for clouds of a topic, and in which the robot moves."""

@@ -3,33 +3,25 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from functools import cached_property, reduce
-from operator import or_
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from pc2scan.advice.clocks import are_doubtful
-from pc2scan.advice.measurements import ShapeRequest, regular_step, shapes_of
 from pc2scan.advice.odometry import odometry_of
-from pc2scan.advice.point_times import time_warnings, times_of
-from pc2scan.advice.survey import Fact
-from pc2scan.conversion.report import StampCounts
 from pc2scan.core.params import ProjectionParams
-from pc2scan.core.percentiles import median, median_low
-from pc2scan.core.timing import median_interval_ns
+from pc2scan.core.percentiles import median_low
 from pc2scan.errors import TransformError
-from pc2scan.request.point_time import PointTime
-from pc2scan.request.turn import DIRECTIONS, directions_of
 from pc2scan.result import Call
 from pc2scan.text import height_text
-from pc2scan.transforms.motion import sensor_motion, spread_of_up
+from pc2scan.transforms.motion import spread_of_up
 from pc2scan.transforms.mounting import sensor_exclusion
-from pc2scan.transforms.static import StaticTransform
 from pc2scan.transforms.summary import BODIES, WORLDS
 
-from .edges import EDGE_NS, EdgeClouds, edge_cuts
+from .edges import edge_cuts
+from .lidar import Lidar, stamp_faults
+from .trial import tried
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -38,28 +30,17 @@ if TYPE_CHECKING:
 
     from pc2scan.advice.clocks import ClockFinding
     from pc2scan.advice.survey import TopicFacts
-    from pc2scan.core.points import Points
-    from pc2scan.model import RawMessage
-    from pc2scan.transforms.buffer import TransformBuffer
+    from pc2scan.model import Summary
     from pc2scan.transforms.imu import UpEstimate
     from pc2scan.transforms.motion import SensorMotion
-    from pc2scan.transforms.mounting import Mounting
+
+    from .trial import Trial
 
 #: The preset whose scans all consumers accept.
 _PRESET = "slam_toolbox"
 
-#: How many clouds of a topic are looked at, how many at most of those in the recording's last second, how many for the
-#: shape of their rings, and the largest of a pattern that is sparse, points.
-HEADERS = 21
-_LAST_HEADERS = 400
-_SHAPES = 3
-_SPARSE = 60_000
-
 #: Lidars with at most this step fill beams of half a degree, radians.
 _FINE = math.radians(0.41)
-
-#: Rings are level if the cosine between the z axes of lidar and scans is larger: half a degree.
-_UPRIGHT = math.cos(math.radians(0.5))
 
 #: A sensor that moves by more than this within a cloud distorts it: the noise of lidars, metres.
 _METRES = 0.02
@@ -67,17 +48,13 @@ _METRES = 0.02
 #: A robot whose roll and pitch vary by more than this tilts, radians.
 _TILTS = math.radians(1.0)
 
-#: Clouds are packets if one has less than this share of the directions that several have: so many at least.
-_PART = 0.6
-_SEVERAL = 3
-#: The step between neighbouring directions of clouds, radians.
-_STEP = math.tau / DIRECTIONS
-
-#: A pattern is sparse if a quarter of its clouds fill less than this share of the beams that all fill. Clouds are
-#: enough for a scan if they fill this share; at most so many become one.
-_FILLED = 0.6
-_ENOUGH = 0.9
-_MOST_CLOUDS = 10
+#: From this share of returns on rising ground, a command removes it.
+_MOST_GROUND = 0.04
+#: An option removes the ground if at most this share of the returns, and a quarter of those before, are still on it,
+#: and the second share of what was seen is still seen.
+_STILL_ON, _STILL_SEEN = 0.15, 0.9
+#: How much higher scans begin where it is also rough, metres.
+_ROUGH = 0.15
 
 #: Floors of several lidars that differ by less are one, metres.
 _ONE_FLOOR = 0.05
@@ -96,245 +73,6 @@ _BEYOND = 15.0
 #: How many cells, small or large, are between the origin and the farthest one.
 _CELLS = 30
 _LONG = 5.0
-
-
-def ask_facts(facts: TopicFacts, end_ns: int | None) -> None:
-    """Ask for the facts about a topic with clouds that a command depends on.
-
-    Parameters
-    ----------
-    facts
-        The topic.
-    end_ns
-        The log time of the recording's last message; None without messages.
-    """
-    for fact in (_DIRECTIONS, _PATTERN, _TIMES, _SHAPE.fact):
-        facts.ask(fact)
-    if end_ns is not None:
-        facts.ask_last_headers(end_ns - EDGE_NS, _LAST_HEADERS)
-
-
-def stamp_faults(facts: TopicFacts) -> list[str]:
-    """Return what is wrong with the stamps of the first messages of a topic, and what to do."""
-    stamps = StampCounts()
-    for header in facts.headers:
-        stamps.add(header.stamp_ns, header.log_time_ns)
-    return stamps.faults(facts.topic)
-
-
-def _sparse_points(points: Points, _: RawMessage) -> NDArray[np.float32] | None:
-    """Return copies of the coordinates of a small cloud, (3, N)."""
-    xyz = points.xyz()
-    if xyz[0].size > _SPARSE:
-        return None
-    with np.errstate(over="ignore", invalid="ignore"):
-        return np.stack([np.ravel(axis).astype(np.float32) for axis in xyz])
-
-
-def _directions(points: Points, _: RawMessage) -> int:
-    return directions_of(points)
-
-
-def _are_whole(found: Sequence[int]) -> bool:
-    """Whether the first clouds are no packets, whatever directions further ones have."""
-    return len(found) >= _SEVERAL and all(each.bit_count() >= _PART * DIRECTIONS for each in found[:_SEVERAL])
-
-
-_DIRECTIONS = Fact(_directions, HEADERS, are_enough=_are_whole)
-_PATTERN = Fact(_sparse_points, HEADERS)
-_TIMES = times_of(PointTime())
-_SHAPE = ShapeRequest(step=True, sweep=True, most=_SHAPES)
-
-
-class Directions(NamedTuple):
-    """Which directions clouds have: whole turns, or parts of one.
-
-    Attributes
-    ----------
-    is_part
-        Whether a cloud has a part of the directions that several have.
-    turn
-        The time of a turn, seconds; 0 if the clouds are no parts, or it is not regular.
-    """
-
-    is_part: bool = False
-    turn: float = 0.0
-
-
-@dataclass(eq=False)
-class Lidar:
-    """What is known of a topic with clouds.
-
-    Attributes
-    ----------
-    facts
-        The facts that the survey has found.
-    mounting
-        How it is mounted, and which heights suit it.
-    buffer
-        The transforms; None if there are none.
-    clouds
-        Points of clouds that are spread over the recording, each (3, N), in the frame in which they were judged.
-    has_zeros
-        Whether points at (0, 0, 0) stand for no return.
-    seconds
-        How long it measured.
-    span_ns
-        The log times of the recording's first and last message; the last one is None if not all transforms there are
-        known.
-    """
-
-    facts: TopicFacts
-    mounting: Mounting
-    buffer: TransformBuffer | None
-    clouds: Sequence[NDArray[np.floating[Any]]]
-    has_zeros: bool
-    seconds: float
-    span_ns: tuple[int, int | None]
-
-    @property
-    def topic(self) -> str:
-        """Its topic."""
-        return self.facts.topic
-
-    @property
-    def target(self) -> str:
-        """The frame of its scans; empty for its own."""
-        own = self.mounting
-        return own.target_frame or (own.judged_in if own.judged_in != own.frame else "")
-
-    @cached_property
-    def period(self) -> float:
-        """The time from cloud to cloud, seconds; 0 if it is not known."""
-        return (median_interval_ns(each.stamp_ns for each in self.facts.headers) or 0) / 1e9
-
-    @cached_property
-    def duration(self) -> float:
-        """The time that the points of a cloud take by their own times, seconds; 0 without plausible ones."""
-        times = self.facts.found(_TIMES)
-        if not times or any(time_warnings(self.facts, PointTime())):
-            return 0.0
-        return median([each.high - each.low for each in times])
-
-    @property
-    def edges(self) -> EdgeClouds:
-        """Its clouds at the edges of the recording."""
-        clouds = EdgeClouds(self.mounting.frame, self.facts.headers, self.facts.last_headers)
-        if not self.duration:
-            return clouds
-        times = self.facts.found(_TIMES)
-        return clouds._replace(before=min(each.low for each in times), after=max(each.high for each in times))
-
-    @cached_property
-    def time_field(self) -> str:
-        """The field with the times of points."""
-        return self.facts.found(_TIMES)[0].field
-
-    @cached_property
-    def step(self) -> float | None:
-        """How finely a turning lidar samples azimuth, radians; None for others."""
-        shapes = shapes_of(self.facts, _SHAPE)
-        turns = any(each.sweep is not None for each in shapes) or self.covered > 0.5
-        return regular_step(shapes) if turns else None
-
-    @property
-    def is_upright(self) -> bool:
-        """Whether the z axes of its frame and of the scans are the same, so that its rings are level there."""
-        if self.mounting.static_tf or not self.target:
-            return not self.mounting.static_tf
-        try:
-            turned = None if self.buffer is None else self.buffer.lookup(self.target, self.mounting.frame, 0)
-        except TransformError:
-            return False
-        return turned is not None and float(turned.matrix[2, 2]) > _UPRIGHT
-
-    @cached_property
-    def covered(self) -> float:
-        """The share of all directions that a cloud has."""
-        found = self.facts.found(_DIRECTIONS)
-        return median([each.bit_count() / DIRECTIONS for each in found]) if found else 0.0
-
-    @cached_property
-    def directions(self) -> Directions:
-        """Whether a cloud is a part of a turn."""
-        found = self.facts.found(_DIRECTIONS)
-        union = reduce(or_, found, 0)
-        if len(found) < _SEVERAL or self.covered >= _PART * union.bit_count() / DIRECTIONS:
-            return Directions()
-        middles = [_middle(each) for each in found]
-        steps = np.remainder(np.diff(middles) + math.pi, math.tau) - math.pi
-        step = median(steps)
-        # Packets follow each other; a pattern jumps.
-        if not abs(step) > _STEP / 4 or (np.abs(steps - step) < max(0.5 * abs(step), _STEP)).mean() < _ENOUGH:
-            return Directions(is_part=True)
-        return Directions(is_part=True, turn=round(math.tau / abs(step)) * self.period)
-
-    def motion(self, seconds: float) -> SensorMotion | None:
-        """Return how it moves within some time; None if it stands still, or no transforms say how it moves."""
-        return None if self.buffer is None else sensor_motion(self.buffer, self.mounting.frame, seconds)
-
-    def clouds_of_a_scan(self) -> int:
-        """Return how many clouds fill a scan, if their pattern is sparse; else 0."""
-        heights = self.mounting.heights
-        if self.step is not None or self.directions.turn or heights is None:
-            return 0
-        clouds = [
-            filled
-            for each in self.facts.found(_PATTERN)
-            if (filled := _filled_beams(self._in_target(each, self.mounting.frame), heights.low, heights.high))
-            is not None
-        ]
-        if len(clouds) < _MOST_CLOUDS:
-            return 0
-        every = np.logical_or.reduce(clouds)
-        if every.sum() < 20 or _lower_quartile(each.sum() for each in clouds) >= _FILLED * every.sum():
-            return 0
-        for count in range(2, _MOST_CLOUDS + 1):
-            groups = [
-                np.logical_or.reduce(clouds[n : n + count]).sum() for n in range(0, len(clouds) - count + 1, count)
-            ]
-            if median(groups) >= _ENOUGH * every.sum():
-                return count
-        return _MOST_CLOUDS
-
-    @property
-    def placed(self) -> Iterator[NDArray[np.float64]]:
-        """The spread clouds in the frame of the scans, each (N, 3)."""
-        return (self._in_target(each, self.mounting.judged_in) for each in self.clouds)
-
-    def _in_target(self, points: NDArray[np.floating[Any]], frame: str) -> NDArray[np.float64]:
-        """Return points of a frame, (3, N), in the frame of the scans, (N, 3)."""
-        found = points.T.astype(np.float64)
-        target, static = self.target, self.mounting.static_tf
-        if static and frame == self.mounting.frame:
-            return np.asarray(StaticTransform.parse(static).parent_from_child.apply(found))
-        if not target or target == frame or self.buffer is None:
-            return found
-        try:
-            return np.asarray(self.buffer.lookup(target, frame, 0).apply(found))
-        except TransformError:
-            return found
-
-
-def _lower_quartile(counts: Iterable[int]) -> int:
-    ordered = sorted(counts)
-    return ordered[len(ordered) // 4]
-
-
-def _middle(directions: int) -> float:
-    """Return the middle of directions, radians."""
-    angles = np.array([place for place in range(DIRECTIONS) if directions >> place & 1]) * _STEP
-    return float(np.arctan2(np.sin(angles).mean(), np.cos(angles).mean())) if angles.size else 0.0
-
-
-def _filled_beams(points: NDArray[np.float64], low: float, high: float) -> NDArray[np.bool_] | None:
-    """Return which beams of half a degree have points between two heights; None if there are hardly any points."""
-    x, y, z = points.T
-    good = (z >= low) & (z <= high) & ((x != 0) | (y != 0)) & np.isfinite(x) & np.isfinite(y)
-    if good.sum() < 20:
-        return None
-    places = ((np.arctan2(y[good], x[good]) / math.tau + 0.5) * 720).astype(np.intp) % 720
-    return np.bincount(places, minlength=720) > 0
 
 
 class Box(NamedTuple):
@@ -408,6 +146,8 @@ def proposals(
     ups: Mapping[str, UpEstimate],
     clocks: Mapping[str, ClockFinding],
     destination: Callable[[str], str],
+    summary: Summary,
+    warnings: list[str],
     *,
     names_topics: bool,
     has_scans: bool,
@@ -428,6 +168,10 @@ def proposals(
         What is wrong with the clocks of topics.
     destination
         Names the destination of a topic, if there are several commands.
+    summary
+        The recording's extent.
+    warnings
+        What the commands would be told is added.
     names_topics
         Whether a command must say which topic it converts.
     has_scans
@@ -440,7 +184,36 @@ def proposals(
         if len(groups) > 1:
             options["destination"] = destination(group[0].topic)
         options |= {each.name: each.value for each in choices}
+        added, findings = _tried(options, group, summary)
+        warnings += (f"the proposed command: {text}" for text in findings if text not in warnings)
+        choices += added
+        options |= {each.name: each.value for each in added}
         yield Call("convert", tuple(sources), options, {each.name: each.reason for each in choices if each.reason})
+
+
+def _tried(options: Mapping[str, Any], group: Sequence[Lidar], summary: Summary) -> tuple[list[Choice], Sequence[str]]:
+    """Return options that a command lacks by a trial of it, and what it would be told with them."""
+    trial = _worst([tried(options, each, summary) for each in group])
+    if trial.on_ground <= _MOST_GROUND:
+        return [], trial.findings
+    why = f"the ground rises: {trial.on_ground:.0%} of the returns are on it"
+    steep = Choice("min_height_slope", math.ceil(100 * trial.slope + 0.5) / 100, why)
+    remove = Choice("ground", "remove", why)
+    above = Choice("min_height", float(f"{options['min_height'] + _ROUGH:g}"), "above the floor, and rough ground")
+    most = max(_MOST_GROUND, min(_STILL_ON, trial.on_ground / 4))
+    for way in ([remove], [remove, above], [steep]):
+        more = {each.name: each.value for each in way}
+        found = _worst([tried({**options, **more}, lidar, summary) for lidar in group])
+        if found.on_ground <= most and found.seen > _STILL_SEEN * trial.seen:
+            return way, found.findings
+    said = f"{trial.on_ground:.0%} of the returns are on the ground, which rises; `pc2scan view` shows it"
+    return [], (*trial.findings, said)
+
+
+def _worst(trials: Sequence[Trial]) -> Trial:
+    """Return the trial of the lidar that sees most of the ground, with what is said of all."""
+    found = max(trials, key=lambda trial: trial.on_ground)
+    return found._replace(findings=tuple(dict.fromkeys(text for each in trials for text in each.findings)))
 
 
 def _with_common_heights(lidar: Lidar, lidars: Sequence[Lidar]) -> Lidar:
@@ -527,18 +300,25 @@ def _choices(
     if clock is None:
         yield from _edges(group, next((each.value for each in times if each.name == "fixed_frame"), ""))
     yield from _exclusions(group)
-    yield from _beams(group)
+    yield from _beams(group, is_level=any(each.name == "level" for each in times))
 
 
-def _beams(group: Sequence[Lidar]) -> Iterator[Choice]:
-    """Yield the width of the beams, if the lidars turn and the default one suits none of them."""
+def _beams(group: Sequence[Lidar], *, is_level: bool) -> Iterator[Choice]:
+    """Yield the width of the beams, if the lidars turn and the default one suits none of them, or for a pattern."""
+    if len(group) == 1 and (degrees := group[0].pattern.degrees):
+        yield Choice("angle_increment", f"{degrees}deg", "the pattern is too sparse for the default beams")
     steps = [each.step for each in group]
     if None in steps:
         return
     step = max(each for each in steps if each is not None)
     measured = f"every {math.degrees(step):.3g} deg"
-    if step > 1.2 * ProjectionParams().angle_increment and len(group) == 1 and group[0].is_upright:
+    if step > 1.2 * ProjectionParams().angle_increment and len(group) == 1 and group[0].is_upright and not is_level:
         yield Choice("beams", "auto", f"the lidar measures {measured}, coarser than the default beams")
+    elif step > 1.2 * ProjectionParams().angle_increment:
+        wide = math.ceil(2 * math.degrees(step) - 0.1) / 2
+        yield Choice(
+            "angle_increment", f"{wide:g}deg", f"the lidar measures {measured}, coarser than the default beams"
+        )
     elif step <= _FINE:
         yield Choice("angle_increment", "0.5deg", f"the lidar measures {measured}, finer than the default beams")
 
@@ -564,7 +344,7 @@ def _times(group: Sequence[Lidar], ups: Mapping[str, UpEstimate]) -> Iterator[Ch
     lidar = group[0]
     is_alone = len(group) == 1
     turn = lidar.directions.turn if is_alone else 0.0
-    clouds = lidar.clouds_of_a_scan() if is_alone and not turn else 0
+    clouds = lidar.pattern.clouds if is_alone and not turn else 0
     within_cloud = lidar.motion(lidar.duration or lidar.period or 0.1)
     gathered = turn or clouds * lidar.period or (0.0 if is_alone else lidar.period)
     within_scan = lidar.motion(gathered) if gathered else within_cloud
@@ -586,8 +366,9 @@ def _times(group: Sequence[Lidar], ups: Mapping[str, UpEstimate]) -> Iterator[Ch
         )
     if tilts and within_scan is not None:
         yield Choice("level", True, f"roll and pitch vary by {math.degrees(within_scan.tilt):.1f} deg")
-    if within_scan is not None and (deskews or tilts or (gathered and _moves(within_scan))):
-        yield Choice("fixed_frame", within_scan.fixed, "the frame that does not move with the robot")
+    fixed = within_scan.fixed if within_scan is not None else lidar.world
+    if (deskews or tilts or turn or clouds or (gathered and _moves(within_scan))) and fixed:
+        yield Choice("fixed_frame", fixed, "the frame that does not move with the robot")
     if not tilts:
         yield from _level_by_imu(lidar, ups)
 

@@ -17,9 +17,9 @@ from pc2scan.conversion.plan import make_plan
 from pc2scan.conversion.stages.placement import PlaceStage
 from pc2scan.conversion.stages.selection import SelectStage
 from pc2scan.conversion.stamps import corrected_for
-from pc2scan.core.floor import CloudSample, are_enough
 from pc2scan.core.points import NUMBER
 from pc2scan.core.rule import PointCounts
+from pc2scan.core.scene import CloudSample, are_enough
 from pc2scan.errors import DecodeError, MessageError, RecordingError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.text import counted

@@ -1,6 +1,6 @@
 """Judges how the frame of clouds is mounted, which options make it level, and which heights suit its scans.
 
-It uses the ground in a few clouds (`pc2scan.core.ground`), and the recording's transforms, if it has any.
+It uses the ground in a few clouds (`pc2scan.core.scene`), and the recording's transforms, if it has any.
 """
 
 from __future__ import annotations
@@ -12,10 +12,21 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pc2scan.core.floor import FARTHEST_MEDIAN, JUDGED_CLOUDS, LEVEL, are_enough, are_far
-from pc2scan.core.ground import Ground, common_ground, find_ground, floor_at_side
 from pc2scan.core.percentiles import percentiles
 from pc2scan.core.rigid import Rigid
+from pc2scan.core.scene import (
+    FARTHEST_MEDIAN,
+    JUDGED_CLOUDS,
+    LEVEL,
+    Ground,
+    are_enough,
+    are_far,
+    common_ground,
+    find_ground,
+    floor_at_side,
+    gathered,
+    tolerances,
+)
 from pc2scan.errors import TransformError
 
 from .summary import BODIES, WORLDS
@@ -25,7 +36,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pc2scan.core.floor import CloudSample
+    from pc2scan.core.scene import CloudSample
 
     from .buffer import TransformBuffer
 
@@ -35,6 +46,20 @@ _NOTABLE_TILT = math.radians(10.0)
 #: The floor is as far from a sensor as its transform says that it is high, but for this share.
 _NEAR_MOUNT = 0.3
 
+#: Scans are from the first height above the floor, or from up to the second one where the ground is rough, to the third
+#: one, and so far below what is overhead; between them is at least so much, metres.
+_LOW, _ROUGHEST, _HIGH, _BELOW_CEILING, _THINNEST = 0.1, 0.3, 1.5, 0.2, 0.3
+
+#: Without a floor: so far from the sensor's height, metres.
+_AROUND = 0.4
+
+#: Floors that differ by less are one, metres; the fewest points and their least share that heights are judged by.
+_ONE_FLOOR, _FEW, _FEWEST_SHARE = 0.05, 20, 0.001
+
+#: A plane with a larger share of a cloud, seen from nearer than so many times its distance, contradicts what is
+#: recorded.
+_LARGE, _SEEN_FROM = 0.1, 8.0
+
 _IDENTITY = Rigid.identity()
 
 #: Names that `static_tf` can have: without blanks and commas, which separate its parts.
@@ -42,12 +67,26 @@ _WORD = re.compile(r"[^\s,]+")
 
 
 class Heights(NamedTuple):
-    """Limits of z that suit scans, metres, and the heights of floor and ceiling (None: not visible)."""
+    """Limits of z that suit scans, metres.
+
+    Attributes
+    ----------
+    low, high
+        The limits.
+    floor, ceiling
+        The heights of floor and ceiling; None: not known.
+    question
+        What the recording says of the floor, and the clouds show otherwise; empty if they agree.
+    doubt
+        What is not known, so that the limits may be wrong; empty if nothing is.
+    """
 
     low: float
     high: float
     floor: float | None = None
     ceiling: float | None = None
+    question: str = ""
+    doubt: str = ""
 
 
 class Mounting(NamedTuple):
@@ -135,11 +174,12 @@ def mounting(
     buffer
         The recording's transforms; None if there are none.
     """
-    clouds = clouds[: 1 if are_enough(clouds[:1]) else JUDGED_CLOUDS]
+    clouds = gathered(clouds)[: 1 if are_enough(clouds[:1]) else JUDGED_CLOUDS]
     judged_in, origin_z, stamp_ns = clouds[0].judged_in, clouds[0].origin[2], clouds[0].stamp_ns
     samples = [cloud.points for cloud in clouds]
     seen = _Observation(topic, frame, judged_in, samples, common_ground([find_ground(points) for points in samples]))
     if judged_in.removeprefix("/") != frame.removeprefix("/"):
+        seen = seen._replace(ground=_believed(seen.ground, origin_z))
         ground, fault = seen.ground, _fault(seen.ground)
         is_known = ground.off and ground.kind != "slanted"
         if not is_known and (tilted := clouds[0].floor_tilted_by_transform) is not None:
@@ -158,7 +198,8 @@ def mounting(
         there = clouds[0].transform
         if seen.ground.kind == "unknown" and there and (lying := _on_its_side(seen, judged_in, there, _IDENTITY)):
             return lying
-        return seen.verdict(fault, heights=suitable_heights(seen.ground, samples, origin_z=origin_z))
+        heights = suitable_heights(seen.ground, samples, frame=judged_in, origin_z=origin_z)
+        return seen.verdict(fault, heights=heights)
     if buffer is not None:
         found = _by_transforms(seen, buffer, stamp_ns)
         if found is not None:
@@ -195,9 +236,8 @@ class _Observation(NamedTuple):
         turned = level.compose(target_from_frame).quaternion
         right = Rigid(turned / np.linalg.norm(turned), target_from_frame.translation)
         moved = [level.apply(turn.apply(points)) for points in self.samples]
-        heights = suitable_heights(
-            common_ground([find_ground(points) for points in moved]), moved, origin_z=_height(right)
-        )
+        there = common_ground([find_ground(points) for points in moved])
+        heights = suitable_heights(there, moved, frame=target, origin_z=_height(right))
         return self.replace_frame(target, right, heights)
 
 
@@ -214,17 +254,19 @@ def _by_transforms(seen: _Observation, buffer: TransformBuffer, stamp_ns: int) -
     name, body_from_frame = body
     turn = body_from_frame.rotation
     samples = [turn.apply(points) for points in seen.samples]
-    there = common_ground([find_ground(points) for points in samples])
+    height = _height(body_from_frame)
+    there = _believed(common_ground([find_ground(points) for points in samples]), height)
+    ground = _believed(ground, height) if there.kind != "level" else ground
     if there.off and "slanted" in {there.kind, ground.kind}:
         return None
     if there.off:
         # The frame itself is level and its transform tilts it, so the transform is wrong.
         return seen.correct(name, body_from_frame, there, turn) if ground.off else None
-    if there.kind == "unknown" and ground.kind in {"tilted", "upside-down", "slanted"}:
+    if there.kind == "unknown" and ground.kind == "slanted":
         return None
     if there.kind == ground.kind == "unknown" and (lying := _on_its_side(seen, name, body_from_frame, turn)):
         return lying
-    heights = suitable_heights(there, samples, origin_z=_height(body_from_frame))
+    heights = suitable_heights(there, samples, frame=name, origin_z=height)
     tilt = _tilt(body_from_frame)
     fault = _fault(ground)
     if not fault and tilt > _NOTABLE_TILT:
@@ -260,6 +302,16 @@ def _on_its_side(seen: _Observation, target: str, target_from_frame: Rigid, turn
         f"is a plane as far away ({beside:.2f} m) as its transform says that it is high; expected z up"
     )
     return seen.correct(target, target_from_frame, Ground("tilted", up, beside), turn)._replace(fault=fault)
+
+
+def _believed(ground: Ground, height: float) -> Ground:
+    """Return the ground in a frame whose z axis points up by the transforms, unless it contradicts them.
+
+    What is not as far away as the transforms say that the sensor is high is another plane.
+    """
+    if not ground.off or ground.height is None or height <= 0:
+        return ground
+    return ground if abs(ground.height - height) < _NEAR_MOUNT * height else Ground("unknown", sampled=ground.sampled)
 
 
 def _height(rigid: Rigid) -> float:
@@ -367,6 +419,7 @@ def suitable_heights(
     samples: Sequence[NDArray[np.float64]],
     target_from_frame: Rigid | None = None,
     *,
+    frame: str = "",
     origin_z: float = 0.0,
 ) -> Heights | None:
     """Return heights that suit scans: above the floor, below the ceiling, and at obstacles of a robot.
@@ -379,36 +432,75 @@ def suitable_heights(
         Points of some clouds, metres, relative to the sensor.
     target_from_frame
         The transform to the frame of the heights; None for the samples' frame.
+    frame
+        The robot's frame, if the recording says where the sensor is in it: its z = 0 is the floor, unless the clouds
+        show another one.
     origin_z
         The height of the sensor in the samples' frame.
 
     Notes
     -----
-    0.1 to 1.5 m above the floor for a sensor that is less than 1.2 m high; 0.3 to 2 m for a higher one, which is on a
-    vehicle. If there are no points, the upper limit is raised until there are some. Without a floor, from the fifth to
-    the 95th percentile.
+    0.1 to 1.5 m above the floor, or more where the ground is rough, and 0.2 m below what is overhead. If there are no
+    points, the upper limit is raised until there are some. Without a floor, around the sensor: what is visible there
+    is no floor.
     """
     points = [points for points in samples if len(points)]
     if not points or are_far(points[0]):
         return None
     moved = target_from_frame or Rigid.from_pose((0.0, 0.0, origin_z, 0.0, 0.0, 0.0, 1.0))
-    z = np.concatenate([moved.apply(each)[:, 2] for each in points])
+    every = np.concatenate(points)
+    z = moved.apply(every)[:, 2]
+    sensor = float(moved.translation[2])
     floor = ceiling = None
+    question, least = "", _LOW
     if ground.up is not None and ground.height is not None:
         floor = _along(ground.up, -ground.height, moved)
-        ceiling = None if ground.ceiling is None else _along(ground.up, ground.ceiling, moved)
-    fifth, last = percentiles(z, 5, 95)
+        least = min(_ROUGHEST, max(_LOW, 1.5 * ground.rough))
+    if ground.ceiling is not None:
+        ceiling = sensor + ground.ceiling
+    if frame and sensor > _ONE_FLOOR:
+        if floor is not None and abs(floor) > _ONE_FLOOR + 0.03 * sensor and _is_large(ground, every):
+            side = "above" if floor < 0 else "below"
+            question = f"{frame} is {abs(floor):.2f} m {side} the floor that the clouds show: is its z = 0 the floor?"
+        else:
+            floor = 0.0
+    top = math.inf if ceiling is None else ceiling - _BELOW_CEILING
     if floor is None:
-        # A planar lidar has one height, so its scans need some margin around it.
-        return Heights(_round_down(fifth - 0.02), -_round_down(-last - 0.02))
-    on_vehicle = (ground.height or 0.0) > 1.2
-    low, high = (floor + 0.3, floor + 2.0) if on_vehicle else (floor + 0.1, floor + 1.5)
-    if ceiling is not None:
-        high = min(high, max(ceiling - 0.2, low + 0.1))
-    if ((z >= low) & (z <= high)).mean() < 0.001:
+        return _around(z, sensor, top)
+    low, high = floor + least, min(floor + _HIGH, top)
+    if high - low < _THINNEST:
+        doubt = f"only {top + _BELOW_CEILING - floor:.2f} m are between the floor and what is overhead"
+        return Heights(_round_down(low + 0.005), _round_down(low + _THINNEST), floor, ceiling, question, doubt)
+    doubt = ""
+    if ((z >= low) & (z <= high)).mean() < _FEWEST_SHARE:
         # There is no object on the ground, or the sensor is above all of them.
-        high = max(high, *percentiles(z, 99.5))
-    return Heights(_round_down(low + 0.005), _round_down(high + 0.005), floor, ceiling)
+        higher = np.sort(z[(z > high) & (z < top)])
+        if len(higher) < _FEW:
+            doubt = f"no point is between {low:.2f} and {high:.2f} m, where scans would be above the floor"
+        else:
+            high = min(top, float(higher[len(higher) // 4]) + _THINNEST)
+    return Heights(_round_down(low + 0.005), _round_down(high + 0.005), floor, ceiling, question, doubt)
+
+
+def _is_large(ground: Ground, points: NDArray[np.float64]) -> bool:
+    """Whether the ground is so large, and seen from so near, that it contradicts what is recorded."""
+    on_it = np.abs(points @ np.array(ground.up) + ground.height) < tolerances(points)
+    near = np.linalg.norm(points[on_it], axis=1)
+    return bool(on_it.mean() > _LARGE and percentiles(near, 10)[0] < _SEEN_FROM * (ground.height or 0.0))
+
+
+def _around(z: NDArray[np.float64], sensor: float, top: float) -> Heights:
+    """Return heights around a sensor that sees no floor."""
+    fifth, last = percentiles(z, 5, 95)
+    if last - fifth < _THINNEST:
+        # A planar lidar has one height, so its scans need some margin around it.
+        middle = (fifth + last) / 2
+        return Heights(_round_down(middle - _THINNEST / 2), _round_down(middle + _THINNEST / 2))
+    low, high = max(fifth, sensor - _AROUND), min(last, sensor + _AROUND, top)
+    if high - low < _THINNEST or ((z >= low) & (z <= high)).mean() < _FEWEST_SHARE:
+        low, high = fifth, max(min(last, top), fifth + _THINNEST)
+    doubt = "no floor is visible, and no transform says how high the sensor is; the heights are those around the sensor"
+    return Heights(_round_down(low), -_round_down(-high), doubt=doubt)
 
 
 def sensor_exclusion(frame: str, target: str) -> tuple[str, str]:

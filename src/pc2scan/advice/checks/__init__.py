@@ -59,6 +59,7 @@ FIRST_CLOUDS: Checks[CloudFacts] = (
     clouds.heights_in_millimetres,
     clouds.nearly_empty_scans,
     clouds.floor_within_heights,
+    clouds.ceiling_within_heights,
 )
 FIRST_CLOUDS_NOTES: Checks[CloudFacts] = (clouds.heights_left_to_user,)
 

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pc2scan.core.floor import FARTHEST_MEDIAN, FEWEST_POINTS, tolerances
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import percentiles
 from pc2scan.core.rule import PointCounts
+from pc2scan.core.scene import FARTHEST_MEDIAN, FEWEST_POINTS, cells_of, outermost, tolerances
 from pc2scan.request.parameters import preset_of
 from pc2scan.text import agreeing, counted, height_text
 from pc2scan.transforms.summary import BODIES
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pc2scan.core.floor import CloudSample
+    from pc2scan.core.scene import CloudSample, Plane
     from pc2scan.request.options import ScanSpec
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.mounting import Mounting
@@ -43,8 +43,10 @@ _NEARLY_EMPTY = 0.02
 NOTABLE_SHARE = 0.25
 _NOTABLE_ABOVE_GROUND = 0.05
 
-#: From this share of beams that end on the floor, a warning gives heights above it.
+#: From this share of beams that end on the floor, or on what is overhead, a warning gives other heights.
 _MOST_FLOOR = 0.3
+#: A ceiling is so far above the sensor, metres.
+_OVERHEAD = 0.3
 _FEWEST_BEAMS = 20
 
 #: A transform is taken for swapped if the sensor is at least this far below the robot's frame, metres, and as far as it
@@ -136,7 +138,7 @@ class CloudFacts:
             return True
         if first.distance > FARTHEST_MEDIAN:
             return False
-        if first.floor is None or self.floor_share >= _MOST_FLOOR or any(swapped_transform(self)):
+        if first.floor is None or self.floor_share >= _MOST_FLOOR or self.ceiling or any(swapped_transform(self)):
             return False
         if 0 < first.floor.above < first.floor.height and self.are_upside_down:
             return False
@@ -181,17 +183,9 @@ class CloudFacts:
         )
 
     @cached_property
-    def floor_share(self) -> float:
-        """The share of beams, of those with a return of the first cloud, whose closest return is the floor.
-
-        0 if the floor is outside the heights, or if a filter may remove it.
-        """
-        floor, params = self.samples[0].floor, self.spec.params
-        if floor is None or any(each.name in _FLOOR_FILTERS for each in self.spec.filters):
-            return 0.0
-        sample = self.samples[0]
-        distances = sample.points @ np.array(floor.up) + floor.height
-        placed = sample.placed
+    def nearest(self) -> NDArray[np.bool_]:
+        """Which points of the first cloud's sample are the closest of their beam, of one degree."""
+        placed, params = self.samples[0].placed, self.spec.params
         ranges, angles = np.hypot(placed[:, 0], placed[:, 1]), np.arctan2(placed[:, 1], placed[:, 0])
         used = (
             (placed[:, 2] >= params.min_height)
@@ -201,16 +195,43 @@ class CloudFacts:
             & (angles >= params.angle_min)
             & (angles <= params.angle_max)
         )
-        # The floor at the place of each point.
-        height = placed[:, 2] - distances / floor.up[2]
-        on_floor = (
-            (np.abs(distances) < tolerances(sample.points))
-            & (height > params.min_height - _NOISE)
-            & (height < params.max_height + _NOISE)
-        )
-        nearest = np.flatnonzero(used)[np.argsort(ranges[used])]
-        _, first = np.unique(np.degrees(angles[nearest]).astype(int), return_index=True)
-        return float(on_floor[nearest[first]].mean()) if len(first) >= _FEWEST_BEAMS else 0.0
+        order = np.flatnonzero(used)[np.argsort(ranges[used])]
+        _, first = np.unique(np.degrees(angles[order]).astype(int), return_index=True)
+        found = np.zeros(len(placed), np.bool_)
+        found[order[first]] = True
+        return found
+
+    def share_on(self, up: Sequence[float], height: float) -> float:
+        """Return the share of beams, of those with a return of the first cloud, whose closest return is on a plane.
+
+        0 if the plane is outside the heights, or if a filter may remove it.
+        """
+        if any(each.name in _FLOOR_FILTERS for each in self.spec.filters):
+            return 0.0
+        sample, params = self.samples[0], self.spec.params
+        distances = sample.points @ np.array(up) + height
+        # The plane at the place of each point.
+        at = sample.placed[:, 2] - distances / up[2]
+        inside = (at > params.min_height - _NOISE) & (at < params.max_height + _NOISE)
+        on_plane = (np.abs(distances) < tolerances(sample.points)) & inside
+        return float(on_plane[self.nearest].mean()) if self.nearest.sum() >= _FEWEST_BEAMS else 0.0
+
+    @cached_property
+    def floor_share(self) -> float:
+        """The share of beams that end on the floor; see `share_on`."""
+        floor = self.samples[0].floor
+        return 0.0 if floor is None else self.share_on(floor.up, floor.height)
+
+    @cached_property
+    def ceiling(self) -> Plane | None:
+        """What is overhead, if many beams end on it."""
+        sample, nearest = self.samples[0], self.nearest
+        if len(sample.points) < FEWEST_POINTS or nearest.sum() < _FEWEST_BEAMS:
+            return None
+        if (sample.points[nearest, 2] > _OVERHEAD).mean() < _MOST_FLOOR:
+            return None
+        plane = outermost(cells_of(sample.points), 1)
+        return plane if plane is not None and self.share_on(plane.up, plane.height) >= _MOST_FLOOR else None
 
     @property
     def robot(self) -> TransformBuffer | None:
@@ -439,6 +460,20 @@ def floor_within_heights(clouds: CloudFacts) -> Iterator[str]:
         f"{clouds.topic}: the floor is within the heights: it is at z = {at} m in {sample.judged_in!r}, and {below}; "
         f"{clouds.floor_share:.0%} of the beams with a return end on it"
         + (f"; without it: {clouds.advice}" if clouds.advice else "")
+    )
+
+
+def ceiling_within_heights(clouds: CloudFacts) -> Iterator[str]:
+    """Yield a warning if many beams end on what is overhead, with the height that ends it."""
+    ceiling, sample, params = clouds.ceiling, clouds.samples[0], clouds.spec.params
+    if ceiling is None or any(nearly_empty_scans(clouds)) or any(clouds_in_another_unit(clouds)):
+        return
+    at = sample.origin[2] + ceiling.height
+    share = clouds.share_on(ceiling.up, ceiling.height)
+    yield (
+        f"{clouds.topic}: the ceiling is within the heights: it is at z = {height_text(at)} m in {sample.judged_in!r}, "
+        f"and max_height is {_limit(params.max_height, 'm')}; {share:.0%} of the beams with a return end on it; "
+        f"`max_height={math.floor(100 * at - 20) / 100:g}` ends below it"
     )
 
 

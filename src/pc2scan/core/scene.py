@@ -1,0 +1,784 @@
+"""What clouds show of the place around a sensor: its floor, what is overhead, and how the cloud's frame is mounted.
+
+Planes are found by RANSAC (Fischler and Bolles, "Random sample consensus", Communications of the ACM 24 (6), 1981), the
+largest first, each refined by weighted least squares, its inliers removed before the next. The triplets follow a
+low-discrepancy sequence instead of random numbers, so that the same cloud always has the same planes. Points are first
+thinned to one per cell, because a spinning lidar measures near objects a hundred times as densely as far ones. A level
+floor, the most frequent case, is found without RANSAC in a millisecond.
+
+A plane alone is no proof of the ground: a wall beside a level lidar looks like the ground under a lidar that lies on
+its side, and a ceiling like the ground under one that hangs upside down. So a frame is called tilted or upside down
+only if no other explanation fits the points; `_doubt` has the conditions, and if one fails, the kind is ``unknown``.
+They were tuned on simulated clouds: 16 to 128 rings, scattering lidars and depth cameras, in halls, offices, corridors,
+warehouses, garages, streets, fields, woods, yards and on ramps, with and without floor and ceiling, mounted at any roll
+and pitch from -90 to 180 degrees. For each, the result is right to within 3 degrees or unknown, and no level one is
+called anything else (``tests/core/test_ground.py`` repeats a part).
+
+Two cases cannot be distinguished by a cloud: a low ceiling of a hall whose floor is not visible is the mirror image of
+open ground, and a lidar that hangs upside down just below a ceiling is that of a lidar just above the floor. Transforms
+can distinguish them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
+
+import numpy as np
+
+from .percentiles import median, percentiles
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from .points import Points
+    from .rigid import Rigid
+
+Kind = Literal["level", "tilted", "upside-down", "optical", "slanted", "unknown"]
+
+_Points: TypeAlias = "NDArray[np.float64]"
+_Direction: TypeAlias = tuple[float, float, float]
+
+#: A plane whose normal is this far from the frame's z axis, radians, is as likely a wall as the ground.
+_STEEPEST = math.radians(50.0)
+
+#: Planes with this share of a cloud, and at most this share behind them, show how a room is turned. Those that are
+#: slanted are this far from z, radians; two of them are at right angles within so many degrees.
+_LARGE, _MOST_BEYOND = 0.08, 0.3
+_SLANTED = (math.radians(12.0), math.radians(78.0))
+_RIGHT_ANGLE = 3.0
+
+#: body_from_optical: REP 103's optical frames have x to the right, y down and z forward.
+_BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+#: The plastic number to the powers of -1, -2 and -3: the golden ratio's counterpart in three dimensions (Roberts,
+#: 2018).
+_PLASTIC = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)
+
+#: The most planes of a cloud, the triplets tried for each, and the smallest share of the cloud that is a plane.
+_PLANES = 8
+_TRIPLETS = 250
+_SMALLEST = 0.03
+
+#: Points that are farther below the ground, metres, are not of it.
+_ROUGHEST = 0.3
+
+#: The lowest and the highest level plane: the fewest cells on it and their least share, the largest share behind it,
+#: its least width, metres, and the share of its places from where on it is a line on walls. What is overhead is so far
+#: above the sensor, metres, and seen from nearer than so many times that.
+_FEWEST_CELLS, _SMALL_SURFACE, _FEW_BEHIND, _NARROW, _GOES_ON = 20, 0.015, 0.02, 0.4, 0.4
+_OVERHEAD, _FLATTEST = 0.3, 6.0
+
+#: A floor is seen from nearer than so many times its distance; a smaller one may be the outer ring's.
+_FARTHEST = 12.0
+
+#: The steepest ground that is no obstacle, metres a metre.
+_STEEPEST_RISE = 0.25
+
+#: A floor is farther from the sensor than so many times the tolerance: a ring that is tilted a little is none.
+_CLEAR = 2.5
+
+
+#: How many clouds of a topic are judged if the first one has no level floor, how many points of each are sampled, and
+#: with how many a cloud is not judged.
+JUDGED_CLOUDS = 3
+MOST_POINTS = 2_000
+FEWEST_POINTS = 300
+
+#: A message with fewer points is a part of a turn or of a pattern, and so many of them are one cloud.
+WHOLE_POINTS, PARTS = 600, 40
+
+#: A frame with at most this tilt counts as level, radians: roads and yards are not flatter, and robots pitch.
+LEVEL = math.radians(5.0)
+
+#: A transform is wrong if it tilts by more than this, radians, a floor that is level without it, up to this share of
+#: the tilt. Floors of simulated lidars are off by 0.1 degrees (median), and by 0.4 (95 %).
+_LEAST_TILT = math.radians(0.9)
+_LEVEL_BESIDE = 0.3
+
+#: Points with a larger median distance, metres, are in another unit: lidars do not see as far.
+FARTHEST_MEDIAN = 400.0
+
+#: The golden ratio's inverse.
+GOLDEN = 0.6180339887498949
+
+#: The conditions of a floor: the least share of the cells on it, the largest share below it, and metres below the
+#: sensor.
+_LEAST_SHARE = 0.15
+_MOST_BELOW = 0.05
+_LEAST_HEIGHT = 0.03
+
+
+class Floor(NamedTuple):
+    """A level floor.
+
+    Attributes
+    ----------
+    up
+        Its normal, upwards.
+    height
+        The height of the sensor above it, metres.
+    above
+        How far the points above the sensor reach, metres; negative if there are none. If that is less than the height,
+        the floor may be a ceiling, and the sensor upside down.
+    """
+
+    up: tuple[float, float, float]
+    height: float
+    above: float
+
+
+@dataclass(frozen=True)
+class CloudSample:
+    """Some points of a cloud, relative to the sensor along the axes of the frame in which it is judged.
+
+    Attributes
+    ----------
+    frame_id, stamp_ns
+        Of the cloud.
+    judged_in
+        The frame of its scan.
+    points
+        The result of `thin_points`, metres.
+    transform
+        The transform to that frame; None if it is the cloud's own.
+    zeros
+        How many points of the whole cloud are at the sensor itself.
+    distance
+        The median distance of the points, metres; 0 if there are too few.
+    lossy
+        See `pc2scan.core.points.Points`.
+    """
+
+    frame_id: str
+    stamp_ns: int
+    judged_in: str
+    points: _Points
+    transform: Rigid | None = None
+    zeros: int = 0
+    distance: float = 0.0
+    lossy: str = ""
+
+    @classmethod
+    def of(cls, cloud: Points) -> CloudSample:
+        """Return a sample of a cloud, which is judged in its own frame."""
+        x, y, z = cloud.xyz()
+        with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
+            zeros = int(np.count_nonzero((x == 0) & (y == 0) & (z == 0)))
+        points = thin_points(x, y, z)
+        distance = _median_distance(points) if len(points) >= FEWEST_POINTS else 0.0
+        header = cloud.frame_id, cloud.stamp_ns, cloud.frame_id
+        return cls(*header, points, zeros=zeros, distance=distance, lossy=cloud.lossy)
+
+    def placed_in(self, frame: str, transform: Rigid | None) -> CloudSample:
+        """Return the sample in another frame, in which it is judged; without a transform, only the name differs."""
+        if transform is None:
+            return replace(self, judged_in=frame)
+        return replace(self, judged_in=frame, points=transform.rotation.apply(self.points), transform=transform)
+
+    def seen_from(self, rigid: Rigid) -> CloudSample:
+        """Return the sample as if the sensor were elsewhere in the frame in which it is judged."""
+        return replace(self, points=self.placed - rigid.translation, transform=rigid)
+
+    @property
+    def origin(self) -> tuple[float, float, float]:
+        """The position of the sensor in the frame in which it is judged, metres."""
+        if self.transform is None:
+            return (0.0, 0.0, 0.0)
+        x, y, z = self.transform.translation.tolist()
+        return x, y, z
+
+    @property
+    def placed(self) -> _Points:
+        """The points in the frame in which it is judged."""
+        return np.asarray(self.points + self.origin)
+
+    @cached_property
+    def floor_tilted_by_transform(self) -> Floor | None:
+        """The floor in the frame in which it is judged, if the transform tilts it, and the cloud's own frame does not.
+
+        None if the floor is not level in the cloud's own frame: then the sensor is tilted, or the robot. None, too, if
+        it seems level in both, as parts of floors do.
+        """
+        if self.transform is None or len(self.points) < FEWEST_POINTS:
+            return None
+        matrix = self.transform.matrix
+        turned = _angle(matrix[2, 2])
+        if turned <= _LEAST_TILT:
+            return None
+        own, here = level_floor(cells_of(self.points @ matrix)), self.floor
+        if own is None or _angle(own.up[2]) > _LEVEL_BESIDE * turned:
+            return None
+        if here is not None and _angle(here.up[2]) < _LEVEL_BESIDE * turned:
+            return None
+        x, y, z = (matrix @ np.array(own.up)).tolist()
+        return Floor((x, y, z), own.height, own.above) if abs(_angle(z) - turned) < _LEVEL_BESIDE * turned else None
+
+    @cached_property
+    def floor(self) -> Floor | None:
+        """The level floor; None if there is none, or if the cloud is too small."""
+        return level_floor(cells_of(self.points)) if len(self.points) >= FEWEST_POINTS else None
+
+
+def are_far(points: _Points) -> bool:
+    """Return whether points are so far away that they are in another unit than metres."""
+    return len(points) >= FEWEST_POINTS and _median_distance(points) > FARTHEST_MEDIAN
+
+
+def _angle(cosine: float) -> float:
+    return math.acos(max(-1.0, min(1.0, float(cosine))))
+
+
+def gathered(samples: Sequence[CloudSample]) -> list[CloudSample]:
+    """Return the first clouds, with messages that are a part of a turn or of a pattern together as one."""
+    if not samples or len(samples[0].points) >= WHOLE_POINTS:
+        return list(samples)
+    points = np.concatenate([each.points for each in samples])
+    distance = _median_distance(points) if len(points) >= FEWEST_POINTS else 0.0
+    zeros = sum(each.zeros for each in samples)
+    return [replace(samples[0], points=points, zeros=zeros, distance=distance)]
+
+
+def are_enough(samples: Sequence[CloudSample]) -> bool:
+    """Return whether the first clouds show how a sensor is mounted: one with a level floor, or `JUDGED_CLOUDS`."""
+    if not samples or len(samples[0].points) < WHOLE_POINTS:
+        return len(samples) >= PARTS
+    return len(samples) >= JUDGED_CLOUDS or samples[0].floor is not None
+
+
+def thin_points(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], most: int = MOST_POINTS) -> _Points:
+    """Return a sample of a cloud's returns, (N, 3), spread over the cloud whatever its order.
+
+    Parameters
+    ----------
+    x, y, z
+        Coordinates, one a point, of any shape.
+    most
+        How many points to sample; the result has fewer, because points without a return are removed.
+    """
+    count = x.size
+    # Multiples of the golden ratio never coincide with rings or columns.
+    order = np.arange(count) if count <= most else (np.arange(most) * GOLDEN % 1.0 * count).astype(np.intp)
+    with np.errstate(all="ignore"):
+        # Without a copy of an organised cloud, whose rows may be padded.
+        places = np.unravel_index(order, x.shape)
+        points = np.stack([np.asarray(part[places], np.float64) for part in (x, y, z)], axis=1)
+        # The nearest points are the robot itself, or no returns.
+        good = (np.abs(points).max(axis=1, initial=0) < 1e4) & ((points * points).sum(axis=1) > 0.0025)
+    return np.asarray(points[good])
+
+
+def cells_of(points: _Points) -> _Points:
+    """Return one point per cell, sorted by place: a spinning lidar measures near objects a hundred times as densely."""
+    # Twenty-one bits for each coordinate: cells are at least 1 cm, and points are within 10 km.
+    keys = np.floor(points / min(0.3, max(0.01, 0.05 * _median_distance(points)))).astype(np.int64) + (1 << 20)
+    _, first = np.unique(keys[:, 0] << 42 | keys[:, 1] << 21 | keys[:, 2], return_index=True)
+    return points[first]
+
+
+def tolerances(points: _Points) -> NDArray[np.float64]:
+    """Return how far from a plane its points may be, metres: noise, roughness, and a part that grows with distance."""
+    return np.asarray(
+        min(0.05, max(0.01, 0.02 * _median_distance(points))) + 0.008 * np.sqrt((points * points).sum(axis=1))
+    )
+
+
+def _median_distance(points: _Points) -> float:
+    """Return the median distance."""
+    squares = np.sort((points * points).sum(axis=1))
+    return math.sqrt(float(squares[len(squares) // 2]))
+
+
+def level_floor(cells: _Points) -> Floor | None:
+    """Return the level floor of a cloud; None if there is none, or if this method cannot find it.
+
+    Parameters
+    ----------
+    cells
+        The result of `cells_of`, some hundred at least.
+    """
+    below = np.sort(cells[cells[:, 2] < 0, 2])
+    if len(below) < 0.1 * len(cells):
+        return None
+    tolerance = tolerances(cells)
+    low = float(below[len(below) // 50])
+    if -low < _LEAST_HEIGHT:
+        return None
+    bins = 24
+    width = -low / bins
+    peak = int(np.bincount(np.clip((below - low) / width, 0, bins - 1).astype(np.intp)).argmax())
+    inliers = np.abs(cells[:, 2] - (low + (peak + 0.5) * width)) < tolerance + width / 2
+    slope = (0.0, 0.0, 0.0)
+    distance = np.zeros(len(cells))
+    for _ in range(4):
+        members = cells[inliers]
+        found = _fit_plane(members, 1 / tolerance[inliers] ** 2) if len(members) >= 10 else None
+        if found is None:
+            return None
+        slope = found
+        distance = cells[:, 2] - cells[:, 0] * slope[0] - cells[:, 1] * slope[1] - slope[2]
+        inliers = np.abs(distance) < tolerance
+    length = math.sqrt(1 + slope[0] ** 2 + slope[1] ** 2)
+    height = -slope[2] / length
+    if length > 1 / math.cos(LEVEL) or height < _LEAST_HEIGHT:
+        return None
+    if inliers.mean() < _LEAST_SHARE or (distance < -2.5 * tolerance).mean() > _MOST_BELOW:
+        return None
+    if percentiles(np.linalg.norm(cells[inliers], axis=1), 10)[0] > _FARTHEST * height:
+        return None
+    if not _is_surface(cells, inliers, tolerance, height, -1):
+        return None
+    above = float(np.sort(cells[:, 2])[-1 - len(cells) // 100])
+    return Floor((-slope[0] / length, -slope[1] / length, 1 / length), height, above)
+
+
+def _is_surface(
+    cells: _Points, at: NDArray[np.bool_], tolerance: NDArray[np.float64], height: float, side: int
+) -> bool:
+    """Whether the cells of a level plane are of a floor (``side`` -1) or a ceiling (1), not the edge of walls."""
+    if height < _CLEAR * float(np.median(tolerance[at])):
+        return False
+    heights = side * cells[:, 2]
+    level = side * float(np.median(cells[at, 2]))
+    inside = ~at & (heights > level - 0.8)
+    squares = np.floor(cells[:, :2] / 0.3).astype(np.int64) @ np.array([1, 1 << 20])
+    if np.isin(squares[at], squares[inside]).mean() > _GOES_ON:
+        return False
+    # Where few points are beside each other, also on walls, only an edge in their heights shows a surface.
+    count = np.unique(squares[inside], return_counts=True)[1]
+    near = inside & (heights > level - 6 * float(np.median(tolerance)))
+    return bool(at.sum() > 2 * near.sum() or count[count > 1].sum() > 0.5 * inside.sum())
+
+
+def _fit_plane(points: _Points, weights: NDArray[np.float64]) -> tuple[float, float, float] | None:
+    """Return the least-squares plane z = a x + b y + c; None if the points are on a line."""
+    middle = (weights[:, None] * points).sum(axis=0) / weights.sum()
+    x, y, z = (points - middle).T
+    xx, xy, yy = float((weights * x * x).sum()), float((weights * x * y).sum()), float((weights * y * y).sum())
+    xz, yz = float((weights * x * z).sum()), float((weights * y * z).sum())
+    determinant = xx * yy - xy * xy
+    if not determinant > 1e-9 * xx * yy:
+        return None
+    a, b = (xz * yy - yz * xy) / determinant, (yz * xx - xz * xy) / determinant
+    return a, b, float(middle[2] - a * middle[0] - b * middle[1])
+
+
+class Plane(NamedTuple):
+    """A plane in a cloud.
+
+    Attributes
+    ----------
+    up
+        Its normal, a unit vector that points to the side of the sensor.
+    height
+        The sensor's distance from it, metres.
+    share
+        Its share of the cloud's cells.
+    beyond
+        Share of the cloud's cells that lie behind it.
+    width
+        Twice the standard deviation of its cells along the shorter of its two directions, metres.
+    nearest
+        Distance of its nearer cells (tenth percentile) from the sensor, metres.
+    """
+
+    up: _Direction
+    height: float
+    share: float
+    beyond: float
+    width: float
+    nearest: float
+
+    @property
+    def tilt(self) -> float:
+        """Angle between its normal and the z axis, radians."""
+        return math.acos(max(-1.0, min(1.0, self.up[2])))
+
+
+class Ground(NamedTuple):
+    """How a frame is mounted, judged by its clouds.
+
+    Attributes
+    ----------
+    kind
+        ``level``; ``tilted``; ``upside-down``; ``optical`` (z is forward, as in a camera's optical frame); ``slanted``:
+        z is not up, but which plane is the ground is not known; ``unknown``: there is not enough evidence.
+    up
+        The direction of up in the frame, a unit vector; None if no ground is visible.
+    height
+        Height of the frame's origin above the floor, metres; None if no ground is visible.
+    ceiling
+        From the origin up to the ceiling, metres; None if no ceiling is visible.
+    rough
+        How far its points are below a level ground, metres (95 %).
+    clouds, sampled
+        How many clouds agree, and how many were examined.
+    """
+
+    kind: Kind
+    up: _Direction | None = None
+    height: float | None = None
+    ceiling: float | None = None
+    rough: float = 0.0
+    clouds: int = 1
+    sampled: int = 1
+
+    @property
+    def off(self) -> bool:
+        """Whether z is not up in this frame, so that heights in it have no meaning."""
+        return self.kind in {"tilted", "upside-down", "optical", "slanted"}
+
+    @property
+    def level_from_frame(self) -> tuple[float, float, float]:
+        """Roll, pitch and yaw, radians, that turn the frame level, its forward axis ahead.
+
+        Without a ground, an optical frame is rotated as if its camera looked straight ahead.
+        """
+        forward = np.array([0.0, 0.0, 1.0] if self.kind == "optical" else [1.0, 0.0, 0.0])
+        up = np.array(self.up if self.up is not None else (0.0, -1.0, 0.0) if self.kind == "optical" else (0, 0, 1.0))
+        ahead = forward - (forward @ up) * up
+        ahead /= np.linalg.norm(ahead)
+        left = np.cross(up, ahead)
+        return (
+            math.atan2(up[1], up[2]),
+            math.asin(max(-1.0, min(1.0, -float(up[0])))),
+            math.atan2(left[0], ahead[0]),
+        )
+
+    @property
+    def tilt(self) -> float:
+        """Angle between up and the z axis, radians; for a frame that is upside down, between up and -z."""
+        up = self.up or (0.0, 0.0, 1.0)
+        cosine = -up[2] if self.kind == "upside-down" else up[2]
+        return math.acos(max(-1.0, min(1.0, cosine)))
+
+
+def common_ground(looks: Sequence[Ground]) -> Ground:
+    """Return how a frame is mounted by several of its clouds: the result of most, if none contradicts it.
+
+    The ground keeps its place while a robot drives; a wall that was mistaken for it does not.
+    """
+    if not looks:
+        return Ground("unknown", clouds=0, sampled=0)
+    kinds = {look.kind for look in looks} - {"unknown"}
+    if len(kinds) != 1:
+        return Ground("unknown", clouds=0, sampled=len(looks))
+    (kind,) = kinds
+    same = [look for look in looks if look.kind == kind]
+    if 2 * len(same) < len(looks):
+        return Ground("unknown", clouds=0, sampled=len(looks))
+    seen = [look for look in same if look.up is not None]
+    ceilings = [look.ceiling for look in same if look.ceiling is not None]
+    ceiling = median(ceilings) if 2 * len(ceilings) >= len(same) else None
+    if 2 * len(seen) < len(same):
+        return Ground(kind, clouds=len(same), sampled=len(looks))
+    middle = np.array([median(axis) for axis in zip(*(look.up for look in seen if look.up is not None), strict=True)])
+    up = middle / np.linalg.norm(middle)
+    heights = [look.height for look in seen if look.height is not None]
+    height = median(heights)
+    if kind != "level":
+        apart = max(math.acos(max(-1.0, min(1.0, float(up @ np.array(look.up))))) for look in seen)
+        moved = max(abs(other - height) for other in heights)
+        if apart > math.radians(4.0) or moved > max(0.06, 0.2 * height):
+            rest: Kind = "optical" if kind == "optical" else "unknown"
+            return Ground(rest, clouds=len(same) if kind == "optical" else 0, sampled=len(looks))
+    rough = min(look.rough for look in seen)
+    normal = (float(up[0]), float(up[1]), float(up[2]))
+    return Ground(kind, normal, height, ceiling, rough, len(same), len(looks))
+
+
+def find_ground(points: _Points) -> Ground:
+    """Return how the frame of a cloud is mounted, by this cloud alone.
+
+    Parameters
+    ----------
+    points
+        The result of `pc2scan.core.scene.thin_points`, metres.
+    """
+    if len(points) < FEWEST_POINTS:
+        return Ground("unknown")
+    if not _is_optical(points):
+        cells = cells_of(points)
+        floor = level_floor(cells)
+        found = Ground("level", floor.up, floor.height) if floor is not None else _choose_ground(points)
+        if found.kind == "unknown" and (low := outermost(cells, -1)) is not None:
+            found = Ground("level", low.up, low.height)
+        high = outermost(cells, 1) if found.kind in {"level", "unknown"} else None
+        if found.up is not None:
+            off = cells @ np.array(found.up) + (found.height or 0.0)
+            below = -off[(off < 0) & (off > -_ROUGHEST)]
+            found = found._replace(rough=percentiles(below, 95)[0] if len(below) else 0.0)
+        return found if high is None else found._replace(ceiling=high.height)
+    turned = points @ _BODY_FROM_OPTICAL.T
+    found = _choose_ground(turned, level_needs_proof=True)
+    if found.up is None:
+        return Ground("optical")
+    up = _BODY_FROM_OPTICAL.T @ np.array(found.up)
+    return Ground("optical", (float(up[0]), float(up[1]), float(up[2])), found.height, found.ceiling)
+
+
+def _is_optical(points: _Points) -> bool:
+    """Whether all points lie in a cone around the z axis, which is not so for a lidar that turns about it."""
+    directions = points / np.linalg.norm(points, axis=1)[:, None]
+    middle = directions.mean(axis=0)
+    ahead = float(middle[2] / max(float(np.linalg.norm(middle)), 1e-9))
+    return bool((directions[:, 2] > 0.5).mean() > 0.995) and ahead > 0.85
+
+
+def outermost(cells: _Points, side: int) -> Plane | None:
+    """Return the lowest level plane (``side`` -1), or the highest (1); None if nothing level is so far out.
+
+    Nearly nothing is behind it, it is wide, and it does not go on: the outer ring of a lidar makes a level line on the
+    walls, too, but with the next ring beside it.
+    """
+    tolerance = tolerances(cells)
+    heights = side * cells[:, 2]
+    order = np.sort(heights)[::-1]
+    width = 3 * float(np.median(tolerance))
+    place = 0
+    while place < _FEW_BEHIND * len(order) and order[place] > _LEAST_HEIGHT:
+        near = np.abs(heights - order[place] + width / 2) <= width / 2
+        place = int(np.searchsorted(-order, width / 2 - order[place], "right"))
+        plane = _refine(cells, tolerance, near) if near.sum() >= _FEWEST_CELLS else None
+        if plane is None or plane.share < _SMALL_SURFACE or plane.beyond > _FEW_BEHIND or plane.width < _NARROW:
+            continue
+        if (plane.tilt if side < 0 else math.pi - plane.tilt) > LEVEL or plane.height < _LEAST_HEIGHT:
+            continue
+        if side > 0 and (plane.height < _OVERHEAD or plane.nearest > _FLATTEST * plane.height):
+            continue
+        at = np.abs(cells @ np.array(plane.up) + plane.height) < tolerance
+        if _is_surface(cells, at, tolerance, plane.height, side):
+            return plane
+    return None
+
+
+def on_rising_plane(points: _Points, floor: float) -> NDArray[np.bool_]:
+    """Return which points are on a plane that rises from the floor, less steeply than stairs.
+
+    Parameters
+    ----------
+    points
+        Of a cloud, (N, 3), in a frame whose z axis points up.
+    floor
+        The height of the floor.
+    """
+    height, ranges = points[:, 2] - floor, np.hypot(points[:, 0], points[:, 1])
+    low = (height > -0.1 - _STEEPEST_RISE * ranges) & (height < 0.1 + _STEEPEST_RISE * ranges)
+    cells = cells_of(points[low]) if low.sum() >= FEWEST_POINTS else points[:0]
+    found = np.zeros(len(points), np.bool_)
+    for plane in planes_of(cells) if len(cells) >= _FEWEST_CELLS else ():
+        off = np.abs(cells @ np.array(plane.up) + plane.height) < tolerances(cells)
+        begins, below = percentiles(cells[off, 2], 10)[0] - floor, -plane.height / plane.up[2] - floor
+        is_gentle = plane.tilt < math.atan(_STEEPEST_RISE) and plane.width > 1.0 and plane.beyond < 0.1
+        # One that passes below the robot is the floor of a robot that pitches.
+        if is_gentle and begins < 0.5 and below < -0.05:
+            found |= low & (np.abs(points @ np.array(plane.up) + plane.height) < tolerances(points))
+    return found
+
+
+def planes_of(cells: _Points) -> list[Plane]:
+    """Return the planes of a cloud, the largest first."""
+    planes: list[Plane] = []
+    tolerance = tolerances(cells)
+    rest = np.ones(len(cells), bool)
+    least = max(_SMALLEST * len(cells), 25)
+    while len(planes) < _PLANES and rest.sum() > least:
+        start = _largest(cells[rest], tolerance[rest])
+        if start is None:
+            break
+        inliers = np.zeros(len(cells), bool)
+        inliers[rest] = start
+        found = _refine(cells, tolerance, inliers, rest)
+        if found is None or found.share * len(cells) < least:
+            break
+        planes.append(found)
+        rest &= ~(np.abs(cells @ np.array(found.up) + found.height) < tolerance)
+    return planes
+
+
+def _largest(points: _Points, tolerance: NDArray[np.float64]) -> NDArray[np.bool_] | None:
+    """Return the points near the plane, of those through three points, that has most points; None if all are lines."""
+    corners = points[_triplets(len(points))]
+    normals = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    lengths = np.linalg.norm(normals, axis=1)
+    good = lengths > 1e-3 * median((points * points).sum(axis=1))
+    if not good.any():
+        return None
+    normals = normals[good] / lengths[good, None]
+    offsets = (normals * corners[0][good]).sum(axis=1)
+    # One row for each plane, in place: with new arrays, and a column for each, it takes ten times as long.
+    distances = normals.astype(np.float32) @ points.T.astype(np.float32)
+    distances -= offsets.astype(np.float32)[:, None]
+    near = np.abs(distances, out=distances) < tolerance.astype(np.float32)
+    return np.asarray(near[int(np.count_nonzero(near, axis=1).argmax())])
+
+
+def _triplets(count: int) -> NDArray[np.intp]:
+    """Return triplets of indices, (3, N): one half from the whole cloud, the other half neighbours in its order."""
+    steps = np.arange(1, _TRIPLETS + 1)
+    far = np.stack([(steps * ratio % 1.0 * count).astype(np.intp) for ratio in _PLASTIC])
+    reach = max(count // 12, 8)
+    near = np.stack([far[0], *((far[0] + 1 + far[axis] * reach // count) % count for axis in (1, 2))])
+    return np.concatenate([far, near], axis=1)
+
+
+def _refine(
+    cells: _Points,
+    tolerance: NDArray[np.float64],
+    inliers: NDArray[np.bool_],
+    among: NDArray[np.bool_] | None = None,
+) -> Plane | None:
+    """Return the least-squares plane through the points near it, beginning with these; None for too few points."""
+    normal, offset, squared = np.zeros(3), 0.0, tolerance**2
+    for _ in range(4):
+        if inliers.sum() < 10:
+            return None
+        members = cells[inliers]
+        weights = 1 / squared[inliers]
+        middle = weights @ members / weights.sum()
+        centred = members - middle
+        normal = np.linalg.eigh((centred * weights[:, None]).T @ centred)[1][:, 0]
+        offset = float(normal @ middle)
+        inliers = np.abs(cells @ normal - offset) < tolerance
+        if among is not None:
+            inliers &= among
+    if inliers.sum() < 10:
+        return None
+    if offset > 0:
+        normal, offset = -normal, -offset
+    members = cells[inliers]
+    variances = np.linalg.eigvalsh(np.cov(members.T))
+    return Plane(
+        (float(normal[0]), float(normal[1]), float(normal[2])),
+        -offset,
+        len(members) / len(cells),
+        float((cells @ normal - offset < -2.5 * tolerance).mean()),
+        2 * math.sqrt(max(float(variances[1]), 0.0)),
+        percentiles(np.linalg.norm(members, axis=1), 10)[0],
+    )
+
+
+class _FieldOfView:
+    """The directions that a sensor sees, in cells of about 10 by 5 degrees, and where it had no return.
+
+    A direction is seen if the sensor has a return at that azimuth, and at that elevation in some other.
+    """
+
+    _COLUMNS = 36
+
+    def __init__(self, points: _Points) -> None:
+        azimuth = np.arctan2(points[:, 1], points[:, 0])
+        elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+        low, high = percentiles(elevation, 0.5, 99.5)
+        columns, rows = self._COLUMNS, int(min(18, max(1, round(math.degrees(high - low) / 5))))
+        row = np.floor((elevation - low) / max(high - low, 1e-9) * rows).astype(np.intp)
+        column = np.floor((azimuth + math.pi) / math.tau * columns).astype(np.intp) % columns
+        inside = (row >= 0) & (row < rows)
+        counts = np.bincount(row[inside] * columns + column[inside], minlength=rows * columns).reshape(rows, columns)
+        seen = counts.any(axis=0)
+        tilt = (low + (np.arange(rows) + 0.5) * (high - low) / rows)[:, None]
+        angle = (np.arange(columns)[seen] + 0.5) * (math.tau / columns) - math.pi
+        self._directions = np.stack(
+            np.broadcast_arrays(np.cos(tilt) * np.cos(angle), np.cos(tilt) * np.sin(angle), np.sin(tilt)), axis=-1
+        ).reshape(-1, 3)
+        self._weights = np.broadcast_to(np.cos(tilt), (rows, len(angle))).ravel()
+        self._empty = (counts[:, seen] == 0).ravel()
+
+    def missing(self, up: _Direction, low: float, high: float) -> float | None:
+        """Return the share of the directions between two elevations (as sines) that have no return."""
+        sines = self._directions @ np.array(up)
+        chosen = (sines > low) & (sines < high)
+        if chosen.sum() < 8:
+            return None
+        return float((self._empty * self._weights)[chosen].sum() / self._weights[chosen].sum())
+
+
+def _choose_ground(points: _Points, *, level_needs_proof: bool = False) -> Ground:
+    """Return which of a cloud's planes is the ground."""
+    cells = cells_of(points)
+    planes, view = planes_of(cells), _FieldOfView(points)
+    least = _CLEAR * float(tolerances(cells).min())
+    level = [
+        plane
+        for plane in planes
+        if plane.tilt <= LEVEL and plane.height > least and plane.beyond < (0.35 if plane.height > 0.3 else 0.05)
+    ]
+    if level:
+        floor = max(level, key=lambda plane: plane.share * (plane.beyond < 0.05))
+        if level_needs_proof and _doubt(floor, planes, view, upside_down=False):
+            return Ground("unknown")
+        return _ground_of("level", floor, planes)
+    for plane in planes:
+        upside_down = plane.tilt >= math.pi - _STEEPEST
+        if (upside_down or plane.tilt <= _STEEPEST) and not _doubt(plane, planes, view, upside_down=upside_down):
+            return _ground_of("upside-down" if upside_down else "tilted", plane, planes)
+    return Ground("slanted" if _are_slanted(planes) else "unknown")
+
+
+def floor_at_side(points: _Points) -> Plane | None:
+    """Return the plane that is the ground if the sensor lies on its side; None if there is none.
+
+    It may also be a wall beside a level sensor that sees no floor: only a transform can distinguish them.
+    """
+    planes, view = planes_of(cells_of(points)), _FieldOfView(points)
+    steep = (plane for plane in planes if _STEEPEST < plane.tilt < math.pi - _STEEPEST)
+    return next((plane for plane in steep if not _doubt(plane, planes, view, upside_down=False)), None)
+
+
+def _are_slanted(planes: Sequence[Plane]) -> bool:
+    """Whether two planes at right angles, such as floor and wall, are neither level nor upright, and none is level."""
+    large = [plane for plane in planes if plane.share >= _LARGE and plane.beyond < _MOST_BEYOND]
+    tilts = [min(plane.tilt, math.pi - plane.tilt) for plane in large]
+    slanted = [plane for plane, tilt in zip(large, tilts, strict=True) if _SLANTED[0] < tilt < _SLANTED[1]]
+    return min(tilts, default=0.0) >= 2 * LEVEL and any(
+        abs(_angle_between(one, other) - 90) < _RIGHT_ANGLE for one, other in combinations(slanted, 2)
+    )
+
+
+def _ground_of(kind: Kind, floor: Plane, planes: Sequence[Plane]) -> Ground:
+    ceiling = _opposite_plane(floor, planes)
+    return Ground(kind, floor.up, floor.height, None if ceiling is None else ceiling.height)
+
+
+def _angle_between(one: Plane, other: Plane) -> float:
+    """Return the angle between two planes' normals, degrees."""
+    return math.degrees(math.acos(max(-1.0, min(1.0, float(np.dot(one.up, other.up))))))
+
+
+def _opposite_plane(plane: Plane, planes: Sequence[Plane]) -> Plane | None:
+    """Return the ceiling of a floor, or the opposite wall of a wall."""
+    return next((other for other in planes if _angle_between(plane, other) > 172 and other.beyond < 0.05), None)
+
+
+def _doubt(plane: Plane, planes: Sequence[Plane], view: _FieldOfView, *, upside_down: bool) -> str:
+    """Return why a plane may be something other than the ground; empty if no other explanation fits."""
+    if plane.share < (0.15 if upside_down else 0.08):
+        return "it is small"
+    if plane.beyond > 0.04:
+        return "something is behind it"
+    if plane.width < max(0.4, plane.height * (1.6 if plane.height > 1.2 else 0.8)):
+        return "it is narrow"
+    holes = view.missing(plane.up, -1.0, -0.2)
+    if holes is None or holes > 0.12:
+        return "directions that would meet the ground have no return, as beside a wall"
+    for other in planes:
+        between = _angle_between(plane, other)
+        nearer = other.nearest < plane.nearest or other.height < 0.9 * plane.height
+        if 4 <= between < 20 and nearer and other.share > _SMALLEST and other.beyond < 0.3:
+            return "there is ground of another slope nearer by"
+        if 70 < between < 110 and other.height < 1.1 * plane.height:
+            return "it may be a wall: a plane at right angles to it is as near"
+    ceiling = _opposite_plane(plane, planes)
+    if ceiling is None:
+        sky, horizon = view.missing(plane.up, 0.2, 1.0), view.missing(plane.up, -0.03, 0.1)
+        is_open = (sky is None or sky > 0.6) and horizon is not None and horizon > 0.3
+        nearest_ceiling = 0.7 if upside_down else 1.2
+        return "" if is_open or plane.height < nearest_ceiling else "it may be the ceiling of a closed room"
+    if upside_down or ceiling.height < 1.75 * plane.height:
+        return "it may be the ceiling"
+    return ""

@@ -1,0 +1,346 @@
+"""What is known of a topic with clouds that a command depends on: its turns, its pattern, its motion and its mount."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property, reduce
+from operator import or_
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from pc2scan.advice.measurements import SHAPES, ShapeRequest, regular_step, shapes_of
+from pc2scan.advice.point_times import time_warnings, times_of
+from pc2scan.advice.survey import Fact
+from pc2scan.conversion.report import StampCounts
+from pc2scan.core.percentiles import median
+from pc2scan.core.timing import median_interval_ns
+from pc2scan.errors import TransformError
+from pc2scan.request.point_time import PointTime
+from pc2scan.request.turn import DIRECTIONS, directions_of
+from pc2scan.transforms.motion import sensor_motion
+from pc2scan.transforms.static import StaticTransform
+from pc2scan.transforms.summary import WORLDS
+
+from .edges import EDGE_NS, EdgeClouds
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from pc2scan.advice.survey import TopicFacts
+    from pc2scan.core.points import Points
+    from pc2scan.model import RawMessage
+    from pc2scan.transforms.buffer import TransformBuffer
+    from pc2scan.transforms.motion import SensorMotion
+    from pc2scan.transforms.mounting import Mounting
+
+
+#: How many clouds of a topic are looked at, how many at most of those in the recording's last second, how many for the
+#: shape of their rings, and the largest of a pattern that is sparse, points.
+HEADERS = 21
+_LAST_HEADERS = 400
+_SHAPES = SHAPES
+_SPARSE = 60_000
+
+#: Rings are level if the cosine between the z axes of lidar and scans is larger: half a degree.
+_UPRIGHT = math.cos(math.radians(0.5))
+
+#: Clouds are packets if one has less than this share of the directions that several have: so many at least.
+_PART = 0.6
+_SEVERAL = 3
+#: The step between neighbouring directions of clouds, radians.
+_STEP = math.tau / DIRECTIONS
+
+#: A pattern is sparse if a quarter of its clouds fill less than this share of the beams that all fill. Clouds are
+#: enough for a scan if they fill this share; at most so many become one.
+_FILLED = 0.6
+_ENOUGH = 0.9
+_MOST_CLOUDS = 10
+#: Beams of a pattern are so wide, half degrees; wider ones are nearly all filled.
+_NEARLY_ALL = 0.97
+_WIDTHS = (1, 4, 6, 8, 10)
+
+
+def ask_facts(facts: TopicFacts, end_ns: int | None) -> None:
+    """Ask for the facts about a topic with clouds that a command depends on.
+
+    Parameters
+    ----------
+    facts
+        The topic.
+    end_ns
+        The log time of the recording's last message; None without messages.
+    """
+    for fact in (_DIRECTIONS, _PATTERN, _TIMES, _SHAPE.fact):
+        facts.ask(fact)
+    if end_ns is not None:
+        facts.ask_last_headers(end_ns - EDGE_NS, _LAST_HEADERS)
+
+
+def stamp_faults(facts: TopicFacts) -> list[str]:
+    """Return what is wrong with the stamps of the first messages of a topic, and what to do."""
+    stamps = StampCounts()
+    for header in facts.headers:
+        stamps.add(header.stamp_ns, header.log_time_ns)
+    return stamps.faults(facts.topic)
+
+
+def _sparse_points(points: Points, _: RawMessage) -> NDArray[np.float32] | None:
+    """Return copies of the coordinates of a small cloud, (3, N)."""
+    xyz = points.xyz()
+    if xyz[0].size > _SPARSE:
+        return None
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.stack([np.ravel(axis).astype(np.float32) for axis in xyz])
+
+
+def _directions(points: Points, _: RawMessage) -> int:
+    return directions_of(points)
+
+
+def _are_whole(found: Sequence[int]) -> bool:
+    """Whether the first clouds are no packets, whatever directions further ones have."""
+    return len(found) >= _SEVERAL and all(each.bit_count() >= _PART * DIRECTIONS for each in found[:_SEVERAL])
+
+
+_DIRECTIONS = Fact(_directions, HEADERS, are_enough=_are_whole)
+_PATTERN = Fact(_sparse_points, HEADERS)
+_TIMES = times_of(PointTime())
+_SHAPE = ShapeRequest(step=True, sweep=True, most=_SHAPES)
+
+
+class Directions(NamedTuple):
+    """Which directions clouds have: whole turns, or parts of one.
+
+    Attributes
+    ----------
+    is_part
+        Whether a cloud has a part of the directions that several have.
+    turn
+        The time of a turn, seconds; 0 if the clouds are no parts, or it is not regular.
+    """
+
+    is_part: bool = False
+    turn: float = 0.0
+
+
+class Pattern(NamedTuple):
+    """How clouds of a sparse pattern fill a scan.
+
+    Attributes
+    ----------
+    clouds
+        How many fill one; 0 if a single one does.
+    degrees
+        How wide the beams have to be for that; 0: as usual.
+    """
+
+    clouds: int = 0
+    degrees: int = 0
+
+
+@dataclass(eq=False)
+class Lidar:
+    """What is known of a topic with clouds.
+
+    Attributes
+    ----------
+    facts
+        The facts that the survey has found.
+    mounting
+        How it is mounted, and which heights suit it.
+    buffer
+        The transforms; None if there are none.
+    clouds
+        Points of clouds that are spread over the recording, each (3, N), in the frame in which they were judged.
+    has_zeros
+        Whether points at (0, 0, 0) stand for no return.
+    seconds
+        How long it measured.
+    span_ns
+        The log times of the recording's first and last message; the last one is None if not all transforms there are
+        known.
+    """
+
+    facts: TopicFacts
+    mounting: Mounting
+    buffer: TransformBuffer | None
+    clouds: Sequence[NDArray[np.floating[Any]]]
+    has_zeros: bool
+    seconds: float
+    span_ns: tuple[int, int | None]
+
+    @property
+    def topic(self) -> str:
+        """Its topic."""
+        return self.facts.topic
+
+    @property
+    def target(self) -> str:
+        """The frame of its scans; empty for its own."""
+        own = self.mounting
+        return own.target_frame or (own.judged_in if own.judged_in != own.frame else "")
+
+    @cached_property
+    def period(self) -> float:
+        """The time from cloud to cloud, seconds; 0 if it is not known."""
+        return (median_interval_ns(each.stamp_ns for each in self.facts.headers) or 0) / 1e9
+
+    @cached_property
+    def duration(self) -> float:
+        """The time that the points of a cloud take by their own times, seconds; 0 without plausible ones."""
+        times = self.facts.found(_TIMES)
+        if not times or any(time_warnings(self.facts, PointTime())):
+            return 0.0
+        return median([each.high - each.low for each in times])
+
+    @property
+    def edges(self) -> EdgeClouds:
+        """Its clouds at the edges of the recording."""
+        clouds = EdgeClouds(self.mounting.frame, self.facts.headers, self.facts.last_headers)
+        if not self.duration:
+            return clouds
+        times = self.facts.found(_TIMES)
+        return clouds._replace(before=min(each.low for each in times), after=max(each.high for each in times))
+
+    @cached_property
+    def time_field(self) -> str:
+        """The field with the times of points."""
+        return self.facts.found(_TIMES)[0].field
+
+    @cached_property
+    def step(self) -> float | None:
+        """How finely a turning lidar samples azimuth, radians; None for others."""
+        shapes = shapes_of(self.facts, _SHAPE)
+        turns = any(each.sweep is not None for each in shapes) or self.covered > 0.5
+        return regular_step(shapes) if turns else None
+
+    @property
+    def is_upright(self) -> bool:
+        """Whether the z axes of its frame and of the scans are the same, so that its rings are level there."""
+        if self.mounting.static_tf or not self.target:
+            return not self.mounting.static_tf
+        try:
+            turned = None if self.buffer is None else self.buffer.lookup(self.target, self.mounting.frame, 0)
+        except TransformError:
+            return False
+        return turned is not None and float(turned.matrix[2, 2]) > _UPRIGHT
+
+    @cached_property
+    def covered(self) -> float:
+        """The share of all directions that a cloud has."""
+        found = self.facts.found(_DIRECTIONS)
+        return median([each.bit_count() / DIRECTIONS for each in found]) if found else 0.0
+
+    @cached_property
+    def directions(self) -> Directions:
+        """Whether a cloud is a part of a turn."""
+        found = self.facts.found(_DIRECTIONS)
+        union = reduce(or_, found, 0)
+        if len(found) < _SEVERAL or self.covered >= _PART * union.bit_count() / DIRECTIONS:
+            return Directions()
+        middles = [_middle(each) for each in found]
+        steps = np.remainder(np.diff(middles) + math.pi, math.tau) - math.pi
+        step = median(steps)
+        # Packets follow each other; a pattern jumps.
+        if not abs(step) > _STEP / 4 or (np.abs(steps - step) < max(0.5 * abs(step), _STEP)).mean() < _ENOUGH:
+            return Directions(is_part=True)
+        return Directions(is_part=True, turn=round(math.tau / abs(step)) * self.period)
+
+    @property
+    def world(self) -> str:
+        """The frame that does not move with the robot; empty if there is none."""
+        known, frame = self.buffer, self.mounting.frame
+        if known is None:
+            return ""
+        return next((name for name in WORLDS if name in known.frames and _connects(known, name, frame)), "")
+
+    def motion(self, seconds: float) -> SensorMotion | None:
+        """Return how it moves within some time; None if it stands still, or no transforms say how it moves."""
+        return None if self.buffer is None else sensor_motion(self.buffer, self.mounting.frame, seconds)
+
+    @cached_property
+    def pattern(self) -> Pattern:
+        """How clouds of a sparse pattern fill a scan."""
+        heights = self.mounting.heights
+        if self.step is not None or self.directions.turn or heights is None:
+            return Pattern()
+        placed = (self.in_target(each, self.mounting.frame) for each in self.facts.found(_PATTERN))
+        filled = [_filled_beams(points, heights.low, heights.high) for points in placed]
+        clouds = [each for each in filled if each.any()]
+        if len(clouds) < _MOST_CLOUDS:
+            return Pattern()
+        every = np.logical_or.reduce(clouds)
+        if every.sum() < 20 or _lower_quartile(each.sum() for each in clouds) >= _FILLED * every.sum():
+            return Pattern()
+        for width in _WIDTHS:
+            wide = [each.reshape(-1, width).any(axis=1) for each in clouds]
+            most = np.logical_or.reduce(wide).sum()
+            for count in range(2, _MOST_CLOUDS + 1):
+                groups = (wide[n : n + count] for n in range(0, len(wide) - count + 1, count))
+                enough = _ENOUGH if width == 1 else _NEARLY_ALL
+                if median([np.logical_or.reduce(group).sum() for group in groups]) >= enough * most:
+                    return Pattern(count, width // 2)
+        return Pattern(_MOST_CLOUDS, _WIDTHS[-1] // 2)
+
+    @property
+    def placed(self) -> Iterator[NDArray[np.float64]]:
+        """The spread clouds in the frame of the scans, each (N, 3)."""
+        return (self.in_target(each, self.mounting.judged_in) for each in self.clouds)
+
+    def tried_clouds(self, most: int, points: int) -> tuple[list[NDArray[np.floating[Any]]], bool]:
+        """Return clouds to try a command on, each (3, N), and whether they are parts of one scan.
+
+        Parameters
+        ----------
+        most, points
+            How many, and how many points of each.
+        """
+        if self.directions.turn or self.pattern.clouds:
+            is_own = self.mounting.judged_in == self.mounting.frame
+            return self.facts.found(_PATTERN) if is_own else [], True
+        chosen = self.clouds[:: max(1, len(self.clouds) // most)][:most]
+        return [each[:, :: -(-each.shape[1] // points) or 1] for each in chosen], False
+
+    def in_target(self, points: NDArray[np.floating[Any]], frame: str = "") -> NDArray[np.float64]:
+        """Return points of a frame, (3, N), in the frame of the scans, (N, 3)."""
+        found, frame = points.T.astype(np.float64), frame or self.mounting.judged_in
+        target, static = self.target, self.mounting.static_tf
+        if static and frame == self.mounting.frame:
+            return np.asarray(StaticTransform.parse(static).parent_from_child.apply(found))
+        if not target or target == frame or self.buffer is None:
+            return found
+        try:
+            return np.asarray(self.buffer.lookup(target, frame, 0).apply(found))
+        except TransformError:
+            return found
+
+
+def _connects(buffer: TransformBuffer, target: str, source: str) -> bool:
+    try:
+        buffer.lookup(target, source, 0)
+    except TransformError:
+        return False
+    return True
+
+
+def _lower_quartile(counts: Iterable[int]) -> int:
+    ordered = sorted(counts)
+    return ordered[len(ordered) // 4]
+
+
+def _middle(directions: int) -> float:
+    """Return the middle of directions, radians."""
+    angles = np.array([place for place in range(DIRECTIONS) if directions >> place & 1]) * _STEP
+    return float(np.arctan2(np.sin(angles).mean(), np.cos(angles).mean())) if angles.size else 0.0
+
+
+def _filled_beams(points: NDArray[np.float64], low: float, high: float) -> NDArray[np.bool_]:
+    """Return which beams of half a degree have points between two heights."""
+    x, y, z = points.T
+    good = (z >= low) & (z <= high) & ((x != 0) | (y != 0)) & np.isfinite(x) & np.isfinite(y)
+    places = ((np.arctan2(y[good], x[good]) / math.tau + 0.5) * 720).astype(np.intp) % 720
+    return np.bincount(places, minlength=720) > 0

@@ -1,0 +1,74 @@
+"""The command that `info` proposes, pasted, in simulated places: its scans see what is there."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from support.worlds.scenes import World, outcome
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+ROOM = (-4.0, 5.0, -3.5, 3.5, 2.6)
+HALL = (-9.0, 12.0, -8.0, 8.0, 5.0)
+CORRIDOR = (-8.0, 14.0, -1.0, 1.2, 2.5)
+DESKS = ((2.0, 3.2, 1.5, 2.3, 0.0, 0.75), (-2.5, -2.0, -2.0, -1.5, 0.0, 1.7), (2.2, 2.6, -2.0, -1.7, 0.0, 1.7))
+YARD = ((-13.0, 25.0, 8.0, 11.0, 0.0, 6.0), (-13.0, 25.0, -12.0, -9.0, 0.0, 8.0), (19.0, 22.0, -9.0, 8.0, 0.0, 5.0))
+POSTS = tuple((x, x + 2.0, y, y + 1.0, -1.0, 6.0) for x in range(-8, 16, 4) for y in (-7.0, 6.0))
+RISING = (*POSTS, (16.0, 19.0, -7.0, 7.0, 0.0, 5.0), (-12.0, -9.0, -7.0, 7.0, 0.0, 5.0))
+#: A car park: cars, and beams at the height of the lidar on the car's roof.
+PARKED = (
+    *((x, x + 4.0, y, y + 1.8, 0.2, 1.5) for x in (6.0, -10.0) for y in (-6.0, 4.0)),
+    *((x, x + 0.4, -9.0, 9.0, 2.36, 2.6) for x in (-14.0, 16.0)),
+)
+
+
+def at(height: float, x: float = 0.2) -> tuple[float, float, float, float, float]:
+    """A level mount."""
+    return (x, height, 0.0, 0.0, 0.0)
+
+
+#: Of each: the world, and a word of what `info` says of it, if it does.
+WORLDS = {
+    "level lidar at 1.5 m": (World(ROOM, DESKS, "32 even rings", at(1.5)), ""),
+    "level lidar at 2 m, below the ceiling": (World(ROOM, DESKS, "16 rings", at(2.0)), ""),
+    "Mid-360 in a hall": (World(HALL, DESKS, "mid-360", at(0.5)), ""),
+    "Mid-360 in a corridor, no mount": (World(CORRIDOR, (), "mid-360", at(0.5), has_mount=False, odometry=""), ""),
+    "packets": (World(ROOM, DESKS, "packets", at(0.6), "drives"), ""),
+    "sparse pattern": (World(ROOM, DESKS, "sparse", at(0.7)), ""),
+    "clouds in odom": (World(ROOM, DESKS, "32 rings", at(0.6), "drives", in_odom=True), ""),
+    "clouds in odom, stands": (World(ROOM, DESKS, "32 rings", at(0.6), in_odom=True), ""),
+    "one ring": (World(HALL, DESKS, "1 ring", at(0.4)), ""),
+    "one ring, no mount": (World(ROOM, DESKS, "1 ring", at(0.4), has_mount=False, odometry=""), ""),
+    "four rings": (World(HALL, DESKS, "4 rings", at(0.4), "drives"), ""),
+    "64 rings, pitches": (World(HALL, DESKS, "64 rings", at(1.2), "pitches"), ""),
+    "rising ground": (World(None, RISING, "16 rings", at(0.9), "drives", slope=0.12), ""),
+    "rising ground, Mid-360": (World(None, RISING, "mid-360", at(0.9), slope=0.1), ""),
+    "odometry as a topic": (World(ROOM, DESKS, "16 rings", at(0.6), "drives", odometry="topic"), ""),
+    "two lidars": (World(ROOM, DESKS, "32 rings", at(0.5), "drives", second=True), ""),
+    "street, no mount": (World(None, YARD[:2], "32 rings", at(1.8), has_mount=False, odometry=""), ""),
+    "car park, no mount": (
+        World((-30.0, 30.0, -20.0, 20.0, 3.2), PARKED, "16 rings", at(2.43), has_mount=False, odometry=""),
+        "",
+    ),
+    "base_link at the height of an axle": (World(HALL, DESKS, "32 rings", at(0.6), axle=0.2), ""),
+    "no mount, and no floor in view": (
+        World((-3.0, 3.0, -2.5, 2.5, 2.6), (), "16 rings", at(1.7), has_mount=False, odometry=""),
+        "no floor is visible",
+    ),
+    "upside down, which tf does not say": (
+        World(HALL, DESKS, "16 rings", (0.2, 0.6, 180.0, 0.0, 0.0), claim=0.0),
+        "is upside down",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_a_proposed_command_sees_what_is_there(name: str, tmp_path: Path) -> None:
+    world, said = WORLDS[name]
+    found = outcome(world, tmp_path)
+    assert (found.right >= 0.95, found.filled >= 0.9) == (True, True), found
+    assert said in found.text
+    assert (found.word, "warning" in found.text) == ("right", bool(said)), found
