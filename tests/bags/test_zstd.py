@@ -29,7 +29,7 @@ def test_files_are_recognised_by_content_and_unpacked(tmp_path: Path) -> None:
     assert (folder / "b.mcap").read_bytes() == b"content"
 
 
-@pytest.mark.parametrize(("told", "cut_off"), [(True, "it ends after"), (False, "frame is cut off")])
+@pytest.mark.parametrize(("told", "cut_off"), [(True, "it ends after"), (False, "the data are cut off")])
 def test_messages_are_unpacked(told: bool, cut_off: str, tmp_path: Path) -> None:
     data = random.Random(1).randbytes(20_000)
     frame = zstandard.ZstdCompressor(write_content_size=told).compress(data)
@@ -45,7 +45,7 @@ def test_a_message_may_not_unpack_to_everything(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(compression, "MAX_UNPACKED", 1_000)
     compress = zstandard.ZstdCompressor(write_content_size=told).compress
     assert zstd.decompress_message(compress(bytes(1_000)), tmp_path, "/a") == bytes(1_000)
-    with pytest.raises(RecordingError, match="unpacks to more than"):
+    with pytest.raises(RecordingError, match="at most 1,0|which is the limit"):
         zstd.decompress_message(compress(bytes(300_000)), tmp_path, "/a")
 
 

@@ -182,7 +182,7 @@ def test_a_directory_that_takes_the_place_of_a_file_stays(tmp_path: Path) -> Non
             make_recording(path)
             write([b"new"])
 
-    with pytest.raises(DestinationError, match="exists already"):
+    with pytest.raises(DestinationError, match="is a directory with something"):
         run()
     make_recording(tmp_path / "expected")
     assert seen(path) == seen(tmp_path / "expected")

@@ -115,36 +115,18 @@ def _decompress_pieces(path: Path, target: Path) -> tuple[int, str] | None:
     return None if complete else (offset, "it is cut off")
 
 
-def decompress_message(data: Buffer, path: Path, topic: str) -> bytes:
+def decompress_message(data: Buffer, path: Path, topic: str) -> Buffer:
     """Decompress a message that was compressed by itself (rosbag2's compression mode ``message``).
 
     Raises
     ------
     DamageError
-        If it is not a complete zstd frame.
+        If it is not a complete zstd frame, or larger than it may be.
     """
-    allowed = allowed_bytes(len(data))
     try:
-        declared = compression.zstd_content_size(data)
-        if 0 < declared <= allowed:
-            out = bytearray(declared)
-            compression.decompress("zstd", data, memoryview(out))
-            return bytes(out)
-        # Not `decompress`: it needs the declared size.
-        decoder = compression.decoder("zstd")
-        parts, size, view = [], 0, memoryview(data)
-        while not decoder.eof and view and size <= allowed and declared <= allowed:
-            parts.append(decoder.feed(view[:_PIECE]))
-            size, view = size + len(parts[-1]), view[_PIECE:]
+        return compression.decompress_within("zstd", data, allowed_bytes(len(data)))
     except CompressionError as err:
         raise DamageError(f"a message cannot be decompressed: {err}", path=path, topic=topic, hint=RECOVER) from err
-    if max(size, declared) > allowed:
-        raise DamageError(
-            f"a message of {len(data)} bytes unpacks to more than the {allowed} that may be", path=path, topic=topic
-        )
-    if not decoder.eof:
-        raise DamageError("a message's zstd frame is cut off", path=path, topic=topic, hint=RECOVER)
-    return b"".join(parts)
 
 
 def decompress_messages(messages: Messages, log: DamageLog, place: int, path: Path) -> Messages:

@@ -16,7 +16,7 @@ from pc2scan.errors import DestinationError, OutputError, RecordingError
 from pc2scan.text import nearest
 
 from . import system
-from .urls import UrlPath
+from .urls import UrlPath, is_dir
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -51,19 +51,10 @@ def check_place(dst: Path) -> None:
     if reason := system.unusable_name(dst.name):
         raise DestinationError(f"cannot be written: the name {reason}", path=dst, hint="choose another name")
     parent = dst.parent
-    try:
-        exists = parent.exists()
-    except OSError as err:
-        raise DestinationError(f"its directory cannot exist: {err.strerror}", path=dst) from err
-    if not exists and parent.is_symlink():
-        raise DestinationError(
-            "its directory is a link that leads nowhere", path=dst, hint=f"ls -l {parent} shows where it leads"
-        )
-    if not exists:
+    if not os.path.lexists(parent):
         hint = f"create it: mkdir -p {quote(str(parent))}"
         raise DestinationError("its directory does not exist", path=dst, hint=hint)
-    check_length(dst)
-    if not parent.is_dir():
+    if not is_dir(parent):
         raise DestinationError(f"{parent} is not a directory", path=dst)
     # Links there are not replaced either: /dev/stdout is one.
     place = os.path.realpath(parent)
@@ -72,19 +63,6 @@ def check_place(dst: Path) -> None:
     if not os.access(parent, os.W_OK | os.X_OK):
         raise OutputError(
             "its directory is not writable", path=dst, hint="write to another one, or change its permissions"
-        )
-
-
-def check_length(dst: Path) -> None:
-    """Raise if the file system cannot hold the name, or one of its `working_names`."""
-    limit = 255
-    # Not every system and file system reports its limit.
-    with suppress(OSError, ValueError, AttributeError):
-        limit = os.pathconf(dst.parent, "PC_NAME_MAX")
-    allowed = limit - len(LOCK)
-    if (length := len(os.fsencode(dst.name))) > allowed:
-        raise DestinationError(
-            f"its name has {length} bytes, at most {allowed} are possible", path=dst, hint="choose a shorter name"
         )
 
 

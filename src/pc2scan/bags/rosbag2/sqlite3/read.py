@@ -199,7 +199,8 @@ class Sqlite3Reader(Reader):
                 if not isinstance(data, bytes):
                     raise self._database.damage(f"row {row_id} of messages, of topic {topic!r:.80}, has no data")
                 packed = topic_id in self._packed_topics
-                yield topic_id, time_ns, row_id, zstd.decompress_message(data, self.path, topic) if packed else data
+                unpacked = bytes(zstd.decompress_message(data, self.path, topic)) if packed else data
+                yield topic_id, time_ns, row_id, unpacked
             except DamageError as err:
                 self._log.note(err, key=row_id, messages_lost=1, first_ns=time_ns, last_ns=time_ns)
 
