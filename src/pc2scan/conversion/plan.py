@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.bags.topics import fill_glob, find_topic, find_topics, matches, short_types
-from pc2scan.errors import NothingToConvertError, TopicError, name_list
+from pc2scan.errors import NothingToConvertError, TopicError, leading, name_list
 from pc2scan.messages.clouds import CLOUDS, SCANS, usual_topics, written_as_pointcloud2
 from pc2scan.messages.other_clouds import instead_of_topic, without
 from pc2scan.text import did_you_mean
@@ -131,7 +131,7 @@ class Route:
         topic, kind = self.connection.topic, short_types([self.connection.ros_type])
         for output in self.outputs:
             if output.spec is not None and not output.used:
-                yield f"{topic}: decode {kind}, {', '.join(_steps_in_words(output, topic))}: {output.target}"
+                yield f"{leading(topic)}: decode {kind}, {', '.join(_steps_in_words(output, topic))}: {output.target}"
 
 
 class Plan(NamedTuple):
