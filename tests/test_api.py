@@ -122,7 +122,7 @@ def test_a_wrong_argument_leaves_what_is_there(tmp_path: Path) -> None:
 def test_degrees_have_a_hint_in_the_words_of_python(given: dict[str, Any], tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match="more than a full turn") as raised:
         pc2scan.convert(HALL, tmp_path / "out.mcap", **given)
-    assert 'angle_min="-90deg"' in str(raised.value.hint)
+    assert "`angle_min=-90deg`" in str(raised.value.hint)
 
 
 def test_a_hint_is_in_the_traceback() -> None:

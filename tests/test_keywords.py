@@ -120,26 +120,3 @@ def test_beams_of_recorded_scans_are_not_removed_unasked(spotted: Path, tmp_path
         pc2scan.export(spotted, tmp_path / "a.npz", remove="speckles")
     (first, *_) = pc2scan.scans(spotted, rebin=True, remove="speckles")
     assert np.isinf(first.ranges[30])
-
-
-def test_a_launch_files_arguments_in_python(tmp_path: Path) -> None:
-    launch = tmp_path / "me.launch"
-    launch.write_text(
-        '<launch><arg name="low"/><node pkg="pointcloud_to_laserscan" name="a">'
-        '<param name="min_height" value="$(arg low)"/></node></launch>'
-    )
-    report = pc2scan.convert(HALL, tmp_path / "a.mcap", params_file=launch, launch_args="low:=-0.3")
-    assert report.scans[0].params.min_height == -0.3
-    again = pc2scan.convert(HALL, tmp_path / "b.mcap", param="min_height:=-0.3", remap=["scan:=/flat"])
-    assert [topic.target for topic in again.topics if topic.action == "converted"] == ["/flat"]
-    assert len(list(pc2scan.scans(HALL, params_file=launch, launch_args=["low:=-0.3"]))) == 5
-
-
-def test_of_several_outputs_the_first_is_shown(tmp_path: Path) -> None:
-    asked: dict[str, Any] = {"/scan": {"min_height": -0.3}, "/low": {"max_height": 0.1}}
-    note = "only the first of 2 outputs is {}: /scan"
-    assert note.format("shown") in pc2scan.view(HALL, clouds=1, scans=asked).warnings
-    assert note.format("drawn") in pc2scan.map(HALL, scans=asked).warnings
-    drawn = pc2scan.plot(HALL, tmp_path / "a.png", scans=asked)
-    assert note.format("shown") in drawn.warnings
-    assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"

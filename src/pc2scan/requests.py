@@ -31,10 +31,6 @@ if TYPE_CHECKING:
     from .conversion.report import Report
     from .files.urls import PathText
     from .progress import Progress
-    from .transforms.robot_model import RobotModel
-    from .transforms.sources import PoseTopic
-    from .transforms.static import StaticTransform
-    from .transforms.trajectory import Trajectory
 
     Warn: TypeAlias = Callable[[str], None]
 
@@ -59,42 +55,25 @@ def frames_of(options: Options) -> FrameOptions:
     refuse_idle(options.given, options.command)
     if not options.given.keys() & OF_FRAMES:
         return FrameOptions()
-    static: tuple[StaticTransform, ...] = ()
-    if options.static_tf:
-        from .transforms.static import added_transforms  # noqa: PLC0415  # few conversions add any
+    from .transforms.robot_model import model_in_file  # noqa: PLC0415  # few conversions have any of these
+    from .transforms.sources import PoseTopic  # noqa: PLC0415
+    from .transforms.static import added_transforms  # noqa: PLC0415
+    from .transforms.trajectory import frames_of_trajectory, load_trajectory  # noqa: PLC0415
 
-        static = added_transforms(options.static_tf)
+    trajectory, clock = None, clock_of(options)
+    if options.trajectory is not None:
+        trajectory = load_trajectory(options.trajectory, frames_of_trajectory(options.trajectory_frames))
+        trajectory = trajectory if clock is None else trajectory.moved(clock.trajectory_ns)
     return FrameOptions(
         tf_topics=options.tf_topics,
         tf_from=options.tf_from,
-        static=static,
-        odometry=_odometry(options.odom_topic),
-        trajectory=_trajectory(options),
-        model=_model(options.urdf),
+        static=added_transforms(options.static_tf),
+        odometry=tuple(map(PoseTopic.parse, options.odom_topic)),
+        trajectory=trajectory,
+        model=None if options.urdf is None else model_in_file(options.urdf),
         source_frame=options.source_frame,
         write_static=options.write_static_tf,
     )
-
-
-def _odometry(texts: tuple[str, ...]) -> tuple[PoseTopic, ...]:
-    """Return the topics whose poses are used as transforms."""
-    if not texts:
-        return ()
-    from .transforms.sources import PoseTopic  # noqa: PLC0415  # few conversions add poses
-
-    return tuple(map(PoseTopic.parse, texts))
-
-
-def _trajectory(options: Options) -> Trajectory | None:
-    """Return the poses of a file that are used as transforms."""
-    if options.trajectory is None:
-        return None
-    from .transforms.trajectory import frames_of_trajectory, load_trajectory  # noqa: PLC0415  # few conversions add poses
-
-    frames = frames_of_trajectory(options.trajectory_frames)
-    found = load_trajectory(options.trajectory, frames)
-    clock = clock_of(options)
-    return found if clock is None else found.moved(clock.trajectory_ns)
 
 
 def clock_of(options: Options) -> StampOptions | None:
@@ -105,15 +84,6 @@ def clock_of(options: Options) -> StampOptions | None:
     if TRAJECTORY in clock.by_topic and options.trajectory is None:
         raise UsageError(f"`time_offset={TRAJECTORY}=S` has no effect without `trajectory`")
     return clock
-
-
-def _model(path: Path | None) -> RobotModel | None:
-    """Return the robot's model in a file."""
-    if path is None:
-        return None
-    from .transforms.robot_model import model_in_file  # noqa: PLC0415  # few conversions have one
-
-    return model_in_file(path)
 
 
 def first_output(options: ConvertOptions, verb: str, warn: Warn | None) -> ConvertOptions:

@@ -64,13 +64,6 @@ def test_defaults_have_the_right_type() -> None:
         assert Options(command, values).given == {}
 
 
-def test_options_of_other_commands_have_their_defaults() -> None:
-    options = Options("map", {"strict": True, "resolution": "5cm"})
-    assert (options.strict, options.resolution, options.reverse, options.keep) == (True, 0.05, False, ())
-    with pytest.raises(AttributeError, match="map has no option 'nothing'"):
-        options.nothing  # noqa: B018
-
-
 def shown(command: str, how: str) -> set[str]:
     """The options in a command's help."""
     done = run(command, how)

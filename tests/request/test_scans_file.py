@@ -12,12 +12,11 @@ import pytest
 
 from pc2scan.core.presets import PRESETS
 from pc2scan.errors import UsageError
-from pc2scan.options.call import Options
 from pc2scan.options.table import PARAMETERS, output_options
 from pc2scan.request.ground import MinHeightSlope
 from pc2scan.request.options import Combining, ScanSpec, TopicRequest
 from pc2scan.request.parameters import Setting
-from pc2scan.request.scans_file import load_scans, refuse_beside
+from pc2scan.request.scans_file import load_scans
 from pc2scan.request.where import Where
 from support import ROOT
 
@@ -107,20 +106,6 @@ def test_errors_in_dicts_say_where() -> None:
         load_scans({"/scan": {"max_heigt": 1}})
     with pytest.raises(TypeError, match="has the key 1, it must be text"):
         load_scans({"/scan": {1: 2}})
-
-
-def test_what_only_the_file_may_have() -> None:
-    usual: dict[str, object] = {
-        "preset": None,
-        "where": [],
-        "deskew": False,
-        "topics": (),
-        "fixed_frame": "",
-        "stamp": "header",
-    }
-    refuse_beside(list(Options("convert", usual).given))
-    with pytest.raises(UsageError, match="`preset`, `where` cannot be combined with `scans`"):
-        refuse_beside(list(Options("convert", usual | {"preset": "gmapping", "where": ["x > 1"]}).given))
 
 
 #: The keys of an output that are no parameters of the projection.
