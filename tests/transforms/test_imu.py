@@ -178,7 +178,7 @@ def test_a_topic_that_is_not_there_or_empty() -> None:
     assert "/imu" in (refused.value.hint or "")
     with pytest.raises(TopicError, match="there are no messages on /imu"):
         read(recording())
-    with pytest.raises(TopicError, match="1 cannot be decoded"):
+    with pytest.raises(TopicError, match="1 message cannot be decoded"):
         read(recording({"raw": b""}))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -92,33 +92,6 @@ class UpEstimate:
     warnings: tuple[str, ...] = ()
 
 
-@dataclass(slots=True)
-class _ImuSamples:
-    """The values of a topic's messages: times, and three numbers each; NaN where a value is missing."""
-
-    stamps_ns: array[int] = field(default_factory=lambda: array("q"))
-    directions: array[float] = field(default_factory=lambda: array("d"))
-    turning: array[float] = field(default_factory=lambda: array("d"))
-    acceleration: array[float] = field(default_factory=lambda: array("d"))
-    frames: dict[str, None] = field(default_factory=dict)
-    undecoded: int = 0
-    why: str = ""
-
-    def add(self, message: RawMessage) -> None:
-        """Add the values of a message, or count it if it cannot be decoded."""
-        try:
-            imu = decode_imu(message.data, message.connection.serialization)
-        except DecodeError as err:
-            self.undecoded += 1
-            self.why = self.why or err.message
-            return
-        self.frames[imu.frame_id] = None
-        self.stamps_ns.append(imu.stamp_ns)
-        self.directions.extend(_UNKNOWN if imu.orientation is None else up_in(imu.orientation))
-        self.turning.extend(_plausible(imu.angular_velocity))
-        self.acceleration.extend(_plausible(imu.linear_acceleration))
-
-
 class ImuReading:
     """The messages of an IMU in recordings, while these are read.
 
@@ -140,12 +113,30 @@ class ImuReading:
     def __init__(self, readers: Sequence[Reader], requested: str, most: int | None = None) -> None:
         self._topic = _imu_topic(readers, requested)
         self._most = most
-        self._samples = _ImuSamples()
+        #: Times, and three numbers each; NaN where a value is missing.
+        self._stamps_ns = array("q")
+        self._directions, self._turning, self._acceleration = array("d"), array("d"), array("d")
+        self._frames: dict[str, None] = {}
+        self._undecoded, self._why = 0, ""
 
     def observers(self, reader: Reader) -> list[Observer[RawMessage]]:
         """Return the observer of a recording; none if it does not have the topic."""
         connections = [c for c in reader.connections if c.topic == self._topic and c.ros_type == IMU and c.ros_version]
-        return [Observer(connections, copied_message, self._most, keep=self._samples.add)] if connections else []
+        return [Observer(connections, copied_message, self._most, keep=self._add)] if connections else []
+
+    def _add(self, message: RawMessage) -> None:
+        """Add the values of a message, or count it if it cannot be decoded."""
+        try:
+            imu = decode_imu(message.data, message.connection.serialization)
+        except DecodeError as err:
+            self._undecoded += 1
+            self._why = self._why or err.message
+            return
+        self._frames[imu.frame_id] = None
+        self._stamps_ns.append(imu.stamp_ns)
+        self._directions.extend(_UNKNOWN if imu.orientation is None else up_in(imu.orientation))
+        self._turning.extend(_plausible(imu.angular_velocity))
+        self._acceleration.extend(_plausible(imu.linear_acceleration))
 
     def up(self, frame: str = "") -> UpEstimate:
         """Estimate the direction of up.
@@ -162,13 +153,14 @@ class ImuReading:
         UsageError
             If they do not show the direction of up.
         """
-        topic, messages = self._topic, self._samples
-        if not messages.stamps_ns:
-            why = f": {messages.undecoded} cannot be decoded: {messages.why}" if messages.undecoded else ""
+        topic = self._topic
+        lost = f"{counted(self._undecoded, 'message')} cannot be decoded: {self._why}"
+        if not self._stamps_ns:
+            why = f": {lost}" if self._undecoded else ""
             raise TopicError(
                 f"there are no messages on {topic}{why}", hint="give another topic to `imu`, or `fixed_frame`"
             )
-        stamps, order = np.unique(np.array(messages.stamps_ns, np.int64), return_index=True)
+        stamps, order = np.unique(np.array(self._stamps_ns, np.int64), return_index=True)
         if not stamps[-1]:
             raise UsageError(
                 f"the messages on {topic} have no stamps: all are 0",
@@ -176,14 +168,12 @@ class ImuReading:
             )
         directions, turning, acceleration = (
             np.array(values, np.float64).reshape(-1, 3)[order]
-            for values in (messages.directions, messages.turning, messages.acceleration)
+            for values in (self._directions, self._turning, self._acceleration)
         )
-        warnings = []
-        if messages.undecoded:
-            warnings.append(f"{topic}: {counted(messages.undecoded, 'message')} cannot be decoded: {messages.why}")
-        if repeated := len(messages.stamps_ns) - len(stamps):
+        warnings = [f"{topic}: {lost}"] if self._undecoded else []
+        if repeated := len(self._stamps_ns) - len(stamps):
             warnings.append(f"{topic}: {counted(repeated, 'message')} ignored: the stamp of another one")
-        frame = frame or _only_frame(topic, messages.frames)
+        frame = frame or _only_frame(topic, self._frames)
         known, directions, notes, further = _estimate_up(topic, stamps, directions, turning, acceleration)
         return UpEstimate(topic, frame, stamps[known], directions, tuple(notes), (*warnings, *further))
 
