@@ -387,12 +387,6 @@ SITUATIONS = (
         drive(lidar=_FLAT),
     ),
     Situation(
-        "2D scans whose beams end where those of the new scans do",
-        drive(lidar=replace(_FLAT, columns=360)),
-        (("convert {src} -o {out} --rebin", "without a return; --geometry centered has them in the middle"),),
-        ("convert {src} -o {out} --rebin --geometry centered",),
-    ),
-    Situation(
         "a range that ends before the first wall",
         hall(),
         ((f"{_HALL} {_HEIGHTS} --range-max 0.3", "are used; range_min is 0 m and range_max 0.3 m"),),
