@@ -16,8 +16,11 @@ from pc2scan.request.parameters import plain_scalar
 from .commands import COMMANDS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
     from pathlib import Path
+
+#: The functions that read a parameter's number, by its kind.
+_NUMBERS: Mapping[str, Callable[[str], float]] = {"int": int, "float": float}
 
 
 def arguments_of(command: str, typed: Mapping[str, Any]) -> dict[str, Any]:
@@ -70,8 +73,12 @@ def call_options(name: str, typed: Mapping[str, Any]) -> Options:
             continue
         text = typed[key]
         if isinstance(option, Parameter):
-            # Numbers are written as in a parameter file.
-            words[key] = plain_scalar(text) if option.value.kind in {"int", "float"} else text
+            number = _NUMBERS.get(option.value.kind)
+            try:
+                words[key] = number(text) if number else text
+            except ValueError:
+                # In the notation of a parameter file.
+                words[key] = plain_scalar(text)
             origins[key] = option.negation if text is False else option.spelling
         elif option.default is True:
             words[key] = not text
