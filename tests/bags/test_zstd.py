@@ -45,7 +45,7 @@ def test_a_message_may_not_unpack_to_everything(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(compression, "MAX_UNPACKED", 1_000)
     compress = zstandard.ZstdCompressor(write_content_size=told).compress
     assert zstd.decompress_message(compress(bytes(1_000)), tmp_path, "/a") == bytes(1_000)
-    with pytest.raises(RecordingError, match="at most 1,0|which is the limit"):
+    with pytest.raises(RecordingError, match=r"at most 1,0|which is the limit"):
         zstd.decompress_message(compress(bytes(300_000)), tmp_path, "/a")
 
 
