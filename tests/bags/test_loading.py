@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from array import array
 from contextlib import closing, nullcontext
 from dataclasses import replace
 from operator import attrgetter, itemgetter
@@ -279,18 +278,6 @@ def test_the_messages_of_very_many_are_the_same(
     with closing(open_recording(path)) as reader:
         loaded = [each.load(lambda message: message) for each in reader.chunks(None, *cut)]
     assert any(isinstance(each, LazyItems) and len(each) > 7 for each in loaded)
-
-
-def test_an_item_is_made_once_while_it_is_due() -> None:
-    made: list[int] = []
-
-    def make(place: int) -> int:
-        made.append(place)
-        return place
-
-    items = LazyItems(array("Q", [1, 2]), array("Q", [0, 1]), make, 0)
-    assert [items[0], items[0], items[1], items[1]] == [0, 0, 1, 1]
-    assert made == [0, 1]
 
 
 def test_more_messages_than_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.bags.merged import MergedReader, merge_summaries, unify_connections
+from pc2scan.bags.merged import MergedReader, merge_summaries
 from pc2scan.errors import UsageError
 from pc2scan.model import Connection, Definition, RawMessage, Summary
 from support.memory_reader import MemoryReader
@@ -54,25 +54,6 @@ def test_messages_are_merged_and_renumbered(tmp_path: Path) -> None:
     assert reader.path == tmp_path / "1"
     reader.close()
     assert [each.log[-1] for each in (first, second)] == ["closed 1", "closed 2"]
-
-
-@pytest.mark.parametrize(
-    "other",
-    [
-        {"topic": "/z"},
-        {"msgtype": "z/msg/Z"},
-        {"serialization": "json"},
-        {"definition": Definition("ros2msg", b"y")},
-        {"digest": "z"},
-        {"callerid": "/z"},
-        {"latching": True},
-        {"qos": "z"},
-        {"metadata": {"z": "z"}},
-    ],
-)
-def test_connections_that_differ_in_anything_stay_apart(other: dict[str, object]) -> None:
-    merged, _ = unify_connections([[connection(1)], [replace(connection(1), **other)]])  # type: ignore[arg-type]
-    assert len(merged) == 2
 
 
 def test_a_source_is_not_read_before_its_time(tmp_path: Path) -> None:

@@ -8,8 +8,6 @@ what packets mean.
 from __future__ import annotations
 
 import base64
-import shutil
-import subprocess
 import sys
 from functools import partial
 from pathlib import Path
@@ -20,7 +18,7 @@ import pytest
 
 import pc2scan
 from pc2scan.errors import DecodeError
-from pc2scan.messages.clouds import CLOUDS, usual_topics
+from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.pointcloud2 import as_pointcloud2, encode_pointcloud2, recorded_cloud
 from support import RECORDINGS, builders, clouds
 from support.builders import CLOUD, SECOND, T0, Mcap, Recording, Stream
@@ -201,20 +199,6 @@ def test_draco_keeps_the_points_that_were_not_lost(name: str, ros_version: int) 
             np.testing.assert_array_equal(table[axis], expected[axis])
 
 
-@pytest.mark.slow
-def test_draco_files_are_what_the_library_writes(tmp_path: Path) -> None:
-    if shutil.which("g++") is None or not Path("/usr/include/draco").exists():
-        pytest.skip("needs g++ and libdraco-dev")
-    program = tmp_path / "draco"
-    source = str(Path(__file__).with_name("draco.cpp"))
-    subprocess.run(["g++", "-std=c++17", "-O1", source, "-ldraco", "-o", str(program)], check=True)
-    for name, words in {"exact": "0 0 2", "merged": "1 0 0", "rounded": "1 14 1"}.items():
-        done = subprocess.run(
-            [program, *words.split()], input=draco_points().tobytes(), capture_output=True, check=True
-        )
-        assert done.stdout == encoded()[name], name
-
-
 @pytest.mark.parametrize("place", [0, 7, 11, 12, 24, 31, 35, 36, 37, 39])
 def test_draco_that_declares_too_much_is_an_error(place: int) -> None:
     """Numbers in its head: of metadata, points, attributes and their components."""
@@ -307,22 +291,3 @@ def test_a_missing_extra_is_named(package: str, extra: str, kind: str, monkeypat
 
 
 # --- Which topics ---
-
-
-def test_what_is_beside_a_cloud_is_not_converted_unless_it_is_named(tmp_path: Path) -> None:
-    types = {"/raw": [CLOUD], "/raw/zstd": [COMPRESSED], "/livox": [clouds.LIVOX[1]], "/tf": ["tf2_msgs/msg/TFMessage"]}
-    assert usual_topics(types, CLOUDS) == ["/raw", "/livox"]
-    del types["/raw"], types["/livox"]
-    assert usual_topics(types, CLOUDS) == ["/raw/zstd"]
-    streams = Stream("/raw", CLOUD), Stream("/raw/zstd", COMPRESSED)
-    points = clouds.lidar_points(1)
-    made = clouds.structured(points, 2), clouds.compressed(points, 2)
-    items = tuple(
-        builders.Item(stream, T0 + step, {2: data})
-        for step, (stream, data) in enumerate(zip(streams, made, strict=True))
-    )
-    source = builders.write_mcap(tmp_path / "a.mcap", Recording(streams, items), Mcap())
-    assert [topic.topic for topic in pc2scan.convert(source).topics if topic.target == "/scan"] == ["/raw"]
-    assert [cloud.topic for cloud in pc2scan.clouds(source)] == ["/raw"]
-    found = pc2scan.convert(source, topics="/raw/zstd", overwrite=True)
-    assert [topic.topic for topic in found.topics if topic.target == "/scan"] == ["/raw/zstd"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import builtins
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from hypothesis import strategies as st
 from messages.twins import CODES, SEPARATOR, Twin, check_both_ways, of_kind, parsed, ros1, ros2
 from pc2scan.errors import DecodeError
 from pc2scan.messages import definitions, schema
-from pc2scan.messages.transcode import transcoder, with_definition
+from pc2scan.messages.transcode import transcoder
 from pc2scan.model import Connection, Definition, ros1_type
 from support import RECORDINGS, needs_shared, sampled
 from support.tables import rows
@@ -157,29 +156,6 @@ def test_another_layout_keeps_its_definition_and_is_noted(msgtype: str) -> None:
 # --- definitions as recordings have them ---
 
 
-def test_bounds_defaults_and_constants_reach_ros1() -> None:
-    text = """\
-string WORD='single # quotes'   # comment
-uint8[<=4] few [1, 2]
-string<=5 name "a # b"
-string<=5[<=2] names
-float32 x 0.5  # default
-char c
-Other other
-@key
-int32 id
-"""
-    other = f"\n{SEPARATOR}\nMSG: pkg/Other\nint64 a\n"
-    plan = transcoder(ros2(text + other), 1)
-    assert plan.connection.definition.text == (
-        "string WORD=single # quotes\nuint8[] few\nstring name\nstring[] names\nfloat32 x\nchar c\n"
-        f"pkg/Other other\nint32 id\n{SEPARATOR}\nMSG: pkg/Other\nint64 a\n"
-    )
-    structs = parsed(ros2(text + other))
-    twin = Twin(structs, "pkg/msg/Type", 3)
-    assert bytes(plan.encode(twin.cdr)) == twin.ros1
-
-
 @pytest.mark.parametrize(
     ("name", "md5sum"),
     [
@@ -205,24 +181,6 @@ def test_without_definition_the_message_set_is_used_and_noted() -> None:
     # What a definition lacks is filled in.
     filled = transcoder(ros2("geometry_msgs/Point[] points\n"), 1).connection
     assert "MSG: geometry_msgs/Point\nfloat64 x\n" in filled.definition.text
-
-
-@pytest.mark.parametrize("msgtype", ["sensor_msgs/msg/Imu", "sensor_msgs/msg/LaserScan"])
-def test_a_connection_without_definition_gets_the_distributions(msgtype: str) -> None:
-    from rosbags.typesys import Stores, get_typestore
-
-    plain = Connection(1, "/t", msgtype, "cdr")
-    found = with_definition(plain)
-    jazzy = get_typestore(Stores.ROS2_JAZZY)
-    assert (found.definition.encoding, found.digest) == ("ros2msg", jazzy.hash_rihs01(msgtype))
-    assert parsed(found)[msgtype] == schema.known_types(2)[msgtype]
-    assert with_definition(found) is found
-    # A digest that it has stays; what no distribution knows has none.
-    assert with_definition(replace(plain, digest="RIHS01_0")).digest == "RIHS01_0"
-    unknown = Connection(1, "/t", "pkg/msg/Unknown", "cdr")
-    assert with_definition(unknown) is unknown
-    ros1_scan = with_definition(Connection(1, "/t", ros1_type(msgtype), "ros1"))
-    assert ros1_scan.digest == get_typestore(Stores.ROS1_NOETIC).generate_msgdef(msgtype, ros_version=1)[1]
 
 
 # --- what is declared ---

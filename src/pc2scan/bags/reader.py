@@ -267,7 +267,6 @@ class ConnectionLimit:
         self._path = path
         self._size = size
         self._count = self._bytes = 0
-        self._topics: set[str] = set()
 
     def add(self, described: int = 0, *, count: int = 1, most: int | None = None) -> None:
         """Count connections that take so many bytes to describe, with their definitions.
@@ -281,7 +280,11 @@ class ConnectionLimit:
         self._bytes += described
         most = MAX_CONNECTIONS if most is None else most
         if self._count > most:
-            raise self._too_many(most)
+            raise RecordingError(
+                f"has more than {most:,} connections (one for each publisher of a topic), the largest number that is "
+                "read",
+                path=self._path,
+            )
         if self._bytes > (allowed := allowed_bytes(self._size)):
             raise RecordingError(
                 f"describes its connections in more than {allowed:,} bytes, the largest size for a recording of "
@@ -290,27 +293,12 @@ class ConnectionLimit:
             )
 
     def add_file(self, connections: Sequence[Connection], size: int) -> None:
-        """Count the connections of a file or a part of ``size`` bytes.
+        """Count the connections of a file of ``size`` bytes among those of several.
 
-        Those that several files share count in each, because each reader keeps its own; so files of any size may repeat
-        them, a kilobyte for each. Definitions that connections share count once. Topics that differ between files
-        count as in one file, before all files are open.
-
-        Raises
-        ------
-        RecordingError
-            If there are more, or their descriptions are larger than `allowed_bytes`.
+        Those that files share count in each, because each reader keeps its own; so files of any size may repeat them, a
+        kilobyte for each. Definitions that connections share count once.
         """
         self._size += size
         definitions = {id(own.definition.data): own.definition.data for own in connections}
         described = sum(map(len, definitions.values())) + sum(len(own.qos) for own in connections)
         self.add(described, count=len(connections), most=MAX_CONNECTIONS + self._size // 1000)
-        self._topics.update(own.topic for own in connections)
-        if len(self._topics) > MAX_CONNECTIONS:
-            raise self._too_many(MAX_CONNECTIONS)
-
-    def _too_many(self, most: int) -> RecordingError:
-        return RecordingError(
-            f"has more than {most:,} connections (one for each publisher of a topic), the largest number that is read",
-            path=self._path,
-        )

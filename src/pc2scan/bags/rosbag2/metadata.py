@@ -21,9 +21,9 @@ Keys are read from any version that has them.
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path, PureWindowsPath
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags import zstd
 from pc2scan.bags.damage import DamageLog
@@ -38,7 +38,7 @@ from pc2scan.files.yaml import MAX_CHARACTERS, dump_yaml, load_yaml
 from pc2scan.model import Connection
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterable
 
 METADATA_NAME = "metadata.yaml"
 
@@ -58,14 +58,6 @@ class UnsupportedError(ValueError):
     """metadata.yaml is sound, but the recording is of an unsupported kind."""
 
 
-class FileExtent(NamedTuple):
-    """The messages of one file by metadata.yaml: their number, and the first and the last log time."""
-
-    message_count: int
-    first_ns: int
-    last_ns: int
-
-
 @dataclass(frozen=True, slots=True)
 class BagInfo:
     """The used contents of metadata.yaml.
@@ -76,8 +68,6 @@ class BagInfo:
         Connections with ids from 1 on.
     message_count
         In all; None if it is not there.
-    extents
-        By file; older versions have none.
     is_guessed
         Whether there is no metadata.yaml, so that only the files say what the recording is.
     """
@@ -85,9 +75,7 @@ class BagInfo:
     files: tuple[str, ...]
     message_compression: str = "none"
     topics: tuple[Connection, ...] = ()
-    custom_data: Mapping[str, str] = field(default_factory=dict)
     message_count: int | None = None
-    extents: Mapping[str, FileExtent] = field(default_factory=dict)
     is_guessed: bool = False
 
 
@@ -229,22 +217,8 @@ def _parse_info(document: Any) -> BagInfo:
         files=tuple(dict.fromkeys(files)),
         message_compression=_message_compression(root),
         topics=topics,
-        custom_data={str(key): str(value) for key, value in _get(root, "custom_data", dict, ROOT, {}).items()},
         message_count=_get(root, "message_count", int, ROOT, 0),
-        extents=dict(_extents(root)),
     )
-
-
-def _extents(root: Any) -> Iterator[tuple[str, FileExtent]]:
-    """Yield the entries of the files; wrong ones are ignored, since entries are needed only for missing files."""
-    entries = root.get("files")
-    for entry in entries if isinstance(entries, list) else ():
-        try:
-            first_ns = int(entry["starting_time"]["nanoseconds_since_epoch"])
-            last_ns = first_ns + int(entry["duration"]["nanoseconds"])
-            yield _file_name(entry["path"]), FileExtent(int(entry["message_count"]), first_ns, last_ns)
-        except (KeyError, TypeError, ValueError):
-            continue
 
 
 def _get(mapping: Any, key: str, kind: type, where: str, default: Any = None) -> Any:

@@ -21,7 +21,7 @@ from pc2scan.files.places import private_folder
 from .metadata import METADATA_NAME, RECORD_NAME, locate_files, missing_error, read_info
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
     from tempfile import TemporaryDirectory
 
     from pc2scan.bags.damage import Damage
@@ -82,7 +82,7 @@ class Rosbag2Reader(MergedReader):
                     err.path = self._origins.get(Path(err.path or name), Path(err.path or name))
                     if strict or (name == self._info.files[-1] and not opened):
                         raise
-                    self._lose(name, err)
+                    self._log.note(err, key=name)
                     continue
                 undo.callback(reader.close)
                 limit.add_file(reader.connections, reader.summary.size_bytes)
@@ -104,11 +104,6 @@ class Rosbag2Reader(MergedReader):
             compression=zstd.compressions(inner.compression) if packed else inner.compression,
             size_bytes=sum(file.stat().st_size for file in files),
         )
-
-    @property
-    def custom_data(self) -> Mapping[str, str]:
-        """metadata.yaml's ``custom_data``."""
-        return self._info.custom_data
 
     @property
     def damage(self) -> tuple[Damage, ...]:
@@ -140,17 +135,6 @@ class Rosbag2Reader(MergedReader):
         storage = _storage_of(file)
         packed = self._info.message_compression
         return storage.open_reader(file, ReadOptions(strict=self._log.strict, message_compression=packed))
-
-    def _lose(self, name: str, err: DamageError) -> None:
-        """Note a file that is missing or cannot be read."""
-        extent = self._info.extents.get(name)
-        self._log.note(
-            err,
-            key=name,
-            messages_lost=extent.message_count if extent else None,
-            first_ns=extent.first_ns if extent else None,
-            last_ns=extent.last_ns if extent else None,
-        )
 
     def _compare_counts(self) -> None:
         """Note if the numbers of messages in metadata.yaml, in all or of a topic, differ from those in the files."""

@@ -173,14 +173,3 @@ def test_a_database_is_what_rosbag2_writes(compression: str, tmp_path: Path) -> 
             (handles[1], 10, b"\0\1\0\0early" * 50),
             (handles[0], 20, b"\0\1\0\0late"),
         ]
-
-
-def test_long_recordings_are_written_in_batches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pc2scan.bags.rosbag2.sqlite3.write._BATCH_BYTES", 1000)
-    writer = Sqlite3Writer(tmp_path / "x.db3")
-    handle = writer.add_connection(CLOUD)
-    for number in range(10):
-        writer.write(handle, number, bytes(600), number)
-    with closing(sqlite3.connect(tmp_path / "x.db3")) as database:
-        assert database.execute("SELECT count(*) FROM messages").fetchone() == (10,)
-    writer.finish()

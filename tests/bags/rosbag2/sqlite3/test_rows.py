@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 
 from pc2scan.bags.opening import open_recording
 from pc2scan.bags.rosbag2.sqlite3.read import Sqlite3Reader
-from pc2scan.errors import DamageError
 from support.builders import CONTENT, write_db3
 
 if TYPE_CHECKING:
@@ -25,12 +24,6 @@ if TYPE_CHECKING:
 Value = int | float | str | bytes | None
 Row = tuple[int, int, bytes]
 
-#: Changes of row 4: it is no message without a time and a topic, and has no data that is not a blob.
-WRONG_ROWS = (
-    *(f"timestamp = {value}" for value in ("1e300", "1.5", "'tomorrow'", "x'00ff'", "x''", "NULL")),
-    "topic_id = 'x', timestamp = 1.5",
-    *(f"data = {value}" for value in ("7", "'text'", "NULL", "2.5")),
-)
 
 #: Tables made of a query have columns without types and constraints; it also runs on tables with them.
 LOOSE = "CREATE TABLE loose AS SELECT * FROM {0}; DROP TABLE {0}; ALTER TABLE loose RENAME TO {0};"
@@ -43,63 +36,11 @@ def change(path: Path, script: str, *, loose: tuple[str, ...] = ()) -> Path:
     return path
 
 
-def without_constraints(path: Path) -> None:
-    """Let ``messages`` take NULL, and keep its other properties."""
-    with closing(sqlite3.connect(path)) as database, database:
-        database.execute("PRAGMA writable_schema = ON")
-        database.execute("UPDATE sqlite_master SET sql = replace(sql, 'NOT NULL', '') WHERE name = 'messages'")
-
-
 def unreachable(path: Path) -> None:
     """Let the header declare more pages than there are, so that the rows are searched for."""
     data = bytearray(path.read_bytes())
     struct.pack_into(">I", data, 28, 1_000_000)
     path.write_bytes(data)
-
-
-@pytest.mark.parametrize("pages", [False, True], ids=["sound", "cut off"])
-@pytest.mark.parametrize("wrong", WRONG_ROWS)
-def test_a_row_with_a_wrong_value_is_one_damaged_row(wrong: str, pages: bool, tmp_path: Path) -> None:
-    path = write_db3(tmp_path / "drive.db3", CONTENT)
-    without_constraints(path)
-    with closing(open_recording(path)) as reader:
-        rows = [(m.connection.topic, m.log_time_ns, bytes(m.data)) for m in reader.messages()]
-        assert not reader.damage
-    change(path, f"UPDATE messages SET {wrong} WHERE id = 4;")
-    if pages:
-        unreachable(path)
-    with closing(open_recording(path)) as reader:
-        found = [(m.connection.topic, m.log_time_ns, bytes(m.data)) for m in reader.messages()]
-        (place,) = [place for place in reader.damage if place.messages_lost == 1]
-        summary = reader.summary
-        counted = sum(reader.counts(reader.connections, rows[0][1]).values())
-    _, time_ns, _ = rows[3]
-    assert counted == len(found) + wrong.startswith("data")
-    assert found == rows[:3] + rows[4:]
-    if wrong.startswith("data"):
-        assert "row 4 of messages, of topic" in place.what
-        assert place.first_ns == place.last_ns == time_ns
-    else:
-        assert "has 1 row of messages with an id, a topic or a time that is no integer" in place.what
-        assert summary.message_count == len(found)
-        assert (summary.start_ns, summary.end_ns) == (found[0][1], found[-1][1])
-    told = r"row 4 of messages|1 row of messages|is cut off"
-    with pytest.raises(DamageError, match=told), closing(open_recording(path, strict=True)) as reader:
-        list(reader.messages())
-
-
-@pytest.mark.parametrize(
-    "statement",
-    [
-        "UPDATE topics SET name = x'2f61', type = x'61', offered_qos_profiles = x'00' WHERE id = 2",
-        "UPDATE message_definitions SET encoding = x'61' WHERE id = 1",
-    ],
-)
-def test_topics_with_wrong_values_lose_no_message(statement: str, tmp_path: Path) -> None:
-    path = change(write_db3(tmp_path / "drive.db3", CONTENT), f"{statement};")
-    with closing(open_recording(path)) as reader:
-        assert not reader.damage
-        assert len(list(reader.messages())) == len(CONTENT.items)
 
 
 @pytest.mark.parametrize("value", ["'x'", "NULL", "1.5", "1"])
