@@ -132,11 +132,10 @@ class LazyItems(Generic[_Value]):
         """Bytes of memory that it takes."""
         return self._kept_bytes + 16 * len(self._places)
 
-    def map(self, callback: Callable[[_Value], _Other], times: array[int] | None = None) -> LazyItems[_Other]:
-        """Return the callback's results for the items, with their log times or the given ones."""
+    def map(self, callback: Callable[[_Value], _Other]) -> LazyItems[_Other]:
+        """Return the callback's results for the items."""
         make = self._make
-        times = self.times if times is None else times
-        return LazyItems(times, self._places, lambda place: callback(make(place)), self._kept_bytes)
+        return LazyItems(self.times, self._places, lambda place: callback(make(place)), self._kept_bytes)
 
     def filter(self, test: Callable[[_Value], bool]) -> LazyItems[_Value]:
         """Return the items for which ``test`` is true."""
