@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pc2scan.bags.observers import FirstTimes, Observer, observe
+from pc2scan.bags.observers import Observer, observe
 from pc2scan.bags.opening import open_recording
 from pc2scan.errors import DecodeError
 from pc2scan.model import Connection, RawMessage
@@ -105,10 +105,3 @@ def test_no_unit_is_loaded_that_nobody_wants_any_longer() -> None:
     observe((reader, [first, every]))
     assert reader.loaded == [(0,), (2,), (11,), (13,), (15,), (17,), (19,)]
     assert [time_ns for _, time_ns, _ in (*first.found, *every.found)] == [0, 2, 11, 13, 15, 17, 19]
-
-
-def test_first_times_are_certain_whatever_is_added_again() -> None:
-    first = FirstTimes(2)
-    assert [first.may_have(time_ns) for time_ns in (5, 5, 7, 7, 8, 6, 7, 5, 6)] == [
-        True, True, True, True, False, True, False, True, True,
-    ]  # fmt: skip

@@ -32,36 +32,6 @@ _MOST_PARTS = 1_000
 _Value = TypeVar("_Value")
 
 
-class FirstTimes:
-    """The earliest log times of the messages so far: a chunk may have later messages before earlier ones.
-
-    Parameters
-    ----------
-    most
-        How many messages are wanted.
-    """
-
-    __slots__ = ("_most", "_times")
-
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._times: list[int] = []
-
-    def may_have(self, log_time_ns: int) -> bool:
-        """Add a message; return whether it may be among the first ones. False is certain. On any thread.
-
-        Equal log times count once, because a chunk may be loaded again. If two threads add messages at once, one is not
-        added, and more messages may be among the first.
-        """
-        times = self._times
-        number = bisect_left(times, log_time_ns)
-        if number == self._most:
-            return False
-        if number == len(times) or times[number] != log_time_ns:
-            self._times = [*times[:number], log_time_ns, *times[number:]][: self._most]
-        return True
-
-
 class Spread(NamedTuple):
     """Equal parts of a time, of each of which the first message is wanted.
 
@@ -135,7 +105,8 @@ class Observer(Generic[_Value]):
     filled: set[int] = field(default_factory=set)
     has_ended: bool = False
     _count: int = 0
-    _first: FirstTimes | None = None
+    #: The earliest log times so far, of as many messages as are wanted.
+    _first_ns: list[int] = field(default_factory=list)
     _earliest: dict[int, int] = field(default_factory=dict)
 
     @property
@@ -188,10 +159,13 @@ class Observer(Generic[_Value]):
         if self.most is not None:
             if self.is_done:
                 return None
-            if self._first is None:
-                self._first = FirstTimes(self.most)
-            if not self._first.may_have(time_ns):
+            # A chunk may have later messages before earlier ones, and may be loaded again.
+            place = bisect_left(self._first_ns, time_ns)
+            if place == self.most:
                 return None
+            if time_ns not in self._first_ns[place : place + 1]:
+                self._first_ns.insert(place, time_ns)
+                del self._first_ns[self.most :]
         try:
             return self, self.take(message)
         except MessageError:
