@@ -19,7 +19,7 @@ from contextlib import suppress
 from itertools import combinations, pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.errors import UsageError
+from pc2scan.errors import UsageError, name_list
 
 from . import zstd
 from .formats import FORMATS, and_list
@@ -91,11 +91,9 @@ def natural_order(path: Path) -> list[int | str]:
 def several_recordings(folder: Path, recordings: Sequence[Path], why: str = "") -> UsageError:
     """Return the error for a folder that holds several recordings, where one was expected."""
     names = [f"{path.name}/" if path.is_dir() else path.name for path in recordings]
-    more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
     one, all_of_them = shlex.quote(str(recordings[0])), shlex.quote(str(folder))
     return UsageError(
-        f"holds {len(recordings)} recordings, not one: {', '.join(names[:_MAX_NAMED])}{more}"
-        f"{f' ({why})' if why else ''}",
+        f"holds {len(recordings)} recordings, not one: {name_list(names, _MAX_NAMED)}{f' ({why})' if why else ''}",
         path=folder,
         hint=f"name one of them: {one}; pc2scan batch {all_of_them} -o DIR/ converts each by itself",
     )

@@ -27,19 +27,21 @@ if TYPE_CHECKING:
 
     from .reader import Reader
 
-#: Other files that users try to open.
+#: Other files that users try to open, with a hint.
 _LOOKALIKES = {
-    b"\x1f\x8b": "gzip-compressed",
-    b"BZh": "bzip2-compressed",
-    b"\xfd7zXZ": "xz-compressed",
-    LZ4_MAGIC: "lz4-compressed",
-    b"PK\x03\x04": "a ZIP archive",
-    b"7z\xbc\xaf": "a 7z archive",
-    LFS_POINTER: "a Git LFS pointer, not the file itself",
-    b"\xd4\xc3\xb2\xa1": "a packet capture (pcap)",
-    b"\x0a\x0d\x0d\x0a": "a packet capture (pcapng)",
-    b"# .PCD": "a single point cloud (PCD)",
-    b"\x89MCAP": "MCAP of an unknown version",
+    b"\x1f\x8b": ("gzip-compressed", ""),
+    b"BZh": ("bzip2-compressed", ""),
+    b"\xfd7zXZ": ("xz-compressed", ""),
+    LZ4_MAGIC: ("lz4-compressed", ""),
+    b"PK\x03\x04": ("a ZIP archive", ""),
+    b"7z\xbc\xaf": ("a 7z archive", ""),
+    LFS_POINTER: ("a Git LFS pointer, not the file itself", LFS_HINT),
+    b"\xd4\xc3\xb2\xa1": ("a packet capture (pcap)", ""),
+    b"\x0a\x0d\x0d\x0a": ("a packet capture (pcapng)", ""),
+    b"# .PCD": ("a single point cloud (PCD)", ""),
+    b"\x89MCAP": ("MCAP of an unknown version", ""),
+    b"#ROSBAG V1": ("a ROS bag of version 1", "ROS 1's rosbag reindex converts it"),
+    b"rosbag2_bagfile_information": ("the metadata.yaml of a rosbag2 recording", "name the directory it is in"),
 }
 
 
@@ -160,29 +162,12 @@ def _content_hint(head: bytes, path: Path, state: str = "") -> str:
         raise RecordingError(f"is empty{state}", path=path)
     if any(magic.startswith(head) for magic in magics):
         raise RecordingError(f"is cut off after {len(head)} bytes: there is nothing to recover{state}", path=path)
-    if head.startswith(b"#ROSBAG V1"):
-        raise RecordingError(
-            f"is a ROS bag of version {_printable(head[9:12])}{state}, only 2.0 can be read",
-            path=path,
-            hint="ROS 1's rosbag reindex converts it",
-        )
-    if head.startswith(b"rosbag2_bagfile_information"):
-        raise RecordingError(
-            f"is the metadata.yaml of a rosbag2 recording{state}",
-            path=path,
-            hint="name the directory it is in",
-        )
     readable = f"{and_list([entry.readable for entry in FORMATS.values()])} can be read"
-    for magic, description in _LOOKALIKES.items():
+    for magic, (description, hint) in _LOOKALIKES.items():
         if head.startswith(magic):
-            hint = LFS_HINT if magic == LFS_POINTER else readable
-            raise RecordingError(f"is not a recording: it is {description}{state}", path=path, hint=hint)
-    raise RecordingError(f"is not a recording: it begins with {_printable(head[:16])}{state}", path=path, hint=readable)
-
-
-def _printable(head: bytes) -> str:
-    """Bytes of unknown origin for a terminal: printable ASCII as it is, everything else escaped."""
-    return repr(head)[1:]
+            raise RecordingError(f"is not a recording: it is {description}{state}", path=path, hint=hint or readable)
+    # Bytes of unknown origin for a terminal: printable ASCII as it is, everything else escaped.
+    raise RecordingError(f"is not a recording: it begins with {repr(head[:16])[1:]}{state}", path=path, hint=readable)
 
 
 def as_one(readers: Sequence[Reader]) -> Reader:
