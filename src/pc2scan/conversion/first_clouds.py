@@ -123,6 +123,8 @@ def _samples(
 
 def count_by_index(reader: Reader, recording: OpenRecording, prepared: Preparation, report: Report) -> None:
     """Fill in the report of a dry run: its points are those of the first messages, its counts those of the index."""
+    report.add(reader.remarks)
+    report.damage += reader.damage
     report.add(*result_findings(report))
     routes, span = recording.routes, prepared.span
     counts = reader.counts([route.connection for route in routes.values()], span.start_ns, span.stop_ns)

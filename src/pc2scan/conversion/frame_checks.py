@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import ParameterError, UsageError, name_list
 from pc2scan.text import did_you_mean, nearest
 from pc2scan.transforms.lookup_errors import frames_text
 from pc2scan.transforms.static import static_text
-from pc2scan.transforms.summary import BODIES, WORLDS
+from pc2scan.transforms.summary import WORLDS
 from pc2scan.transforms.world_frames import find_body_motion
 
 if TYPE_CHECKING:
@@ -77,8 +76,6 @@ def check_given_frames(
                 # Nothing could be placed.
                 raise UsageError(text, hint=f"did you mean `static_tf='{static_text(static.parent, near, static)}'`?")
             yield text + (f"; did you mean {near}?" if near else "")
-        elif child in used:
-            yield from _far_doubts(static, targets)
 
 
 def _source_doubts(source: str, frames: Sequence[str], buffer: TransformBuffer | None) -> Iterator[str]:
@@ -126,20 +123,8 @@ def _refuse_loop(static: StaticTransform, buffer: TransformBuffer) -> None:
     )
 
 
-def _far_doubts(static: StaticTransform, targets: set[str]) -> Iterator[str]:
-    parent, child = static.parent.removeprefix("/"), static.child.removeprefix("/")
-    translation = [float(x) for x in static.parent_from_child.translation]
-    length = math.hypot(*translation)
-    if length < _FAR or {parent, child} & set(WORLDS) or not (targets | {parent}) & set(BODIES):
-        return
-    yield (
-        f"`static_tf` from {parent} to {child} is {length:,.0f} m long, and translations are metres; if these "
-        f"are millimetres, `static_tf='{static_text(parent, child, static, 0.001)}'`"
-    )
-
-
 def check_fixed_frame(source: str, spec: ScanSpec, buffer: TransformBuffer) -> list[str]:
-    """Return warnings if nothing moves in the fixed frame, or if regions of deskewed clouds move with the sensor.
+    """Return a warning if nothing moves in the fixed frame.
 
     Parameters
     ----------
@@ -162,24 +147,13 @@ def check_fixed_frame(source: str, spec: ScanSpec, buffer: TransformBuffer) -> l
     frame = spec.params.target_frame or source
     frame = frame.removeprefix("/")
     if not frame or not buffer.is_rigid(fixed, frame):
-        return _moving_regions(source, spec, buffer)
+        return []
     if fixed == frame and find_body_motion(buffer, fixed, source):
         return []  # the target frame itself is wrong, which another warning says
     which = "the frame of the scans itself" if fixed == frame else f"and {frame} never moves in it"
     offered = _offered(buffer, fixed)
     advice = offered or "the recording has no transform that moves; `tf_from` adds the odometry of another one"
     return [f"`fixed_frame` is {fixed}, {which}: no point is moved; {advice}"]
-
-
-def _moving_regions(source: str, spec: ScanSpec, buffer: TransformBuffer) -> list[str]:
-    """Return warnings about filters in frames that are not fixed to the sensor of clouds that are deskewed."""
-    regions = {each.frame: each.name for each in spec.filters if isinstance(each.frame, str)} if spec.deskew else {}
-    return [
-        f"`{name}` is in {frame}, in which {source} moves, but it rejects points where they were recorded, before "
-        "`deskew`: its edges are off by as much as the sensor moves within a cloud"
-        for frame, name in regions.items()
-        if source and frame.removeprefix("/") in buffer.frames and not buffer.is_rigid(frame, source)
-    ]
 
 
 def _offered(buffer: TransformBuffer, fixed: str) -> str:

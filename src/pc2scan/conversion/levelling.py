@@ -12,14 +12,13 @@ from pc2scan.transforms.reading import tf_connections
 from pc2scan.transforms.up_sources import UpByFrame, UpByImu
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
+    from pc2scan.advice.survey import Survey
     from pc2scan.bags.destinations import Destination
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Writer
     from pc2scan.request.options import ScanSpec
     from pc2scan.transforms.buffer import TransformBuffer
-    from pc2scan.transforms.imu import ImuRequest, UpEstimate
+    from pc2scan.transforms.imu import UpEstimate
     from pc2scan.transforms.placing import FrameOptions, LevelTransform
     from pc2scan.transforms.up_sources import UpSource
 
@@ -28,45 +27,19 @@ if TYPE_CHECKING:
 TFMESSAGE = "tf2_msgs/msg/TFMessage"
 
 
-class UpSources:
-    """The source of the direction of up, for each level output. The direction by each IMU is estimated once.
+def up_source(spec: ScanSpec, buffer: TransformBuffer, survey: Survey) -> tuple[UpSource, UpEstimate | None]:
+    """Return the source of the direction of up for a level output, and the estimate by its IMU; None without one.
 
-    Parameters
-    ----------
-    buffer
-        The transforms.
-    estimate
-        Estimates the direction of up by an IMU.
+    Raises
+    ------
+    UsageError
+        If the messages of an IMU do not show the direction of up.
     """
-
-    def __init__(self, buffer: TransformBuffer, estimate: Callable[[ImuRequest], UpEstimate]) -> None:
-        self._buffer = buffer
-        self._estimate = estimate
-        self._estimated: dict[ImuRequest, UpEstimate] = {}
-        self._sources: dict[tuple[str, str, int], UpSource] = {}
-
-    def of(self, spec: ScanSpec) -> tuple[UpSource, UpEstimate | None]:
-        """Return the source for one output, and the estimate if it is made for this one.
-
-        Outputs with the same options share one source.
-
-        Raises
-        ------
-        UsageError
-            If the messages of an IMU do not show the direction of up.
-        """
-        tolerance_ns, buffer = spec.params.tolerance_ns, self._buffer
-        key = (spec.fixed_frame, spec.imu, tolerance_ns)
-        new: UpEstimate | None = None
-        if key not in self._sources:
-            if request := spec.imu_request:
-                if request not in self._estimated:
-                    new = self._estimated[request] = self._estimate(request)
-                up = self._estimated[request]
-                self._sources[key] = UpByImu(up.topic, up.frame, up.stamps_ns, up.directions, buffer, tolerance_ns)
-            else:
-                self._sources[key] = UpByFrame(spec.fixed_frame, buffer, tolerance_ns)
-        return self._sources[key], new
+    tolerance_ns, request = spec.params.tolerance_ns, spec.imu_request
+    if request is None:
+        return UpByFrame(spec.fixed_frame, buffer, tolerance_ns), None
+    up = survey.imu(request.topic).up(request.frame)
+    return UpByImu(up.topic, up.frame, up.stamps_ns, up.directions, buffer, tolerance_ns), up
 
 
 def tf_connection(reader: Reader, frames: FrameOptions, target: Destination) -> Connection:

@@ -23,7 +23,7 @@ from .cloud_to_scan import CloudToScan
 from .combine.conversion import MessagesToScan
 from .combine.measurements import SourceFacts, measure_sources
 from .frame_checks import check_fixed_frame, check_given_frames
-from .levelling import UpSources
+from .levelling import up_source
 from .scan_to_cloud import ScanToCloud
 from .stages.deskew import Deskew
 
@@ -153,17 +153,14 @@ def prepare(
     if given:
         robot = known.read() if found is None else found.buffer
         tell(*check_given_frames((facts.frame for facts in given), plan, asked, buffer, robot))
-    ups = None
-    if buffer is not None and any(spec.level for spec in plan.specs):
-        ups = UpSources(buffer, lambda request: survey.imu(request.topic).up(request.frame))
     conversions: dict[tuple[Any, str], Conversion] = {}
     surroundings: list[tuple[str, Surroundings]] = []
     for spec in plan.specs:
         placer = Placer(source_frame=asked.source_frame)
         if spec.needs_transforms:
             up = None
-            if ups is not None and spec.level:
-                up, estimate = ups.of(spec)
+            if buffer is not None and spec.level:
+                up, estimate = up_source(spec, buffer, survey)
                 notes += () if estimate is None else estimate.notes
                 tell(*(() if estimate is None else estimate.warnings))
             placer = Placer(spec.params.target_frame, asked.source_frame, buffer, spec.params.tolerance_ns, up)
@@ -236,7 +233,7 @@ class _OutputFacts:
             tell(*(label + doubt for doubt in doubts))
         for sources in self._sources:
             with spec.naming_errors():
-                timing, grouper, new_notes, doubts = measure_sources(self._survey.reader, sources, placer)
+                timing, grouper, new_notes, doubts = measure_sources(sources, placer)
             notes += (label + note for note in new_notes)
             tell(*(label + doubt for doubt in doubts))
             topics = sources.output.sources

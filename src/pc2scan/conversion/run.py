@@ -48,7 +48,6 @@ from .stamps import corrected_for
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Mapping, Sequence
-    from contextlib import AbstractContextManager
     from pathlib import Path
 
     from pc2scan.advice.survey import Span
@@ -91,37 +90,54 @@ def run(
     with ExitStack() as stack, files.reporting(report):
         tell = partial(tell_early, report.warnings, warn)
         reader, plan, target = _open(files, options, output, stack, report, tell)
-        if output.dry_run:
-            _try_out(files, reader, plan, target, options, output, stack, report, tell)
-            return report
-        with _staging(files, target, output, stack) as unfinished:
-            span = _span_with_messages(reader, plan, options)
-            jobs = options.jobs or cores()
+        with _destination(files, target, output, stack) as unfinished:
+            span = span_of(reader, options)
+            refuse_no_messages(reader, plan.converted, span.start_ns, span.stop_ns)
             meter = None if progress is None else Meter(progress)
             prepared = prepare(reader, plan, options, span, stack, tell, meter=meter)
             report.add((), prepared.notes)
             with _writing(target, unfinished) as writer:
                 recording = open_output(reader, plan, prepared, target, options, writer, report, tell)
-                judge_first(reader, recording.routes, prepared, report, tell)
-                threads = stack.enter_context(Threads(jobs)) if jobs > 1 else None
-                if threads is not None:
-                    writer.compress_ahead(threads)
                 tally = Tally(recording.routes, strict=options.strict)
                 report.skipped = tally.skipped
-                items = items_of(
-                    reader, recording.routes, span, threads, rule=recording.rule, window=options.window, meter=meter
-                )
-                try:
-                    with closing(items):
-                        write_items(items, writer, tally, recording)
-                finally:
-                    report.messages_read = tally.messages
+                judge_first(reader, recording.routes, prepared, report, tell, tally if writer is None else None)
+                if writer is not None:
+                    _write(reader, recording, span, options, writer, tally, report, meter, stack)
                 tally.finish()
-                tell(*(label + text for label, seen in prepared.surroundings for text in seen.warnings()))
-                files.refuse_changed()
-                _judge(reader, plan, prepared, recording, target, options, report)
-            report.bytes_written = _size_on_disk(unfinished)
+                if writer is None:
+                    report.ways = [words for route in plan.routes for words in route.words]
+                    count_by_index(reader, recording, prepared, report)
+                else:
+                    tell(*(label + text for label, seen in prepared.surroundings for text in seen.warnings()))
+                    files.refuse_changed()
+                    _judge(reader, plan, prepared, recording, target, options, report)
+            if unfinished is not None:
+                report.bytes_written = _size_on_disk(unfinished)
     return report
+
+
+def _write(
+    reader: Reader,
+    recording: OpenRecording,
+    span: Span,
+    options: ConvertOptions,
+    writer: Writer,
+    tally: Tally,
+    report: Report,
+    meter: Meter | None,
+    stack: ExitStack,
+) -> None:
+    """Convert all messages, on as many threads as there are jobs, and write them."""
+    jobs = options.jobs or cores()
+    threads = stack.enter_context(Threads(jobs)) if jobs > 1 else None
+    if threads is not None:
+        writer.compress_ahead(threads)
+    items = items_of(reader, recording.routes, span, threads, rule=recording.rule, window=options.window, meter=meter)
+    try:
+        with closing(items):
+            write_items(items, writer, tally, recording)
+    finally:
+        report.messages_read = tally.messages
 
 
 def _open(
@@ -211,8 +227,11 @@ def report_failure(
 
 
 @contextmanager
-def _writing(target: Destination, unfinished: Path) -> Generator[Writer]:
-    """Open the destination's writer, and finish the recording, or abort it after an error."""
+def _writing(target: Destination, unfinished: Path | None) -> Generator[Writer | None]:
+    """Open the destination's writer, and finish the recording, or abort it after an error; None in a dry run."""
+    if unfinished is None:
+        yield None
+        return
     writer = open_writer(target, unfinished, target.path.name)
     try:
         yield writer
@@ -222,49 +241,22 @@ def _writing(target: Destination, unfinished: Path) -> Generator[Writer]:
         raise
 
 
-def _staging(
+@contextmanager
+def _destination(
     files: RunFiles, target: Destination, output: OutputOptions, stack: ExitStack
-) -> AbstractContextManager[Path]:
-    """Check the destination and the report's file, and return the context that writes beside the destination first."""
-    if output.folder is not None:
+) -> Generator[Path | None]:
+    """Check the destination and the report's file; yield a path beside the destination, None in a dry run."""
+    if output.folder is not None and not output.dry_run:
         stack.enter_context(output_folder(output.folder))
     files.open_report(stack)
-    return staged_output(target.path, overwrite=output.overwrite, owned=output.owned, record_in=recorded_in)
-
-
-def _try_out(
-    files: RunFiles,
-    reader: Reader,
-    plan: Plan,
-    target: Destination,
-    options: ConvertOptions,
-    output: OutputOptions,
-    stack: ExitStack,
-    report: Report,
-    tell: Callable[..., None],
-) -> None:
-    """Add to the report of a dry run what the conversion would do."""
-    files.open_report(stack)
-    check_destination(target.path, overwrite=output.overwrite, record_in=recorded_in, folder=output.folder)
-    span = _span_with_messages(reader, plan, options)
-    prepared = prepare(reader, plan, options, span, stack, tell)
-    report.add((), prepared.notes)
-    recording = open_output(reader, plan, prepared, target, options, None, report, tell)
-    report.ways = [words for route in plan.routes for words in route.words]
-    tally = Tally(recording.routes, strict=options.strict)
-    report.skipped = tally.skipped
-    judge_first(reader, recording.routes, prepared, report, tell, tally)
-    tally.finish()
-    report.add(reader.remarks)
-    report.damage += reader.damage
-    count_by_index(reader, recording, prepared, report)
-
-
-def _span_with_messages(reader: Reader, plan: Plan, options: ConvertOptions) -> Span:
-    """Return the cut; raise if it has no messages to convert."""
-    span = span_of(reader, options)
-    refuse_no_messages(reader, plan.converted, span.start_ns, span.stop_ns)
-    return span
+    if output.dry_run:
+        check_destination(target.path, overwrite=output.overwrite, record_in=recorded_in, folder=output.folder)
+        yield None
+        return
+    with staged_output(
+        target.path, overwrite=output.overwrite, owned=output.owned, record_in=recorded_in
+    ) as unfinished:
+        yield unfinished
 
 
 def _refuse_missing_destination(sources: Sequence[Path]) -> None:

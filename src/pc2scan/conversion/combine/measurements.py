@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from pc2scan.advice.survey import Header, TopicFacts
-    from pc2scan.bags.reader import Reader
     from pc2scan.conversion.plan import Output
     from pc2scan.transforms.placing import Placer
 
@@ -36,15 +35,9 @@ _HALF_PERIOD_NS = 50_000_000
 #: Two topics have different clocks if the delays from their stamps to their log times differ by this.
 _SURELY_ANOTHER_NS = 2_000_000_000
 
-#: A window of more periods was probably meant in milliseconds.
+#: A window of more periods was probably meant in milliseconds; so are seconds of more messages in one scan.
 _MOST_PERIODS = 5
-
-#: So are seconds in one scan, if they are this long and of more messages of a topic.
-_LONG_NS = 10_000_000_000
 _MOST_MESSAGES = 300
-
-#: Numbers without a unit that may be meant as numbers of clouds.
-_FEW = range(2, 100)
 
 #: The fields that the beams of a LaserScan have.
 _BEAM_FIELDS = ("x", "y", "z", "intensity", "index")
@@ -74,7 +67,7 @@ class SourceFacts:
         self._is_compared = bool(
             len(topics) > 1
             or asked.every_ns
-            or asked.span_ns >= _LONG_NS
+            or asked.span_ns
             or (self.flat and "auto" in (params.scan_time, params.beams))
         )
         if spec.needs_measuring:
@@ -103,14 +96,12 @@ def _surely_differ(one_ns: int, other_ns: int) -> bool:
 
 
 def measure_sources(
-    reader: Reader, sources: SourceFacts, placer: Placer
+    sources: SourceFacts, placer: Placer
 ) -> tuple[Measurements, Callable[[], Grouper[Contribution]] | None, list[str], list[str]]:
     """Measure what scans of several messages need.
 
     Parameters
     ----------
-    reader
-        The recording.
     sources
         What was observed of its messages.
 
@@ -145,7 +136,7 @@ def measure_sources(
     found = timing.get(lead) or _of_scans(sources, notes)
     if asked.every_ns and (spec.params.scan_time == "auto" or spec.origins.get("scan_time", "default") == "default"):
         found = Measurements(asked.every_ns / 1e9, found.time_increment, 0, found.azimuth_step)
-    warnings = _doubtful(sources, reader)
+    warnings = _doubtful(sources)
     grouper: Callable[[], Grouper[Contribution]]
     if asked.accumulates:
         # The first message is in the middle of an interval: near its edge, jitter would move messages to the next.
@@ -167,40 +158,21 @@ def measure_sources(
     return found, grouper, notes, warnings
 
 
-def _doubtful(sources: SourceFacts, reader: Reader) -> list[str]:
-    """Return warnings of times that were probably meant in milliseconds."""
+def _doubtful(sources: SourceFacts) -> list[str]:
+    """Return warnings of times that were probably meant in milliseconds, or as a number of clouds."""
     asked, topics = sources.output.spec.combining, sources.output.sources
-    start_ns, end_ns = reader.summary.start_ns, reader.summary.end_ns
-    length_ns = 0 if start_ns is None or end_ns is None else end_ns - start_ns
+    period_ns = sources.period_ns(topics[0])
     found = []
-    gathered_ns = asked.span_ns or (0 if asked.count else asked.every_ns)
     for name, value_ns in (("every", asked.every_ns), ("accumulate", asked.span_ns), ("window", asked.window_ns or 0)):
-        seconds = value_ns / 1e9
-        why = ""
-        if seconds >= 1 and value_ns > length_ns > 0:
-            why = f"the recording takes {length_ns / 1e9:.3g} s"
-        elif name == "window" and seconds >= 1:
-            periods = [sources.period_ns(topic) or value_ns for topic in topics]
-            if value_ns > _MOST_PERIODS * max(periods):
-                why = f"messages of {topics[0]} come every {periods[0] / 1e9:.3g} s"
-        elif value_ns == gathered_ns >= _LONG_NS:
-            why = _crowded(sources, value_ns, _MOST_MESSAGES)
-        meant = f"milliseconds were meant: `{name}={seconds:g}ms`" if why else ""
-        if name == "accumulate" and asked.is_bare and seconds in _FEW:
-            why = why or _crowded(sources, value_ns, 1)
-            meant += (", if clouds: " if meant else "clouds were meant: ") + f"`{name}={seconds:g}clouds`"
-        if why:
-            found.append(f"`{name}` is {seconds:g} s, but {why}; if {meant}")
+        most, seconds = _MOST_PERIODS if name == "window" else _MOST_MESSAGES, value_ns / 1e9
+        is_few = name == "accumulate" and asked.is_bare and value_ns >= 2_000_000_000
+        if seconds >= 1 and period_ns and (value_ns > most * period_ns or is_few):
+            clouds = f", if clouds: `{name}={seconds:g}clouds`" if is_few else ""
+            found.append(
+                f"`{name}` is {seconds:g} s, but messages of {topics[0]} come every {period_ns / 1e9:.3g} s; "
+                f"if milliseconds were meant: `{name}={seconds:g}ms`{clouds}"
+            )
     return found
-
-
-def _crowded(sources: SourceFacts, span_ns: int, most: int) -> str:
-    """Return how many messages a scan of this length has, if these are more than ``most``; else nothing."""
-    topic = sources.output.sources[0]
-    period_ns = sources.period_ns(topic)
-    if not period_ns or span_ns <= most * period_ns:
-        return ""
-    return f"messages of {topic} come every {period_ns / 1e9:.3g} s: {span_ns // period_ns:,} in a scan"
 
 
 def _windows(sources: SourceFacts, window_ns: int | None) -> list[int]:
