@@ -1,4 +1,4 @@
-"""The way of a cloud through the code is short: it has few frames, functions, files and decompressions."""
+"""The way of a cloud through the code is short: it has few frames, functions, files, classes and decompressions."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from support.way_of_a_cloud import BOUNDS, way_of
 
 
 @needs_compiled
-@pytest.mark.parametrize(("arguments", "frames", "functions", "files", "decompressions"), rows(BOUNDS, "bounds"))
+@pytest.mark.parametrize(("arguments", "frames", "functions", "files", "classes", "decompressions"), rows(BOUNDS, "bounds"))
 def test_a_conversion_stays_within_its_bounds(
-    arguments: str, frames: int, functions: int, files: int, decompressions: int
+    arguments: str, frames: int, functions: int, files: int, classes: int, decompressions: int
 ) -> None:
     way = way_of(*arguments.split())
     assert len(way.frames) <= frames, way.frames
     assert way.functions <= functions
     assert way.files <= files
+    assert way.classes <= classes
     assert max(way.decompressions.values()) <= decompressions, way.decompressions
     # What is measured is there: the chain is that of the projection, and the chunks are those of the recording.
     assert way.frames[-1] == ("project", "core/_kernel")

@@ -10,6 +10,7 @@ begin with ``--json``.
 
 from __future__ import annotations
 
+import gc
 import inspect
 import json
 import os
@@ -52,6 +53,8 @@ class Way(NamedTuple):
         How many code objects run: functions, and the bodies of modules, classes, comprehensions and generators.
     files
         How many files of pc2scan have functions that run.
+    classes
+        How many classes of pc2scan have instances whenever a cloud is projected.
     loaded
         How many files have any code that runs: also those of which only the module's body does.
     decompressions
@@ -62,6 +65,7 @@ class Way(NamedTuple):
     functions: int
     codes: int
     files: int
+    classes: int
     loaded: int
     decompressions: dict[int, int]
 
@@ -97,6 +101,7 @@ class _Watcher:
         self._codes: set[CodeType] = set()
         self._deepest: list[tuple[str, str]] = []
         self._decompressed: Counter[int] = Counter()
+        self._classes: set[type] = set()
 
     def __call__(self, frame: FrameType, event: str, called: Any) -> None:
         """Note a call of a function of pc2scan, or of its compiled projection."""
@@ -113,6 +118,7 @@ class _Watcher:
                 self._decompressed[self._source.find(bytes(frame.f_locals["data"]))] += 1
 
     def _note_chain(self, last: FrameType | None, arithmetic: tuple[str, str]) -> None:
+        self._classes |= {type(each) for each in gc.get_objects() if type(each).__module__.startswith("pc2scan")}
         chain = [arithmetic]
         while last is not None:
             if last.f_code.co_filename.startswith(_PACKAGE) and _is_function(last.f_code):
@@ -127,6 +133,7 @@ class _Watcher:
             sum(map(_is_function, self._codes)),
             len(self._codes),
             len({code.co_filename for code in self._codes if _is_function(code)}),
+            len(self._classes),
             len({code.co_filename for code in self._codes}),
             dict(sorted(self._decompressed.items())),
         )
@@ -172,7 +179,10 @@ def _text(arguments: str, way: Way) -> Iterator[str]:
     yield f"pc2scan convert {arguments}"
     yield f"  {len(way.frames)} frames from the command to the arithmetic:"
     yield from (f"    {number:2} {name:32} {file}" for number, (name, file) in enumerate(way.frames, 1))
-    yield f"  {way.functions:,} functions in {way.files} files ({way.codes:,} code objects in {way.loaded})"
+    yield (
+        f"  {way.functions:,} functions in {way.files} files ({way.codes:,} code objects in {way.loaded}); "
+        f"instances of {way.classes} classes"
+    )
     yield "  decompressions of the chunk at each offset:"
     yield from (f"    {offset:10,} {count}" for offset, count in way.decompressions.items())
 

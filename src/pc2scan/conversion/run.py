@@ -50,7 +50,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Mapping, Sequence
     from pathlib import Path
 
-    from pc2scan.advice.survey import Span
     from pc2scan.bags.destinations import Destination
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Writer
@@ -101,43 +100,30 @@ def run(
                 tally = Tally(recording.routes, strict=options.strict)
                 report.skipped = tally.skipped
                 judge_first(reader, recording.routes, prepared, report, tell, tally if writer is None else None)
-                if writer is not None:
-                    _write(reader, recording, span, options, writer, tally, report, meter, stack)
-                tally.finish()
                 if writer is None:
+                    tally.finish()
                     report.ways = [words for route in plan.routes for words in route.words]
                     count_by_index(reader, recording, prepared, report)
                 else:
+                    jobs = options.jobs or cores()
+                    threads = stack.enter_context(Threads(jobs)) if jobs > 1 else None
+                    if threads is not None:
+                        writer.compress_ahead(threads)
+                    items = items_of(
+                        reader, recording.routes, span, threads, rule=recording.rule, window=options.window, meter=meter
+                    )
+                    try:
+                        with closing(items):
+                            write_items(items, writer, tally, recording)
+                    finally:
+                        report.messages_read = tally.messages
+                    tally.finish()
                     tell(*(label + text for label, seen in prepared.surroundings for text in seen.warnings()))
                     files.refuse_changed()
                     _judge(reader, plan, prepared, recording, target, options, report)
             if unfinished is not None:
                 report.bytes_written = _size_on_disk(unfinished)
     return report
-
-
-def _write(
-    reader: Reader,
-    recording: OpenRecording,
-    span: Span,
-    options: ConvertOptions,
-    writer: Writer,
-    tally: Tally,
-    report: Report,
-    meter: Meter | None,
-    stack: ExitStack,
-) -> None:
-    """Convert all messages, on as many threads as there are jobs, and write them."""
-    jobs = options.jobs or cores()
-    threads = stack.enter_context(Threads(jobs)) if jobs > 1 else None
-    if threads is not None:
-        writer.compress_ahead(threads)
-    items = items_of(reader, recording.routes, span, threads, rule=recording.rule, window=options.window, meter=meter)
-    try:
-        with closing(items):
-            write_items(items, writer, tally, recording)
-    finally:
-        report.messages_read = tally.messages
 
 
 def _open(
