@@ -10,7 +10,9 @@ from support.way_of_a_cloud import BOUNDS, way_of
 
 
 @needs_compiled
-@pytest.mark.parametrize(("arguments", "frames", "functions", "files", "classes", "decompressions"), rows(BOUNDS, "bounds"))
+@pytest.mark.parametrize(
+    ("arguments", "frames", "functions", "files", "classes", "decompressions"), rows(BOUNDS, "bounds")
+)
 def test_a_conversion_stays_within_its_bounds(
     arguments: str, frames: int, functions: int, files: int, classes: int, decompressions: int
 ) -> None:
