@@ -165,13 +165,14 @@ def _doubtful(sources: SourceFacts) -> list[str]:
     found = []
     for name, value_ns in (("every", asked.every_ns), ("accumulate", asked.span_ns), ("window", asked.window_ns or 0)):
         most, seconds = _MOST_PERIODS if name == "window" else _MOST_MESSAGES, value_ns / 1e9
-        is_few = name == "accumulate" and asked.is_bare and value_ns >= 2_000_000_000
-        if seconds >= 1 and period_ns and (value_ns > most * period_ns or is_few):
-            clouds = f", if clouds: `{name}={seconds:g}clouds`" if is_few else ""
-            found.append(
-                f"`{name}` is {seconds:g} s, but messages of {topics[0]} come every {period_ns / 1e9:.3g} s; "
-                f"if milliseconds were meant: `{name}={seconds:g}ms`{clouds}"
-            )
+        if seconds < 1 or not period_ns:
+            continue
+        meant = [f"milliseconds were meant: `{name}={seconds:g}ms`"] if value_ns > most * period_ns else []
+        if name == "accumulate" and asked.is_bare and value_ns > period_ns:
+            meant.append(f"clouds were meant: `{name}={seconds:g}clouds`")
+        if meant:
+            every = f"messages of {topics[0]} come every {period_ns / 1e9:.3g} s"
+            found.append(f"`{name}` is {seconds:g} s, but {every}; if {', if '.join(meant)}")
     return found
 
 
