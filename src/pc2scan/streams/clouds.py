@@ -14,7 +14,7 @@ from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import DATATYPES, PointCloud2, recorded_cloud
 from pc2scan.model import own_data
 
-from .stream import Message, Stream, StreamSource
+from .stream import Hint, Message, Stream, StreamSource
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -189,7 +189,9 @@ class Clouds(Stream[Cloud]):
     """
 
     def _source(self, stack: ExitStack, reader: Reader) -> StreamSource:
-        return self._recorded(stack, reader, CLOUDS, _hint_scans, _decoder)
+        return self._recorded(
+            stack, reader, CLOUDS, Hint((LASERSCAN,), "it has LaserScan topics: pc2scan.scans() reads these"), _decoder
+        )
 
     def _object(self, topic: str, log_time_ns: int, message: PointCloud2) -> Cloud:
         return Cloud(topic, log_time_ns, message)
@@ -199,10 +201,3 @@ def _decoder(connection: Connection) -> Callable[[Buffer], PointCloud2]:
     """Return the decoder of clouds that do not keep more than their message in memory."""
     decode = CLOUDS[connection.ros_type](connection.serialization)
     return lambda data: recorded_cloud(decode(own_data(data)))
-
-
-def _hint_scans(reader: Reader) -> str | None:
-    """Return the hint for a recording that has scans, but no clouds."""
-    if not any(connection.ros_type == LASERSCAN for connection in reader.connections):
-        return None
-    return "it has LaserScan topics: pc2scan.scans() reads these"

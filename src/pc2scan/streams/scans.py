@@ -23,7 +23,7 @@ from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, as_message, decode_laserscan
 from pc2scan.result import tell_early
 
-from .stream import Message, Stream, StreamSource, package
+from .stream import Hint, Message, Stream, StreamSource, package
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -42,6 +42,12 @@ if TYPE_CHECKING:
 #: The attributes that all scans of one Dataset must share, because they describe the beams.
 _GEOMETRY = ("angle_min", "angle_max", "angle_increment")
 _LIMITS = ("range_min", "range_max", "time_increment", "scan_time")
+
+_HINT_CLOUDS = Hint(
+    CLOUDS,
+    "its clouds become scans with parameters: `preset`, `params_file`, or any of them by name, `min_height=-0.3`",
+)
+_HINT_SCANS = Hint((LASERSCAN,), "it has LaserScan topics, which are read as they are without any parameters")
 
 #: What a scan has of its message, in the order of `Scan`.
 _DECODED = (
@@ -193,7 +199,7 @@ class Scans(Stream[Scan]):
         if self._converting:
             return self._converted(stack, reader)
         return self._recorded(
-            stack, reader, (LASERSCAN,), _hint_clouds, lambda connection: partial(_decode, connection.serialization)
+            stack, reader, (LASERSCAN,), _HINT_CLOUDS, lambda connection: partial(_decode, connection.serialization)
         )
 
     def _object(self, topic: str, log_time_ns: int, message: Any) -> Scan:
@@ -204,7 +210,7 @@ class Scans(Stream[Scan]):
         options = self._options
         if not options.scan.topics and not self._all_topics:
             # Raises if there are several.
-            self._choose(reader, options.scan.source_types, _hint_scans)
+            self._choose(reader, options.scan.source_types, _HINT_SCANS)
         refuse_unusable(options)
         plan = make_plan(reader.connections, options)
         if options.clock:
@@ -310,16 +316,3 @@ def _as_in_message(serialization: str, result: ConvertedMessage) -> ConvertedMes
     result.message = as_message(result.message, serialization)
     result.size = result.message.ranges.nbytes + result.message.intensities.nbytes
     return result
-
-
-def _hint_clouds(reader: Reader) -> str | None:
-    """Return the hint for a recording that has clouds, but no scans."""
-    if not any(connection.ros_type in CLOUDS for connection in reader.connections):
-        return None
-    return "its clouds become scans with parameters: `preset`, `params_file`, or any of them by name, `min_height=-0.3`"
-
-
-def _hint_scans(reader: Reader) -> str | None:
-    if not any(connection.ros_type == LASERSCAN for connection in reader.connections):
-        return None
-    return "it has LaserScan topics, which are read as they are without any parameters"

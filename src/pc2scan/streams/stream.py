@@ -98,6 +98,13 @@ class Message:
         return package("pandas", "to_dataframe").DataFrame(self.columns())
 
 
+class Hint(NamedTuple):
+    """Types of messages that are read otherwise, and how."""
+
+    kinds: Collection[str]
+    text: str
+
+
 class StreamSource(NamedTuple):
     """An open recording, ready to be read.
 
@@ -209,9 +216,7 @@ class Stream(ABC, Generic[Item]):
     def _object(self, topic: str, log_time_ns: int, message: Any) -> Item:
         """Return the object of a message, as a route of the source has made it."""
 
-    def _choose(
-        self, reader: Reader, kinds: Collection[str], hint: Callable[[Reader], str | None]
-    ) -> dict[str, list[Connection]]:
+    def _choose(self, reader: Reader, kinds: Collection[str], hint: Hint) -> dict[str, list[Connection]]:
         """Return the connections of the topics to read, by topic.
 
         Parameters
@@ -219,7 +224,7 @@ class Stream(ABC, Generic[Item]):
         kinds
             The types of the topics, in ROS 2's spelling.
         hint
-            Returns the hint for a recording without such topics.
+            Types that are read otherwise, and how, for a recording without such topics.
 
         Raises
         ------
@@ -228,18 +233,19 @@ class Stream(ABC, Generic[Item]):
         """
         types: dict[str, set[str]] = {}
         chosen: dict[str, list[Connection]] = {}
+        instead = hint.text if any(each.ros_type in hint.kinds for each in reader.connections) else None
         for connection in reader.connections:
             types.setdefault(connection.topic, set()).add(connection.ros_type)
             if connection.ros_type in kinds and connection.ros_version is not None:
                 chosen.setdefault(connection.topic, []).append(connection)
         if not chosen:
             message, other = without(short_types(kinds), reader.connections)
-            raise NothingToConvertError(message, path=reader.path, hint=hint(reader) or other or None)
+            raise NothingToConvertError(message, path=reader.path, hint=instead or other or None)
         if requested := self._options.scan.topics:
             try:
                 names = [name for each in requested for name in find_topics(each.source, types, sorted(chosen), *kinds)]
             except TopicError as err:
-                err.path, err.hint = reader.path, hint(reader) or err.hint
+                err.path, err.hint = reader.path, instead or err.hint
                 raise
             return {name: chosen[name] for name in dict.fromkeys(names)}
         usual = sorted(usual_topics({topic: types[topic] for topic in chosen}, kinds))
@@ -256,7 +262,7 @@ class Stream(ABC, Generic[Item]):
         stack: ExitStack,
         reader: Reader,
         kinds: Collection[str],
-        hint: Callable[[Reader], str | None],
+        hint: Hint,
         decoder: Callable[[Connection], Callable[[Buffer], Any]],
     ) -> StreamSource:
         """Return the messages of some types as they are; see `_choose`. ``decoder`` returns that of a connection."""
