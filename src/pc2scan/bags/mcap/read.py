@@ -298,11 +298,6 @@ class McapReader(ChunkedReader):
         if self._index.known(record).get(record.id, record) != record:
             self._log.note_index(self._file, chunk.record_offset, _twice(name_of(record), chunk.record_offset))
 
-    def _header(self, chunk: ChunkSegment) -> ChunkSegment:
-        """Read the header of a chunk."""
-        head = self._file.read(chunk.record_offset, chunk.offset - chunk.record_offset)
-        return chunk_at(head, chunk.record_offset, self._file)
-
     def _repeated_span(self, segment: Segment) -> tuple[int, int] | None:
         """Return the times in the message indexes after a chunk, or in its header."""
         if not isinstance(segment, ChunkSegment):
@@ -311,7 +306,8 @@ class McapReader(ChunkedReader):
             return span
         if self._index.summarized:
             with suppress(DamageError):
-                chunk = self._header(segment)
+                head = self._file.read(segment.record_offset, segment.offset - segment.record_offset)
+                chunk = chunk_at(head, segment.record_offset, self._file)
                 return chunk.start_ns, chunk.end_ns
         return None
 

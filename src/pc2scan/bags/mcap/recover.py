@@ -145,9 +145,21 @@ def _walk(
         if chunk is not None and stop:
             index.segments.append(replace(chunk, length=min(chunk.length, stop - chunk.offset), padding=0))
             index.all_counted = False
-        position = stop or search.next_record(failed, since=walk.previous)
-        gaps.append(_Gap(failed, failed if stop else position, error))
+        position = stop or search.swallowed_record(walk.previous, failed) or 0
+        if 0 < position < failed:
+            _forget(index, walk.previous)
+        position = position or search.next_record(failed, since=walk.previous)
+        gaps.append(_Gap(failed, failed if stop else max(failed, position), error))
     return gaps
+
+
+def _forget(index: McapIndex, offset: int) -> None:
+    """Remove the message that begins here, the last one of the walk, from the index."""
+    run = index.segments[-1] if index.segments else None
+    if run is not None and not isinstance(run, ChunkSegment) and run.offset <= offset < run.offset + run.length:
+        index.segments.pop()
+        if size := offset - run.offset:
+            index.segments.append(replace(run, length=size, uncompressed_size=size))
 
 
 class _Search(NamedTuple):
@@ -179,6 +191,21 @@ class _Search(NamedTuple):
                     return position
             start, size = start + size, min(2 * size, WINDOW)
         return self.end
+
+    def swallowed_record(self, previous: int, failed: int) -> int | None:
+        """Return where records begin that the one before the damage swallowed, because its length is wrong.
+
+        They go on behind the damage. Those that end there are its contents.
+        """
+        found = previous if previous and self.file.read(previous, 1)[0] != OP_CHUNK else failed
+        while found < failed and (found := self.next_record(found)) < failed:
+            position: int | None = found
+            while position is not None and position < failed:
+                last, position = position, self.stop_of(position)
+            if position is not None and position > failed:
+                return found
+            found = last if position is None else failed
+        return None
 
     def leads_on(self, offset: int) -> bool:
         """Whether a record begins here that another one, or the end, follows."""

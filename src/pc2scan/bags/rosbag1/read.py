@@ -489,23 +489,14 @@ def _lazy_messages(
 ) -> LazyItems[RawMessage]:
     """Return the messages of a sound chunk, each created when it is needed."""
     times, places = array("Q"), array("Q")
-    layout, literals, expected, at_connection, at_seconds = USUAL_LAYOUT
-    position, end = 0, len(data)
-    while position < end:
-        origin = position
-        values = layout.unpack_from(data, position) if position + layout.size <= end else None
-        if values and literals(values) == expected:
-            identity = values[at_connection]
-            stamp = values[at_seconds] * SECOND_NS + values[at_seconds + 1]
-            position += layout.size + values[6]
-        else:
-            fields, _, position = record_in(data, position)
-            if kind_of(fields) != MESSAGE:
-                continue
-            identity, stamp = number_field(fields, "conn"), time_field(fields, "time")
-        if wanted[identity] is not None and start_ns <= stamp < stop_ns:
-            times.append(stamp)
-            places.append(origin)
+    position = 0
+    while position < len(data):
+        origin, (fields, _, position) = position, record_in(data, position)
+        if kind_of(fields) == MESSAGE and wanted[number_field(fields, "conn")] is not None:
+            stamp = time_field(fields, "time")
+            if start_ns <= stamp < stop_ns:
+                times.append(stamp)
+                places.append(origin)
     known = {key: item for key, item in wanted.items() if item is not None}
     return LazyItems(times, places, partial(message_at, memoryview(data), known), len(data))
 

@@ -204,7 +204,8 @@ class _Scan:
         header = record_at(file.nearby, len(FIRST_LINE), file.size)
         position, chunk, since = len(FIRST_LINE), None, 0
         if header is not None and header.kind == BAG_HEADER:
-            position = header.stop
+            is_followed = record_at(file.nearby, header.stop, file.size) is not None
+            position = header.stop if is_followed else next_record(file, header.start, file.size)
         while position < file.size:
             following = bisect_right(places, position)
             limit = places[following] if following < len(places) else file.size
