@@ -34,6 +34,7 @@ def main() -> None:
             if asked.keep:
                 shutil.copy(Path(folder) / "drive.mcap", asked.keep / f"{seed}.mcap")
         words[found.word] += 1
+        sys.stdout.flush()
         sys.stdout.write(f"{found.word:5} {found.right:6.1%} {found.filled:6.1%}  {name}" + "\n")
         if found.word != "right" or asked.seeds:
             sys.stdout.write("        " + found.text.replace("\n", "\n        ") + "\n")

@@ -79,6 +79,8 @@ _FARTHEST = 12.0
 
 #: The steepest ground that is no obstacle, metres a metre.
 _STEEPEST_RISE = 0.25
+#: Of so many points its planes are found.
+_OF_PLANES = 4_000
 
 #: A floor is farther from the sensor than so many times the tolerance: a ring that is tilted a little is none.
 _CLEAR = 2.5
@@ -569,7 +571,7 @@ def on_rising_plane(points: _Points, floor: float) -> NDArray[np.bool_]:
     """
     height, ranges = points[:, 2] - floor, np.hypot(points[:, 0], points[:, 1])
     low = (height > -0.1 - _STEEPEST_RISE * ranges) & (height < 0.1 + _STEEPEST_RISE * ranges)
-    cells = cells_of(points[low]) if low.sum() >= FEWEST_POINTS else points[:0]
+    cells = cells_of(points[low][:: -(-int(low.sum()) // _OF_PLANES)]) if low.sum() >= FEWEST_POINTS else points[:0]
     found = np.zeros(len(points), np.bool_)
     for plane in planes_of(cells) if len(cells) >= _FEWEST_CELLS else ():
         off = np.abs(cells @ np.array(plane.up) + plane.height) < tolerances(cells)

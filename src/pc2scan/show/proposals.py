@@ -177,7 +177,8 @@ def proposals(
     has_scans
         Whether the recording has a topic /scan.
     """
-    groups = list(_groups([_with_common_heights(each, lidars) for each in lidars if each.mounting.heights is not None]))
+    lidars = [each for each in lidars if each.mounting.heights is not None and each.mounting.heights.suit]
+    groups = list(_groups([_with_common_heights(each, lidars) for each in lidars]))
     for group in groups:
         choices = list(_choices(group, given, ups, clocks, names_topics=names_topics, has_scans=has_scans))
         options: dict[str, Any] = {}
@@ -193,7 +194,8 @@ def proposals(
 
 def _tried(options: Mapping[str, Any], group: Sequence[Lidar], summary: Summary) -> tuple[list[Choice], Sequence[str]]:
     """Return options that a command lacks by a trial of it, and what it would be told with them."""
-    trial = _worst([tried(options, each, summary) for each in group])
+    grounds: dict[str, list[NDArray[np.bool_]]] = {}
+    trial = _worst([tried(options, each, summary, grounds) for each in group])
     if trial.on_ground <= _MOST_GROUND:
         return [], trial.findings
     why = f"the ground rises: {trial.on_ground:.0%} of the returns are on it"
@@ -203,7 +205,7 @@ def _tried(options: Mapping[str, Any], group: Sequence[Lidar], summary: Summary)
     most = max(_MOST_GROUND, min(_STILL_ON, trial.on_ground / 4))
     for way in ([remove], [remove, above], [steep]):
         more = {each.name: each.value for each in way}
-        found = _worst([tried({**options, **more}, lidar, summary) for lidar in group])
+        found = _worst([tried({**options, **more}, lidar, summary, grounds) for lidar in group])
         if found.on_ground <= most and found.seen > _STILL_SEEN * trial.seen:
             return way, found.findings
     said = f"{trial.on_ground:.0%} of the returns are on the ground, which rises; `pc2scan view` shows it"

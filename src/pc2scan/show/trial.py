@@ -70,8 +70,18 @@ class Trial(NamedTuple):
     findings: tuple[str, ...] = ()
 
 
-def tried(options: Mapping[str, Any], lidar: Lidar, summary: Summary) -> Trial:
-    """Return what the options of a proposed command make of a topic's clouds."""
+def tried(
+    options: Mapping[str, Any], lidar: Lidar, summary: Summary, grounds: dict[str, list[NDArray[np.bool_]]]
+) -> Trial:
+    """Return what the options of a proposed command make of a topic's clouds.
+
+    Parameters
+    ----------
+    options, lidar, summary
+        The command, the topic, and the recording's extent.
+    grounds
+        Which points of a topic's clouds are on the ground: remembered from trial to trial.
+    """
     given = {name: value for name, value in options.items() if name != "destination"}
     try:
         request = conversion_of(Options("convert", given))
@@ -99,7 +109,9 @@ def tried(options: Mapping[str, Any], lidar: Lidar, summary: Summary) -> Trial:
         scans = [np.min(scans, axis=0)]
     placed = clouds if is_placed else [lidar.in_target(points).T for points in clouds]
     floor = lidar.mounting.heights.floor if lidar.mounting.heights is not None else None
-    low = [_on_ground(points, floor) for points in placed]
+    if lidar.topic not in grounds:
+        grounds[lidar.topic] = [_on_ground(points, floor) for points in placed]
+    low = grounds[lidar.topic]
     above = [points[:, ~ground] for points, ground in zip(clouds, low, strict=True)]
     # What stands on rising ground is higher than the heights of the scans.
     taller = replace(spec.params, max_height=spec.params.max_height + _TALLER)

@@ -72,7 +72,7 @@ class Heights(NamedTuple):
     Attributes
     ----------
     low, high
-        The limits.
+        The limits; equal if none suit.
     floor, ceiling
         The heights of floor and ceiling; None: not known.
     question
@@ -87,6 +87,11 @@ class Heights(NamedTuple):
     ceiling: float | None = None
     question: str = ""
     doubt: str = ""
+
+    @property
+    def suit(self) -> bool:
+        """Whether there are limits that suit."""
+        return self.low < self.high
 
 
 class Mounting(NamedTuple):
@@ -469,17 +474,22 @@ def suitable_heights(
         return _around(z, sensor, top)
     low, high = floor + least, min(floor + _HIGH, top)
     if high - low < _THINNEST:
-        doubt = f"only {top + _BELOW_CEILING - floor:.2f} m are between the floor and what is overhead"
-        return Heights(_round_down(low + 0.005), _round_down(low + _THINNEST), floor, ceiling, question, doubt)
-    doubt = ""
+        doubt = (
+            f"only {top + _BELOW_CEILING - floor:.2f} m are between the floor and what is overhead: no scan is "
+            "proposed; `pc2scan view` shows them"
+        )
+        return Heights(low, low, floor, ceiling, question, doubt)
     if ((z >= low) & (z <= high)).mean() < _FEWEST_SHARE:
         # There is no object on the ground, or the sensor is above all of them.
         higher = np.sort(z[(z > high) & (z < top)])
         if len(higher) < _FEW:
-            doubt = f"no point is between {low:.2f} and {high:.2f} m, where scans would be above the floor"
-        else:
-            high = min(top, float(higher[len(higher) // 4]) + _THINNEST)
-    return Heights(_round_down(low + 0.005), _round_down(high + 0.005), floor, ceiling, question, doubt)
+            doubt = (
+                f"no point is between {low:.2f} and {high:.2f} m, above the floor at z = {floor:.2f} m: no scan is "
+                "proposed; `pc2scan view` shows them"
+            )
+            return Heights(low, low, floor, ceiling, question, doubt)
+        high = min(top, float(higher[len(higher) // 4]) + _THINNEST)
+    return Heights(_round_down(low + 0.005), _round_down(high + 0.005), floor, ceiling, question)
 
 
 def _is_large(ground: Ground, points: NDArray[np.float64]) -> bool:

@@ -253,7 +253,7 @@ class CloudFacts:
         The option that excludes points at the sensor is among them, unless a warning has it.
         """
         found = self.mounting
-        if found.heights is None:
+        if found.heights is None or not found.heights.suit:
             return ""
         # The heights apply in the frame that these options make, which may differ from the frame of the scans.
         options = [found.options, f"`min_height={found.heights.low:g}`", f"`max_height={found.heights.high:g}`"]
