@@ -41,6 +41,7 @@ from .records import (
     record_in,
     time_field,
 )
+from .recover import payload_prefix, recover_index, refuse_more, salvage_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -143,16 +144,11 @@ class Rosbag1Reader(ChunkedReader):
         try:
             index = read_index(self._file)
             if index.stop < self._file.size:
-                from .recover import refuse_more  # noqa: PLC0415  # only damaged bags pay for it
-
                 refuse_more(self._file, index.stop)
         except FormatError as err:
             problem = self._file.damage_error(f"its index cannot be read: {err}")
-        else:
-            return index
-        from .recover import recover_index  # noqa: PLC0415  # only damaged bags pay for it
-
-        return recover_index(self._file, problem, self._log)
+            return recover_index(self._file, problem, self._log)
+        return index
 
     def chunks(
         self,
@@ -273,8 +269,6 @@ class Rosbag1Reader(ChunkedReader):
         error = self._file.damage_error(f"the chunk with data at byte {segment.offset} cannot be read: {problem}")
         if self._log.strict:
             raise error from problem
-        from .recover import payload_prefix, salvage_of  # noqa: PLC0415
-
         chunk = memoryview(payload_prefix(self._file, segment))
         entries = [entry for _, more in indexed_entries(self._file, segment) for entry in more] or None
         known = self._index.connections
