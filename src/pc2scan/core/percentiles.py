@@ -45,7 +45,7 @@ def percentiles(values: ArrayLike, *percents: float, reorder: bool = False) -> t
 
 
 def median(values: ArrayLike) -> float:
-    """Return the median of at least one value, none of them NaN.
+    """Return the median of at least one value, none of them NaN; NumPy's imports its masked arrays, 10 MB.
 
     >>> median([3.0, 1.0])
     2.0

@@ -63,6 +63,9 @@ _PLASTIC = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)
 #: The most planes of a cloud, the triplets tried for each, and the smallest share of the cloud that is a plane.
 _PLANES = 8
 _TRIPLETS = 250
+
+#: How many planes are compared with a cloud at a time.
+_TOGETHER = 32
 _SMALLEST = 0.03
 
 #: Points that are farther below the ground, metres, are not of it.
@@ -343,17 +346,19 @@ def _is_surface(
     cells: _Points, at: NDArray[np.bool_], tolerance: NDArray[np.float64], height: float, side: int
 ) -> bool:
     """Whether the cells of a level plane are of a floor (``side`` -1) or a ceiling (1), not the edge of walls."""
-    if height < _CLEAR * float(np.median(tolerance[at])):
+    if height < _CLEAR * median(tolerance[at]):
         return False
     heights = side * cells[:, 2]
-    level = side * float(np.median(cells[at, 2]))
+    level = side * median(cells[at, 2])
     inside = ~at & (heights > level - 0.8)
     squares = np.floor(cells[:, :2] / 0.3).astype(np.int64) @ np.array([1, 1 << 20])
-    if np.isin(squares[at], squares[inside]).mean() > _GOES_ON:
+    # Not `np.isin`, which imports NumPy's masked arrays, 10 MB.
+    filled, count = np.unique(squares[inside], return_counts=True)
+    places = np.searchsorted(filled, squares[at])
+    if filled.size and (filled[places.clip(max=filled.size - 1)] == squares[at]).mean() > _GOES_ON:
         return False
     # Where few points are beside each other, also on walls, only an edge in their heights shows a surface.
-    count = np.unique(squares[inside], return_counts=True)[1]
-    near = inside & (heights > level - 6 * float(np.median(tolerance)))
+    near = inside & (heights > level - 6 * median(tolerance))
     return bool(at.sum() > 2 * near.sum() or count[count > 1].sum() > 0.5 * inside.sum())
 
 
@@ -541,7 +546,7 @@ def outermost(cells: _Points, side: int) -> Plane | None:
     tolerance = tolerances(cells)
     heights = side * cells[:, 2]
     order = np.sort(heights)[::-1]
-    width = 3 * float(np.median(tolerance))
+    width = 3 * median(tolerance)
     place = 0
     while place < _FEW_BEHIND * len(order) and order[place] > _LEAST_HEIGHT:
         near = np.abs(heights - order[place] + width / 2) <= width / 2
@@ -612,12 +617,18 @@ def _largest(points: _Points, tolerance: NDArray[np.float64]) -> NDArray[np.bool
     if not good.any():
         return None
     normals = normals[good] / lengths[good, None]
-    offsets = (normals * corners[0][good]).sum(axis=1)
-    # One row for each plane, in place: with new arrays, and a column for each, it takes ten times as long.
-    distances = normals.astype(np.float32) @ points.T.astype(np.float32)
-    distances -= offsets.astype(np.float32)[:, None]
-    near = np.abs(distances, out=distances) < tolerance.astype(np.float32)
-    return np.asarray(near[int(np.count_nonzero(near, axis=1).argmax())])
+    offsets = (normals * corners[0][good]).sum(axis=1).astype(np.float32)[:, None]
+    normals, columns, close = normals.astype(np.float32), points.T.astype(np.float32), tolerance.astype(np.float32)
+
+    def near(first: int, count: int) -> NDArray[np.bool_]:
+        # One row for each plane, in place: with new arrays, and a column for each, it takes ten times as long.
+        distances = normals[first : first + count] @ columns
+        distances -= offsets[first : first + count]
+        return np.asarray(np.abs(distances, out=distances) < close)
+
+    # Some planes at a time: all of them take 20 MB.
+    counts = [np.count_nonzero(near(first, _TOGETHER), axis=1) for first in range(0, len(normals), _TOGETHER)]
+    return np.asarray(near(int(np.concatenate(counts).argmax()), 1)[0])
 
 
 def _triplets(count: int) -> NDArray[np.intp]:

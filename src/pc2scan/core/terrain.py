@@ -23,6 +23,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from .percentiles import median
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -167,7 +169,7 @@ def _plane_beneath(cells: Cells, steepest: float) -> tuple[float, float, float] 
     first = int(enough[0])
     # The fullest of the windows that begin in this one.
     begin = first + int(counts[first : first + counts[first]].argmax())
-    level = float(np.median(low[begin : begin + counts[begin]]))
+    level = median(low[begin : begin + counts[begin]])
     across, along = (part[sector] * distances for part in _directions())
     near = distances <= 3 * np.sort(distances)[distances.size // 3]
     plane = np.array([0.0, 0.0, level])

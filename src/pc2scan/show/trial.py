@@ -13,6 +13,7 @@ from pc2scan.advice.first_clouds import FirstCloud, judge
 from pc2scan.advice.measurements import Measurements
 from pc2scan.conversion.cloud_to_scan import CloudToScan
 from pc2scan.conversion.stages.placement import PlaceStage
+from pc2scan.core.percentiles import percentiles
 from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.scene import CloudSample, Ground, cells_of, level_floor, on_rising_plane, thin_points
@@ -132,7 +133,7 @@ def _on_ground(points: NDArray[np.floating[Any]], floor: float | None) -> NDArra
 
 def _slope(ground: NDArray[np.floating[Any]], low: float) -> float:
     x, y, z = ground[:, (ground[2] > low) & (np.hypot(ground[0], ground[1]) > _NEAR)]
-    return float(np.quantile((z - low) / np.hypot(x, y), 0.98)) if x.size else 0.0
+    return percentiles((z - low) / np.hypot(x, y), 98)[0] if x.size else 0.0
 
 
 def _levelled(points: NDArray[np.floating[Any]]) -> NDArray[np.float64] | None:
