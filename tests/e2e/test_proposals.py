@@ -37,6 +37,7 @@ WORLDS = {
     "Mid-360 in a hall": (World(HALL, DESKS, "mid-360", at(0.5)), ""),
     "Mid-360 in a corridor, no mount": (World(CORRIDOR, (), "mid-360", at(0.5), has_mount=False, odometry=""), ""),
     "packets": (World(ROOM, DESKS, "packets", at(0.6), "drives"), ""),
+    "packets, no mount": (World(ROOM, DESKS, "packets", at(0.6), has_mount=False, odometry=""), ""),
     "sparse pattern": (World(ROOM, DESKS, "sparse", at(0.7)), ""),
     "clouds in odom": (World(ROOM, DESKS, "32 rings", at(0.6), "drives", in_odom=True), ""),
     "clouds in odom, stands": (World(ROOM, DESKS, "32 rings", at(0.6), in_odom=True), ""),

@@ -33,6 +33,9 @@ _FARTHEST = 1500.0
 _LONG = 5.0
 
 
+#: Messages of less time, nanoseconds, are the packets of a turn: together they are a cloud like any other.
+_TURN_NS = 200_000_000
+
 #: No recording takes so long.
 _CENTURY_NS = 100 * 365 * 86_400 * 1_000_000_000
 
@@ -101,7 +104,7 @@ def accumulated_without_effect(request: OutputRequest) -> Iterator[str]:
     spec, combining = request.spec, request.spec.combining
     if combining.count == 1:
         yield "`accumulate=1clouds` has no effect: every scan is made of one cloud"
-    elif combining.accumulates and not spec.fixed_frame:
+    elif combining.accumulates and not spec.fixed_frame and not 0 < combining.every_ns < _TURN_NS:
         yield (
             "`accumulate` and `every` without `fixed_frame` combine messages as if the robot had not moved; "
             "with odometry: `fixed_frame=odom`"
