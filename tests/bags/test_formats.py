@@ -12,6 +12,7 @@ import pytest
 import pc2scan
 from pc2scan.bags.formats import FORMATS, Format, ReadOptions, WriteOptions, destinations, storages
 from pc2scan.bags.opening import open_recording
+from pc2scan.model import Writer
 from pc2scan.options.table import options_of
 from support import ROOT
 from support.command import run
@@ -31,7 +32,7 @@ def toy_reader(path: Path, _: ReadOptions) -> MemoryReader:
     return MemoryReader(path, *pickle.loads(path.read_bytes()[len(MAGIC) :]), container="toy")
 
 
-class ToyWriter:
+class ToyWriter(Writer):
     """Writes connections and messages as Python's pickles, and nothing else."""
 
     def __init__(self, path: Path, options: WriteOptions) -> None:
@@ -44,20 +45,12 @@ class ToyWriter:
         self._connections.append(replace(connection, id=len(self._connections)))
         return self._connections[-1].id
 
-    def declarations(self) -> frozenset[bytes]:
-        return frozenset()
-
-    def compress_ahead(self, pool: Threads) -> None:
-        pass
-
     def write(self, handle: int, log_time_ns: int, data: Buffer, publish_time_ns: int, sequence: int = 0) -> None:
         assert publish_time_ns + sequence >= 0
         self._rows.append((handle, log_time_ns, bytes(data)))
 
-    def _refuse(self, what: object) -> None:
-        raise AssertionError(f"{what}: neither chunks are copied nor is there a place for anything else")
-
-    keep_ids = write_chunk = add_attachment = add_metadata = _refuse
+    def compress_ahead(self, pool: Threads) -> None:
+        pass
 
     def finish(self) -> None:
         self._file.write(MAGIC + pickle.dumps((self._connections, self._rows)))
