@@ -158,7 +158,7 @@ def test_neither_modules_nor_packages_import_each_other() -> None:
 
 #: Imports inside functions: of extras, of modules that are chosen by name, and, where most of a conversion's optional
 #: parts begin, of these parts: loading all of them would double the start-up of a plain conversion.
-MOST_LATE_IMPORTS = 100
+MOST_LATE_IMPORTS = 62
 
 
 def test_imports_stand_at_the_top() -> None:
