@@ -43,6 +43,7 @@ WORLDS = {
     "clouds in odom, stands": (World(ROOM, DESKS, "32 rings", at(0.6), in_odom=True), ""),
     "one ring": (World(HALL, DESKS, "1 ring", at(0.4)), ""),
     "one ring, no mount": (World(ROOM, DESKS, "1 ring", at(0.4), has_mount=False, odometry=""), ""),
+    "two rings near the floor": (World(HALL, DESKS, "2 rings", at(0.27), "drives"), ""),
     "four rings": (World(HALL, DESKS, "4 rings", at(0.4), "drives"), ""),
     "64 rings, pitches": (World(HALL, DESKS, "64 rings", at(1.2), "pitches"), ""),
     "rising ground": (World(None, RISING, "16 rings", at(0.9), "drives", slope=0.12), ""),

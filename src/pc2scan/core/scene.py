@@ -520,7 +520,7 @@ def find_ground(points: _Points) -> Ground:
             off = cells @ np.array(found.up) + (found.height or 0.0)
             below = -off[(off < 0) & (off > -_ROUGHEST)]
             found = found._replace(rough=percentiles(below, 95)[0] if len(below) else 0.0)
-        return found if high is None else found._replace(ceiling=high.height)
+        return found._replace(ceiling=None if high is None else high.height) if not found.off else found
     turned = points @ _BODY_FROM_OPTICAL.T
     found = _choose_ground(turned, level_needs_proof=True)
     if found.up is None:
