@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 #: Limit of loaded chunks; beyond it, those needed last are dropped and later loaded again.
 MAX_OPEN_BYTES = 96 << 20
 
-#: Bytes that are loaded ahead for every thread. Of chunks up to the second size, always one more than threads.
+#: Bytes that are loaded ahead for every thread. Of chunks up to the second size, always one for each thread.
 AHEAD_BYTES = 6 << 20
 LARGEST_AHEAD = 20 << 20
 
@@ -379,7 +379,7 @@ def _load_ahead(
             yield chunk, partial(chunk.load, callback)
         return
     waiting: deque[Chunk] = deque()
-    results: InOrder[Loaded] = InOrder(threads, AHEAD_BYTES, threads.jobs + 1, window)
+    results: InOrder[Loaded] = InOrder(threads, AHEAD_BYTES, threads.jobs, window)
     try:
         for chunk in chunks:
             too_large = chunk.size > LARGEST_AHEAD
