@@ -64,7 +64,7 @@ class Salvage(NamedTuple):
     def messages(
         self, data: Buffer, segment: Segment, known: Container[int], entries: Sequence[tuple[int, int]] | None
     ) -> tuple[LazyItems[RawMessage], dict[str, int | None]]:
-        """Return the messages of a damaged chunk, and how many bytes and messages are lost.
+        """Return the messages of a damaged chunk, and what is lost: bytes, messages, and between which log times.
 
         A log time outside of the chunk's is replaced by that in the index, if the index is right about others.
 
@@ -107,7 +107,11 @@ class Salvage(NamedTuple):
         times = array("Q", (make(number).log_time_ns for number in numbers))
         lost = len(entries) - confirmed - len(replaced) if entries else unknown or None
         missing = max(segment.uncompressed_size, len(data)) - covered
-        return LazyItems(times, numbers, make, len(data)), {"bytes_lost": missing, "messages_lost": lost}
+        # Of a chunk that is cut off, what is lost came behind its last message.
+        is_front = len(data) < segment.uncompressed_size and len(stops) > 0 and covered == stops[-1]
+        first_ns = max(times) if is_front else segment.start_ns
+        found = {"bytes_lost": missing, "messages_lost": lost, "first_ns": first_ns, "last_ns": segment.end_ns}
+        return LazyItems(times, numbers, make, len(data)), found
 
     def _are_sound(self, data: Buffer) -> bool:
         """Whether records follow each other up to the end."""

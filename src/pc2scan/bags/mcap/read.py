@@ -241,7 +241,7 @@ class McapReader(ChunkedReader):
         wanted, start_ns, stop_ns, _ = selection
         messages, lost = salvage_of(data, self._known, self._file).messages(data, segment, self._known, entries)
         offset = segment.record_offset if isinstance(segment, ChunkSegment) else segment.offset
-        self._log.note(problem, offset=offset, first_ns=segment.start_ns, last_ns=segment.end_ns, **lost)
+        self._log.note(problem, offset=offset, **lost)
         ids = wanted.keys()
         return messages.filter(
             lambda item: item.connection.id in ids and start_ns <= item.log_time_ns < stop_ns

@@ -273,7 +273,7 @@ class Rosbag1Reader(ChunkedReader):
         entries = [entry for _, more in indexed_entries(self._file, segment) for entry in more] or None
         known = self._index.connections
         messages, lost = salvage_of(chunk, known).messages(chunk, segment, known, entries)
-        self._log.note(error, offset=segment.offset, first_ns=segment.start_ns, last_ns=segment.end_ns, **lost)
+        self._log.note(error, offset=segment.offset, **lost)
         start_ns, stop_ns = selection.start_ns or 0, _LATEST_NS if selection.stop_ns is None else selection.stop_ns
         ids = {key for key, connection in selection.wanted.items() if connection is not None}
         wanted = messages.filter(lambda item: item.connection.id in ids and start_ns <= item.log_time_ns < stop_ns)
