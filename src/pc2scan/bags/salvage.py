@@ -97,7 +97,7 @@ class Salvage(NamedTuple):
             confirmed += expected.get(start) == head[1]
             if start in expected and not segment.start_ns <= head[1] <= segment.end_ns:
                 replaced[start] = expected[start]
-        replaced = replaced if len(replaced) < confirmed else {}
+        replaced = replaced if len(replaced) <= max(confirmed, 1) else {}
 
         def make(number: int) -> RawMessage:
             message = self.message_at(starts[number], stops[number])
