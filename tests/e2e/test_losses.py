@@ -6,11 +6,10 @@ import json
 import re
 import sqlite3
 import struct
-from collections import deque
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
-from itertools import islice, product
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -777,11 +776,6 @@ def test_the_crc_of_a_data_section_without_chunks(command: tuple[str, ...], tmp_
     strict = run("convert", source, "-o", tmp_path / "strict.mcap", "--strict")
     assert strict.status == 1
     assert "the data section has CRC" in strict.stderr
-    # The transforms that are read beside a conversion may be what finds it, and ignore it.
-    with closing(open_recording(source, strict=True)) as reader:
-        for wanted in (None, 1):
-            with pytest.raises(DamageError, match="the data section has CRC"):
-                deque(islice(reader.messages(), wanted), maxlen=0)
 
 
 @needs_shared

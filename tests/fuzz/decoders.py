@@ -171,7 +171,7 @@ def _wire(data: bytes) -> None:
 def _schema(data: bytes) -> None:
     from pc2scan.messages.transcode import transcoder
 
-    encoding = _ENCODINGS[data[0] % 3] if data else ""
+    encoding = _ENCODINGS[data[0] % len(_ENCODINGS)] if data else ""
     ros_version = 1 if encoding == "ros1msg" else 2
     definition = Definition(encoding, data[1:])
     planned = transcoder(

@@ -270,7 +270,7 @@ SITUATIONS = (
     Situation(
         "a static transform in millimetres",
         hall(),
-        ((f"{_IN_BASE} --static-tf 'base_link lidar 0 0 600 0 0 0'", "if these are millimetres"),),
+        ((f"{_IN_BASE} --static-tf 'base_link lidar 0 0 600 0 0 0'", "points of the first 3 clouds are used"),),
         (_typed(0),),
     ),
     Situation(
@@ -708,7 +708,7 @@ SITUATIONS = (
     Situation(
         "clouds accumulated by a bare number",
         drive(),
-        ((f"{_IN_BASE} --accumulate 5 --fixed-frame odom", "if clouds: --accumulate 5clouds"),),
+        ((f"{_IN_BASE} --accumulate 5 --fixed-frame odom", "if clouds were meant: --accumulate 5clouds"),),
         (f"{_IN_BASE} --accumulate 5clouds --fixed-frame odom",),
     ),
     Situation("version as a command", hall(), (("version", "pc2scan --version"),), ("--version",)),

@@ -108,7 +108,8 @@ def on_ground(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], terrain: Terrai
     """
     rule = terrain or Terrain()
     shape = x.shape
-    px, py, pz = (np.ravel(axis).astype(np.float32) for axis in (x, y, z))
+    with np.errstate(over="ignore", invalid="ignore"):
+        px, py, pz = (np.ravel(axis).astype(np.float32) for axis in (x, y, z))
     with np.errstate(all="ignore"):
         distance = np.hypot(px, py)
         known = np.isfinite(pz) & (distance < _FARTHEST)

@@ -91,6 +91,7 @@ class Rosbag2Reader(MergedReader):
             if self._info.is_guessed:
                 refuse_unrelated(path, files, opened)
             super().__init__(opened, path)
+            self._compare_types()
             self._compare_counts()
             undo.pop_all()
         amended, added = _complete_connections(self.connections, self._info.topics)
@@ -135,6 +136,16 @@ class Rosbag2Reader(MergedReader):
         storage = _storage_of(file)
         packed = self._info.message_compression
         return storage.open_reader(file, ReadOptions(strict=self._log.strict, message_compression=packed))
+
+    def _compare_types(self) -> None:
+        """Note a topic whose type in metadata.yaml is none of those in the files: a flipped byte may be in either."""
+        stored = {(each.topic, each.msgtype) for each in self.connections}
+        for topic in self._info.topics:
+            types = [msgtype for name, msgtype in stored if name == topic.topic]
+            if types and topic.msgtype not in types:
+                problem = f"{METADATA_NAME} says that {topic.topic} is {topic.msgtype}, its files say {types[0]}"
+                error = DamageError(problem, path=self.path, hint=RECOVER)
+                self._log.note(error, key=("type", topic.topic), messages_lost=0)
 
     def _compare_counts(self) -> None:
         """Note if the numbers of messages in metadata.yaml, in all or of a topic, differ from those in the files."""
