@@ -18,11 +18,18 @@ from .options.call import CALL, Options
 from .options.conversion import ConversionFrames, StampCorrection
 from .options.effects import refuse_idle
 from .options.table import PARAMETERS, options_about_scans
+from .request.nodes import options_of_nodes, read_remaps, refuse_topics, remaps_of_node
 from .request.options import TRAJECTORY, ConvertOptions, ScanSpec, StampOptions, TopicRequest
 from .request.param_sources import resolve_sources
 from .request.parameters import ResolvedParams, Setting, refuse_degrees
+from .request.scans_file import load_scans, refuse_beside
+from .request.yaml_nodes import parse_params
 from .result import Failure
 from .transforms.placing import FrameOptions
+from .transforms.robot_model import model_in_file
+from .transforms.sources import PoseTopic
+from .transforms.static import added_transforms
+from .transforms.trajectory import frames_of_trajectory, load_trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -55,11 +62,6 @@ def frames_of(options: Options) -> FrameOptions:
     refuse_idle(options.given, options.command)
     if not options.given.keys() & OF_FRAMES:
         return FrameOptions()
-    from .transforms.robot_model import model_in_file  # noqa: PLC0415  # few conversions have any of these
-    from .transforms.sources import PoseTopic  # noqa: PLC0415
-    from .transforms.static import added_transforms  # noqa: PLC0415
-    from .transforms.trajectory import frames_of_trajectory, load_trajectory  # noqa: PLC0415
-
     trajectory, clock = None, clock_of(options)
     if options.trajectory is not None:
         trajectory = load_trajectory(options.trajectory, frames_of_trajectory(options.trajectory_frames))
@@ -138,8 +140,6 @@ def _of_nodes(
     options: Options, settings: list[Setting], nodes: Sequence[str], file: Path, warn: Warn | None
 ) -> ConvertOptions:
     """Read the options of a conversion with an output for each node of a parameter file."""
-    from .request.nodes import options_of_nodes, refuse_topics  # noqa: PLC0415  # few files have several
-
     refuse_topics(options.topics, nodes, file)
     each: list[ConvertOptions] = []
     for node in nodes:
@@ -155,9 +155,6 @@ def _pass_on(notes: Iterable[str], warn: Warn | None) -> None:
 
 def _several_scans(options: Options, settings: list[Setting], warn: Warn | None) -> ConvertOptions:
     """Read the options of a conversion with several outputs; parameters besides ``scans`` apply to all of them."""
-    from .request.scans_file import load_scans, refuse_beside  # noqa: PLC0415
-    from .request.yaml_nodes import parse_params  # noqa: PLC0415  # few conversions have several outputs
-
     refuse_beside(options.of_one_output)
     settings = [*settings, *parse_params(options.param)]
     found = load_scans(options.scans, settings)
@@ -207,8 +204,6 @@ def _of_node(
             "`topics` and `remap` both name the topics; give only one of them", hint="such as `topics=/points:=/scan`"
         )
     if typed or resolved.remaps:
-        from .request.nodes import read_remaps, remaps_of_node  # noqa: PLC0415  # few are given any
-
         if beside is not None and node is not None:
             typed = remaps_of_node(typed, node)
         typed = [text for text in typed if not text.startswith("__")]

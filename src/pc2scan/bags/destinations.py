@@ -11,6 +11,7 @@ from pc2scan.files.places import LEFTOVERS
 
 from . import zstd
 from .formats import FORMATS, Format, WriteOptions, destinations
+from .rosbag2 import metadata
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -274,8 +275,6 @@ def source_form(path: Path, summaries: Sequence[Summary]) -> tuple[str | None, s
 
 def recorded_in(folder: Path) -> Record | str:
     """Return the record of the files in a rosbag2 directory; text if it has none: the reason."""
-    from .rosbag2 import metadata  # noqa: PLC0415  # it reads YAML, which few runs need
-
     return metadata.recorded_in(folder)
 
 

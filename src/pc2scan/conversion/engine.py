@@ -18,6 +18,7 @@ from pc2scan.errors import DecodeError, MessageError
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
 from pc2scan.model import RawMessage, StoredChunk, copied_message, own_data, own_message
 
+from .combine.combiner import add_groups
 from .items import Item
 from .steps import ConvertedMessage
 
@@ -89,8 +90,6 @@ def items_of(
     combiners = {each.combiner: None for route in routes.values() for each in route.outputs if each.combiner}
     if not combiners:
         return items
-    from .combine.combiner import add_groups  # noqa: PLC0415  # few scans are made of several messages
-
     return add_groups(items, combiners, threads)
 
 

@@ -8,9 +8,6 @@ import re
 from functools import lru_cache
 from typing import Any
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
-
 #: rosbag2 writes some 600 characters a topic. The library takes up to 300 bytes and 20 microseconds for each character.
 MAX_CHARACTERS = 800_000
 
@@ -41,6 +38,9 @@ def load_yaml(text: str) -> Any:
 @lru_cache(maxsize=64)
 def _parse(text: str) -> bytes:
     """Return the document, pickled, so that each caller gets objects of its own."""
+    from ruamel.yaml import YAML  # noqa: PLC0415  # a third of a start, where nothing is YAML
+    from ruamel.yaml.error import YAMLError  # noqa: PLC0415
+
     depth = deepest = 0
     for bracket in re.findall(r"[\[\]{}]", text):
         depth = depth + 1 if bracket in "[{" else max(depth - 1, 0)
@@ -86,6 +86,8 @@ def _unfolded_size(node: Any, sizes: dict[int, int]) -> int:
 
 def dump_yaml(value: Any) -> str:
     """Write in block style, keys in the order given, strings on one line."""
+    from ruamel.yaml import YAML  # noqa: PLC0415
+
     yaml = YAML(typ="safe", pure=True)
     yaml.default_flow_style = False
     yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]  # declared as None

@@ -21,6 +21,10 @@ from pc2scan.options.values import nanoseconds_of
 from pc2scan.transforms.imu import ImuRequest
 from pc2scan.transforms.placing import FrameOptions
 
+from .beam_filters import beam_filter
+from .filters import as_dict, filters_of, rejection_of
+from .point_time import PointTime
+
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable, Mapping
     from pathlib import Path
@@ -226,12 +230,8 @@ class ScanSpec:
         if values.keys() & CloudCombination.__annotations__.keys():
             read["combining"] = Combining.of(**values)
         if values.keys() & PointSelection.__annotations__.keys():
-            from .filters import filters_of  # noqa: PLC0415  # few conversions have filters
-
             read["filters"] = (*filters_of(values, found.params.min_height), *values.get("filters", ()))
         if "remove" in values:
-            from .beam_filters import beam_filter  # noqa: PLC0415  # few scans are filtered
-
             read["remove"] = tuple(map(beam_filter, values["remove"]))
         return cls(params=found.params, origins=found.origin, reverse=found.reverse, **read, **more)
 
@@ -274,8 +274,6 @@ class ScanSpec:
             )
 
     def _check_deskewing(self) -> None:
-        from .point_time import PointTime  # noqa: PLC0415
-
         if not self.fixed_frame:
             raise UsageError(
                 "`deskew` of clouds needs a frame that does not move: `fixed_frame`", hint="such as `fixed_frame=odom`"
@@ -310,8 +308,6 @@ class ScanSpec:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the parameters of the projection, their origins and the filters, for reports."""
-        from .filters import as_dict  # noqa: PLC0415  # only reports in JSON need it
-
         return {
             "name": self.name,
             "params": self.params,
@@ -362,8 +358,6 @@ class ScanSpec:
         """The reasons for which points may be rejected, besides those of the projection."""
         further: tuple[Rejection, ...] = ()
         if self.filters:
-            from .filters import rejection_of  # noqa: PLC0415  # only where points are filtered
-
             further = tuple(map(rejection_of, self.filters))
         if not self.deskew or self.reverse:
             return further

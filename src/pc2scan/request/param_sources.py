@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import UsageError
 
 from .parameters import ALIASES, preset_settings, resolve
+from .params_file import load_params_file
+from .yaml_nodes import parse_params
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -56,12 +58,8 @@ def resolve_sources(
     remaps: tuple[str, ...] = ()
     files: tuple[Path, ...] = ()
     if assignments:
-        from .yaml_nodes import parse_params  # noqa: PLC0415
-
         found += parse_params(assignments)
     if file is not None:
-        from .params_file import load_params_file  # noqa: PLC0415
-
         given = {ALIASES.get(setting.name, setting.name) for setting in found}
         loaded = load_params_file(
             file, node=node, arguments=_launch_arguments(launch_args), overridden={*given, *remapped}

@@ -5,9 +5,6 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Any
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
-
 from pc2scan.core.quantities import ANGLE, angle_value, written_angle
 from pc2scan.errors import ParameterError
 
@@ -32,6 +29,9 @@ def compose(text: str, place: str) -> Any:
     Nodes are used instead of values, so that aliases are not expanded, tags construct nothing, and scalars
     are read by ROS's rules.
     """
+    from ruamel.yaml import YAML  # noqa: PLC0415  # see `pc2scan.files.yaml`
+    from ruamel.yaml.error import YAMLError  # noqa: PLC0415
+
     # ROS 2's parser accepts tabs between tokens, ruamel does not. Both reject tabs as indentation.
     spaced = re.sub(r"(?m)(?<=[^ \t\n])[ \t]*\t[ \t]*", lambda tabs: " " * len(tabs.group()), text)
     yaml = YAML(typ="safe", pure=True)

@@ -19,7 +19,10 @@ from pc2scan.core.rule import PointCounts
 from pc2scan.core.scene import FARTHEST_MEDIAN, FEWEST_POINTS, cells_of, outermost, tolerances
 from pc2scan.request.parameters import preset_of
 from pc2scan.text import agreeing, counted, height_text
+from pc2scan.transforms.mounting import is_upside_down, mounting, sensor_exclusion, unit_warning
+from pc2scan.transforms.static import static_text
 from pc2scan.transforms.summary import BODIES
+from pc2scan.transforms.world_frames import find_body_motion
 
 from .request import says_unlimited
 
@@ -147,8 +150,6 @@ class CloudFacts:
     @property
     def are_upside_down(self) -> bool:
         """Whether clouds that stay in their own frame are upside down by the robot's transforms."""
-        from pc2scan.transforms.mounting import is_upside_down  # noqa: PLC0415  # only where the floor may be a ceiling
-
         first, own = self.samples[0], self.source.removeprefix("/")
         if first.judged_in.removeprefix("/") != own or self.robot is None:
             return False
@@ -242,8 +243,6 @@ class CloudFacts:
     @cached_property
     def mounting(self) -> Mounting:
         """How the sensor is mounted, as `info` sees it: with the robot's transforms."""
-        from pc2scan.transforms.mounting import mounting  # noqa: PLC0415  # only where there may be a warning
-
         return mounting(self.topic, self.source, self.samples, self.robot)
 
     @cached_property
@@ -288,8 +287,6 @@ def target_that_moves(clouds: CloudFacts) -> Iterator[str]:
     target, buffer = clouds.spec.params.target_frame, clouds.transforms.buffer
     if not target or buffer is None or len(clouds.samples) > 1 or buffer.is_rigid(target, clouds.source):
         return
-    from pc2scan.transforms.world_frames import find_body_motion  # noqa: PLC0415  # a lidar is usually rigid on its robot
-
     moving = find_body_motion(buffer, target, clouds.source)
     if moving is not None:
         yield moving.of_target(target)
@@ -333,8 +330,6 @@ def _said_to_be_fixed(clouds: CloudFacts) -> str:
     buffer = known.buffer or known.read()
     if buffer is None or not own:
         return ""
-    from pc2scan.transforms.world_frames import find_body_motion  # noqa: PLC0415  # few conversions give a frame
-
     moving = find_body_motion(buffer, source, own)
     return "" if moving is None else f"{clouds.topic}: {moving.of_source(source, own)}"
 
@@ -371,8 +366,6 @@ def swapped_transform(clouds: CloudFacts) -> Iterator[str]:
     static = next((each for each in clouds.transforms.static if each.child.removeprefix("/") == target), None)
     if floor is None or static is None or below < _BELOW or abs(below - floor.height) > _NEAR_FLOOR * floor.height:
         return
-    from pc2scan.transforms.static import static_text  # noqa: PLC0415  # loaded by now
-
     inverse = static_text(static.child, static.parent, static)
     yield (
         f"`static_tf` from {static.parent} to {static.child} puts the sensor {below:.2f} m below {static.child}, "
@@ -389,8 +382,6 @@ def lossy_clouds(clouds: CloudFacts) -> Iterator[str]:
 
 def clouds_in_another_unit(clouds: CloudFacts) -> Iterator[str]:
     """Yield a warning if the points are so far away that they are in another unit."""
-    from pc2scan.transforms.mounting import unit_warning  # noqa: PLC0415  # only where there may be a warning
-
     if text := unit_warning(clouds.topic, clouds.samples[0]):
         yield text
 
@@ -501,8 +492,6 @@ def _clouds(count: int) -> str:
 
 
 def _without_sensor(frame: str, target: str) -> str:
-    from pc2scan.transforms.mounting import sensor_exclusion  # noqa: PLC0415  # only where there is a warning
-
     option, value = sensor_exclusion(frame, target)
     return f"`{option}={shlex.quote(value)}`"
 
