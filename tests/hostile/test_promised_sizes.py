@@ -145,9 +145,9 @@ def test_a_message_that_unfolds_to_more_than_may_be(storage: str, told: bool, tm
     source = write_rosbag2(tmp_path / "drive", stored, storage=storage, version=5)
     text = (source / "metadata.yaml").read_text().replace('mode: ""', "mode: MESSAGE")
     (source / "metadata.yaml").write_text(text.replace('format: ""', "format: zstd"))
-    done = run_bounded("convert", source)
+    done = run_bounded("convert", source, margin=250_000_000)
     assert done.status in (1, 3)
-    assert "the compressed data declare" in done.stderr
+    assert "cannot be decompressed" in done.stderr
 
 
 def test_a_file_that_unfolds_to_more_than_may_be(tmp_path: Path) -> None:

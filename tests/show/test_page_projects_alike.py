@@ -67,7 +67,7 @@ def test_golden_cases(browser: Any, tmp_path: Path, folder: Path) -> None:
     [
         {"min_height": -1.0, "max_height": 1.0},
         {"geometry": "centered", "beams": 1440, "range_min": 0.3, "reduce": "median", "min_height": -3.0},
-        {"angle_rounding": "glibc-2.40", "use_inf": False, "range_max": 40.0, "angle_min": -1.5, "angle_max": 2.0},
+        {"angle_rounding": "glibc-2.40", "use_inf": False, "range_max": 40.0, "min_height": -1.0, "max_height": 1.0},
     ],
     ids=["heights", "centered", "glibc"],
 )

@@ -96,7 +96,7 @@ def _record_of(future: Any, job: Job) -> ManifestRecord:
     """Return the line of a task that has ended; raises if the cluster cannot convert anything of this batch."""
     from distributed import KilledWorker  # noqa: PLC0415  # an extra
 
-    if future.status in ("cancelled", "lost"):
+    if future.status == "cancelled":
         raise Pc2ScanError(
             "the connection to Dask's scheduler was lost", hint="run the same batch again to continue it"
         )

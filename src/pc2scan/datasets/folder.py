@@ -191,14 +191,14 @@ class BatchFolder:
         """Return the format of a recording that an earlier run has found, by its first path and files; else empty."""
         return self._containers.get((str(path), identity.files), "")
 
-    def _unrecorded(self, outputs: Iterable[str]) -> frozenset[str]:
-        """Return those outputs that exist now, and not as the manifest had them."""
+    def _unrecorded(self, outputs: Iterable[str]) -> dict[str, Identity]:
+        """Return what those outputs are that exist now, and not as the manifest had them."""
         stored = _listing(self.path)
         now = {
             each: identity_of([self.path / each]) if stored is None else identity_among(stored, each)
             for each in outputs
         }
-        return frozenset(each for each, found in now.items() if found.files and found != self.left.get(each))
+        return {each: found for each, found in now.items() if found.files and found != self.left.get(each)}
 
     @contextmanager
     def writing(self, outputs: Collection[str]) -> Iterator[None]:
@@ -208,12 +208,13 @@ class BatchFolder:
         that the manifest does not have stay in it, and folders that this run has made and that stay empty are removed.
         """
         folders: list[str] = []
-        known = self.unfinished
+        others: dict[str, Identity] = {}
         if outputs:
             if not isinstance(self.path, UrlPath):
                 folders = sorted(folder for folder in _folders_of(outputs) if not (self.path / folder).is_dir())
             self._write_note(self.unfinished.union(outputs))
-            known |= frozenset(outputs) - self._unrecorded(outputs)
+            # What is there already and unknown is somebody else's, until this run replaces it.
+            others = self._unrecorded(set(outputs) - self.unfinished)
         try:
             for folder in folders:
                 # If it cannot be made, the conversions that write into it report why.
@@ -227,7 +228,8 @@ class BatchFolder:
                     (self.path / folder).rmdir()
             # A note that cannot be removed names outputs that the manifest has.
             with suppress(OutputError, OSError):
-                if left := self._unrecorded(known - self._ended):
+                found = self._unrecorded(self.unfinished.union(outputs) - self._ended)
+                if left := [each for each, now in found.items() if now != others.get(each)]:
                     self._write_note(left)
                 elif outputs or self._stored is None or _UNFINISHED in self._stored:
                     (self.path / _UNFINISHED).unlink(missing_ok=True)
