@@ -361,16 +361,20 @@ def frame_not_level(clouds: CloudFacts) -> Iterator[str]:
 def swapped_transform(clouds: CloudFacts) -> Iterator[str]:
     """Yield a warning if an added transform would put the floor at z = 0 the other way round."""
     sample = clouds.samples[0]
-    floor, below = sample.floor, -sample.origin[2]
+    below = -sample.origin[2]
     target = sample.judged_in.removeprefix("/")
     static = next((each for each in clouds.transforms.static if each.child.removeprefix("/") == target), None)
-    if floor is None or static is None or below < _BELOW or abs(below - floor.height) > _NEAR_FLOOR * floor.height:
+    if static is None or below < _BELOW or len(sample.points) < FEWEST_POINTS:
+        return
+    # Where the ground rises, its lowest points are nearly as far below the sensor as a level floor would be.
+    height = sample.floor.height if sample.floor else -float(percentiles(sample.points[:, 2], 5)[0])
+    if abs(below - height) > _NEAR_FLOOR * height:
         return
     inverse = static_text(static.child, static.parent, static)
     yield (
         f"`static_tf` from {static.parent} to {static.child} puts the sensor {below:.2f} m below {static.child}, "
-        f"and the floor at z = {height_text(-below - floor.height)} m; the parent comes first: `static_tf='{inverse}'` "
-        f"puts the floor at z = {height_text(below - floor.height)} m"
+        f"and the floor at z = {height_text(-below - height)} m; the parent comes first: `static_tf='{inverse}'` "
+        f"puts the floor at z = {height_text(below - height)} m"
     )
 
 
