@@ -11,6 +11,7 @@ import os
 import shutil
 import sqlite3
 import sys
+import tempfile
 from collections import deque
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -278,7 +279,10 @@ class Database:
         message = f"SQLite cannot read it: {str(err) or type(err).__name__}"
         if not isinstance(err, sqlite3.Error) or str(err) not in _NO_DAMAGE:
             return self.damage(message)
-        return RecordingError(message, path=self.path, hint=TEMPORARY_HINT if str(err) == _DISK_FULL else None)
+        if str(err) != _DISK_FULL:
+            return RecordingError(message, path=self.path)
+        place = tempfile.gettempdir()
+        return RecordingError(f"{message}: its temporary files in {place}", path=self.path, hint=TEMPORARY_HINT)
 
     # --- Logs ---
 
