@@ -138,14 +138,14 @@ class Rosbag2Reader(MergedReader):
         return storage.open_reader(file, ReadOptions(strict=self._log.strict, message_compression=packed))
 
     def _compare_types(self) -> None:
-        """Note a topic whose type in metadata.yaml is none of those in the files: a flipped byte may be in either."""
-        stored = {(each.topic, each.msgtype) for each in self.connections}
-        for topic in self._info.topics:
-            types = [msgtype for name, msgtype in stored if name == topic.topic]
-            if types and topic.msgtype not in types:
-                problem = f"{METADATA_NAME} says that {topic.topic} is {topic.msgtype}, its files say {types[0]}"
+        """Note a topic that is of another type in a file than in metadata.yaml: a flipped byte may be in either."""
+        listed = {each.topic: each.msgtype for each in self._info.topics}
+        known = {(each.topic, each.msgtype) for each in self._info.topics}
+        for topic, msgtype in sorted({(each.topic, each.msgtype) for each in self.connections} - known):
+            if topic in listed:
+                problem = f"{METADATA_NAME} says that {topic} is {listed[topic]}, a file says {msgtype}"
                 error = DamageError(problem, path=self.path, hint=RECOVER)
-                self._log.note(error, key=("type", topic.topic), messages_lost=0)
+                self._log.note(error, key=("type", topic, msgtype), messages_lost=0)
 
     def _compare_counts(self) -> None:
         """Note if the numbers of messages in metadata.yaml, in all or of a topic, differ from those in the files."""
