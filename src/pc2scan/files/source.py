@@ -8,7 +8,7 @@ import stat
 from collections import deque
 from contextlib import suppress
 from io import TextIOWrapper
-from typing import TYPE_CHECKING, ClassVar, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 from weakref import ref
 
 from pc2scan.errors import RecordingError, UsageError
@@ -131,43 +131,42 @@ def _refuse_special(found: os.stat_result, path: str) -> None:
 #: Buffers have multiples of this size, so that one serves chunks of different sizes.
 _ROUNDED_TO = 1 << 16
 
-#: How many buffers of a kind may wait to be used again.
-_MOST_FREE = 8
+#: Buffers that are used again: of stored bytes, and of decompressed ones, which are larger.
+STORED: deque[bytearray] = deque(maxlen=8)
+UNPACKED: deque[bytearray] = deque(maxlen=8)
 
 
-class ReadBuffer(bytearray):
-    """Memory of stored bytes. It is used again when nothing refers to it any more: no view, no array, no message."""
+def lend(size: int, pool: deque[bytearray] = UNPACKED) -> memoryview:
+    """Return writable memory for so many bytes; that of less than 16 MiB is used again.
 
-    __slots__ = ()
-
-    free: ClassVar[list[bytearray]] = []
-
-    def __del__(self) -> None:
-        if self and len(self.free) < _MOST_FREE:
-            self.free.append(self)
-
-
-class UnpackedBuffer(ReadBuffer):
-    """The same for decompressed bytes: one list of both would make all buffers as large as these."""
-
-    __slots__ = ()
-
-    free: ClassVar[list[bytearray]] = []
-
-
-def lend(size: int, kind: type[ReadBuffer] = UnpackedBuffer) -> memoryview:
-    """Return writable memory for so many bytes; that of less than 16 MiB is used again."""
+    That is when nothing refers to it any more: no view, no array, no message.
+    """
     if size >= _BORROWED_BYTES.stop:
         return memoryview(bytearray(size))
-    try:
-        buffer = kind.free.pop()
-    except IndexError:
-        buffer = kind()
-    if len(buffer) < size:
-        # Empty, it is not used again.
-        buffer.clear()
-        buffer = kind(-(-size // _ROUNDED_TO) * _ROUNDED_TO)
-    return memoryview(buffer)[:size]
+    buffer = _free_one(pool)
+    if buffer is None or len(buffer) < size:
+        # What is too small is not kept.
+        buffer = None
+        buffer = bytearray(-(-size // _ROUNDED_TO) * _ROUNDED_TO)
+    view = memoryview(buffer)[:size]
+    # The oldest one leaves a full pool: its views keep it.
+    pool.append(buffer)
+    return view
+
+
+def _free_one(pool: deque[bytearray]) -> bytearray | None:
+    """Take a buffer that nothing refers to out of a pool; other threads do not see it meanwhile."""
+    with suppress(IndexError):
+        for _ in range(len(pool)):
+            buffer = pool.popleft()
+            try:
+                # Its size cannot change while there are views of it.
+                buffer.append(buffer.pop())
+            except BufferError:
+                pool.append(buffer)
+            else:
+                return buffer
+    return None
 
 
 _Opened = TypeVar("_Opened")
@@ -287,13 +286,13 @@ class SourceFile:
         return data
 
     def borrow(self, offset: int, length: int) -> memoryview:
-        """Read exactly these bytes; many bytes are read into a buffer that is used again: see `ReadBuffer`."""
+        """Read exactly these bytes; many bytes are read into a buffer that is used again: see `lend`."""
         if length not in _BORROWED_BYTES or not hasattr(os, "preadv"):
             return memoryview(self.read(offset, length))
         if offset + length > self.size:
             raise self._outside(offset, length)
         try:
-            view = lend(length, ReadBuffer)
+            view = lend(length, STORED)
         except MemoryError as err:
             raise self._too_large(offset, length) from err
         file, done = self._file(), 0
