@@ -143,10 +143,8 @@ def lend(size: int, pool: deque[bytearray] = UNPACKED) -> memoryview:
     """
     if size >= _BORROWED_BYTES.stop:
         return memoryview(bytearray(size))
-    buffer = _free_one(pool)
-    if buffer is None or len(buffer) < size:
-        # What is too small is not kept.
-        buffer = None
+    buffer = _free_one(size, pool)
+    if buffer is None:
         buffer = bytearray(-(-size // _ROUNDED_TO) * _ROUNDED_TO)
     view = memoryview(buffer)[:size]
     # The oldest one leaves a full pool: its views keep it.
@@ -154,18 +152,22 @@ def lend(size: int, pool: deque[bytearray] = UNPACKED) -> memoryview:
     return view
 
 
-def _free_one(pool: deque[bytearray]) -> bytearray | None:
-    """Take a buffer that nothing refers to out of a pool; other threads do not see it meanwhile."""
+def _free_one(size: int, pool: deque[bytearray]) -> bytearray | None:
+    """Take a buffer that nothing refers to out of a pool; other threads do not see it meanwhile.
+
+    The newest one is taken, so that a pool grows no further than to what is in use. Those that are too small leave it.
+    """
     with suppress(IndexError):
         for _ in range(len(pool)):
-            buffer = pool.popleft()
+            buffer = pool.pop()
             try:
                 # Its size cannot change while there are views of it.
                 buffer.append(buffer.pop())
             except BufferError:
-                pool.append(buffer)
+                pool.appendleft(buffer)
             else:
-                return buffer
+                if len(buffer) >= size:
+                    return buffer
     return None
 
 
