@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import re
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +11,7 @@ import pytest
 import pc2scan
 from pc2scan.cli.commands import COMMANDS
 from pc2scan.errors import UsageError
-from pc2scan.options.table import GROUPS, options_of
+from pc2scan.options.table import options_of
 from pc2scan.options.values import Instance
 from support import ROOT
 from support.builders import SCAN, Recording, Stream, item, write_mcap
@@ -46,46 +45,6 @@ def test_a_function_takes_what_its_command_takes(command: str) -> None:
     only_python = {name for name, option in known.items() if isinstance(option.value, Instance)}
     assert taken_by_command(command) - only_typed == taken_by_function(command) - only_python
     assert taken_by_function(command) - ARGUMENTS == {n for n, option in known.items() if not option.command_only}
-
-
-@pytest.mark.parametrize("function", GROUPS)
-def test_a_signature_has_names_types_and_defaults(function: str) -> None:
-    parameters = inspect.signature(getattr(pc2scan, function)).parameters
-    for name, option in options_of(function).items():
-        if not option.command_only:
-            assert parameters[name].default == option.default
-            assert parameters[name].annotation is not inspect.Parameter.empty
-
-
-@pytest.mark.parametrize("function", GROUPS)
-def test_a_docstring_lists_the_options_the_common_ones_first(function: str) -> None:
-    listed = re.findall(r"^([a-z_]+)(?: : .+)?\n    \S", inspect.getdoc(getattr(pc2scan, function)) or "", re.MULTILINE)
-    known = {name: option for name, option in options_of(function).items() if not option.command_only}
-    found = [name for name in listed if name in known]
-    assert sorted(found) == sorted(known)
-    assert [known[name].common for name in found] == sorted((known[name].common for name in found), reverse=True)
-
-
-#: Why a keyword of `convert` is none of `scans`, which writes no recording.
-NOT_FOR_SCANS = {
-    "a recording is written": {
-        *("destination", "keep", "drop", "keep_clouds", "clouds_as", "only_scans", "keep_used"),
-        *("write_static_tf", "storage"),
-        *("compression", "profile", "to", "overwrite"),
-        *("report", "dry_run", "scratch"),
-    },
-    "a loop can check its scans itself": {"fail_on", "min_used"},
-    "clouds are made": {"reverse", "channels"},
-    "a loop has one output": {"scans"},
-    "a loop shows its own progress": {"progress"},
-}
-
-
-def test_scans_takes_what_convert_takes() -> None:
-    others = set().union(*NOT_FOR_SCANS.values())
-    assert taken_by_function("convert") - taken_by_function("scans") == others
-    assert taken_by_function("scans") - taken_by_function("convert") == set()
-    assert taken_by_function("clouds") == {*("sources", "topics", "start", "end", "cloud_scale", "strict")}
 
 
 @pytest.fixture

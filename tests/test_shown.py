@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from html.parser import HTMLParser
 from typing import TYPE_CHECKING, Any
 
 import pc2scan
 from pc2scan.messages.laserscan import encode_laserscan
-from pc2scan.result import Result
-from pc2scan.tables import Table
 from support import ROOT
 from support.builders import SCAN, Item, Recording, Stream, write_mcap
 from support.scan_recordings import scans
@@ -19,23 +16,6 @@ if TYPE_CHECKING:
     import pytest
 
 HALL = ROOT / "fixtures" / "hall.bag"
-
-
-class Tags(HTMLParser):
-    """Collects the tags of a page, and sees that they are closed."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.seen: set[str] = set()
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        assert [name for name, _ in attrs] in ([], ["style"])
-        self.open.append(tag)
-        self.seen.add(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
 
 
 def results(folder: Path) -> dict[str, tuple[Any, str]]:
@@ -60,11 +40,9 @@ def test_results_are_text_and_a_page_and_a_line(tmp_path: Path, capfd: pytest.Ca
         assert short.startswith(f"<{type(result).__name__} "), name
         assert "\n" not in short
         assert len(short) < 300, name
-        page = Tags()
-        page.feed(result._repr_html_())
-        assert page.open == []
-        assert page.seen <= {"div", "table", "thead", "tbody", "tr", "th", "td", "pre"}
-        assert ("table" in page.seen) == (name not in {"check", "diff", "golden"})
+        page = result._repr_html_()
+        assert ("<table" in page) == (name not in {"check", "diff", "golden"})
+        assert page.count("<") == 2 * page.count("</")
     # Asking is silent.
     assert capfd.readouterr() == ("", "")
 
@@ -83,16 +61,3 @@ def test_what_went_wrong_is_shown(tmp_path: Path) -> None:
     broken = write_mcap(tmp_path / "broken.mcap", Recording((stream,), tuple(items)))
     text = str(pc2scan.convert(broken, tmp_path / "clouds.mcap", reverse=True))
     assert "skipped: /scan, log time 1700000000.100000000 (2023-11-14 22:13:20 UTC): " in text
-
-
-def test_long_names_are_cut() -> None:
-    class Long(Result):
-        def body(self, *, verbose: bool = False) -> Any:
-            yield "a" * 5_000
-            yield Table(("name",), [("b" * 500,)])
-
-    line, heading, rule, cell = str(Long()).splitlines()
-    assert line.endswith("a... (5000 chars)")
-    assert cell.endswith("b... (500 chars)")
-    assert len(rule) == len(cell) == len(heading)
-    assert "a... (5000 chars)</pre><table>" in Long()._repr_html_()

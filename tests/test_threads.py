@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import threading
 from threading import Event, Thread, current_thread, main_thread
 
 import pytest
@@ -40,20 +39,6 @@ def test_others_work_meanwhile() -> None:
         assert [task.result() for task in more] == [main_thread()] * 3
 
 
-def test_there_are_no_more_threads_than_jobs() -> None:
-    together = threading.Barrier(3)
-
-    def meet() -> Thread:
-        together.wait(30)
-        return current_thread()
-
-    with Threads(3) as pool:
-        tasks = [pool.submit(meet) for _ in range(9)]
-        assert len({task.result() for task in tasks}) == 3
-        assert threading.active_count() >= 3
-    assert not any(thread.name.startswith("pc2scan") for thread in threading.enumerate())
-
-
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_an_error_is_that_of_the_task(jobs: int) -> None:
     def fail() -> None:
@@ -77,16 +62,6 @@ def test_an_interruption_is_raised_at_once() -> None:
         with pytest.raises(KeyboardInterrupt):
             first.result()
         assert second.result() == "done"
-
-
-def test_what_is_given_up_is_not_done() -> None:
-    done: list[int] = []
-    with Threads(1) as pool:
-        tasks = [pool.submit(done.append, number) for number in range(4)]
-        assert tasks[1].cancel()
-        tasks[3].result()
-        assert not tasks[0].cancel()
-    assert done == [0, 2, 3]
 
 
 def test_where_there_may_be_no_more_threads_those_that_are_work(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,12 +25,3 @@ def test_the_committed_pages_are_those_of_the_table(tmp_path: Path) -> None:
     assert committed == made, "python docs/site/commands.py"
     site = (ROOT / "mkdocs.yml").read_text("utf-8")
     assert all(f"- commands/{name}\n" in site for name in made)
-
-
-def test_a_page_has_every_option_of_its_command() -> None:
-    from pc2scan.options.table import options_of
-
-    for name in COMMANDS:
-        text = (PAGES / f"{name}.md").read_text("utf-8")
-        spellings = [option.spelling for option in options_of(name).values() if option.spelling]
-        assert [each for each in spellings if f"`{each}`" not in text and f"`{each} " not in text] == [], name

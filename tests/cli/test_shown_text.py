@@ -6,8 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from pc2scan.bags.damage import Damage
 from pc2scan.cli.render import say, show, show_error, show_parts
@@ -70,21 +68,6 @@ def test_a_table_that_is_too_wide_loses_no_text() -> None:
     # At last columns on the right go, and are named.
     shown = list(fitted([["on", *"abcdefgh"], ["/scan", *["1,000,000"] * 8]], ("on",), 50))
     assert shown[-1] == "(no room for: e, f, g, h)"
-
-
-@given(st.lists(st.lists(st.text("ab /", max_size=40), min_size=4, max_size=4), max_size=5), st.integers(60, 120))
-def test_any_table_fits(lines: list[list[str]], width: int) -> None:
-    cells = [["one", "two", "three", "four"], *lines]
-    assert all(len(line) <= width for line in fitted(cells, ("one", "three"), width))
-
-
-def test_many_places_are_cut_short(capsys: pytest.CaptureFixture[str]) -> None:
-    damage = [Damage("is \x1b[2J", PATH, offset) for offset in range(1000)]
-    show(Report(["a"], "b", (ScanSpec(),), damage=damage), quiet=True)
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 7
-    assert lines[0] == r"damaged: drive.bag, byte 0: is \x1b[2J"
-    assert lines[-2] == "damaged: 995 more"
 
 
 @pytest.mark.parametrize(("places", "declared", "found", "lost", "times"), rows(TABLES, "recovered"))

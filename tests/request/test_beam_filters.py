@@ -29,20 +29,6 @@ def test_a_removed_beam_has_no_return(empty: float) -> None:
     assert not made.empty
 
 
-def test_a_scan_whose_every_beam_is_removed_is_empty() -> None:
-    made = remove_beams([Speckles(max_range=9.0)], np.inf, result([1.0, 2.0, 4.0]))
-    assert made.removed == {"returns": 3, "speckles": 3}
-    assert made.empty
-
-
-def test_filters_follow_each_other() -> None:
-    ranges = [1.0, 1.0, 1.0, 3.0, 5.0, 5.0, 5.0, 5.0]
-    one = remove_beams([Shadows(neighbors=1), Speckles(max_range=9.0)], np.inf, result(ranges))
-    assert one.removed is not None
-    assert one.removed["shadows"] >= 1
-    assert one.removed["returns"] == 8
-
-
 def test_the_last_beam_of_a_full_circle_is_beside_the_first() -> None:
     increment = 2 * np.pi / 100
     ranges = [1.0] * 99 + [1.05]

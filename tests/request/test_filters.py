@@ -6,7 +6,6 @@ from typing import Any
 
 import pytest
 
-from pc2scan.errors import UsageError
 from pc2scan.options.table import options_of
 from pc2scan.options.values import Number
 from pc2scan.request.filters import filters_of
@@ -21,10 +20,6 @@ VALUES: dict[str, Any] = {
 }
 
 
-def test_every_option_with_a_filter_has_a_case() -> None:
-    assert [name for name, option in options_of("convert").items() if option.makes] == list(VALUES)
-
-
 @pytest.mark.parametrize("name", VALUES)
 def test_the_text_of_a_filter_asks_for_the_same_filter(name: str) -> None:
     kind = options_of("convert")[name].value
@@ -33,11 +28,3 @@ def test_the_text_of_a_filter_asks_for_the_same_filter(name: str) -> None:
     texts: list[str] = [each.text for each in made]  # type: ignore[attr-defined]
     again = texts if kind.repeats else float(texts[0]) if isinstance(kind, Number) else texts[0]
     assert tuple(filters_of({name: again}, -0.3)) == made
-
-
-def test_filters_are_applied_in_the_order_of_the_table() -> None:
-    found = filters_of({"unknown": 1, **dict(reversed(VALUES.items()))}, -0.3)
-    assert [each.name for each in found] == ["where", "where", *list(VALUES)[1:]]
-    assert not list(filters_of({"ground": "keep"}, -0.3))
-    with pytest.raises(UsageError, match="`exclude_box`"):
-        list(filters_of({"exclude_box": ["base_link"]}, -0.3))
