@@ -17,7 +17,6 @@ import pc2scan
 from pc2scan.bags.opening import open_recording
 from pc2scan.core.rigid import Rigid
 from pc2scan.messages.laserscan import decode_laserscan
-from pc2scan.result import json_value
 from support import conversions, sampled
 from support.builders import CHATTER, SECOND, Item, Recording, string, write_mcap
 from support.command import run
@@ -142,23 +141,6 @@ def test_every_return_is_on_its_wall(name: str, world: Callable[..., Path], tmp_
         assert done.topic("/flat")["points"]["height"] == 0
 
 
-@pytest.mark.slow
-def test_a_pattern_that_does_not_come_back_becomes_dense(world: Callable[..., Path], tmp_path: Path) -> None:
-    source = world(ROSETTE, seconds=2.0)
-    options = ("--geometry", "centered", "--beams", "1440", "--min-height", "0.1", "--only-scans", "--deskew")
-    single = converted(tmp_path, source, *MOVED, *options).scans
-    done = converted(tmp_path, source, *MOVED, *options, "--accumulate", "1")
-    assert len(done.scans) == len(single) == 20
-    seen = [[int(np.isfinite(scan.ranges).sum()) for scan in scans[10:]] for scans in (single, done.scans)]
-    assert np.median(seen[1]) > 1.7 * np.median(seen[0])
-    assert (misplaced(done.scans), np.max(errors(done.scans)) < 0.02) == (0, True)
-    # The same without the fixed frame is smeared over what the robot moved in a second.
-    assert misplaced(converted(tmp_path, source, *options[:-1], *UNMOVED, "--accumulate", "1").scans) > 0.7
-    # The last ten clouds are those of the last second.
-    counted = converted(tmp_path, source, *MOVED, *options, "--accumulate", "10clouds")
-    assert [scan.ranges.tobytes() for scan in counted.scans] == [scan.ranges.tobytes() for scan in done.scans]
-
-
 def test_a_scanner_with_varying_beams_gets_a_constant_number(world: Callable[..., Path], tmp_path: Path) -> None:
     source = world(FLAT, seconds=0.8)
     with closing(open_recording(source)) as reader:
@@ -180,21 +162,6 @@ def test_a_scanner_with_varying_beams_gets_a_constant_number(world: Callable[...
     assert done.topic("/flat")["target"] == "/flat"
     assert "refuse" not in done.stderr
     assert misplaced(converted(tmp_path, source, *rebin).scans, mount=FLAT.mount) > 0.7
-
-
-def test_another_topic_may_lead_in_the_command_and_in_python(world: Callable[..., Path], tmp_path: Path) -> None:
-    source = world(SMALL_FRONT, SMALL_REAR, seconds=0.8)
-    rear_first = ("--topic", "/rear:=/scan", "--topic", "/front:=/scan")
-    typed = converted(tmp_path, source, *rear_first, *MOVED, "--window", "60ms", "--min-height", "0.1")
-    assert [scan.stamp_ns for scan in typed.scans] == [BEGIN_NS + (37 + 100 * n) * 1_000_000 for n in range(7)]
-    assert (typed.topic("/front")["action"], typed.topic("/front")["joined"]["used"]) == ("joined", 7)
-    report = pc2scan.convert(
-        source, tmp_path / "python.mcap", window=0.06, **{**BOTH, "topics": ["/rear:=/scan", "/front:=/scan"]}
-    )
-    assert (tmp_path / "python.mcap").read_bytes() == (tmp_path / "out.mcap").read_bytes()
-    (front,) = (topic for topic in report.topics if topic.topic == "/front")
-    assert front.joined is not None
-    assert json_value(front.joined) == typed.topic("/front")["joined"]
 
 
 @pytest.mark.parametrize("options", sampled([row for (row,) in rows(TABLES, "options for any number of jobs")], 2))
@@ -233,15 +200,6 @@ def test_correct_options_draw_no_such_warning(
     for words in ("milliseconds", "no point is moved", "no effect"):
         assert words not in said.stderr
     assert "level by odom" in said.stdout or "--level" not in options
-
-
-@pytest.mark.parametrize("name", sampled(["every", "accumulate"], 1))
-def test_milliseconds_are_noticed_in_long_recordings(name: str, world: Callable[..., Path], tmp_path: Path) -> None:
-    source = world(replace(FRONT, columns=20, elevations=(0.0,)), seconds=40, odometry_hz=5)
-    said = converted(tmp_path, source, f"--{name}", "35", *ONE, *MOVED, *LOW).stderr
-    assert f"--{name} is 35 s, but messages of /front come every 0.1 s; if millisec" in said
-    assert f"--{name} 35ms" in said
-    assert "milliseconds" not in converted(tmp_path, source, f"--{name}", "20", *ONE, *MOVED, *LOW).stderr
 
 
 @pytest.mark.parametrize(("clock", "seconds", "status", "said"), rows(TABLES, "clocks that differ"))
@@ -309,28 +267,6 @@ def test_scans_exports_and_maps_are_those_of_the_conversion(
             after_map = pc2scan.map(converted, topics=topics, tf_from=source)
             assert direct_map.scans == after_map.scans
             assert direct_map.cells.tobytes() == after_map.cells.tobytes()
-
-
-def test_exports_and_maps_take_the_same_words(world: Callable[..., Path], tmp_path: Path) -> None:
-    source = world(SMALL_FRONT, SMALL_REAR, seconds=0.8)
-    options = (*NEAR, *LOW, "--window", "60ms")
-    for command in (("export", source, "-o", tmp_path / "s.npz"), ("map", source, "-o", tmp_path / "m.yaml")):
-        done = run(*command, *options)
-        assert done.status == 0, done.stderr
-        assert "/scan" in done.stdout
-        assert "1 scan on /scan has nothing of /rear" in done.stderr + done.stdout
-
-
-def test_a_dry_run_says_what_becomes_of_the_topics(world: Callable[..., Path]) -> None:
-    source = world(SMALL_FRONT, SMALL_REAR)
-    done = run("convert", source, "-n", *two_topics(), *MOVED, *LOW)
-    assert done.status == 0, done.stderr
-    lines = [line.split() for line in done.stdout.splitlines()]
-    assert ["/front", "/scan", "5", "5", "-", "converted"] in lines
-    assert ["/rear", "/scan", "4", "4", "-", "joined"] in lines
-    done = run("convert", source, "-n", *ONE, *MOVED, "--every", "0.7", *LOW)
-    (line,) = (line for line in done.stdout.splitlines() if line.startswith("/front "))
-    assert line.split()[2:4] in (["5", "2"], ["5", "3"])
 
 
 def test_a_file_of_several_outputs_may_join_sources(world: Callable[..., Path], tmp_path: Path) -> None:

@@ -49,8 +49,8 @@ def recorded(path: Path, clouds: int, size: int) -> Path:
 
 @pytest.fixture(scope="module")
 def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recording of some 30 MB, of which bzip2 has seconds of work."""
-    return recorded(tmp_path_factory.mktemp("large") / "drive.bag", 40, 60_000)
+    """A recording of some 12 MB, of which bzip2 has seconds of work."""
+    return recorded(tmp_path_factory.mktemp("large") / "drive.bag", 16, 60_000)
 
 
 @pytest.fixture(scope="module")
@@ -83,15 +83,15 @@ def ended(process: subprocess.Popen[str]) -> Finished:
 
 
 DESTINATIONS = {
-    "bag": ("out.bag", "--compression", "bz2"),
     "mcap": ("out.mcap", "--compression", "zstd", "--angle-increment", "0.00001"),
+    "bag": ("out.bag", "--compression", "bz2"),
     "sqlite3": ("out", "--storage", "sqlite3", "--compression", "zstd", "--angle-increment", "0.000004"),
 }
 ENDS = [(signal.SIGINT, INTERRUPTED), (signal.SIGTERM, (143,)), (signal.SIGHUP, (129,))]
-SIGNALS = list(product(DESTINATIONS, ENDS))
+SIGNALS = [("mcap", ENDS[0]), ("bag", ENDS[1]), ("sqlite3", ENDS[2])]
 
 
-@pytest.mark.parametrize(("kind", "sent"), sampled(SIGNALS, 2))
+@pytest.mark.parametrize(("kind", "sent"), sampled(SIGNALS, 1))
 def test_a_signal_leaves_nothing(kind: str, sent: tuple[int, tuple[int, ...]], large: Path, tmp_path: Path) -> None:
     name, *options = DESTINATIONS[kind]
     number, statuses = sent
@@ -162,29 +162,15 @@ def test_a_full_disk(kind: str, large: Path, small_disk: Path) -> None:
     assert list(small_disk.iterdir()) == []
 
 
-def test_a_full_disk_under_an_export(small_disk: Path) -> None:
-    """Scans that are shorter than what a file buffers: what could not be written is still there at the end."""
-    room = os.statvfs(small_disk)
-    (small_disk / "others").write_bytes(bytes(room.f_bavail * room.f_frsize - 8_192))
-    out = small_disk / "scans.npz"
-    done = run("export", ROOT / "fixtures" / "hall.bag", "-o", out, "--min-height=-1", "--angle-increment", "0.007")
-    assert done.status == 1, done.stderr
-    assert "Traceback" not in done.stderr
-    assert f"error: {out}" in done.stderr
-    assert "No space left" in done.stderr
-    assert [path.name for path in small_disk.iterdir()] == ["others"]
-
-
 #: What makes each result of `hall.bag` some 300 to 700 kB.
 FULL_OF_RESULTS: dict[str, tuple[str, ...]] = {
     "bag": ("--keep-clouds",),
     "mcap": ("--keep-clouds", "--to", "mcap", "--compression", "none"),
     "sqlite3": ("--keep-clouds", "--to", "rosbag2", "--storage", "sqlite3"),
-    "npz": ("--format", "npz", "--angle-increment", "0.0004"),
 }
 
 
-@pytest.mark.parametrize("kind", sampled(FULL_OF_RESULTS, 2))
+@pytest.mark.parametrize("kind", sampled(FULL_OF_RESULTS, 1))
 def test_a_full_disk_ends_a_batch(kind: str, small_disk: Path, tmp_path: Path) -> None:
     """Without room, all that follow would fail one after the other. With room, the same command converts them."""
     count = 4
@@ -193,16 +179,8 @@ def test_a_full_disk_ends_a_batch(kind: str, small_disk: Path, tmp_path: Path) -
         shutil.copyfile(ROOT / "fixtures" / "hall.bag", tmp_path / "in" / f"{number}.bag")
     out, others, report = small_disk / "out", small_disk / "others", tmp_path / "report.json"
     others.write_bytes(bytes(3_300_000))
-    words: list[str | Path] = [
-        "batch",
-        tmp_path / "in",
-        "-o",
-        out,
-        "--jobs",
-        "2",
-        "--min-height=-1",
-        *FULL_OF_RESULTS[kind],
-    ]
+    options = ("--jobs", "2", "--min-height=-1", *FULL_OF_RESULTS[kind])
+    words: list[str | Path] = ["batch", tmp_path / "in", "-o", out, *options]
     done = run_process(*words, "--report", report)
     assert (done.status, done.stdout) == (5, ""), done.stderr
     assert "failed" not in done.stderr
@@ -220,7 +198,7 @@ def test_a_full_disk_ends_a_batch(kind: str, small_disk: Path, tmp_path: Path) -
     assert done.status == 0, done.stderr
     unchanged = f"; {len(converted)} unchanged since" if converted else "\n"
     assert f"{count} recordings: {count} converted{unchanged}" in done.stdout
-    assert len(list(out.glob("?_scan*" if kind != "npz" else "?/scan.npz"))) == count
+    assert len(list(out.glob("?_scan*"))) == count
 
 
 def packed(folder: Path) -> Path:
@@ -256,39 +234,20 @@ def unsorted(folder: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize(
-    ("source", "options"),
-    sampled([(packed, ()), (with_log, ()), (unsorted, ())], 2),
-)
+@pytest.mark.parametrize("source", sampled([packed, with_log, unsorted], 1))
 def test_no_room_for_temporary_files(
-    source: Callable[[Path], Path],
-    options: tuple[str, ...],
-    small_disk: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    source: Callable[[Path], Path], small_disk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = source(tmp_path)
     before = sorted(tmp_path.iterdir())
     monkeypatch.setenv("TMPDIR", str(small_disk))
     # Python and SQLite look the folder up once in a process.
-    done = run_process("convert", path, "-o", tmp_path / "out.mcap", *options)
+    done = run_process("convert", path, "-o", tmp_path / "out.mcap")
     assert done.status == 1, done.stderr
     for words in (str(path), str(small_disk), "TMPDIR"):
         assert words in done.stderr
     assert list(small_disk.iterdir()) == []
     assert sorted(tmp_path.iterdir()) == before
-
-
-@pytest.mark.skipif(hasattr(os, "geteuid") and os.geteuid() == 0, reason="root may write anywhere")
-@pytest.mark.parametrize("name", ["out.bag", "out.mcap", "out"])
-def test_a_folder_that_may_not_be_written(name: str, many: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "locked"
-    folder.mkdir(mode=0o555)
-    done = run("convert", many, "-o", folder / name)
-    folder.chmod(0o755)
-    assert done.status == 1
-    assert "not writable" in done.stderr
-    assert list(folder.iterdir()) == []
 
 
 # --- What changes meanwhile ---
@@ -313,12 +272,6 @@ def failed(source: Path, destination: Path, meanwhile: Callable[[], object], **o
 def output(tmp_path: Path) -> Path:
     (tmp_path / "output").mkdir()
     return tmp_path / "output" / "out.bag"
-
-
-def test_a_folder_that_vanishes(many: Path, output: Path, tmp_path: Path) -> None:
-    failed(many, output, lambda: output.parent.rename(tmp_path / "elsewhere"))
-    assert not output.parent.exists()
-    assert not (tmp_path / "elsewhere" / output.name).exists()
 
 
 def overwritten(path: Path, *, set_back: bool) -> None:
@@ -351,29 +304,7 @@ def test_a_source_that_changes_while_it_is_read(change: str, many: Path, output:
     assert "drive.bag" in failed(source, output, lambda: CHANGES[change](source))
 
 
-def test_a_log_that_grows_while_its_database_is_read(many: Path, output: Path, tmp_path: Path) -> None:
-    assert run("repair", many, "-o", tmp_path / "drive", "--storage", "sqlite3").status == 0
-    source = tmp_path / "drive" / "drive_0.db3"
-
-    def record(recorder: sqlite3.Connection) -> None:
-        recorder.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES (1, 2, x'00')")
-        recorder.commit()
-
-    with closing(sqlite3.connect(source)) as recorder:
-        recorder.execute("PRAGMA journal_mode = WAL")
-        record(recorder)
-        assert "was changed while it was read" in failed(source, output, lambda: record(recorder))
-
-
-@pytest.mark.parametrize("name", ["metadata.yaml", "drive_0.mcap"])
-def test_a_directory_whose_file_is_written_over(name: str, many: Path, output: Path, tmp_path: Path) -> None:
-    source = tmp_path / "drive"
-    pc2scan.convert(many, source, compression="none", keep_clouds=True)
-    told = failed(source, output, lambda: overwritten(source / name, set_back=True), drop=["/scan"])
-    assert "drive: was changed while it was read" in told
-
-
-@pytest.mark.parametrize(("compression", "jobs"), sampled(product([None, "zstd"], [1, 2]), 3))
+@pytest.mark.parametrize(("compression", "jobs"), sampled(product([None, "zstd"], [1, 2]), 2))
 def test_a_source_that_is_cut_under_its_reader(
     compression: Any, jobs: int, large: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -415,7 +346,7 @@ def fifth(work: Callable[..., Any], happen: Callable[[], object]) -> Callable[..
 FAILING = list(product([RuntimeError, MemoryError, KeyboardInterrupt], [1, 4]))
 
 
-@pytest.mark.parametrize(("error", "jobs"), sampled(FAILING, 4))
+@pytest.mark.parametrize(("error", "jobs"), sampled(FAILING, 2))
 def test_a_worker_that_fails(
     error: type[BaseException], jobs: int, many: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -432,28 +363,6 @@ def test_a_worker_that_fails(
 
 
 # --- The moment of an interruption ---
-
-
-@pytest.mark.parametrize("module", sampled(["typer", "pc2scan.errors", "pc2scan.core.presets", "numpy"], 2))
-def test_an_interruption_while_modules_are_loaded(module: str, many: Path, tmp_path: Path) -> None:
-    """Quiet from the first modules on; what the interpreter itself loads before is not ours."""
-    command = [sys.executable, "-X", "importtime", *COMMAND[1:], "convert", str(many), "-o", str(tmp_path / "out.bag")]
-    loaded = re.compile(rf"import time:.*\b{re.escape(module)}$")
-    ours = False
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stderr is not None
-        for line in process.stderr:
-            # The line comes when the module has been loaded.
-            ours = ours or line.rstrip().endswith("pc2scan.cli")
-            if ours and loaded.match(line.rstrip()):
-                break
-        process.send_signal(signal.SIGINT)
-        done = ended(process)
-    assert ours
-    assert (done.status, done.stdout) == (130, ""), done.stderr
-    said = [line for line in done.stderr.splitlines() if not line.startswith("import time:")]
-    assert said in ([], ["interrupted: nothing was written"])
-    assert list(tmp_path.iterdir()) == []
 
 
 #: The command, in which SIGINT comes right behind a function's n-th call.
@@ -484,7 +393,7 @@ MOMENTS = [
 ]
 
 
-@pytest.mark.parametrize(("moment", "overwrite"), sampled(product(MOMENTS, [False, True]), 4))
+@pytest.mark.parametrize(("moment", "overwrite"), sampled(product(MOMENTS, [False, True]), 2))
 def test_an_interruption_says_what_was_written(
     moment: tuple[tuple[str, str, int], str, list[str]], overwrite: bool, tmp_path: Path
 ) -> None:

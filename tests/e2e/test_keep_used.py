@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 from contextlib import closing
 from itertools import product
 from pathlib import Path
@@ -15,16 +14,12 @@ import pytest
 import pc2scan
 from pc2scan.bags.mcap.write import McapWriter
 from pc2scan.bags.opening import open_recording
-from pc2scan.core.points import Points
-from pc2scan.errors import TopicError, UsageError
-from pc2scan.messages.clouds import CLOUDS
+from pc2scan.errors import UsageError
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.laserscan import decode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointCloud2, PointField, decode_pointcloud2, encode_pointcloud2
 from pc2scan.model import Connection, Definition
 from support import ROOT, sampled
-from support.builders import POINTS, Item, Recording, write_rosbag1
-from support.command import run
 from support.tables import rows
 
 TABLES = Path(__file__).with_name("keep_used.txt")
@@ -74,25 +69,6 @@ def assert_recorded(cloud: PointCloud2, used: PointCloud2) -> None:
     rows = {bytes(row) for row in np.frombuffer(cloud.data, np.uint8).reshape(-1, cloud.point_step)}
     own = np.frombuffer(used.data, np.uint8).reshape(-1, used.point_step)
     assert all(bytes(row[: cloud.point_step]) in rows for row in own)
-
-
-@pytest.mark.parametrize("row_step", [0, 12, 30_240])
-def test_packed_rows_are_read_whatever_row_step_says(row_step: int, tmp_path: Path) -> None:
-    report = ROOT / "fixtures" / "reports" / "row_step_of_a_driver.bag"
-    found = [(time, data) for time, _, data in messages(report, "/points")]
-
-    def results(row_step: int) -> list[Any]:
-        # point_step and row_step; the data have 30,240 bytes.
-        steps, said = (struct.pack("<III", 12, step, 30_240) for step in (30_240, row_step))
-        items = tuple(Item(POINTS, time, {1: data.replace(steps, said)}) for time, data in found)
-        source = write_rosbag1(tmp_path / f"{row_step}.bag", Recording((POINTS,), items))
-        converted = source.with_suffix(".mcap")
-        pc2scan.convert(source, converted, min_height=-0.3, keep_used="/used")
-        return [messages(converted, topic) for topic in ("/scan", "/used")]
-
-    right = results(360 * 12)
-    assert [len(each) for each in right] == [4, 4]
-    assert results(row_step) == right
 
 
 def test_deskewed_points_are_kept_as_they_were_recorded(tmp_path: Path) -> None:
@@ -148,50 +124,6 @@ def test_padding_byte_order_and_rows_stay(tmp_path: Path) -> None:
         connections = {connection.topic: connection for connection in reader.connections}
     assert connections["/used"].qos == connections["/scan"].qos
     assert connections["/used"].latching is connections["/scan"].latching is True
-
-
-def test_other_types_of_clouds_keep_their_fields(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    columns = {"x": np.array([1.0, 2.0, -1.0]), "y": np.array([0.01, 0.01, 2.0]), "z": np.full(3, 0.5)}
-    columns["ring"] = np.array([4, 5, 6], ">u2")
-    monkeypatch.setitem(CLOUDS, "toy_msgs/msg/Cloud", lambda _: lambda _: Points(0, T0, "toy", columns))
-    source = recorded(tmp_path / "a.mcap", b"1234", "toy_msgs/msg/Cloud")
-    pc2scan.convert(source, tmp_path / "b.mcap", keep_used="/used")
-    (used,) = clouds(tmp_path / "b.mcap", "/used")
-    assert (used.frame_id, used.stamp_ns) == ("toy", T0)
-    assert {name: used.field(name).reshape(-1).tolist() for name in ("ring", "x", "beam")} == {
-        "ring": [4, 6],
-        "x": [1.0, -1.0],
-        "beam": [180, 296],
-    }
-
-
-def test_each_output_has_its_own(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    scans: dict[str, Any] = {
-        "/scan": {"min_height": -0.4, "keep_used": "/u1"},
-        "/low": {"max_height": 0.2, "keep_used": "/u2"},
-    }
-    pc2scan.convert(HALL, path, scans=scans)
-    for target, own in scans.items():
-        alone = tmp_path / "alone.mcap"
-        pc2scan.convert(HALL, alone, topics=f"/points:={target}", overwrite=True, **own)
-        for topic in (target, str(own["keep_used"])):
-            assert messages(path, topic) == messages(alone, topic)
-
-
-def test_a_cloud_that_is_skipped_is_skipped_once(tmp_path: Path) -> None:
-    data = encode_pointcloud2(
-        serialization="cdr", sequence=0, stamp_ns=T0, frame_id="lidar", fields=[], point_step=4, data=b"1234"
-    )
-    words = ["convert", str(recorded(tmp_path / "a.mcap", data)), "-o", str(tmp_path / "b.mcap"), "--keep-used", "/u"]
-    done = run(*words)
-    assert "no field 'x'" in done.stderr
-    assert "more (" not in done.stderr
-
-
-def test_two_outputs_keep_points_on_topics_of_their_own(tmp_path: Path) -> None:
-    with pytest.raises(TopicError, match=r"/b .*and /a .*would both become /u|/a .*and /b .*would both become /u"):
-        pc2scan.convert(HALL, tmp_path / "a.mcap", scans={"/a": {"keep_used": "/u"}, "/b": {"keep_used": "/u"}})
 
 
 def test_scans_of_several_clouds_keep_no_points(tmp_path: Path) -> None:

@@ -65,7 +65,6 @@ SOURCES: dict[str, Callable[[Path], Path]] = {
     "mcap": lambda folder: write_mcap(folder / "drive.mcap", CROWDED),
     "mcap-ros1": lambda folder: write_mcap(folder / "drive.mcap", CROWDED, Mcap(ros_version=1, profile="ros1")),
 }
-STORAGES = ("sqlite3", "mcap")
 
 
 def topics_of(folder: Path) -> list[dict[str, Any]]:
@@ -140,18 +139,6 @@ def test_elsewhere_publishers_stay_apart(source: str, destination: str, tmp_path
     assert {name: names.count(name) for name in expected} == expected
 
 
-@pytest.mark.parametrize("storage", STORAGES)
-def test_added_transforms_are_one_more_publisher(storage: str, tmp_path: Path) -> None:
-    source = SOURCES["mcap"](tmp_path)
-    added = ("--static-tf", "base_link camera 0 0 1 0 0 0", "--write-static-tf", "--target-frame", "base_link")
-    done = run("convert", source, "-o", tmp_path / "out", "--storage", storage, *added)
-    assert done.status == 0, done.stderr
-    ((_, _, text),) = (row for row in storage_topics(tmp_path / "out") if row[0] == "/tf_static")
-    assert len(YAML(typ="safe").load(text)) == 4
-    assert {topic["name"]: topic["count"] for topic in topics_of(tmp_path / "out")}["/tf_static"] == 4
-    assert len(opened(tmp_path / "out").of("/tf_static")) == 4
-
-
 def large(folder: Path, *, shared: bool) -> Path:
     """Chunks that would be copied whole; in the middle, with ``shared``, a second node publishes too."""
     first, second, other = (Stream(name, "std_msgs/msg/String", node) for name, node in (
@@ -188,24 +175,6 @@ def test_chunks_that_are_copied_carry_the_shared_channel(shared: bool, tmp_path:
     assert summary.statistics.channel_message_counts[channel] == len(before.of("/notes"))
     with closing(open_recording(tmp_path / "out", strict=True)) as reader:
         assert len(list(reader.messages())) == len(after.messages)
-
-
-def test_a_recording_with_one_row_a_publisher_is_repaired(tmp_path: Path) -> None:
-    """As pc2scan itself once wrote them."""
-    source = SOURCES["mcap"](tmp_path)
-    assert run("convert", source, "-o", tmp_path / "old", "--storage", "sqlite3", "--keep-clouds").status == 0
-    (database,) = (tmp_path / "old").glob("*.db3")
-    with closing(sqlite3.connect(database)) as connection, connection:
-        connection.execute("INSERT INTO topics SELECT 99, name, type, serialization_format, offered_qos_profiles, "
-                           "type_description_hash FROM topics WHERE name = '/tf'")  # fmt: skip
-        connection.execute(
-            "UPDATE messages SET topic_id = 99 WHERE id % 2 = 0 AND topic_id = (SELECT min(id) FROM topics WHERE "
-            "name = '/tf')"
-        )
-    done = run("repair", tmp_path / "old", "-o", tmp_path / "new")
-    assert done.status == 0, done.stderr
-    assert {topic["name"]: topic["count"] for topic in topics_of(tmp_path / "new")}["/tf"] == len(CROWDED.of("/tf"))
-    assert [row[0] for row in storage_topics(tmp_path / "new")].count("/tf") == 1
 
 
 @needs_npm("@foxglove/rosbag2-web")

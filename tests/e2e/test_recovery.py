@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import sqlite3
-import subprocess
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from mcap.reader import make_reader
@@ -23,22 +21,11 @@ from pc2scan.conversion.run import run as repaired
 from pc2scan.conversion.run_files import OutputOptions
 from pc2scan.errors import RecordingError
 from pc2scan.request.options import ConvertOptions
-from support import RECORDINGS, needs_shared, sampled
-from support.builders import CONTENT, SOURCES, T0, Mcap, Recording, write_db3, write_mcap, write_rosbag2
+from support import sampled
+from support.builders import CONTENT, SOURCES, T0, Recording, write_db3
 from support.command import run
 from support.outputs import opened
 from support.rosbag1_files import ROS1, SCRIPT, ros1, ros1_missing
-
-if TYPE_CHECKING:
-    from mcap.records import Statistics
-
-MODULES = os.environ.get("PC2SCAN_NODE_MODULES", "")
-
-HAS_NPM_READER = shutil.which("node") is not None and all(
-    (Path(MODULES) / "@mcap" / name).is_dir() for name in ("core", "support")
-)
-NEEDS_NPM_READER = "needs node, and PC2SCAN_NODE_MODULES: a node_modules folder with @mcap/core and @mcap/support"
-needs_npm_reader = pytest.mark.skipif(not HAS_NPM_READER, reason=NEEDS_NPM_READER)
 
 
 @pytest.fixture(scope="module")
@@ -172,35 +159,6 @@ def everything(path: Path) -> dict[str, Any]:
         }  # fmt: skip
 
 
-def test_messages_that_are_only_declared_are_told(tmp_path: Path) -> None:
-    """Nothing else is wrong with it: only its statistics say that there was more."""
-    from support.mcap_files import altered_index, write
-
-    source = write(tmp_path / "drive.mcap", [(0, number, b"\0\1\0\0") for number in range(9)], topics=1)
-
-    def change(statistics: Statistics) -> None:
-        statistics.message_count = statistics.channel_message_counts[1] = 12
-
-    altered_index(source, "Statistics", change)
-    done = run("repair", source, "-o", tmp_path / "out.mcap", "--json")
-    assert done.status == 3
-    assert "declares 12 messages, 9 were found" in done.stderr
-    report = json.loads(done.stdout)
-    assert (report["messages_read"], report["messages_declared"]) == (9, 12)
-    assert report["damage"][0]["messages_lost"] == 3
-
-
-@pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
-def test_packed_messages_without_metadata_are_read(storage: str, recording: Recording, tmp_path: Path) -> None:
-    """A file taken out of a directory compressed message by message says nowhere that it is."""
-    folder = write_rosbag2(tmp_path / "drive", recording, storage=storage, mode="message")
-    plain, _ = read_all(folder)
-    alone = tmp_path / storage_file(folder).name
-    shutil.copyfile(storage_file(folder), alone)
-    rows, damage = read_all(alone)
-    assert (rows, damage) == (plain, 0)
-
-
 # --- Never fewer messages than others ---
 
 
@@ -249,34 +207,6 @@ def test_never_fewer_messages_than_rosbag_reindex(compression: str, tmp_path: Pa
     assert theirs[0] == len(rows)
     assert sum(theirs) > 2 * len(rows)
     assert_never_fewer(paths, theirs)
-
-
-def streamed(paths: list[Path]) -> list[int]:
-    script = Path(__file__).parents[1] / "bags" / "mcap_stream_count.mjs"
-    done = subprocess.run(["node", script, MODULES, *paths], capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == 0, done.stderr
-    found: list[int] = json.loads(done.stdout)
-    assert sum(found) > 0
-    return found
-
-
-@needs_npm_reader
-@pytest.mark.parametrize("name", ["none", "lz4", "zstd", "unchunked"])
-def test_never_fewer_messages_than_the_npm_reader(name: str, recording: Recording, tmp_path: Path) -> None:
-    form = Mcap(chunked=False) if name == "unchunked" else Mcap(compression=name)
-    data = write_mcap(tmp_path / "drive.mcap", recording, form).read_bytes()
-    paths = files_of(tmp_path, "drive.mcap", data, 20)
-    assert_never_fewer(paths, streamed(paths))
-
-
-@needs_shared
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["d435_depth.mcap", "ouster_os1_32.mcap", "luminar_highway.bag", "velodyne_vlp32.bag"])
-def test_real_recordings_give_no_fewer_messages_than_to_others(name: str, tmp_path: Path) -> None:
-    if name.endswith(".mcap") and not HAS_NPM_READER:
-        pytest.skip(NEEDS_NPM_READER)
-    paths = files_of(tmp_path, name, (RECORDINGS / name).read_bytes(), 3)
-    assert_never_fewer(paths, streamed(paths) if name.endswith(".mcap") else reindexed(paths))
 
 
 # --- What a recorder that died left beside a database ---
