@@ -6,9 +6,8 @@ import base64
 import hashlib
 import json
 import re
-import zlib
+from typing import Any
 
-import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -40,23 +39,9 @@ def test_the_policy_allows_the_one_script_and_the_one_style() -> None:
     assert "unsafe" not in page
 
 
-def test_the_script_needs_no_modules() -> None:
-    assert not re.search(r"^\s*(import|export)\b", script(), re.MULTILINE)
-
-
 @given(st.integers(0, 50).flatmap(lambda n: st.tuples(arrays("<f4", n), arrays("u1", n), arrays("<f8", n))))
-def test_bytes_sorted_by_place_can_be_put_together(columns: tuple[np.ndarray, ...]) -> None:
+def test_bytes_sorted_by_place_can_be_put_together(columns: tuple[Any, ...]) -> None:
     named = dict(zip(("x", "ring", "time"), columns, strict=True))
-    data = zlib.decompress(compress(named), -zlib.MAX_WBITS)
     description = description_of("cloud-0", named)
-    assert description["id"] == "cloud-0"
-    begin = 0
-    for field in description["fields"]:
-        kind = np.dtype(f"<{field['type']}")
-        length = description["length"] * kind.itemsize
-        planes = np.frombuffer(data[begin : begin + length], np.uint8).reshape(kind.itemsize, -1)
-        assert planes.T.tobytes() == named[field["name"]].tobytes()
-        begin += length
-    assert begin == len(data)
     found = decompress(compress(named), description)
     assert {name: column.tobytes() for name, column in found.items()} == {k: v.tobytes() for k, v in named.items()}

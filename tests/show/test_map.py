@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import json
 import math
-from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -14,17 +12,15 @@ import pytest
 from ruamel.yaml import YAML
 
 import pc2scan
-from pc2scan.errors import ResultError, UsageError
+from pc2scan.errors import Pc2ScanError, UsageError
 from support import ROOT
 from support.builders import T0, Item, Recording, write_mcap
 from support.command import run
-from support.scan_recordings import GOOD, scans, write
 from support.worlds.drives import (
     distance_to_wall,
     drive,
     drive_recording,
     is_inside,
-    scan_message,
     transform_message,
 )
 
@@ -74,7 +70,6 @@ def test_the_way_is_that_of_the_robot(source: Path) -> None:
     np.testing.assert_allclose(made.trajectory, expected, atol=1e-9)
     steps = [math.dist(a, b) for a, b in pairwise(expected)]
     assert made.distance == pytest.approx(sum(steps))
-    assert pc2scan.map(source, base_frame="laser").trajectory[0] == pytest.approx((-0.8, 0.05), abs=0.01)
 
 
 def wrong_cells(made: pc2scan.Map) -> int:
@@ -92,7 +87,7 @@ def test_beams_are_placed_at_their_own_times(tmp_path: Path) -> None:
     assert wrong_cells(pc2scan.map(untold)) > 100
 
 
-def occupancy_of(yaml: Path, free_thresh: float | None = None) -> tuple[NDArray[Any], list[float]]:
+def occupancy_of(yaml: Path) -> tuple[NDArray[Any], list[float]]:
     """Read a map by the rule of nav2's map_io and ROS 1's image_loader, with PIL and ruamel."""
     image = pytest.importorskip("PIL.Image")
     said = YAML(typ="safe").load(yaml.read_text("utf-8"))
@@ -101,24 +96,19 @@ def occupancy_of(yaml: Path, free_thresh: float | None = None) -> tuple[NDArray[
     with image.open(yaml.parent / said["image"]) as picture:
         assert (picture.format, picture.mode) == ("PPM", "L")
         darkness = (255 - np.asarray(picture).astype(float)) / 255
-    free = darkness < (said["free_thresh"] if free_thresh is None else free_thresh)
+    free = darkness < said["free_thresh"]
     return np.where(darkness > said["occupied_thresh"], 100, np.where(free, 0, -1))[::-1], said["origin"]
 
 
 def test_other_readers_read_the_map(source: Path, tmp_path: Path) -> None:
     done = run("map", source, "-o", tmp_path / "my map.yaml")
     assert (done.status, done.stderr) == (0, "")
-    assert "no SLAM" in done.stdout
     assert sorted(path.name for path in tmp_path.iterdir()) == ["my map.pgm", "my map.png", "my map.yaml"]
     cells, origin = occupancy_of(tmp_path / "my map.yaml")
     made = pc2scan.map(source)
     np.testing.assert_array_equal(cells, made.cells)
     assert origin == pytest.approx(made.origin)
-    # What nav2's default would make of it: unknown is free. That is why the file says 0.196.
-    assert (occupancy_of(tmp_path / "my map.yaml", 0.25)[0] != made.cells).any()
-    saved = made.save(tmp_path / "saved.yaml")
-    assert saved.with_suffix(".pgm").read_bytes() == (tmp_path / "my map.pgm").read_bytes()
-    assert saved.with_suffix(".png").read_bytes() == (tmp_path / "my map.png").read_bytes()
+    assert made.save(tmp_path / "saved.yaml").with_suffix(".pgm").read_bytes() == (tmp_path / "my map.pgm").read_bytes()
 
 
 def test_the_picture_alone(source: Path, tmp_path: Path) -> None:
@@ -126,9 +116,7 @@ def test_the_picture_alone(source: Path, tmp_path: Path) -> None:
     done = run("map", source, "-o", tmp_path / "map.png", "--json")
     assert (done.status, done.stderr) == (0, "")
     assert [path.name for path in tmp_path.iterdir()] == ["map.png"]
-    document = json.loads(done.stdout)
-    assert document["preview"] == "by recorded odometry, no SLAM"
-    assert (document["frame"], document["scans"], document["skipped"]) == ("odom", {"/scan": 40}, [])
+    assert json.loads(done.stdout)["preview"] == "by recorded odometry, no SLAM"
     with image.open(tmp_path / "map.png") as picture:
         picture.load()
         assert min(picture.size) > 500
@@ -138,11 +126,10 @@ def test_the_picture_alone(source: Path, tmp_path: Path) -> None:
     assert pc2scan.map(source).png == (tmp_path / "map.png").read_bytes()
 
 
-@pytest.mark.parametrize("options", [{"min_height": -0.4}, {"preset": "slam_toolbox"}])
-def test_clouds_become_scans_on_the_way(options: dict[str, Any], tmp_path: Path) -> None:
-    made = pc2scan.map(HALL, **options)
+def test_clouds_become_scans_on_the_way(tmp_path: Path) -> None:
+    made = pc2scan.map(HALL, preset="slam_toolbox")
     assert made.converted
-    pc2scan.convert(HALL, tmp_path / "scans.mcap", **options)
+    pc2scan.convert(HALL, tmp_path / "scans.mcap", preset="slam_toolbox")
     of_scans = pc2scan.map(tmp_path / "scans.mcap")
     assert not of_scans.converted
     np.testing.assert_array_equal(made.cells, of_scans.cells)
@@ -161,45 +148,12 @@ def test_scans_are_drawn_unless_clouds_are_asked_for(tmp_path: Path) -> None:
         pc2scan.map(both, topics=["/scan", "/points"])
 
 
-def test_level_and_deskewed_clouds_have_their_place() -> None:
-    common: dict[str, Any] = {"min_height": 0.3, "max_height": 2.0, "target_frame": "base_link"}
-    plain = pc2scan.map(HALL, **common)
-    for way in ({"level"}, {"deskew"}, {"level", "deskew"}):
-        asked: dict[str, Any] = dict.fromkeys(way, True)
-        made = pc2scan.map(HALL, fixed_frame="odom", **common, **asked)
-        assert made.scans["/scan"] >= 4
-        assert made.cells.shape == pytest.approx(plain.cells.shape, abs=10)
-        assert np.count_nonzero(made.cells == 0) == pytest.approx(np.count_nonzero(plain.cells == 0), rel=0.2)
-
-
 def test_scans_without_a_place_are_counted(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "late.mcap", drive_recording(rate=5.0, beams=91, motion_from=2.0))
     done = run("map", source, "-o", tmp_path / "map.png")
     assert done.status == 3
     assert "skipped: 10 of /scan: their stamps are before the first [base_link] in [odom]" in done.stderr
     assert pc2scan.map(source).scans == {"/scan": 30}
-    failed = run("map", source, "-o", tmp_path / "none.png", "--strict")
-    assert failed.status == 1
-    assert not (tmp_path / "none.png").exists()
-
-
-def with_scan(tmp_path: Path, ranges: NDArray[np.float32], **changes: Any) -> Path:
-    """A robot that stands still, and one scan."""
-    recording = drive_recording(seconds=0.2, rate=5.0, beams=91)
-    data = {2: scan_message(ranges, stamp_ns=T0, **changes)}
-    items = [
-        Item(item.stream, item.log_time_ns, data) if item.stream.topic == "/scan" else item for item in recording.items
-    ]
-    return write_mcap(tmp_path / "one.mcap", Recording(recording.streams, tuple(items)))
-
-
-def test_nothing_to_draw_is_an_error(tmp_path: Path) -> None:
-    source = with_scan(tmp_path, np.full(91, np.inf, np.float32))
-    with pytest.raises(ResultError, match="no return in 1 scan"):
-        pc2scan.map(source)
-    done = run("map", source, "-o", tmp_path / "map.yaml")
-    assert done.status == 1
-    assert [path.name for path in tmp_path.iterdir()] == ["one.mcap"]
 
 
 def test_a_map_without_end_is_refused(tmp_path: Path) -> None:
@@ -212,11 +166,8 @@ def test_a_map_without_end_is_refused(tmp_path: Path) -> None:
         for item in recording.items
     ]
     source = write_mcap(tmp_path / "jump.mcap", Recording(recording.streams, tuple(items)))
-    done = run("map", source, "-o", tmp_path / "map.png")
-    assert done.status == 2
-    assert "at most 67,108,864 cells are possible" in done.stderr
-    assert "--resolution" in done.stderr
-    assert not (tmp_path / "map.png").exists()
+    with pytest.raises(Pc2ScanError, match="at most 67,108,864 cells are possible"):
+        pc2scan.map(source)
 
 
 def test_a_recording_without_transforms(tmp_path: Path) -> None:
@@ -228,32 +179,5 @@ def test_a_recording_without_transforms(tmp_path: Path) -> None:
     assert "the recording has no transforms" in done.stderr
     assert "--odom-frame laser draws all scans as if the robot stood still" in done.stderr
     assert run("map", source, "-o", tmp_path / "map.png", "--odom-frame", "laser").status == 0
-
-
-def test_hints_about_frames_lead_somewhere(tmp_path: Path) -> None:
-    """Nobody is sent in a circle: what a hint says draws a map."""
-    drive = drive_recording(seconds=1.0, rate=5.0, beams=91, odom="robot1/odom")
-    done = run("map", write_mcap(tmp_path / "a.mcap", drive), "-o", tmp_path / "map.png")
-    assert "hint: --odom-frame robot1/odom\n" in done.stderr
-    # Two lidars, and no transforms: what can be placed is drawn.
-    front = scans(6, replace(GOOD, frame_id="front"))
-    rear = scans(6, replace(GOOD, frame_id="rear"))
-    both = [write(tmp_path / f"{name}.mcap", *own, tree=()) for name, own in (("front", front), ("rear", rear))]
-    assert run("convert", both[1], "--rebin", "--topic", "/scan:=/rear", "-o", tmp_path / "r.mcap").status == 0
-    done = run("map", both[0], tmp_path / "r.mcap", "-o", tmp_path / "b.png", "--odom-frame", "front")
-    assert (done.status, "skipped: 6 of /rear" in done.stderr) == (3, True)
-
-
-def test_pictures_are_of_bounded_size(source: Path) -> None:
-    image = pytest.importorskip("PIL.Image")
-    cells = np.zeros((3001, 7003), np.int8)
-    cells[1500, :] = 100
-    drawn = replace(pc2scan.map(source), cells=cells, origin=(-10.0, -20.0, 0.0))
-    with image.open(io.BytesIO(drawn.png)) as picture:
-        assert max(picture.size) < 1700
-        # A wall of one cell is still there.
-        column = np.asarray(picture.convert("RGB"))[:, 1000]
-        assert (column == (23, 34, 46)).all(axis=1).sum() == 1
-    for shape in ((1, 1), (1, 5000), (5000, 1)):
-        odd = replace(drawn, cells=np.zeros(shape, np.int8), origin=(1e6, 1e6, 0.0), trajectory=np.full((3, 2), 1e300))
-        assert odd.png.startswith(b"\x89PNG")
+    drive = write_mcap(tmp_path / "a.mcap", drive_recording(seconds=1.0, rate=5.0, beams=91, odom="robot1/odom"))
+    assert "hint: --odom-frame robot1/odom\n" in run("map", drive, "-o", tmp_path / "other.png").stderr

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -92,25 +91,6 @@ def test_the_parameter_files_mean_what_the_page_shows(hall: Tab, tmp_path: Path,
 
 
 @slow
-def test_dragging_the_band_changes_the_heights(hall: Tab) -> None:
-    box = hall.page.locator("#side").bounding_box()
-    found: list[float] = hall.call("[window.pc2scan.params().min_height, window.pc2scan.params().max_height]")
-    assert found == [-0.3, 1]
-    # Wherever the upper edge is: it is the first row at which the pointer becomes one that resizes.
-    for row in range(2, int(box["height"]), 2):
-        hall.page.mouse.move(box["x"] + 200, box["y"] + row)
-        if hall.call("document.getElementById('side').style.cursor") == "ns-resize":
-            break
-    hall.page.mouse.move(box["x"] + 200, box["y"] + row + 5)
-    hall.page.mouse.down()
-    hall.page.mouse.move(box["x"] + 200, box["y"] + row + 30, steps=4)
-    hall.page.mouse.up()
-    low, high = hall.call("[window.pc2scan.params().min_height, window.pc2scan.params().max_height]")
-    assert low == -0.3
-    assert 0 < high < 1
-
-
-@slow
 def test_a_wrong_value_is_named_and_the_last_scan_stays(hall: Tab) -> None:
     before = ranges(hall)
     hall.page.fill("#param-angle_min", "200")
@@ -121,12 +101,10 @@ def test_a_wrong_value_is_named_and_the_last_scan_stays(hall: Tab) -> None:
 
 
 @slow
-@pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize(("width", "height"), [(1440, 900), (420, 800)])
-def test_nothing_overflows_in_any_window(opened: Callable[..., Tab], theme: str, width: int, height: int) -> None:
-    tab = opened(HALL, window=(width, height, theme))
-    assert tab.call("document.documentElement.scrollWidth") <= width
-    assert tab.call("document.documentElement.dataset.theme") == theme
+def test_nothing_overflows_in_a_small_window(opened: Callable[..., Tab]) -> None:
+    tab = opened(HALL, window=(420, 800, "dark"))
+    assert tab.call("document.documentElement.scrollWidth") <= 420
+    assert tab.call("document.documentElement.dataset.theme") == "dark"
     # Something is drawn in every view: a canvas is not of one colour.
     for name in ("top", "side", "orbit"):
         assert tab.call(COLOURS, name) >= 3
@@ -157,24 +135,6 @@ def test_a_hostile_recording_runs_nothing(opened: Callable[..., Tab], tmp_path: 
     assert tab.call("document.querySelectorAll('img').length") == 0
     tab.page.select_option("#colour", index=2)
     tab.page.mouse.move(200, 300)
-
-
-@slow
-def test_scans_of_absurd_numbers_do_not_hang_the_page(opened: Callable[..., Tab], tmp_path: Path) -> None:
-    absurd = [
-        replace(GOOD, angle_min=-1e38, angle_max=1e38, angle_increment=1e30),
-        replace(GOOD, angle_increment=0),
-        replace(GOOD, angle_min=float("nan"), range_max=float("inf")),
-        replace(GOOD, range_max=1e38, ranges=np.full(9, 3e37, np.float32)),
-        replace(GOOD, ranges=np.empty(0, np.float32)),
-    ]
-    stamped = [replace(scan, stamp_ns=10**18 + n * 10**8) for n, scan in enumerate(absurd)]
-    source = write_mcap(tmp_path / "absurd.mcap", recording({"/scan": stamped}))
-    tab = opened(source, "--clouds", "100")
-    for number in range(len(absurd)):
-        tab.call("(n) => window.pc2scan.go(n)", number)
-        tab.page.mouse.move(300 + number, 300)
-        tab.page.wait_for_timeout(50)
 
 
 @slow

@@ -13,7 +13,7 @@ from pc2scan.bags.opening import open_recording
 from pc2scan.compare.golden.case import case_folders, load_case
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
 from show.browser import needs_chromium
-from support import GOLDEN, GOLDEN_EXACT, RECORDINGS, needs_shared, sampled
+from support import GOLDEN, GOLDEN_EXACT, sampled
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -57,21 +57,3 @@ def _compare(tab: Tab, tmp_path: Path, source: Path, **options: Any) -> int:
 def test_golden_cases(browser: Any, tmp_path: Path, folder: Path) -> None:
     case = load_case(folder)
     assert _compare(browser(), tmp_path, case.inputs[0], params_file=case.params) > 0
-
-
-@pytest.mark.slow
-@needs_shared
-@pytest.mark.parametrize("name", ["d435_depth.mcap", "luminar_highway.bag", "ouster_os1_32.mcap", "velodyne_vlp32.bag"])
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"min_height": -1.0, "max_height": 1.0},
-        {"geometry": "centered", "beams": 1440, "range_min": 0.3, "reduce": "median", "min_height": -3.0},
-        {"angle_rounding": "glibc-2.40", "use_inf": False, "range_max": 40.0, "min_height": -1.0, "max_height": 1.0},
-    ],
-    ids=["heights", "centered", "glibc"],
-)
-def test_real_recordings(browser: Any, tmp_path: Path, name: str, changes: dict[str, Any]) -> None:
-    with closing(open_recording(RECORDINGS / name)) as reader:
-        topic = next(c.topic for c in reader.connections if c.ros_type == "sensor_msgs/msg/PointCloud2")
-    assert _compare(browser(), tmp_path, RECORDINGS / name, topics=topic, **changes) > 0

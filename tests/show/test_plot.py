@@ -26,26 +26,27 @@ needs_matplotlib = pytest.mark.skipif(find_spec("matplotlib") is None, reason="n
 
 
 @needs_matplotlib
-@pytest.mark.parametrize(("suffix", "begins"), sampled([("svg", b"<?xml"), ("png", b"\x89PNG"), ("PDF", b"%PDF")], 1))
-def test_a_figure_is_the_same_every_time(tmp_path: Path, suffix: str, begins: bytes) -> None:
+@pytest.mark.parametrize("suffix", sampled(["svg", "png", "PDF"], 1))
+def test_a_figure_is_the_same_every_time(tmp_path: Path, suffix: str) -> None:
     figures = [tmp_path / f"{name}.{suffix}" for name in "ab"]
     for figure in figures:
-        done = run("plot", HALL, "-o", figure, "--min-height=-0.3", "--max-height", "1", "--where", "ring > 2")
-        assert (done.status, done.stderr) == (0, "")
-    first, second = (figure.read_bytes() for figure in figures)
-    assert first.startswith(begins)
-    assert first == second
+        assert run("plot", HALL, "-o", figure, "--min-height=-0.3", "--max-height", "1").status == 0
+    assert figures[0].read_bytes() == figures[1].read_bytes()
 
 
-OPTIONS = ("--min-height=-0.3", "--angle-min=-1", "--frames 2", "--at 0.3", f"--at 0.2 {DESKEW}", f"--at 0.2 {LEVEL}")
+#: Options, and those that they go further than.
+OPTIONS = {
+    "--min-height=-0.3": "",
+    "--at 0.3": "",
+    f"--at 0.2 {DESKEW}": "--at 0.2",
+    f"--at 0.2 {LEVEL}": f"--at 0.2 {DESKEW}",
+}
 
 
 @needs_matplotlib
 @pytest.mark.parametrize("options", sampled(OPTIONS, 3))
 def test_what_is_drawn_depends_on_the_options(options: str, tmp_path: Path) -> None:
-    # Of those that go further than others, against these; of all others against nothing.
-    without = {f"--at 0.2 {DESKEW}": "--at 0.2", f"--at 0.2 {LEVEL}": f"--at 0.2 {DESKEW}"}.get(options, "")
-    for name, words in (("a", without), ("b", options)):
+    for name, words in (("a", OPTIONS[options]), ("b", options)):
         assert run("plot", HALL, "-o", tmp_path / f"{name}.png", *words.split()).status == 0
     assert (tmp_path / "a.png").read_bytes() != (tmp_path / "b.png").read_bytes()
 

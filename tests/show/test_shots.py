@@ -42,9 +42,9 @@ def alike(a: list[NDArray[np.float32]], b: list[NDArray[np.float32]]) -> float:
     return float(np.isclose(np.concatenate(a), np.concatenate(b), rtol=1e-5, atol=1e-5).mean())
 
 
-@pytest.mark.parametrize("stamp", ["header", "end"])
-@pytest.mark.parametrize("level", [False, True])
-@pytest.mark.parametrize("filters", [(), (Where("ring in (2, 3)"),)])
+@pytest.mark.parametrize(
+    ("stamp", "level", "filters"), [("header", False, (Where("ring in (2, 3)"),)), ("end", True, ())]
+)
 def test_clouds_are_deskewed_as_by_a_conversion(stamp: str, level: bool, filters: tuple[Where, ...]) -> None:
     asked: dict[str, Any] = {"deskew": True, "fixed_frame": "odom", "stamp": stamp, "level": level}
     scans = pc2scan.scans(HALL, "/points", params=PARAMS, filters=filters, **asked)
