@@ -11,7 +11,7 @@ import pytest
 
 from pc2scan.advice import measurements as measure_module
 from pc2scan.advice.measurements import ask_measurements, measure
-from pc2scan.advice.survey import Fact, Span, Survey
+from pc2scan.advice.survey import Span, Survey
 from pc2scan.bags.opening import open_recording
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import ParameterError
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pc2scan.advice.measurements import Measurements
-    from pc2scan.core.points import Points
-    from pc2scan.model import RawMessage
 
 TURN = 2 * math.pi
 NAMES = ("x", "y", "z", "time")
@@ -84,38 +82,6 @@ def test_each_topic_has_its_own_scan_time(tmp_path: Path) -> None:
     ]
 
 
-def test_a_fact_is_observed_once_and_each_reader_has_as_many_as_it_wants(tmp_path: Path) -> None:
-    taken: list[int] = []
-
-    def stamp(points: Points, _: RawMessage, offset_ns: int) -> int:
-        taken.append(points.stamp_ns)
-        return points.stamp_ns - offset_ns
-
-    stamps = [T0 + n * SECOND // 10 for n in range(8)]
-    clouds = Recording((FRONT,), tuple(recorded(FRONT, stamps, turning(columns=8), NAMES)))
-    reader = open_recording(write_mcap(tmp_path / "drive.mcap", clouds))
-    survey = Survey(reader, [], FrameOptions(), Span(None, None, 0))
-    facts = survey.facts(list(reader.connections))
-    few, many, other = Fact(stamp, 2, (T0,)), Fact(stamp, 5, (T0,)), Fact(stamp, 3, (0,))
-    for fact in (few, many, other):
-        facts.ask(fact)
-    survey.read()
-    reader.close()
-    assert [len(facts.found(fact)) for fact in (few, many, other)] == [2, 5, 3]
-    assert (facts.found(few), facts.found(other)) == ([0, SECOND // 10], stamps[:3])
-    assert len(taken) == 8
-    with pytest.raises(LookupError, match="nobody asked for"):
-        facts.found(Fact(stamp, 2, (1,)))
-    with pytest.raises(LookupError, match="nobody asked for"):
-        _ = facts.headers
-
-
-def test_one_cloud_has_no_interval(tmp_path: Path) -> None:
-    timings, notes = measured(tmp_path, recorded(FRONT, [T0], turning(), NAMES), ProjectionParams(scan_time="auto"))
-    assert timings["/front"].scan_time == 0
-    assert notes == ["/front: scan_time is 0, because there are no two different stamps to measure it between"]
-
-
 def test_only_the_first_clouds_within_the_cut_are_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(measure_module, "STAMPS", 5)
     intervals = [3] * 4 + [1] * 4 + [2] * 8
@@ -163,29 +129,6 @@ def test_beams_are_timed_in_the_scans_frame(tmp_path: Path) -> None:
     assert "`angle_min=1.7" in notes[1]
 
 
-@pytest.mark.parametrize(
-    ("names", "note"),
-    [
-        (("x", "y", "z", "intensity"), "the clouds have no field t, time, timestamp, time_stamp, offset_time"),
-        (("x", "y", "z", "t"), "the times of points (t) are not of a turning lidar"),
-    ],
-)
-def test_without_times_there_is_no_time_increment(tmp_path: Path, names: tuple[str, ...], note: str) -> None:
-    points = turning()
-    points[:, 3] = 0
-    timings, notes = measured(tmp_path, recorded(FRONT, [T0], points, names), AUTO)
-    assert timings["/front"].time_increment == 0
-    assert notes[1] == f"/front: time_increment is 0, because {note}"
-
-
-def test_clouds_that_cannot_be_used_are_passed_over(tmp_path: Path) -> None:
-    good = recorded(FRONT, [T0 + n * SECOND for n in range(3)], turning(), NAMES)
-    bad = item(FRONT, T0 + 5, lambda g, s: cloud(turning(), g, seq=s, stamp_ns=T0 + 5, names=NAMES, cut=7))
-    params = ProjectionParams(geometry="centered", angle_min=0.5, angle_max=0.5 + TURN, time_increment="auto")
-    timings, _ = measured(tmp_path, [*good, bad], params)
-    assert timings["/front"].time_increment < 0
-
-
 def test_a_missing_field_is_refused_with_those_there_are(tmp_path: Path) -> None:
     items = recorded(FRONT, [T0], turning(), NAMES)
     with pytest.raises(ParameterError) as caught:
@@ -218,25 +161,9 @@ def test_each_topic_has_the_beams_of_its_lidar(tmp_path: Path) -> None:
     ]
 
 
-def test_the_resolution_is_that_around_the_sensor(tmp_path: Path) -> None:
-    builder = TransformBuilder()
-    builder.add([("base", "lidar", T0, 3.0, 1.0, 0.5, 0.0, 0.0, 0.6, 0.8)], static=True)
-    placer = Placer("base", "lidar", builder.build(), 0)
-    params = ProjectionParams(beams="auto", time_increment="auto", geometry="centered")
-    found, notes = measured(tmp_path, recorded(FRONT, [T0], rings(900), RINGS), params, placer)
-    assert TURN / found["/front"].azimuth_step == pytest.approx(900, rel=1e-3)
-    assert notes[1].startswith("/front: time_increment is 0")
-
-
 def test_clouds_without_rings_are_refused(tmp_path: Path) -> None:
     points = np.random.default_rng(3).normal(0, 5, (5000, 3)).astype(np.float32)
     items = recorded(FRONT, [T0, T0 + SECOND], points, ("x", "y", "z"))
     with pytest.raises(ParameterError, match="of 2 of the first 2 are in no regular rings") as caught:
         measured(tmp_path, items, ProjectionParams(beams="auto"))
     assert (caught.value.name, "`angle_increment`" in (caught.value.hint or "")) == ("beams", True)
-
-
-def test_no_clouds_have_no_resolution(tmp_path: Path) -> None:
-    items = recorded(FRONT, [T0], rings(90), RINGS)
-    found, notes = measured(tmp_path, items, ProjectionParams(beams="auto"), start_ns=T0 + SECOND)
-    assert (found["/front"].azimuth_step, notes) == (0, [])

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 DRIVES = {
     "weaving": Weaving(),
-    "weaving slowly": Weaving(hertz=0.1),
     "tilting": Weaving(tilt=0.05),
     "circle": Drive(speed=0.5),
     "straight": Drive(turn=0.0),
@@ -56,7 +55,7 @@ def test_sound_odometry_is_not_doubted(drive: str, lidars: str, fault: str, tmp_
         assert warnings(source, LIDARS[lidars], deskew=False) == []
 
 
-@pytest.mark.parametrize("late", [-0.1, -0.03, 0.03, 0.1])
+@pytest.mark.parametrize("late", [-0.1, 0.03])
 def test_odometry_that_lags_is_said_with_its_lag(late: float, tmp_path: Path) -> None:
     source = write_weaving(tmp_path / "drive.mcap", fault=Fault(late=late))
     (text,) = warnings(source, [RINGS])
@@ -85,11 +84,10 @@ def driven(seed: int, *, wheels: bool) -> list[Rigid]:
     return poses
 
 
-def direction(poses: Sequence[Rigid], parent: str = "odom", child: str = "base_link", every: str = "1 s") -> Odometry:
-    """Which way round poses are, twenty a second: each second is read, or one of six."""
+def direction(poses: Sequence[Rigid], parent: str = "odom", child: str = "base_link") -> Odometry:
+    """Which way round poses are, twenty a second."""
     builder = TransformBuilder()
-    read = [number for number in range(len(poses)) if number % (20 if every == "1 s" else 120) < 20]
-    builder.add([(parent, child, number * 50_000_000, *poses[number].pose) for number in read], static=False)
+    builder.add([(parent, child, n * 50_000_000, *pose.pose) for n, pose in enumerate(poses)], static=False)
     builder.add([("base_link", "lidar", 0, 0.3, 0.2, 0.5, 0, 0, 1, 0)], static=True)
     return odometry_of(builder.build(), "odom", "lidar")
 
@@ -99,7 +97,7 @@ SWAPPED = {"parent": "base_link", "child": "odom"}
 
 def test_the_way_of_a_robot_tells_which_way_round_its_odometry_is() -> None:
     told = 0
-    for seed in range(40):
+    for seed in range(8):
         poses = driven(seed, wheels=True)
         inverse = [pose.inverse() for pose in poses]
         found = [direction(poses), direction(inverse), direction(poses, **SWAPPED), direction(inverse, **SWAPPED)]
@@ -113,22 +111,10 @@ def test_the_way_of_a_robot_tells_which_way_round_its_odometry_is() -> None:
         assert verdicts == [("", True), ("sideways", False), ("sideways", False), ("", True)]
         assert [bool(each.doubt) for each in found] == [False, True, True, False]
         told += 1
-    assert told >= 30
+    assert told >= 6
 
 
-def test_seconds_that_are_spread_over_a_drive_tell_the_same() -> None:
-    """As `info` reads them; from one to the next the robot may have driven anywhere."""
-    told = 0
-    for seed in range(40):
-        poses = driven(seed, wheels=True)
-        right = direction(poses, every="6 s")
-        wrong = direction([pose.inverse() for pose in poses], every="6 s")
-        assert (right.way, wrong.is_sound) == ("", False)
-        told += right.is_sound and wrong.way == "sideways"
-    assert told >= 30
-
-
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(3))
 def test_a_robot_that_goes_to_any_side_may_be_either_way_round(seed: int) -> None:
     poses = driven(seed, wheels=False)
     for each in (poses, [pose.inverse() for pose in poses]):
@@ -146,20 +132,7 @@ def test_a_way_that_is_straight_or_short_tells_nothing(way: tuple[float, float],
         assert direction([pose.inverse() for pose in poses]).doubt == ""
 
 
-def test_a_second_with_a_single_cloud_may_show_too_little(tmp_path: Path) -> None:
-    """A lidar that takes nearly a second for a turn."""
-    slow = [replace(RINGS, period=0.9, columns=3000, latency=-0.8)]
-    source = write_weaving(tmp_path / "drive.mcap", slow)
-    assert warnings(source, slow) == []
-
-
-def test_warnings_do_not_depend_on_the_number_of_threads(tmp_path: Path) -> None:
-    source = write_weaving(tmp_path / "drive.mcap", fault=Fault(late=0.06))
-    assert warnings(source, [RINGS], jobs=4) == warnings(source, [RINGS])
-
-
-@pytest.mark.parametrize("clock", [-0.06, 0.03])
-@pytest.mark.parametrize("deskew", [True, False])
+@pytest.mark.parametrize(("clock", "deskew"), [(-0.06, True), (0.03, False)])
 def test_clocks_of_two_lidars_that_differ_are_said(clock: float, deskew: bool, tmp_path: Path) -> None:
     lidars = [RINGS, replace(REAR, clock=clock)]
     source = write_weaving(tmp_path / "drive.mcap", lidars)

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 
 from pc2scan.core.beam_filters import shadows, speckles_by_distance, speckles_by_neighbors, veiled_beams
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 F = np.float32
 
@@ -183,21 +180,3 @@ def test_speckles_are_those_of_laser_filters(kind: str, most: float, difference:
         np.testing.assert_array_equal(found, expected)
         removed += int(found.sum())
     assert removed > 10
-
-
-def test_a_full_circle_has_no_end() -> None:
-    """Whatever beam comes first, the same beams are removed."""
-    ranges = scans()[2]
-    step = 2 * math.pi / ranges.size
-    limits: dict[str, Any] = {"max_range": 9.0, "max_range_difference": 0.1, "filter_window": 3}
-    filters: list[Callable[[Any], Any]] = [
-        lambda r: veiled_beams(r, step, closed=True),
-        lambda r: shadows(r, step, min_angle=10, max_angle=170, window=2, neighbors=7, closed=True),
-        lambda r: speckles_by_distance(r, closed=True, **limits),
-        lambda r: speckles_by_neighbors(r, step, closed=True, **limits),
-    ]
-    for chosen in filters:
-        found = chosen(ranges)
-        assert found.any()
-        for turn in (1, 100, 359):
-            np.testing.assert_array_equal(chosen(np.roll(ranges, turn)), np.roll(found, turn))

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from pc2scan.core.consumers import CONSUMERS, expected_by_karto, judge, last_beam
 from pc2scan.core.params import ProjectionParams
-from pc2scan.core.verdicts import OUTCOMES, ConsumerScan, ScanTransforms, Verdict
+from pc2scan.core.verdicts import ConsumerScan, ScanTransforms, Verdict
 from support.consumer_rules import RULES, number_of_range_readings
 from support.tables import rows
 
@@ -43,11 +43,6 @@ def upstream(**params: float) -> ConsumerScan:
 def pair(field: float, increment: float) -> ConsumerScan:
     half = math.radians(field) / 2
     return upstream(angle_min=-half, angle_max=half, angle_increment=math.radians(increment), range_max=30)
-
-
-def circle(beams: int, low: float) -> ConsumerScan:
-    scan = replace(GOOD, angle_min=low, angle_increment=2 * math.pi / beams, beams=beams)
-    return replace(scan, angle_max=last_beam(scan))
 
 
 def judged(
@@ -118,15 +113,6 @@ def test_every_consumer_does_what_its_rule_says(
     judged(scan, first, placed)
 
 
-@given(scans(), st.data())
-def test_no_numbers_stop_the_check(scan: ConsumerScan, data: st.DataObject) -> None:
-    special = st.one_of(numbers, st.sampled_from([NAN, INF, -INF, 0.0, 3e38, -3e38, 1e-45]))
-    names = ("angle_min", "angle_max", "angle_increment", "time_increment")
-    scan = replace(scan, **{name: data.draw(special) for name in names})  # type: ignore[arg-type]
-    for placed in (None, ScanTransforms(up=-1.0)):
-        assert {judge(consumer, scan, None, placed).outcome for consumer in CONSUMERS} <= set(OUTCOMES)
-
-
 def test_slam_toolbox_refuses_upstreams_angle_max_on_the_grid() -> None:
     assert len(GRID) == 300
     refused = 0
@@ -161,33 +147,6 @@ def test_what_is_wrong_and_for_whom(change: dict[str, Any], outcomes: dict[str, 
             assert all((verdict.rule, verdict.observed or "odometry" in verdict.rule, verdict.allowed, verdict.cure))
 
 
-def test_a_hundredth_of_the_ranges_may_be_full() -> None:
-    scan = replace(circle(100, -math.pi), range_max=20.0)
-    found = [judged(replace(scan, full=full))["slam_toolbox"] for full in (0, 1, 2)]
-    assert found == ["accepted", "accepted", "misplaced"]
-
-
-def test_upstreams_defaults_and_its_sample_launch_file() -> None:
-    # 360 beams of a full circle are what slam_toolbox expects; its infinite range_max is what others stumble on.
-    full = replace(upstream(), infinite=100, returns=260)
-    assert judged(full) == {
-        "slam_toolbox": "accepted", "cartographer": "misplaced", "gmapping": "aborts", "amcl": "accepted",
-        "nav2": "misplaced", "mrpt": "misplaced",
-    }  # fmt: skip
-    # 361.1 increments make 362 beams, and round(361.1) + 1 are expected.
-    sample = upstream(angle_min=-1.5708, angle_max=1.5708, angle_increment=0.0087, range_min=0.45, range_max=4)
-    # beams, expected by slam_toolbox, outcome
-    for scan, beams, expected, outcome in (
-        (sample, 362, 362, "accepted"),
-        (full, 360, 360, "accepted"),
-        (replace(full, beams=361), 361, 361, "accepted"),
-        (replace(full, beams=359), 359, 360, "ignored"),
-        (upstream(angle_min=-1.5708, angle_max=1.5708, angle_increment=math.pi / 180), 181, 181, "accepted"),
-    ):
-        assert (scan.beams, expected_by_karto(scan)) == (beams, expected)
-        assert judged(scan)["slam_toolbox"] == outcome
-
-
 def test_a_scan_after_the_first() -> None:
     longer = replace(GOOD, beams=10, angle_max=1.25)
     assert judged(longer) == FINE | {"mrpt": "shifted"}
@@ -199,28 +158,6 @@ def test_a_scan_after_the_first() -> None:
     # gmapping does not start with tilted scans, and takes them for level later.
     tilted = PLACED._replace(up=math.cos(math.radians(7.6)))
     assert judged(GOOD, GOOD, tilted) == FINE
-
-
-MOVED = PLACED._replace(turned=math.radians(30), moved=0.2)
-
-
-@pytest.mark.parametrize(
-    ("consumer", "scan", "first", "placed", "told"),
-    [
-        ("slam_toolbox", GOOD, GOOD, MOVED, "since then the frame 'laser' has turned by 30 deg, and moved by 0.20 m"),
-        ("amcl", GOOD, GOOD, MOVED, "since then the frame 'laser' has moved by 0.20 m"),
-        ("slam_toolbox", replace(GOOD, angle_min=-0.9, angle_max=1.1), GOOD, None, "5.73 deg"),
-        ("slam_toolbox", replace(GOOD, **SIDE), None, PLACED._replace(up=-1.0), "115 deg"),
-        ("slam_toolbox", replace(GOOD, beams=180, angle_increment=math.pi / 180), None, None, "180 ranges"),
-        ("gmapping", GOOD, None, None, "7.16 deg (0.5 of an increment)"),
-        ("gmapping", replace(GOOD, angle_min=1.0, angle_max=-1.0), None, None, "236 deg (16.5 of an increment)"),
-        ("nav2", GOOD, None, ScanTransforms(robot=False, missing="there is no frame"), "there is no frame"),
-    ],
-)  # fmt: skip
-def test_what_is_observed(
-    consumer: str, scan: ConsumerScan, first: ConsumerScan | None, placed: ScanTransforms | None, told: str
-) -> None:
-    assert told in judge(consumer, scan, first, placed).observed
 
 
 @pytest.mark.parametrize(("low", "high", "beams", "increment", "misread"), rows(TABLES, "read by MRPT"))
@@ -253,9 +190,3 @@ def test_what_is_in_the_ranges() -> None:
     of = attrgetter("beams", "returns", "infinite", "nan", "zero", "short", "long")
     assert of(scan_of(ranges)) == (9, 3, 1, 1, 1, 3, 1)
     assert of(scan_of(ranges, range_max=INF)) == (9, 4, 1, 1, 1, 3, 0)
-
-
-def test_ranges_for_no_return_at_the_end_of_the_range() -> None:
-    for no_return, full in (("inf", 0), ("range-max-plus", 0), ("range-max-minus", 3), ("nan", 0), ("zero", 0)):
-        empty = ProjectionParams(range_max=20.0, no_return=no_return).empty_range
-        assert scan_of([empty] * 3 + [18], range_min=0, range_max=20).full == full

@@ -4,19 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from core.reference import reference_scan
-from fuzz.angles import differing, glibc_atan2f, points, why_not
-from pc2scan import ProjectionParams
-from pc2scan.core import fdlibm, kernel
-from pc2scan.core.project import Projector
-from support import sampled
-from support.loops import BOTH_LOOPS
+from pc2scan.core import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -50,16 +43,6 @@ def test_angles_are_those_that_glibc_once_returned() -> None:
     assert 0.1 < np.count_nonzero(steps[-400_000:]) / 400_000 < 0.2
 
 
-@pytest.mark.skipif(bool(why_not()), reason=why_not())
-@pytest.mark.parametrize("seed", sampled(range(12), 1))
-def test_angles_are_those_of_this_machines_glibc(seed: int) -> None:
-    with np.errstate(all="ignore"):
-        y, x = points(np.random.default_rng(seed), 250_000)
-        assert np.isnan(x).any()
-        wrong = differing(y, x, glibc_atan2f(y, x))
-        assert not wrong.size, (y[wrong[:3]], x[wrong[:3]])
-
-
 #: y, x and their angle.
 SPECIAL = [
     (0.0, 0.0, 0.0), (-0.0, 0.0, -0.0), (0.0, -0.0, math.pi), (-0.0, -0.0, -math.pi),
@@ -85,23 +68,3 @@ def test_zeros_and_infinities_and_what_is_next_to_them() -> None:
     np.testing.assert_array_equal(angle, expected)
     known = ~np.isnan(expected)
     np.testing.assert_array_equal(np.signbit(angle[known]), np.signbit(expected[known]))
-
-
-def test_points_fall_into_the_beams_of_these_angles() -> None:
-    """On the edges of a simulator's columns, where one bit of the angle decides: in both loops over points."""
-    edges = np.arange(-511, 512) * (2 * math.pi / 1024)
-    radius = np.linspace(2, 30, 10)[:, None]
-    x, y = ((radius * part).astype(np.float32) for part in (np.cos(edges), np.sin(edges)))
-    z = np.zeros_like(x)
-    grid = ProjectionParams(angle_increment=2 * math.pi / 1024, min_height=-1.0)
-    used = {}
-    for rounding, angles in (("correct", None), ("glibc-2.40", fdlibm.atan2f(y.ravel(), x.ravel()))):
-        params = replace(grid, angle_rounding=rounding)
-        expected = reference_scan(zip(x.flat, y.flat, z.flat, strict=True), params, angles)
-        for loops in BOTH_LOOPS:
-            with loops():
-                scan, farthest = Projector(params)(x, y, z), Projector(replace(params, reduce="max"))(x, y, z)
-            assert scan.counts == farthest.counts == expected.counts
-            np.testing.assert_array_equal(scan.ranges, expected.ranges)
-            used[rounding] = farthest.ranges
-    assert np.count_nonzero(used["correct"] != used["glibc-2.40"]) >= 50

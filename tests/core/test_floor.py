@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.core.scene import LEVEL, MOST_POINTS, cells_of, level_floor, thin_points
+from pc2scan.core.scene import LEVEL, cells_of, level_floor
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -50,15 +50,3 @@ def test_what_is_no_level_floor() -> None:
     # A table, with more below it than above.
     found = level_floor(cells_of(np.concatenate([floor(0, 0, 0.5), floor(0, 0, 1.5)])))
     assert found is None or found.height == pytest.approx(1.5, abs=0.02)
-
-
-def test_a_large_cloud_is_thinned_all_over_but_for_the_robot() -> None:
-    points = np.tile(floor(0, 0, 1.0), (10, 1))
-    points[::5] = 0.01
-    x, y, z = points.T
-    few = thin_points(x, y, z)
-    assert 0.75 * MOST_POINTS < len(few) < 0.85 * MOST_POINTS
-    assert np.abs(few.mean(axis=0) - points[np.arange(len(points)) % 5 > 0].mean(axis=0)).max() < 0.3
-    rows = thin_points(*(part.reshape(100, -1) for part in (x, y, z)))
-    np.testing.assert_array_equal(rows, few)
-    assert len(thin_points(x[:50], y[:50], z[:50])) == 40

@@ -13,7 +13,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.reference import reference_scan
 from pc2scan import ProjectionParams
 from pc2scan.core import kernel, plain
 from pc2scan.core.moving import MovingTransform
@@ -139,67 +138,7 @@ def test_where_two_roundings_are_not_one() -> None:
     assert float(angles(x, y)[0]).hex() == "0x1.4733b40000000p+1"
 
 
-@needs_compiled
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name == "very fine" else name for name in GRIDS]
-)
-def test_points_on_edges_are_in_the_beam_of_their_exact_angle(name: str) -> None:
-    rng = np.random.default_rng(7)
-    low, high, increment = GRIDS[name]
-    params = ProjectionParams(
-        angle_min=low, angle_max=high, angle_increment=increment, min_height=-1.0, max_height=1.0, range_min=0.02
-    )
-    x, y = np.concatenate([edge_points(GRIDS[name], rng, 6000), points_of_all_kinds(rng, 2000)], axis=1)
-    z = np.zeros_like(x)
-    few = slice(None, None, 37)
-    compiled = Projector(params)(x, y, z)
-    scan = Projector(params)(x[few], y[few], z[few])
-    expected = reference_scan(zip(x[few].tolist(), y[few].tolist(), z[few].tolist(), strict=True), params)
-    np.testing.assert_array_equal(scan.ranges, expected.ranges)
-    assert scan.counts == expected.counts
-    with loops_in_numpy():
-        assert_equal(compiled, Projector(params)(x, y, z))
-
-
 # Points at one time.
-
-
-@needs_compiled
-@given(
-    seeds,
-    shapes,
-    types,
-    gaps,
-    st.booleans(),
-    st.builds(
-        ProjectionParams,
-        min_height=st.just(-1.0),
-        max_height=st.sampled_from([1.0, 50.0]),
-        range_max=st.just(30.0),
-        angle_increment=st.sampled_from([0.1, 0.001]),
-        reduce=st.sampled_from(["min", "max"]),
-        angle_rounding=st.sampled_from(["correct", "glibc-2.40"]),
-    ),
-)
-def test_compiled_loops_equal_those_in_numpy(
-    seed: int,
-    shape: tuple[int, ...],
-    kinds: tuple[str, ...],
-    gap: tuple[int, int],
-    apart: bool,
-    params: ProjectionParams,
-) -> None:
-    rng = np.random.default_rng(seed)
-    x, y, z = (axis.copy() if apart else axis for axis in fields(rng, shape, kinds, gap))
-    project = Projector(params)
-    pose = rng.normal(size=4), rng.normal(size=3) * [1, 1, 0.2]
-    rows = np.vstack([np.linalg.qr(rng.normal(size=(3, 3)))[0], pose[1]]).astype(np.float32)
-    for transform in (None, Rigid(*pose).as_float32(), rows):
-        with loops_in_numpy():
-            expected = project(x, y, z, transform)
-        for most in WIDTHS:
-            with points_at_a_time(most):
-                assert_equal(project(x, y, z, transform), expected)
 
 
 # Points at their own times.
@@ -262,25 +201,49 @@ def same_bits(one: NDArray[np.float32], other: NDArray[np.float32]) -> None:
     np.testing.assert_array_equal(one[~nan].view(np.int32), other[~nan].view(np.int32))
 
 
+#: The seed, the shape, the types of x, y and z, and gaps.
+clouds = st.tuples(seeds, shapes, types, gaps)
+
+
 @needs_compiled
 @given(
-    seeds,
-    shapes,
-    types,
+    clouds,
+    st.booleans(),
+    st.builds(
+        ProjectionParams,
+        geometry=st.sampled_from(["upstream", "centered"]),
+        min_height=st.just(-1.0),
+        max_height=st.sampled_from([1.0, 50.0]),
+        range_max=st.just(30.0),
+        angle_increment=st.sampled_from([0.1, 0.001]),
+        reduce=st.sampled_from(["min", "max"]),
+        angle_rounding=st.sampled_from(["correct", "glibc-2.40"]),
+    ),
+)
+def test_compiled_loops_equal_those_in_numpy(cloud: Any, apart: bool, params: ProjectionParams) -> None:
+    rng = np.random.default_rng(cloud[0])
+    x, y, z = (axis.copy() if apart else axis for axis in fields(rng, *cloud[1:]))
+    project = Projector(params)
+    pose = rng.normal(size=4), rng.normal(size=3) * [1, 1, 0.2]
+    for transform in (None, Rigid(*pose).as_float32()):
+        with loops_in_numpy():
+            expected = project(x, y, z, transform)
+        for most in WIDTHS:
+            with points_at_a_time(most):
+                assert_equal(project(x, y, z, transform), expected)
+
+
+@needs_compiled
+@given(
+    clouds,
     st.sampled_from(["<u4", "<f4", "<f8", ">u4", "<i4", "<u8"]),
-    gaps,
     st.sampled_from(["in time", "by ring", "random", "zeros", "level", "tilting"]),
     st.sampled_from([2, 3, 17, 400]),
 )
 def test_moving_points_are_where_they_are_at_their_own_times(
-    seed: int,
-    shape: tuple[int, ...],
-    kinds: tuple[str, ...],
-    times_type: str,
-    gap: tuple[int, int],
-    kind: str,
-    nodes: int,
+    cloud: Any, times_type: str, kind: str, nodes: int
 ) -> None:
+    seed, shape, kinds, gap = cloud
     rng = np.random.default_rng(seed)
     # Of the points, all to few are between the heights, and some of them far away.
     x, y, z, times = fields(rng, shape, (*kinds, times_type), gap, 30.0)
@@ -291,6 +254,7 @@ def test_moving_points_are_where_they_are_at_their_own_times(
     lost = plain.deskew(x, y, z, motion, moved[0])
     for most in WIDTHS:
         with points_at_a_time(most):
+            assert kernel.span(x, times) == plain.span(x, times)
             assert kernel.deskew(x, y, z, motion, moved[1]) == lost
         same_bits(*moved)
     for rule in RULES:
@@ -328,51 +292,7 @@ def test_a_transform_is_interpolated_between_its_neighbours() -> None:
         np.testing.assert_array_equal(out[:5, 1:], np.array([[0, 1], [0, 1], [0, 1], [2, 1], [4, 1]], np.float32))
 
 
-def test_a_time_before_the_first_one_is_nowhere_among_many_that_are_the_first() -> None:
-    """Drivers write 0 for points without a return."""
-    times = np.zeros(64)
-    times[[5, 21, 37]] = -5e-324, -1e-3, 0.5
-    identity = [1.0, 0, 0, 0, 1, 0, 0, 0, 1]
-    transforms = straight(np.array([[*identity, 3, 0, 0], [*identity, 5, 0, 0], [*identity, 6, 0, 0]]))
-    zeros, expected = np.zeros(64, np.float32), np.full(64, 3, np.float32)
-    expected[[5, 21, 37]] = np.nan, np.nan, 4
-    for loops in BOTH_LOOPS:
-        out = np.empty((64, 3), np.float32)
-        with loops():
-            motion = MovingTransform(times, 0.0, 1.0, np.arange(3.0), transforms)
-            assert kernel.deskew(zeros, zeros, zeros, motion, out) == (0, 2)
-        np.testing.assert_array_equal(out[:, 0], expected)
-
-
-def test_a_part_without_a_transform_does_not_hide_its_ends() -> None:
-    transforms = np.full((4, 12), np.nan)
-    transforms[1:3] = [1, 0, 0, 0, 1, 0, 0, 0, 1, 7, 0, 0]
-    zeros = np.zeros(5, np.float32)
-    for loops in BOTH_LOOPS:
-        out = np.empty((5, 3), np.float32)
-        motion = MovingTransform(np.array([0.9, 1.0, 1.5, 2.0, 2.1]), 0.0, 1.0, np.arange(4.0), straight(transforms))
-        with loops():
-            assert kernel.deskew(zeros, zeros, zeros, motion, out) == (0, 2)
-        np.testing.assert_array_equal(out[:, 0], np.array([np.nan, 7, 7, 7, np.nan], np.float32))
-
-
 # Other loops.
-
-
-@needs_compiled
-@given(seeds, shapes, types, st.sampled_from(["<u4", "<f4", "<f8", ">i4"]), gaps)
-def test_the_span_of_values(
-    seed: int, shape: tuple[int, ...], kinds: tuple[str, ...], of: str, gap: tuple[int, int]
-) -> None:
-    rng = np.random.default_rng(seed)
-    x, _, _, values = fields(rng, shape, (*kinds, of), gap)
-    values[...] = np.abs(rng.normal(size=shape) * 1000)
-    if values.dtype.kind == "f":
-        values[rng.random(shape) < 0.2] = np.nan
-        values[rng.random(shape) < 0.1] = np.inf
-    for most in WIDTHS:
-        with points_at_a_time(most):
-            assert kernel.span(x, values) == plain.span(x, values)
 
 
 def test_a_frame_is_followed_as_numpy_follows_it() -> None:
@@ -386,6 +306,9 @@ def test_a_frame_is_followed_as_numpy_follows_it() -> None:
         kernel.follow(times, stamps, poses, both[0])
         plain.follow(times, stamps, poses, both[1])
         np.testing.assert_allclose(both[0], both[1], rtol=0, atol=1e-13)
+    rows = rng.normal(size=(99, 12))
+    for row in (None, rows[7]):
+        assert kernel.apart(rows, row) == plain.apart(rows, row)
 
 
 @needs_compiled
@@ -407,23 +330,6 @@ def test_nodes_are_the_samples_and_at_most_a_step_apart(
     assert 1 <= np.diff(nodes).min() <= np.diff(nodes).max() <= step
     for own in stamps:
         assert set(own[(own >= ends[0]) & (own <= ends[1])].tolist()) <= set(nodes.tolist())
-
-
-def test_how_far_transforms_are_apart() -> None:
-    rows = np.zeros((5, 12))
-    rows[1, 0] = 50.0
-    rows[2, :2], rows[2, 9] = (3.0, 4.0), 2.0
-    rows[3] = np.nan
-    rows[4, :2], rows[4, 10:] = (3.0, 3.0), (3.0, 4.0)
-    random = np.random.default_rng(6).normal(size=(99, 12))
-    for loops in BOTH_LOOPS:
-        with loops():
-            assert kernel.apart(rows, None) == (25.0, 29.0)
-            assert kernel.apart(rows, rows[4]) == (47.0**2 + 9.0, 29.0)
-            assert np.isnan(kernel.apart(rows, rows[3])).all()
-            assert np.isnan(kernel.apart(rows[:1], None)).all()
-            for row in (None, random[7]):
-                assert kernel.apart(random, row) == plain.apart(random, row)
 
 
 # Memory, and arrays that do not fit together.
@@ -455,54 +361,3 @@ def test_nothing_behind_the_last_point_is_read(step: int) -> None:
                 for timed in (False, True):
                     motion = MovingTransform(times, 0.0, 1e-9, np.array([0.0, 1.0]), still, timed)
                     assert project(x, y, z, motion).counts.height == len(z[::3])
-
-
-RULE, MOVE, RANGES = np.zeros(13), np.zeros(12, np.float32), np.zeros(4, np.float32)
-ONE, TWO, DOUBLE = np.zeros(1, np.float32), np.zeros(2, np.float32), np.zeros(1)
-CUBE, SMALL, LONG = np.zeros((1, 1, 1), np.float32), np.zeros(1, np.float16), np.zeros(1, np.int64)
-BINS, NUMBERS = np.zeros(1, np.int32), np.zeros(1, np.int64)
-FIXED = np.zeros(4, np.float32)
-FIXED.setflags(write=False)
-X, OUT = np.zeros(3, np.float32), np.zeros((3, 3), np.float32)
-MOTION = MovingTransform(np.zeros(3), 0.0, 1.0, np.arange(2.0), np.zeros((3, 12)))
-SIZES = "length or item size"
-WRONG: list[tuple[str, tuple[Any, ...], str]] = [
-    *(
-        wrong
-        for xyz in ((ONE, ONE, TWO), (ONE, ONE, ONE[None]), (CUBE,) * 3, (SMALL,) * 3, (ONE, LONG, ONE))
-        for wrong in (
-            ("project", (*xyz, RULE, None, RANGES, 1.0, 1.0), "coordinates"),
-            ("gather", (*xyz, RULE, None, 1, BINS, ONE, NUMBERS), "coordinates"),
-        )
-    ),
-    *(
-        ("project", (ONE, ONE, ONE, *others, 1.0, 1.0), SIZES)
-        for others in ((RULE[:12], None, RANGES), (RULE, MOVE[:11], RANGES), (RULE, RULE, RANGES), (RULE, None, RULE))
-    ),
-    *(
-        ("gather", (ONE, ONE, ONE, RULE, None, 1, *outputs), SIZES)
-        for outputs in ((BINS[:0], ONE, NUMBERS), (BINS, TWO, NUMBERS), (BINS, ONE, BINS))
-    ),
-    ("project", (ONE, ONE, ONE, RULE, None, FIXED, 1.0, 1.0), "read-only"),
-    ("project", (ONE, ONE, ONE, RULE, [1.0] * 12, RANGES, 1.0, 1.0), "bytes-like"),
-    *(("angles", arrays, SIZES) for arrays in ((ONE, TWO, TWO), (TWO, ONE, TWO), (TWO, TWO, ONE), (DOUBLE,) * 3)),
-    ("deskew", (X, X, X, MOTION._replace(times=np.zeros(2)), OUT), "coordinates' shape"),
-    ("deskew", (X, X, X, MOTION._replace(times=np.zeros(3, np.float16)), OUT), "of a type that"),
-    ("deskew", (X, X, X, MOTION._replace(node_times=np.zeros(1), rows=np.zeros((1, 12))), OUT), "fewer than two"),
-    ("deskew", (X, X, X, MOTION._replace(node_times=np.zeros(2, np.float32)), OUT), SIZES),
-    ("deskew", (X, X, X, MOTION._replace(rows=np.zeros((2, 12))), OUT), SIZES),
-    ("deskew", (X, X, X, MOTION, OUT[:2]), SIZES),
-    *(
-        ("nodes", ((), *numbers), "the end is not behind the beginning")
-        for numbers in ((1, 1, 1), (2, 1, 1), (0, 1, 0), (0, 1, -1), (0, 1 << 60, 1), (-(1 << 62), 1 << 62, 1 << 62))
-    ),
-    ("nodes", ((np.zeros(3, np.int32),), 0, 9, 1), SIZES),
-]
-
-
-@needs_compiled
-@pytest.mark.parametrize("number", range(len(WRONG)))
-def test_arrays_that_do_not_fit_together_are_refused(number: int) -> None:
-    loop, arguments, told = WRONG[number]
-    with pytest.raises((ValueError, TypeError), match=told):
-        getattr(kernel, loop)(*arguments)

@@ -14,7 +14,6 @@ from pc2scan.core import kernel, plain
 from pc2scan.core.occupancy import FREE, OCCUPIED, UNSEEN, OccupancyGrid, observing_beams, place_beams
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.unproject import UnprojectParams, deskew, unproject
-from pc2scan.errors import DecodeError, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -94,63 +93,6 @@ def test_both_loops_draw_the_same(shape: tuple[int, int]) -> None:
     np.testing.assert_array_equal(traced(kernel.trace, shape, scans), traced(plain.trace, shape, scans))
 
 
-def test_arrays_that_do_not_fit_together_are_refused() -> None:
-    cells, ray, hit = np.zeros((3, 4), np.int16), np.zeros((1, 4), np.int32), np.ones(1, bool)
-    kernel.trace(cells, 4, 1, ray, hit)
-    fixed = cells.copy()
-    fixed.setflags(write=False)
-    wrong: list[tuple[object, ...]] = [
-        (cells.astype(np.int32), 4, 1, ray, hit),
-        (cells, 5, 1, ray, hit),
-        (cells, 0, 1, ray, hit),
-        (cells, 4, 256, ray, hit),
-        (cells, 4, -1, ray, hit),
-        (cells, 4, 1, ray.astype(np.int64), hit),
-        (cells, 4, 1, ray, np.ones(2, bool)),
-        (cells[:, ::2], 2, 1, ray, hit),
-        (fixed, 4, 1, ray, hit),
-    ]
-    for corner in ([4, 0, 0, 0], [0, 3, 0, 0], [0, 0, -1, 0], [0, 0, 0, 2**31 - 1], [0, -(2**31), 0, 0]):
-        outside = np.array([corner], np.int32)
-        with pytest.raises(ValueError, match="leaves the grid"):
-            plain.trace(cells, 4, 1, outside, hit)
-        wrong.append((cells, 4, 1, outside, hit))
-    if kernel.COMPILED:
-        for arguments in wrong:
-            with pytest.raises((ValueError, BufferError)):
-                kernel.trace(*arguments)  # type: ignore[arg-type]
-
-
-def test_marks_are_used_again() -> None:
-    grid = OccupancyGrid(1.0, 1000)
-    here, there = np.array([[0.5, 0.5]]), np.array([[3.5, 0.5]])
-    # Less than one hit in three: the cell is free, unless some scans do not count.
-    for number in range(1000):
-        grid.add(here, there, np.array([number % 4 == 0]))
-    found = grid.occupancy()
-    assert found is not None
-    assert found.cells.tolist() == [[FREE, FREE, FREE, FREE]]
-    for _ in range(10):
-        grid.add(here, there, np.array([True]))
-    found = grid.occupancy()
-    assert found is not None
-    assert found.cells.tolist() == [[FREE, FREE, FREE, OCCUPIED]]
-
-
-def test_what_the_beams_of_a_scan_say() -> None:
-    ranges = np.array([np.nan, np.inf, -np.inf, 0.05, 0.1, 5.0, 9.9, 10.0, 11.0, -1.0], np.float32)
-    beams = observing_beams(ranges, 0.1, 10.0)
-    # 0.1 as float32 is more than 0.1.
-    assert beams.numbers.tolist() == [4, 5, 6]
-    assert beams.hits.all()
-    shorter = observing_beams(ranges, 0.1, 10.0, longest=6.0)
-    assert shorter.lengths.tolist() == [pytest.approx(0.1), 5.0, 6.0]
-    assert shorter.hits.tolist() == [True, True, False]
-    endless = observing_beams(ranges, 0.1, np.inf)
-    assert endless.numbers.tolist() == [4, 5, 6, 7, 8]
-    assert observing_beams(ranges, 0.1, np.nan).numbers.size == 0
-
-
 @pytest.mark.parametrize("moving", [False, True])
 def test_beams_are_where_laser_geometry_has_them(moving: bool) -> None:
     rng = np.random.default_rng(3)
@@ -176,26 +118,3 @@ def test_beams_are_where_laser_geometry_has_them(moving: bool) -> None:
     assert expected.viewpoint is not None
     np.testing.assert_allclose(ends, expected.xyz[:, :2], atol=3e-6)
     np.testing.assert_allclose(origins, expected.viewpoint[:, :2], atol=3e-6)
-
-
-def test_a_grid_that_would_be_too_large_is_refused() -> None:
-    grid = OccupancyGrid(0.05, 1_000_000)
-    here, hit = np.zeros((1, 2)), np.array([True])
-    grid.add(here, np.array([[40.0, 40.0]]), hit)
-    with pytest.raises(UsageError, match=r"2,001 x 801 cells of 0.05 m \(100 x 40 m\); at most 1,000,000"):
-        grid.add(here, np.array([[100.0, 0.0]]), hit)
-    with pytest.raises(UsageError, match="m from the origin"):
-        grid.add(here, np.array([[1e300, 0.0]]), hit)
-    # What is there stays as it was.
-    found = grid.occupancy()
-    assert found is not None
-    assert found.cells.shape == (801, 801)
-
-
-def test_a_scan_that_would_take_too_long_is_refused() -> None:
-    grid = OccupancyGrid(0.001, 64 << 20)
-    ends = np.stack((np.full(1000, 40.0), np.linspace(0, 0.5, 1000)), axis=1)
-    with pytest.raises(DecodeError, match="cross more than 33,554,432 cells"):
-        grid.add(np.zeros((1000, 2)), ends, np.ones(1000, bool))
-    grid.add(np.zeros((100, 2)), ends[:100], np.ones(100, bool))
-    assert grid.occupancy() is not None

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan import ProjectionParams
-from pc2scan.core.layout import beam_count, float32
-from pc2scan.core.params import MAX_BEAMS
+from pc2scan.core.layout import beam_count
 from pc2scan.errors import ParameterError
 from support.tables import rows
 
@@ -21,52 +19,9 @@ TABLES = Path(__file__).with_name("params.txt")
 ANGLES = st.floats(-7, 7)
 
 
-@given(
-    st.one_of(
-        st.floats(allow_nan=False), st.sampled_from([3.4028235e38, 3.4028235677973366e38, 3.4028236e38, -3.4028236e38])
-    )
-)
-def test_float32_rounds_and_overflows_as_numpy_does(value: float) -> None:
-    with np.errstate(over="ignore"):
-        assert float32(value) == float(np.float32(value))
-
-
-@given(ANGLES, ANGLES, st.floats(1e-6, 10))
-def test_beam_count_is_the_ceiling_of_the_float32_quotient(low: float, high: float, increment: float) -> None:
-    quotient = (np.float32(high) - np.float32(low)) / np.float32(increment)
-    assert beam_count(low, high, increment) == max(0, math.ceil(quotient))
-
-
 @pytest.mark.parametrize(("low", "high", "increment", "count"), rows(TABLES, "numbers of beams"))
 def test_beam_count(low: float, high: float, increment: float, count: int) -> None:
     assert beam_count(low, high, increment) == count
-
-
-def test_defaults_are_upstreams() -> None:
-    assert dataclasses.asdict(ProjectionParams()) == {
-        "target_frame": "",
-        "transform_tolerance": 0.01,
-        "min_height": 2.2250738585072014e-308,
-        "max_height": 1.7976931348623157e308,
-        "angle_min": -math.pi,
-        "angle_max": math.pi,
-        "angle_increment": math.pi / 180,
-        "scan_time": 1 / 30,
-        "range_min": 0.0,
-        "range_max": 1.7976931348623157e308,
-        "use_inf": True,
-        "inf_epsilon": 1.0,
-        "queue_size": 0,
-        # What upstream does not have leaves its result alone.
-        "geometry": "upstream",
-        "beams": 0,
-        "no_return": "",
-        "reduce": "min",
-        "min_points": 1,
-        "intensity_field": "",
-        "time_increment": 0.0,
-        "angle_rounding": "correct",
-    }
 
 
 @pytest.mark.parametrize(("named", "values"), rows(TABLES, "values that cannot be"))
@@ -117,25 +72,9 @@ def test_numpys_numbers_are_taken_as_pythons() -> None:
         ProjectionParams(min_height=np.float32("nan"))  # type: ignore[arg-type]
 
 
-def test_a_tolerance_is_at_most_what_stamps_are_apart() -> None:
-    assert [ProjectionParams(transform_tolerance=value).tolerance_ns for value in (0.01, 1e300)] == [10**7, 2**62]
-
-
-def test_too_many_beams_are_counted_in_the_message() -> None:
-    with pytest.raises(ParameterError, match=f"at most {MAX_BEAMS:,} are allowed"):
-        ProjectionParams(angle_increment=1e-6)
-
-
 @pytest.mark.parametrize(("values", "expected"), rows(TABLES, "empty beams"))
 def test_what_an_empty_beam_reads(values: dict[str, float], expected: float) -> None:
     assert ProjectionParams(**values).empty_range == pytest.approx(expected, rel=0, abs=0, nan_ok=True)  # type: ignore[arg-type]
-
-
-@given(st.floats(1e-3, 1e6))
-def test_range_max_minus_is_a_range_that_counts(range_max: float) -> None:
-    params = ProjectionParams(no_return="range-max-minus", range_max=range_max)
-    assert 0 < params.empty_range < float32(range_max)
-    assert params.empty_range > range_max * (1 - 1e-6) - 2e-4
 
 
 @pytest.mark.parametrize("geometry", ["upstream", "centered"])
@@ -146,11 +85,3 @@ def test_a_number_of_beams_is_met(geometry: str, low: float, span: float, beams:
     # The increment that follows makes as many without being told the number.
     assert dataclasses.replace(params, beams=0).length == beams
     assert dataclasses.replace(params, range_max=5.0) == dataclasses.replace(params, range_max=5.0, angle_increment=1.0)
-
-
-def test_a_preset_is_beaten_by_what_is_given() -> None:
-    params = ProjectionParams.preset("gmapping", range_max=20.0, min_height=-1.0)
-    assert (params.geometry, params.range_max, params.min_height, params.empty_range) == ("half-open", 20, -1, 21)
-    with pytest.raises(ParameterError, match="there is no preset 'karto'") as caught:
-        ProjectionParams.preset("karto")
-    assert str(caught.value.hint).startswith("the presets are slam_toolbox, ")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -66,34 +65,3 @@ def test_masked_points_are_dropped(form: str, dtype: Any) -> None:
     # What is masked is as it was.
     assert points.mask.sum() == 4
     assert points.data[0, 0] == 1
-
-
-@pytest.mark.parametrize("dtype", [np.float32, np.uint8, np.int64])
-def test_masked_intensities_are_nan(dtype: Any) -> None:
-    values = np.ma.array(np.array([9, 8, 7, 6], dtype), mask=[True, False, False, False])
-    scan = project([[1, 0, 0], [2, 0, 0], [0, 3, 0], [0, 4, 0]], PARAMS, intensities=values)
-    shown = {reach: value for reach, value in zip(scan.ranges, scan.intensities, strict=True) if np.isfinite(reach)}
-    assert math.isnan(shown[np.float32(1)])
-    assert shown[np.float32(3)] == 7
-
-
-@pytest.mark.parametrize("values", [["a", "b"], [1j, 2], [None, 1.0], np.array(["2020-01-01"] * 2, "M8[s]")])
-def test_intensities_that_are_no_numbers_are_refused(values: Any) -> None:
-    with pytest.raises(TypeError, match=r"intensities are of type .*, expected integers or floats"):
-        project([[1, 0, 0], [2, 0, 0]], PARAMS, intensities=values)
-
-
-@pytest.mark.parametrize(
-    ("points", "error", "told"),
-    [
-        ({"x": X, "y": Y}, ValueError, "points have no z, their fields are x, y"),
-        ({}, ValueError, "points have no x and no y and no z, their fields are none"),
-        (records()[["x", "z", "ring"]], ValueError, "points have no y, their fields are x, z, ring"),
-        ({"x": X, "y": Y, "z": Z[:2]}, ValueError, r"x, y and z have the shapes \(4,\), \(4,\), \(2,\)"),
-        ({"x": X, "y": ["a"] * 4, "z": Z}, TypeError, "y are of type <U1, expected integers or floats"),
-        (X, ValueError, r"\(4,\), expected \(M, 3\) or \(H, W, 3\), or a structured array or a dict with x, y and z"),
-    ],
-)  # fmt: skip
-def test_points_that_cannot_be_read(points: Any, error: type[Exception], told: str) -> None:
-    with pytest.raises(error, match=told):
-        project(points, PARAMS)

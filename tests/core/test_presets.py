@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,8 +14,7 @@ from pc2scan.core.consumers import CONSUMERS, judge
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.presets import PRESETS
 from pc2scan.core.project import project
-from pc2scan.core.verdicts import ConsumerScan, ScanTransforms, Verdict
-from pc2scan.errors import ParameterError
+from pc2scan.core.verdicts import ConsumerScan, ScanTransforms
 from support.consumer_rules import RULES
 
 PI = math.pi
@@ -87,45 +85,3 @@ def test_a_preset_is_accepted_by_its_consumer(consumer: str, sector: dict[str, A
         # gmapping's circle is one for the others, too.
         others.pop("mrpt")
         assert set(others.values()) == {"accepted"}
-
-
-@given(st.sampled_from([-PI, 0.0, 1.0]), st.integers(3, 2000))
-def test_a_symmetric_circle_is_accepted_by_all(low: float, beams: int) -> None:
-    params = ProjectionParams.preset("amcl", angle_min=low, angle_max=low + 2 * PI, beams=beams)
-    around = scan_of(replace(params, geometry="symmetric"))
-    assert {name: judge(name, around).outcome for name in CONSUMERS} == dict.fromkeys(CONSUMERS, "accepted") | {
-        "gmapping": "shifted"
-    }
-
-
-@pytest.mark.parametrize("beams", [4000, 20_000, 99_999, 100_000])
-@pytest.mark.parametrize("half", [PI, 1.999999, 1.0, 0.3])
-def test_mrpt_reads_very_many_beams(half: float, beams: int) -> None:
-    layout = ProjectionParams.preset("mrpt", angle_min=-half, angle_max=half, beams=beams).layout
-    angles = {name: getattr(layout, name) for name in ("angle_min", "angle_max", "angle_increment")}
-    assert judge("mrpt", ConsumerScan(**angles, range_min=0.1, range_max=100, beams=beams)) == Verdict("mrpt")
-
-
-@pytest.mark.parametrize(
-    ("sector", "told"),
-    [
-        *(((-1.0, 1.0, more), "3 to 100,000 beams") for more in ({"beams": 2}, {"angle_increment": 2.0})),
-        *(((-1.0, 1.0, more), "3 to 100,000 beams") for more in ({"beams": 100_001}, {"angle_increment": 2e-5})),
-        ((0.0, 1.5, {}), "not symmetric around 0"),
-    ],
-)
-def test_what_mrpt_misreads_is_refused(sector: tuple[float, float, dict[str, Any]], told: str) -> None:
-    low, high, more = sector
-    with pytest.raises(ParameterError, match=told) as caught:
-        ProjectionParams.preset("mrpt", angle_min=low, angle_max=high, **more)
-    if "beams" in more:
-        assert caught.value.name == "beams"
-    if not low:
-        assert caught.value.hint == "`angle_min=-1.5` `angle_max=1.5`, or a full circle"
-
-
-@pytest.mark.parametrize("consumer", PRESETS)
-def test_a_non_return_at_the_origin_and_one_beyond_are_left_out(consumer: str) -> None:
-    made = project(POINTS, ProjectionParams.preset(consumer, min_height=-1.0))
-    assert (made.counts.range, made.ranges.min() > 2) == (2, True)
-    assert np.isfinite(made.ranges).all() == (consumer == "gmapping")

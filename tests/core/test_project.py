@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,13 +17,10 @@ from core.reference import Expected, reference_moved, reference_scan
 from pc2scan import PointCounts, ProjectionParams, project
 from pc2scan.core import plain
 from pc2scan.core.params import CHOICES
-from pc2scan.core.project import PointsPart, ProjectedScan, Projector, contiguous
+from pc2scan.core.project import PointsPart, ProjectedScan, Projector
 from pc2scan.core.rigid import Rigid
 from support.loops import BOTH_LOOPS
 from support.tables import rows
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 TABLES = Path(__file__).with_name("project.txt")
 
@@ -228,13 +223,6 @@ def test_any_cloud_is_projected_as_by_the_reference(
 # What a beam reads.
 
 
-@pytest.mark.parametrize(("changes", "ranges"), rows(TABLES, "what a beam reads"))
-def test_what_a_beam_reads(changes: dict[str, Any], ranges: list[float]) -> None:
-    params = replace(CENTERED, angle_min=0.0, angle_max=1.0, beams=3, **changes)
-    along = [[reach * math.cos(a), reach * math.sin(a), 0] for reach, a in [(5, 0.5), (3, 0), (1, 0), (4, 0), (2, 0)]]
-    assert project(np.array(along), params).ranges.tolist() == pytest.approx(ranges)
-
-
 @pytest.mark.parametrize(("params", "expected"), rows(TABLES, "which points the beams read"))
 def test_which_points_the_beams_read(params: dict[str, Any], expected: Any) -> None:
     # Four returns of beam 2, one of beam 3, one too high, one NaN.
@@ -244,196 +232,19 @@ def test_which_points_the_beams_read(params: dict[str, Any], expected: Any) -> N
     assert (numbers.tolist(), beams.tolist()) == expected
 
 
-def test_heights_do_not_count_for_parts_that_have_none() -> None:
-    x, zeros = np.array([1.0, 2.0], np.float32), np.zeros(2, np.float32)
-    found = Projector(ProjectionParams()).together(
-        [PointsPart(x, zeros, zeros), PointsPart(x, zeros, zeros - 1, any_height=True)]
-    )
-    assert (found.counts.height, found.counts.used, found.ranges.min()) == (2, 2, 1)
+# Layouts and types.
 
 
-# Layouts, types and threads.
-
-
-def room(points: int) -> NDArray[np.float32]:
-    """A cloud with walls, floor, and points of every kind, column-major: 16 rings to a column."""
-    rng = np.random.default_rng(points)
-    azimuth = np.repeat(np.linspace(-PI, PI, points // 16), 16)
-    elevation = np.deg2rad(np.tile(np.linspace(-25, 15, 16), points // 16))
-    wall = np.minimum(9 / np.abs(np.cos(azimuth)), 6 / np.abs(np.sin(azimuth) + 1e-9)) + rng.normal(0, 0.01, points)
-    cloud = np.stack([wall * np.cos(azimuth), wall * np.sin(azimuth), wall * np.tan(elevation)], axis=-1)
-    for axis, value in ((slice(None), 0), (slice(None), np.nan), (0, np.nan), (1, np.inf), (2, -np.inf)):
-        cloud[rng.random(points) < 0.02, axis] = value
-    return cloud.astype(np.float32)
-
-
-def columns_of(points: NDArray[Any]) -> Columns:
-    return points[..., 0], points[..., 1], points[..., 2]
-
-
-def record_of(points: NDArray[Any], order: str, step: int) -> Columns:
-    """The coordinates behind each other at the end of records of a size."""
-    offsets = [step - 12, step - 8, step - 4]
-    cloud = np.zeros(
-        len(points), {"names": [*"xyz"], "formats": [f"{order}f4"] * 3, "offsets": offsets, "itemsize": step}
-    )
-    for name, column in zip("xyz", points.T, strict=True):
-        cloud[name] = column
-    return cloud["x"], cloud["y"], cloud["z"]
-
-
-def padded(points: NDArray[Any]) -> NDArray[Any]:
-    rows = np.full((20, len(points) // 20 + 11, 5), np.nan, np.float32)
-    rows[:, :-11, 1:4] = points.reshape(20, -1, 3)
-    return rows[:, :-11, 1:4]
-
-
-VIEWS: dict[str, Callable[[NDArray[Any]], Columns]] = {
-    "column-major": columns_of,
-    "backwards": lambda points: columns_of(points[::-1]),
-    "organised": lambda points: columns_of(points.reshape(-1, 16, 3).swapaxes(0, 1).copy()),
-    "random": lambda points: columns_of(np.random.default_rng(5).permutation(points)),
-    "padded rows": lambda points: columns_of(padded(points)),
-    "padded rows, backwards": lambda points: columns_of(padded(points)[::-1, ::-1]),
-    "padded rows, transposed": lambda points: columns_of(padded(points).swapaxes(0, 1)),
-    "contiguous axes": lambda points: tuple(np.ascontiguousarray(points.T)),
-    **{
-        f"records of {step} bytes, {order}": partial(record_of, order=order, step=step)
-        for step, order in ((12, "<"), (15, ">"), (16, "<"), (22, "<"), (32, "<"), (32, ">"), (48, "<"))
-    },
-}
-SCENE = room(1600)
-
-
-@cache
-def seen_in_scene(params: ProjectionParams) -> Expected:
-    return reference_scan(SCENE.tolist(), params, values=SCENE[:, 0].tolist())
-
-
-@pytest.mark.parametrize("block", [97, 1 << 20])
-@pytest.mark.parametrize("view", VIEWS)
-def test_layouts_and_blocks_make_no_difference(view: str, block: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(plain, "BLOCK", block)
-    cloud = VIEWS[view](SCENE)
-    before = [axis.tobytes() for axis in cloud]
-    for axis in cloud:
-        axis.setflags(write=False)
-    for params in (
-        ProjectionParams(min_height=-1.0, max_height=1.0, range_min=0.3, range_max=8.0),
-        replace(OPEN, angle_increment=PI / 18000, range_min=0.1),
-        replace(OPEN, angle_min=-0.3, angle_max=2.0, angle_increment=0.0061, use_inf=False, range_max=30.0),
-        replace(CENTERED, reduce="median", range_min=0.1, beams=90),
-    ):
-        for loops in BOTH_LOOPS:
-            with loops():
-                assert_same(Projector(params)(*cloud), seen_in_scene(params))
-                if params.range_min:
-                    assert_same(Projector(params)(*cloud, None, cloud[0]), seen_in_scene(params))
-    assert [axis.tobytes() for axis in cloud] == before
-
-
-@pytest.mark.parametrize("view", VIEWS)
-def test_a_compact_copy_has_the_same_points(view: str) -> None:
-    cloud = VIEWS[view](SCENE)
-    copied = contiguous(*cloud)
-    for own, copy in zip(cloud, copied, strict=True):
-        np.testing.assert_array_equal(copy, own.reshape(-1))
-        assert not np.shares_memory(copy, own)
-    if view.endswith("<"):
-        # Coordinates that follow each other are copied together.
-        assert [axis.strides for axis in copied] == [(12,)] * 3
-
-
-TYPES = [">f8", "<f8", "f2", "i1", "u1", ">i2", "u2", "i4", ">u4", "i8", "?"]
-
-
-@pytest.mark.parametrize("number", range(len(TYPES)))
-def test_other_types_are_rounded_to_float32(number: int) -> None:
+@pytest.mark.parametrize("dtype", [">f8", "<f8", "f2", "i1", "u1", ">i2", "u2", "i4", ">u4", "i8", "?"])
+def test_layouts_and_types_make_no_difference(dtype: str) -> None:
     points = np.random.default_rng(2).normal(scale=60, size=(300, 3))
     params = replace(OPEN, range_min=2.0, range_max=90.0)
     with np.errstate(invalid="ignore"):
-        for step in (0, 1):
-            x, y, z = (points[:, axis].astype(TYPES[(number + step * axis) % len(TYPES)]) for axis in range(3))
-            expected = reference_scan(zip(x.tolist(), y.tolist(), z.tolist(), strict=True), params)
-            for loops in BOTH_LOOPS:
-                with loops():
-                    assert_same(Projector(params)(x, y, z), expected)
-
-
-def test_float64_and_large_integers_are_rounded_first() -> None:
-    assert project([[-1.0, 1e-60, 1.0], [-1.0, -1e-60, 1.0]]).counts == PointCounts(total=2, used=1, past_end=1)
-    assert project(np.array([[2**60 + 1, 1, 1]], np.int64)).ranges.min() == np.float32(2**60)
-    assert project([[1e300, 0, 1]]).counts == PointCounts(total=1, range=1)
-
-
-@pytest.mark.parametrize("dtype", ["i1", "u1", "i2", ">u2", "i4", "u4", "f4", ">f8"])
-def test_intensities_of_any_type_become_float32(dtype: str) -> None:
-    values = np.array([100, 7, 3]).astype(dtype)
-    points = np.array([[3, 0, 0], [2, 0, 0], [0, 2, 0]])
-    scan = project(points, replace(CENTERED, beams=4), intensities=values)
-    assert (scan.ranges.tolist(), scan.intensities.tolist()) == ([INF, INF, 2, 2], [0, 0, 7, 3])
-    assert scan.intensities.dtype == np.float32
-    mean = project(points, replace(CENTERED, beams=4, reduce="mean"), intensities=values)
-    assert (mean.ranges[2], mean.intensities[2]) == (2.5, 53.5)
-
-
-@pytest.mark.parametrize("shape", [(0, 3), (0, 5, 3), (5, 0, 3)])
-@pytest.mark.parametrize("params", [OPEN, CENTERED])
-def test_empty_clouds_are_empty_scans(params: ProjectionParams, shape: tuple[int, ...]) -> None:
-    scan = project(np.zeros(shape), params)
-    assert np.isposinf(scan.ranges).all()
-    assert scan.counts == PointCounts()
-
-
-def axes(*sizes: Any) -> Columns:
-    x, y, z = map(np.zeros, sizes)
-    return x, y, z
-
-
-@pytest.mark.parametrize(
-    ("call", "error", "told"),
-    [
-        (lambda: project([1, 2, 3]), ValueError, r"shape \(3,\)"),
-        (lambda: project([[1, 2], [3, 4]]), ValueError, r"shape \(2, 2\)"),
-        (lambda: project([[1, 2, 3j]]), TypeError, "complex128"),
-        (lambda: Projector(OPEN)(*axes(1, 1, 2)), ValueError, r"x, y and z have the shapes \(1,\), \(1,\), \(2,\)"),
-        (lambda: Projector(OPEN)(*axes(*[(1, 1, 1)] * 3)), ValueError, "shapes"),
-        (
-            lambda: Projector(CENTERED)(*axes(3, 3, 3), None, np.zeros(4)),
-            ValueError,
-            r"intensities have the shape \(4,\), expected that of x, \(3,\)",
-        ),
-    ],
-)
-def test_wrong_arrays_are_refused(call: Callable[[], object], error: type[Exception], told: str) -> None:
-    with pytest.raises(error, match=told):
-        call()
-
-
-def test_threads_may_share_a_projector() -> None:
-    projector = Projector(OPEN)
-    sizes = [96, 4800, 16_000] * 8
-    rooms = {size: columns_of(room(size)) for size in set(sizes)}
-    alone = {size: projector(*cloud) for size, cloud in rooms.items()}
-    for loops in BOTH_LOOPS:
-        with loops(), ThreadPoolExecutor(4) as pool:
-            for size, scan in zip(sizes, pool.map(lambda size: projector(*rooms[size]), sizes), strict=True):
-                np.testing.assert_array_equal(scan.ranges, alone[size].ranges)
-                assert scan.counts == alone[size].counts
-                # They are the caller's own.
-                scan.ranges[:] = -1
-
-
-@pytest.mark.parametrize("dtype", ["f4", "f8", ">f4"])
-def test_a_transform_is_applied_in_float32(dtype: str) -> None:
-    cloud = (SCENE.astype(np.float64) * 1.000000001).astype(dtype)
-    rotation, translation = Rigid.from_rpy(0.4, 0, 0.4).matrix, np.array([0.3, -2.0, 0.7])
-    moved = reference_moved(cloud.tolist(), rotation, translation)
-    for loops in BOTH_LOOPS:
-        with loops():
-            scan = Projector(OPEN)(*columns_of(cloud), np.vstack([rotation, translation]).astype(np.float32))
-        assert_same(scan, reference_scan(moved.tolist(), OPEN))
-    # One rounding at the end is something else, so that the test can tell them apart.
-    with np.errstate(invalid="ignore"):
-        once = (cloud.astype(np.float64) @ rotation.T + translation).astype(np.float32)
-    assert np.count_nonzero(once != moved) > moved.size // 4
+        typed = points.astype(dtype)
+    expected = reference_scan(typed.tolist(), params)
+    rows = np.zeros((20, 19, 4), dtype)
+    rows[:, :-4, 1:] = typed.reshape(20, 15, 3)
+    for view in (typed, typed[::-1], np.asfortranarray(typed), rows[:, :-4, 1:], rows[::-1, :-4, 1:].swapaxes(0, 1)):
+        for loops in BOTH_LOOPS:
+            with loops():
+                assert_same(Projector(params)(view[..., 0], view[..., 1], view[..., 2]), expected)

@@ -68,23 +68,3 @@ def test_lasers_that_look_to_the_side_and_two_returns_a_shot() -> None:
     twice = np.concatenate([turned, 1.5 * turned], axis=2)
     rings = np.repeat(np.arange(16), 1800)
     assert step(twice.reshape(3, -1), rings) == pytest.approx(math.radians(0.4), rel=1e-3)
-
-
-def test_a_ring_by_itself_and_a_few_points() -> None:
-    flat = spinning(360, elevations=np.zeros(1)).reshape(3, -1)
-    assert azimuth_step(*flat) == pytest.approx(math.radians(1), rel=1e-3)
-    assert azimuth_step(*flat[:, :12]) is None
-    assert azimuth_step(*flat[:, :0]) is None
-    assert azimuth_step(*(math.nan * flat)) is None
-
-
-def test_points_without_rings() -> None:
-    random = np.random.default_rng(5)
-    cloud = random.normal(0, 5, (3, 20_000)).astype(np.float32)
-    assert azimuth_step(*cloud) is None
-    # Lines of a risley prism, which cross all directions.
-    assert step(cloud, random.integers(0, 6, 20_000)) is None
-    # Two lidars in one cloud, seen from between them.
-    front, rear = (spinning(900, seed).reshape(3, -1) for seed in (0, 3))
-    front[0] += 1
-    assert azimuth_step(*np.concatenate([front, rear - 1], axis=1)) is None

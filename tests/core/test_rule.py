@@ -6,11 +6,9 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.core import kernel
 from pc2scan.core.layout import TURN, BeamLayout, centered_layout
 from pc2scan.core.plain import bins_of
 from pc2scan.core.rule import centered_beams
@@ -81,51 +79,3 @@ def test_an_accepted_angle_belongs_to_the_nearest_beam(case: tuple[BeamLayout, N
             assert index in beams
             # Half an increment on either side; on a circle also half of what rounding has left of it.
             assert offset <= half + (4e-7 if layout.full_circle else EXACT)
-
-
-@given(LAYOUTS, st.integers(0, 2**32 - 1))
-@pytest.mark.usefixtures("loops")
-def test_points_fall_where_their_angles_do(layout: BeamLayout, seed: int) -> None:
-    random = np.random.default_rng(seed)
-    beams = random.integers(-1, layout.count + 1, 400)
-    # Half of them on edges, to the last bits of their coordinates.
-    angles = layout.angle_min + (beams + random.choice([0.5, 0.5, 0.0, 0.3], 400)) * layout.angle_increment
-    radii = random.uniform(0.1, 50, 400)
-    x, y = (radii * np.cos(angles)).astype(np.float32), (radii * np.sin(angles)).astype(np.float32)
-    expected = bins_of_angles(layout, np.arctan2(y, x, dtype=np.float64).astype(np.float32))
-    rule = np.array([-math.inf, math.inf, 0.0, math.inf, *centered_beams(layout), 0.0])
-    bins, ranges, numbers = np.empty(400, np.int32), np.empty(400, np.float32), np.empty(400, np.int64)
-    rejected = kernel.gather(x, y, np.zeros_like(x), rule, None, layout.count, bins, ranges, numbers)
-    used = 400 - sum(rejected)
-    np.testing.assert_array_equal(numbers[:used], np.flatnonzero(expected < layout.count))
-    np.testing.assert_array_equal(bins[:used], expected[expected < layout.count])
-
-
-@pytest.mark.parametrize(("low", "high"), [(-PI, PI), (0.0, 2 * PI), (0.3, 0.3 + 2 * PI), (-7.0, -7.0 + 2 * PI)])
-@pytest.mark.parametrize("beams", [2, 3, 4, 7, 360, 1440, 40_000])
-def test_a_circle_wraps_around(low: float, high: float, beams: int) -> None:
-    layout = centered_layout(low, high, 1.0, beams)
-    middles = layout.angle_min + np.arange(beams) * layout.angle_increment
-    for offset in (0.0, 0.49, -0.49):
-        angles = np.remainder(middles + offset * layout.angle_increment + PI, TURN) - PI
-        np.testing.assert_array_equal(bins_of_angles(layout, angles.astype(np.float32)), np.arange(beams))
-
-
-def test_the_directions_that_atan2_doubles_are_one_beam() -> None:
-    layout = centered_layout(-PI, PI, PI / 180)
-    x, y = np.array([-1, -1, -1, -1], np.float32), np.array([0.0, -0.0, 1e-30, -1e-30], np.float32)
-    assert bins_of_angles(layout, np.arctan2(y, x)).tolist() == [0, 0, 0, 0]
-
-
-@pytest.mark.parametrize("start", [-PI / 2, np.nextafter(np.float32(-PI / 2), np.float32(0)), PI + PI / 2])
-def test_pi_as_float32_is_beyond_an_edge_at_pi(start: float) -> None:
-    layout = centered_layout(float(start), float(start) + 2 * PI, PI)
-    angle = np.float32(PI)
-    beams, _ = nearest(layout, float(angle))
-    assert set(bins_of_angles(layout, np.array([angle])).tolist()) == beams
-
-
-def test_beams_of_a_sector_end_half_an_increment_outside() -> None:
-    layout = centered_layout(-0.5, 0.5, 0.25)
-    angles = np.array([-0.63, -0.625, -0.62, -0.376, -0.374, 0.0, 0.374, 0.62, 0.625, 0.63, 3.1, -3.1], np.float32)
-    assert bins_of_angles(layout, angles).tolist() == [6, 0, 0, 0, 1, 2, 3, 4, 4, 6, 6, 6]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from pc2scan.core.terrain import Cells, Terrain, heights_at, lowest_behind, on_ground
+from pc2scan.core.terrain import Terrain, on_ground
 from support import sampled
 from support.worlds.labelled import Labelled, labelled
 
@@ -101,82 +101,6 @@ def test_kerbs_waves_and_slopes_are_ground(place: str, sensor: str, lidar: float
     assert ground_of(cloud.points)[raised].mean() > RAISED[place]
 
 
-@pytest.mark.parametrize("sensor", ["16 rings", "64 rings", "camera"])
-def test_stairs_are_climbed_by_three_steps_at_most(sensor: str) -> None:
-    cloud = labelled("stairs", sensor, pitch=10.0 if sensor == "camera" else 0.0)
-    found = ground_of(cloud.points)
-    assert cloud.above[found & ~cloud.ground].max() < 3 * 0.17 + 0.14
-    assert quality(cloud)[1] > 0.99
-
-
-@pytest.mark.parametrize(
-    ("place", "sensor"),
-    sampled(
-        product(
-            ["street", "hall", "hall from above"],
-            ["16 rings", "64 rings", "128 rings", "camera", "scattering, all round"],
-        ),
-        4,
-    ),
-)
-def test_where_no_ground_is_seen_beams_keep_what_stands_there(place: str, sensor: str) -> None:
-    _, _, beams, lost = quality(labelled(place, sensor, floor=False, pitch=-15.0 if sensor == "camera" else 0.0))
-    assert lost <= 0.02 * beams
-
-
-#: Limits of cells along each direction, metres.
-EDGES = 5.0 * np.expm1(np.arange(41) * 0.04)
-SECTORS = 180
-
-
-def random_cells(seed: int) -> Cells:
-    """Cells along each direction, many of them empty, with steps, slopes and obstacles."""
-    random = np.random.default_rng(seed)
-    rings, sectors = len(EDGES) - 1, SECTORS
-    distance = EDGES[:-1, None] + random.random((rings, sectors)) * np.diff(EDGES)[:, None]
-    height = np.cumsum(random.normal(0, 0.1, (rings, sectors)) * (random.random((rings, sectors)) < 0.3), axis=0)
-    empty = random.random((rings, sectors)) < random.random(sectors)
-    height[empty], distance[empty] = np.nan, np.inf
-    return Cells(height.astype(np.float32), distance.astype(np.float32), np.zeros(empty.shape, bool))
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_lowest_cell_behind_is_that_of_a_plain_loop(seed: int) -> None:
-    cells, steepest = random_cells(seed), np.float32(math.tan(math.radians(15)))
-    with np.errstate(all="ignore"):
-        near, far = lowest_behind(cells, float(steepest))
-    for sector in range(SECTORS):
-        known = np.flatnonzero(np.isfinite(cells.height[:, sector]))
-        heights, distances = cells.height[known, sector], cells.distance[known, sector]
-        for place, ring in enumerate(known):
-            for found, reach in ((near, 3.0), (far, max(3.0, float(distances[place])))):
-                lowest, last = math.inf, 0.0
-                for behind in range(place + 1, min(place + 13, known.size)):
-                    apart = distances[behind] - distances[place]
-                    if heights[behind] <= heights[place] + (np.float32(0.08) + steepest * apart):
-                        if last <= reach:
-                            lowest = min(lowest, heights[behind])
-                        last = apart
-                assert found[ring, sector] == (lowest if lowest < math.inf else -math.inf)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_ground_is_a_line_between_its_cells(seed: int) -> None:
-    cells = random_cells(seed)
-    ground = np.where(np.isfinite(cells.height), cells.height, np.nan).astype(np.float64)
-    with np.errstate(all="ignore"):
-        found = heights_at(ground, cells.distance, EDGES)
-    for sector in range(SECTORS):
-        rings = np.flatnonzero(~np.isnan(ground[:, sector]))
-        expected = np.full(EDGES.size, -np.inf)
-        if rings.size:
-            places, heights = [0.0, *cells.distance[rings, sector]], [0.0, *ground[rings, sector]]
-            there = EDGES[rings[-1] + 1] + 3.0 >= EDGES
-            expected[there] = np.interp(EDGES[there], places, heights)
-        # The order of operations may differ by some roundings of float64.
-        np.testing.assert_allclose(found[:, sector], expected, atol=1e-12)
-
-
 def test_a_planar_lidar_sees_no_ground() -> None:
     angles = np.linspace(-math.pi, math.pi, 1440)
     ranges = 4 + 2 * np.sin(3 * angles)
@@ -185,17 +109,6 @@ def test_a_planar_lidar_sees_no_ground() -> None:
         assert not on_ground(x, y, z).any()
     # Along a wall, too.
     assert not on_ground(np.linspace(-30, 30, 3000), np.full(3000, 0.7), np.zeros(3000)).any()
-
-
-def test_order_and_shape_of_a_cloud_do_not_change_its_ground() -> None:
-    points = labelled("street", "64 rings").points
-    found = ground_of(points)
-    order = np.random.default_rng(2).permutation(len(points))
-    np.testing.assert_array_equal(ground_of(points[order]), found[order])
-    rows = points[: len(points) // 4 * 4].reshape(4, -1, 3)
-    in_rows = on_ground(rows[..., 0], rows[..., 1], rows[..., 2])
-    assert in_rows.shape == rows.shape[:2]
-    np.testing.assert_array_equal(in_rows.ravel(), ground_of(rows.reshape(-1, 3)))
 
 
 def test_points_that_are_none_are_not_ground_and_change_nothing() -> None:
@@ -217,10 +130,3 @@ def test_a_frame_may_be_tilted_a_little(roll: float, pitch: float) -> None:
     precision, recall, _, _ = quality(tilted)
     assert precision > 0.99
     assert recall > 0.97
-
-
-def test_a_steeper_limit_follows_a_steeper_hill() -> None:
-    cloud = labelled("hill", "64 rings")
-    uphill = cloud.ground & (cloud.points[:, 2] > 0.5)
-    assert ground_of(cloud.points)[uphill].mean() > 0.9
-    assert ground_of(cloud.points, Terrain(slope=math.radians(3)))[uphill].mean() < 0.6

@@ -38,21 +38,3 @@ def test_near_the_vertical_the_level_frame_is_still_level(pitch: float, off: flo
     np.testing.assert_allclose(level.rpy[:2], 0, atol=1e-9)
     # Of roll 0, that of `Rigid.rpy` where roll and yaw are one.
     assert level.rpy[2] == pytest.approx(0.7, abs=1e-6)
-
-
-def test_a_level_frame_stays_as_it_is() -> None:
-    up = (0.0, 0.0, 1.0)
-    assert upright_rotation(up).pose == (0, 0, 0, 0, 0, 0, 1)
-    assert tilt(up) == 0
-
-
-def test_a_frame_that_is_upside_down_is_turned_about_its_x_axis() -> None:
-    turned = upright_rotation((0.0, 0.0, -1.0))
-    np.testing.assert_allclose(np.abs(turned.quaternion), [1, 0, 0, 0], atol=1e-12)
-    assert tilt((0.0, 0.0, -1.0)) == math.pi
-
-
-def test_the_length_of_up_is_of_no_account() -> None:
-    np.testing.assert_allclose(
-        upright_rotation((0.3, -0.6, 2.1)).quaternion, upright_rotation((0.1, -0.2, 0.7)).quaternion, atol=1e-15
-    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from contextlib import closing
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -159,40 +158,6 @@ def test_the_scans_are_connected_with_the_target_frame(tmp_path: Path, world: Pa
     assert back.status == 0, back.stderr
 
 
-@pytest.mark.parametrize("output", sampled(["b.bag", "b.mcap", "folder"], 1))
-def test_every_container(tmp_path: Path, world: Path, output: str) -> None:
-    made = converted(tmp_path, world, "--level", "--fixed-frame", "odom", output=output)
-    logs = [log for log, row in made.transforms if row[1] == "base_link_stabilized"]
-    assert logs == [log for log, _ in made.timed]
-    assert sum(row[1] == "base_link" for _, row in made.transforms) == 290
-    with closing(open_recording(tmp_path / output)) as reader:
-        times = [message.log_time_ns for message in reader.messages()]
-    assert times == sorted(times)
-
-
-@pytest.mark.slow
-def test_a_cut_changes_nothing_in_what_is_left(tmp_path: Path, world: Path, imu: Path) -> None:
-    options = ("--level", "--imu", "/imu", *MOUNTED)
-    whole = {log: scan.ranges.tobytes() for log, scan in converted(tmp_path, world, imu, *options).timed}
-    cut = converted(tmp_path, world, imu, *options, "--start", "20.5", "--end", "21").timed
-    assert 10 < len(cut) < len(whole)
-    assert all(whole[log] == scan.ranges.tobytes() for log, scan in cut)
-
-
-@pytest.mark.slow
-def test_filters_see_the_level_frame(tmp_path: Path, world: Path) -> None:
-    options = ("--level", "--deskew", "--fixed-frame", "odom")
-    plain = converted(tmp_path, world, *options).report["topics"]
-    sloped = converted(tmp_path, world, *options, "--min-height-slope", "0").report["topics"]
-    counts = [next(t["points"] for t in topics if t["action"] == "converted") for topics in (plain, sloped)]
-    # The limit of the filter is min_height, and what is below that is the projection's.
-    assert counts[0]["used"] == counts[1]["used"]
-    assert counts[1]["min_height_slope"] == 0
-    sloped = converted(tmp_path, world, *options, "--min-height-slope", "0.1").report["topics"]
-    steep = next(t["points"] for t in sloped if t["action"] == "converted")
-    assert counts[0]["used"] == steep["used"] + steep["min_height_slope"] > steep["used"]
-
-
 def test_an_imu_whose_mount_is_not_known(tmp_path: Path, world: Path, imu: Path) -> None:
     done = converted(tmp_path, world, imu, "--level", "--imu", "/imu").done
     assert done.status != 0
@@ -228,22 +193,6 @@ def test_odometry_without_tilt_and_a_frame_of_the_same_name(tmp_path: Path) -> N
     assert again.status != 0
 
 
-def test_a_dry_run_tells_of_the_transforms(tmp_path: Path, world: Path) -> None:
-    done = run(
-        "convert", world, "-o", tmp_path / "b.mcap", "-n", "--level", "--fixed-frame", "odom", *PARAMETERS,
-    )  # fmt: skip
-    assert done.status == 0, done.stderr
-    assert "from --level" in done.stdout
-
-
-def test_info_says_which_imus_make_scans_level(world: Path, imu: Path) -> None:
-    done = run("info", world, imu)
-    assert "/imu: --imu /imu makes scans level\n  frame   'imu_link'\n" in done.stdout
-    assert "up      up is estimated from gyroscope and accelerometer of 1,000 messages" in done.stdout
-    (entry,) = json.loads(run("info", world, imu, "--json").stdout)["imus"]
-    assert (entry["topic"], entry["frame"], entry["usable"]) == ("/imu", "imu_link", True)
-
-
 def test_scans_are_level_and_deskewed_on_the_way(tmp_path: Path, world: Path) -> None:
     made = converted(tmp_path, world, "--level", "--deskew", "--fixed-frame", "odom", "--stamp", "middle")
     scans = pc2scan.scans(
@@ -267,27 +216,6 @@ def test_a_2d_lidar_that_tilts_is_made_level(tmp_path: Path) -> None:
     assert {scan.frame_id for scan in level.scans} == {"base_link_stabilized"}
     assert far_off(level).max() < 0.02
     assert sum(row[1] == "base_link_stabilized" for _, row in level.transforms) == len(level.scans)
-
-
-@pytest.mark.slow
-def test_a_fixed_frame_beside_an_imu_has_an_effect_or_a_warning(tmp_path: Path, world: Path, imu: Path) -> None:
-    both = ("--level", "--imu", "/imu", *MOUNTED, "--fixed-frame", "odom")
-    said = converted(tmp_path, world, imu, *both).done.stderr
-    assert "--fixed-frame has no effect: roll and pitch come from --imu" in said
-    assert "no effect" not in converted(tmp_path, world, imu, *both, "--deskew").done.stderr
-    assert "no effect" not in converted(tmp_path, world, imu, *both, "--every", "0.1").done.stderr
-
-
-@pytest.mark.slow
-def test_two_outputs_of_one_frame_share_its_transforms(tmp_path: Path, world: Path) -> None:
-    (tmp_path / "scans.yaml").write_text(
-        "defaults:\n  sources: /points\n  level: true\n  fixed_frame: odom\nscans:\n"
-        "  /scan:\n    intensity_field: intensity\n  /others:\n    reduce: max\n"
-    )
-    made = converted(tmp_path, world, "--scans", tmp_path / "scans.yaml", "--only-scans")
-    assert made.done.status == 0, made.done.stderr
-    assert len(made.scans) == 2 * len(made.transforms) == 400
-    assert {row[2] for _, row in made.transforms} == {scan.stamp_ns for scan in made.scans}
 
 
 def test_transforms_go_where_those_of_the_robot_are(tmp_path: Path) -> None:

@@ -13,25 +13,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-import pc2scan
 from pc2scan.conversion.run import run as convert
 from pc2scan.conversion.run_files import OutputOptions
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.rigid import Rigid
 from pc2scan.request.options import ConvertOptions, ScanSpec
 from pc2scan.text import shell_word
-from support import RECORDINGS, ROOT, needs_shared, sampled
+from support import RECORDINGS, needs_shared, sampled
 from support.command import run
 from support.outputs import opened
-from support.worlds.mounted import PLACES, SENSORS, cloud, mounted, write_clouds
+from support.worlds.mounted import PLACES, cloud, mounted, write_clouds
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
     from pc2scan.core.rigid import TransformRow
-
-HALL = ROOT / "fixtures" / "hall.bag"
 
 
 def transform(parent: str, child: str, rpy: Sequence[float], xyz: Sequence[float]) -> TransformRow:
@@ -116,20 +113,6 @@ def test_info_says_what_makes_a_frame_level(case: str, recorded: Callable[..., P
     assert found["heights"]["floor"] == pytest.approx(0, abs=0.05)
 
 
-@pytest.mark.parametrize("body", ["base_link", "chassis"])
-def test_a_frame_of_the_transforms_that_is_level_is_the_cure(
-    body: str, recorded: Callable[..., Path], tmp_path: Path
-) -> None:
-    source = recorded(15, -10, tf=((body, *TILTED[0][1:]),))
-    done = run("info", source)
-    assert "frame 'lidar' is tilted by 17.9 deg" in done.stderr
-    assert done.stderr.endswith(f". --target-frame {body} makes it level\n")
-    command = ready(done.stdout)
-    assert f"--target-frame {body} --min-height 0.1 --max-height 1.5" in " ".join(command)
-    assert run(*command, "-o", tmp_path / "out.mcap").stderr == ""
-    assert f"heights (z) in {body}" in run("info", source, "--target-frame", body).stdout
-
-
 def test_transforms_tell_what_clouds_cannot(recorded: Callable[..., Path]) -> None:
     # Floor and ceiling are both in view: upside down is as likely as not.
     assert run("info", recorded(180, sensor="128 rings")).stderr == ""
@@ -149,24 +132,6 @@ def test_a_low_ceiling_is_told_from_the_floor_by_transforms(
     done = run("convert", source, "-o", tmp_path / "a.mcap", "--min-height", "-0.3", "--max-height", "0.3")
     assert (done.status, "upside down according to its transform" in done.stderr) == (0, warned)
     assert warned or not done.stderr
-
-
-def test_level_clouds_are_not_warned_of(recorded: Callable[..., Path], tmp_path: Path) -> None:
-    done = run("info", HALL)
-    assert done.stderr == ""
-    assert "floor at z = 0.00 m in frame 'base_link'; the sensor is 0.60 m above the floor" in done.stdout
-    assert ready(done.stdout)[1:6] == [str(HALL), "--preset", "slam_toolbox", "--target-frame", "base_link"]
-    source = recorded(sensor="128 rings")
-    done = run("info", source)
-    assert done.stderr == ""
-    assert "floor at z = -0.60 m in frame 'lidar', ceiling at 2.40 m; the sensor is 0.60 m above" in done.stdout
-    assert "--preset slam_toolbox --min-height -0.5 --max-height 0.9" in " ".join(ready(done.stdout))
-    # A topic that is taken is avoided, and several are named.
-    kept = tmp_path / "b.mcap"
-    assert run("convert", source, "-o", kept, "--keep-clouds", "--min-height", "-0.5").status == 0
-    command = ready(run("info", kept).stdout)
-    assert command[2:4] == ["--topic", "/points:=/points/scan"]
-    assert run(*command, "-o", tmp_path / "c.mcap").status == 0
 
 
 REAL: list[tuple[str, float, str, tuple[float, float] | None]] = [
@@ -250,51 +215,6 @@ def test_what_convert_advises_works(
     assert (again.status, again.stderr) == (0, "")
 
 
-def test_a_target_frame_that_is_not_level_is_judged(recorded: Callable[..., Path], tmp_path: Path) -> None:
-    wrong = ("--static-tf", "base_link lidar 0 0 0.5 0 0 0", "--target-frame", "base_link")
-    done = run("convert", recorded(15, -10), "-o", tmp_path / "d.mcap", *wrong, *WIDE)
-    assert "frame 'base_link' is " in done.stderr
-    assert '--static-tf "base_link lidar 0 0 0.5 ' in done.stderr
-
-
-@pytest.mark.parametrize("sensor", sampled(SENSORS, 2))
-def test_info_and_convert_suggest_the_same_heights(sensor: str, recorded: Callable[..., Path], tmp_path: Path) -> None:
-    for place in ("hall", "field", "ramp up"):
-        source = recorded(place=place, sensor=sensor)
-        assert_equal_heights(source, tmp_path / f"{place}.mcap")
-
-
-@needs_shared
-def test_info_and_convert_suggest_the_same_heights_for_real_recordings(tmp_path: Path) -> None:
-    for name, *_ in REAL:
-        assert_equal_heights(RECORDINGS / name, tmp_path / f"{name}_scan.mcap")
-
-
-def assert_equal_heights(source: Path, destination: Path) -> None:
-    (found,) = pc2scan.info(source).clouds
-    assert found.mounting is not None
-    assert found.mounting.heights is not None
-    report = pc2scan.convert(source, destination, max_height=9.0)
-    (topic,) = (each for each in report.topics if each.action == "converted")
-    low, high = found.mounting.heights[:2]
-    options = f"{found.mounting.options} `min_height={low:g}` `max_height={high:g}`".strip()
-    assert topic.advice.removesuffix(" `range_min=0.1`") == options
-
-
-@pytest.mark.parametrize("place", sampled(PLACES, 1))
-def test_the_advised_heights_draw_no_warning_of_a_floor(
-    place: str, recorded: Callable[..., Path], tmp_path: Path
-) -> None:
-    for height in PLACES[place].heights:
-        source = recorded(place=place, height=height)
-        (found,) = pc2scan.info(source).clouds
-        if found.mounting is None or found.mounting.fault or found.mounting.heights is None:
-            continue
-        low, high = found.mounting.heights[:2]
-        report = pc2scan.convert(source, tmp_path / f"{height}_scan.mcap", min_height=low, max_height=high)
-        assert not [text for text in report.warnings if "the floor" in text]
-
-
 @needs_shared
 @pytest.mark.parametrize(
     ("name", "frame", "height"),
@@ -364,19 +284,6 @@ def test_the_warning_comes_after_the_first_clouds(tmp_path: Path) -> None:
         assert "tilted by 20" in text
         assert after < 50
         assert text in report.warnings
-
-
-@pytest.mark.slow
-def test_check_finds_scans_in_a_frame_that_is_not_level(recorded: Callable[..., Path], tmp_path: Path) -> None:
-    common = ("--keep-clouds", "--preset", "slam_toolbox", "--min-height")
-    assert run("convert", recorded(20), "-o", tmp_path / "b.mcap", *common, "-0.3").status == 0
-    done = run("check", tmp_path / "b.mcap")
-    assert "defect: the scan's frame 'lidar' is tilted by 20." in done.stdout
-    assert 'pc2scan convert with --static-tf "lidar_level lidar 0 0 0.' in done.stdout
-    frames = ("--static-tf", "lidar_level lidar 0 0 0.6 0.349 0 0", "--target-frame", "lidar_level")
-    done = run("convert", recorded(20), "-o", tmp_path / "c.mcap", *common, "0.1", *frames, "--write-static-tf")
-    assert done.status == 0
-    assert "tilted" not in run("check", tmp_path / "c.mcap").stdout
 
 
 @pytest.mark.parametrize("place", sampled(PLACES, 4))
