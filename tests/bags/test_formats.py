@@ -10,12 +10,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import pc2scan
-from pc2scan.bags.formats import FORMATS, Format, ReadOptions, WriteOptions, destinations, storages
+from pc2scan.bags.formats import FORMATS, Format, ReadOptions, WriteOptions
 from pc2scan.bags.opening import open_recording
 from pc2scan.model import Writer
-from pc2scan.options.table import options_of
 from support import ROOT
-from support.command import run
 from support.memory_reader import MemoryReader
 
 if TYPE_CHECKING:
@@ -105,38 +103,3 @@ def test_a_new_container_is_an_entry_and_a_package(tmp_path: Path, source: str, 
     scans = [entry[-1] for entry in found if entry[0] == "/scan2"]
     assert scans == [entry[-1] for entry in expected if entry[1].endswith("LaserScan")]
     assert scans
-
-
-@pytest.mark.usefixtures("toy")
-def test_the_command_and_batches_know_a_new_container(tmp_path: Path) -> None:
-    words = ("convert", FIXTURES / "hall.mcap", "-o", tmp_path / "y.toy", "--keep-clouds")
-    dry = run(*words, "--dry-run")
-    assert dry.status == 0, dry.stderr
-    assert "y.toy: toy, which can be written" in dry.stdout
-    done = run(*words)
-    # No player is known.
-    assert done.stdout.splitlines()[-1] == f"next: pc2scan check {tmp_path / 'y.toy'}"
-    asked: dict[str, Any] = {"to": "toy", "keep_clouds": True}
-    report = pc2scan.convert(FIXTURES / "hall.mcap", f"{tmp_path}/", **asked)
-    assert report.destination == str(tmp_path / "hall_scan.toy")
-
-
-def test_the_table_is_consistent() -> None:
-    suffixes = [entry.suffix for entry in FORMATS.values()]
-    assert len(suffixes) == len(set(suffixes))
-    for name, entry in FORMATS.items():
-        assert entry.name == name
-        assert bool(entry.magic) != bool(entry.holds_recording), (
-            "a file is known by its beginning, a directory by its files"
-        )
-        assert entry.default_compression in entry.compressions
-        assert set(entry.storages) <= storages().keys()
-        assert entry.open_writer is not None or FORMATS[entry.written_as].open_writer is not None
-
-
-def test_the_command_line_offers_what_the_table_has() -> None:
-    known = {name for entry in FORMATS.values() for name in entry.compressions}
-    words = {name: option.value.words for name, option in options_of("convert").items()}
-    assert set(words["compression"]) == known
-    assert set(words["storage"]) == set(storages())
-    assert words["to"] == tuple(destinations())

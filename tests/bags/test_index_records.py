@@ -10,7 +10,6 @@ import pytest
 from pc2scan.bags.opening import open_recording
 from pc2scan.errors import DamageError
 from support import rosbag1_files as bag
-from support.mcap_files import SAMPLE, library_file
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -82,19 +81,3 @@ def test_a_wrong_number_of_messages_in_a_chunk_is_damage(
         assert len(reader.damage) == 1
     with closing(open_recording(path, strict=True)) as reader, pytest.raises(DamageError, match=words):
         list(reader.messages(None, *cut))
-
-
-@pytest.mark.parametrize("place", [15, 23, 11])
-@pytest.mark.parametrize("chunk_size", [300, 1 << 20])
-def test_message_indexes_decide_nothing(place: int, chunk_size: int, tmp_path: Path) -> None:
-    """A bit of an entry's time, of its place, and of the length of all."""
-    path = library_file(tmp_path / "a.mcap", SAMPLE, chunk_size=chunk_size)
-    data = bytearray(path.read_bytes())
-    at = data.index(b"\x07", 8 + 9)
-    while int.from_bytes(data[at + 1 : at + 9], "little") != 6 + int.from_bytes(data[at + 11 : at + 15], "little"):
-        at = data.index(b"\x07", at + 1)
-    data[at + place] ^= 1
-    path.write_bytes(data)
-    with closing(open_recording(path)) as reader:
-        assert len(list(reader.messages())) == len(SAMPLE)
-        assert reader.damage == ()

@@ -14,7 +14,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.bags import loading
 from pc2scan.bags.chunks import MIN_WHOLE_BYTES, Segment, Segments, segment_chunks, whole_chunks
 from pc2scan.bags.loading import AHEAD_BYTES, LARGEST_AHEAD, Chunk, LazyItems, merge_by_time
 from pc2scan.bags.opening import open_recording
@@ -106,12 +105,6 @@ def test_an_index_finds_the_order_of_the_source_in_whole_chunks(
 # --- Bounds ---
 
 
-def test_a_chunk_that_declares_too_much_drives_no_other_out() -> None:
-    chunks = [chunk(0, [0, 50, 100], size=1 << 60), *(chunk(number, [number, 100 + number]) for number in range(1, 9))]
-    assert len(list(merge_by_time(chunks, max_open_bytes=20_000))) == 3 + 16
-    assert [each.load.calls for each in chunks] == [1] * 9  # type: ignore[attr-defined]
-
-
 def test_what_would_be_loaded_again_and_again_is_refused() -> None:
     def overlapping(count: int) -> list[Chunk]:
         return [chunk(n, range(n, 2 * count, 2))._replace(size=1 << 26) for n in range(2)]
@@ -134,49 +127,6 @@ def test_what_is_loaded_ahead_is_bounded_and_enough(size: int, jobs: int) -> Non
             most = max(most, sum(each.load.calls for each in chunks) - taken)  # type: ignore[attr-defined]
     # One more is loaded to know what is due first.
     assert jobs <= most <= max(min(threads.ahead, jobs * AHEAD_BYTES // size), jobs + 1) + 1
-
-
-class File:
-    """Notes what is announced."""
-
-    def __init__(self) -> None:
-        self.announced: list[tuple[int, int]] = []
-
-    def expect(self, offset: int, length: int) -> None:
-        self.announced.append((offset, length))
-
-
-def test_what_will_be_loaded_is_announced_some_way_ahead() -> None:
-    size = 10 << 20
-    file: Any = File()
-    # Some other records in the middle.
-    places = [n * size + (n >= 7) * (1 << 20) for n in range(12)]
-    chunks = [chunk(n)._replace(file=file, offset=at, length=size - 100) for n, at in enumerate(places)]
-    announced = [max(offset + length for offset, length in file.announced) for _ in merge_by_time(chunks)]
-    for at, end in zip(places, announced, strict=True):
-        assert at + size - 100 <= end <= at + (53 << 20)
-    ends = [at + size - 100 for at in places]
-    # Four bring it beyond 32 MiB, and when no more than half of that is left, the next ones follow.
-    middle = [(places[n], ends[n + 2] - places[n]) for n in (4, 7)]
-    assert file.announced == [(0, ends[3]), *middle, (places[10], ends[11] - places[10])]
-
-
-def test_few_chunks_are_listed_ahead() -> None:
-    # Chunks of a hundred bytes, of which there may be a million.
-    file: Any = File()
-    listed = []
-
-    def chunks() -> Iterator[Chunk]:
-        for number in range(5_000):
-            listed.append(number)
-            yield chunk(number % 256, [number])._replace(place=(number,), file=file, offset=100 * number, length=100)
-
-    messages = merge_by_time(chunks())
-    next(messages)
-    assert len(listed) == 1_000
-    assert len(list(messages)) == 4_999
-    # A thousand, then five hundred at a time.
-    assert len(file.announced) == 9
 
 
 # --- Threads ---
@@ -203,19 +153,6 @@ def test_leaving_early_gives_up_what_has_not_begun() -> None:
         next(items)
         items.close()
     assert sum(each.load.calls for each in chunks) < 6  # type: ignore[attr-defined]
-
-
-def test_quick_chunks_are_loaded_by_the_caller() -> None:
-    loaders: dict[int, int] = {}
-
-    def work(message: RawMessage) -> RawMessage:
-        loaders[message.log_time_ns // 10] = get_ident()
-        return message
-
-    chunks = [chunk(number, size=2 << 20, quick=number % 2 == 1) for number in range(12)]
-    with Threads(2) as threads:
-        assert len(list(merge_by_time(chunks, work, threads))) == 12
-    assert {loaders[number] for number in range(1, 12, 2)} == {get_ident()}
 
 
 @pytest.mark.parametrize("jobs", [None, 2])
@@ -278,13 +215,3 @@ def test_the_messages_of_very_many_are_the_same(
     with closing(open_recording(path)) as reader:
         loaded = [each.load(lambda message: message) for each in reader.chunks(None, *cut)]
     assert any(isinstance(each, LazyItems) and len(each) > 7 for each in loaded)
-
-
-def test_more_messages_than_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A few bytes unpack to a million of messages; how many such chunks there are must not decide on the time."""
-    monkeypatch.setattr(loading, "_MAX_FREE_MESSAGES", 10)
-    with closing(open_recording(mcap_files.write(tmp_path / "a.mcap", ROWS, compression="zstd"))) as reader:
-        (only,) = reader.chunks()
-        assert len(list(merge_by_time([only]))) == 99
-        with pytest.raises(RecordingError, match="more messages than bytes"):
-            list(merge_by_time([only._replace(length=80)]))

@@ -56,32 +56,6 @@ def test_messages_are_merged_and_renumbered(tmp_path: Path) -> None:
     assert [each.log[-1] for each in (first, second)] == ["closed 1", "closed 2"]
 
 
-def test_a_source_is_not_read_before_its_time(tmp_path: Path) -> None:
-    log: list[str] = []
-    late = source(tmp_path, "late", [(1, 100, b"l")], log=log)
-    early = source(tmp_path, "early", [(1, n, b"e") for n in range(5)], log=log)
-    reader = MergedReader([late, early])
-    messages = reader.messages()
-    # One unit more is asked for, to know how long this one goes on.
-    assert [next(messages).log_time_ns for _ in range(3)] == [0, 1, 2]
-    assert log == ["open early"]
-    assert [next(messages).log_time_ns for _ in range(2)] == [3, 4]
-    assert next(messages).log_time_ns == 100
-    assert next(messages, None) is None
-    assert log == ["open early", "close early", "open late", "close late"]
-    log.clear()
-    assert len(list(reader.messages(stop_ns=100))) == 5
-    assert log == ["open early", "close early"]
-
-
-def test_sources_end_with_the_iteration(tmp_path: Path) -> None:
-    log: list[str] = []
-    messages = MergedReader([source(tmp_path, name, [(1, 1, b""), (1, 2, b"")], log=log) for name in "ab"]).messages()
-    next(messages)
-    messages.close()
-    assert sorted(log) == ["close a", "close b", "open a", "open b"]
-
-
 TIMES = st.lists(st.integers(0, 6), max_size=8)
 CUT = st.none() | st.integers(0, 6)
 

@@ -11,22 +11,9 @@ import zstandard
 from pc2scan.bags import zstd
 from pc2scan.bags.damage import DamageLog
 from pc2scan.errors import DamageError, RecordingError
-from pc2scan.files import compression
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-
-def test_files_are_recognised_by_content_and_unpacked(tmp_path: Path) -> None:
-    plain, packed = tmp_path / "a.mcap", tmp_path / "b.mcap.zst"
-    plain.write_bytes(b"content")
-    packed.write_bytes(zstandard.compress(b"con") + zstandard.compress(b"tent"))
-    assert not zstd.is_zstd(plain)
-    assert zstd.is_zstd(packed)
-    folder = tmp_path / "unpacked"
-    folder.mkdir()
-    assert zstd.decompress_file(packed, folder, DamageLog(strict=True)) == folder / "b.mcap"
-    assert (folder / "b.mcap").read_bytes() == b"content"
 
 
 @pytest.mark.parametrize(("told", "cut_off"), [(True, "it ends after"), (False, "the data are cut off")])
@@ -38,15 +25,6 @@ def test_messages_are_unpacked(told: bool, cut_off: str, tmp_path: Path) -> None
         with pytest.raises(RecordingError, match=why) as caught:
             zstd.decompress_message(wrong, tmp_path, "/a")
         assert (caught.value.path, caught.value.topic) == (tmp_path, "/a")
-
-
-@pytest.mark.parametrize("told", [True, False])
-def test_a_message_may_not_unpack_to_everything(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, told: bool) -> None:
-    monkeypatch.setattr(compression, "MAX_UNPACKED", 1_000)
-    compress = zstandard.ZstdCompressor(write_content_size=told).compress
-    assert zstd.decompress_message(compress(bytes(1_000)), tmp_path, "/a") == bytes(1_000)
-    with pytest.raises(RecordingError, match=r"at most 1,0|which is the limit"):
-        zstd.decompress_message(compress(bytes(300_000)), tmp_path, "/a")
 
 
 def test_a_file_may_not_unpack_to_everything(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -77,10 +77,6 @@ def read_rows(path: Path) -> list[Row]:
         return [(item.connection.id, item.log_time_ns, bytes(item.data)) for item in reader.messages()]
 
 
-def by_time(rows: Iterable[Row]) -> list[Row]:
-    return sorted(rows, key=lambda row: row[1])
-
-
 def uint32(value: int) -> bytes:
     return struct.pack("<I", value)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import random
-import tracemalloc
 from collections import Counter
 from contextlib import closing
 from typing import TYPE_CHECKING, Any, Literal
@@ -27,10 +26,8 @@ from support.rosbag1_files import ROS1, SCRIPT, ros1, ros1_missing, string
 from support.rosbag2_files import STORE, STRING, text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
-    from pc2scan.bags.loading import Chunk
     from pc2scan.bags.reader import Reader
 
 #: Options of MCAP's library with which there is nothing to count by, at least for a part of the time.
@@ -226,54 +223,6 @@ DATA = random.Random(1).randbytes(900_000)
 def long_recording(name: str, folder: Path) -> Path:
     """Ten messages of five topics, each of which has a chunk of its own, ten nanoseconds apart."""
     return recorded(LONG[name], folder, [(f"/{number % 5}", 10 * number, DATA) for number in range(10)])
-
-
-def units_read(reader: Reader) -> list[Chunk]:
-    """Return a list that gets each unit when it is read; rows are read when they are listed."""
-    read: list[Chunk] = []
-    listed = reader.chunks
-
-    def chunks(*selection: Any) -> Iterator[Chunk]:
-        for unit in listed(*selection):
-            if unit.file is None:
-                read.append(unit)
-                yield unit
-                continue
-
-            def load(callback: Any, unit: Chunk = unit) -> Any:
-                read.append(unit)
-                return unit.load(callback)
-
-            yield unit._replace(load=load)
-
-    reader.chunks = chunks  # type: ignore[method-assign, assignment]
-    return read
-
-
-@pytest.mark.parametrize("name", LONG)
-def test_chunks_are_read_when_they_are_due(name: str, tmp_path: Path) -> None:
-    with closing(open_recording(long_recording(name, tmp_path))) as reader:
-        read = units_read(reader)
-        messages = reader.messages()
-        tracemalloc.start()
-        try:
-            for number in range(10):
-                next(messages)
-                # One is announced ahead.
-                assert number < len(read) <= number + 2
-            assert tracemalloc.get_traced_memory()[1] < 5_000_000
-        finally:
-            tracemalloc.stop()
-        assert next(messages, None) is None
-        assert len(read) == 10
-        for selection, found in (
-            ({"start_ns": 80}, 2),
-            ({"connections": []}, 0),
-            ({"start_ns": 91}, 0),
-            ({"connections": reader.connections[1:2]}, 2),
-        ):
-            read.clear()
-            assert len(list(reader.messages(**selection))) == len(read) == found
 
 
 @pytest.mark.parametrize("name", LONG)

@@ -15,7 +15,7 @@ from pc2scan.bags.mcap.write import McapWriter
 from pc2scan.bags.opening import open_recording
 from pc2scan.bags.rosbag1.write import Rosbag1Writer
 from pc2scan.bags.rosbag2.sqlite3.write import Sqlite3Writer
-from pc2scan.errors import DestinationError, OutputError, UnwritableError
+from pc2scan.errors import UnwritableError
 from pc2scan.model import Attachment, Definition, Metadata
 from support.containers import FORMATS, KINDS, connection_for, read, recorded
 from support.outputs import opened
@@ -195,24 +195,3 @@ def test_numbers_that_do_not_fit_are_refused(name: str, tmp_path: Path) -> None:
     assert [row[0] for row in found] == [row[0] for row in fitting]
     if name == "mcap":
         assert found == fitting
-
-
-def test_what_a_writer_cannot_hold_is_refused(tmp_path: Path) -> None:
-    writer: Writer = Rosbag1Writer(tmp_path / "a.bag")
-    with pytest.raises(DestinationError, match="serialised as 'ros1', these are 'cdr'") as refused:
-        writer.add_connection(connection_for(2, "/chatter"))
-    assert refused.value.topic == "/chatter"
-    with pytest.raises(DestinationError, match="'a=b' has a '='"):
-        writer.add_connection(connection_for(1, metadata={"a=b": "c"}))
-    writer.abort()
-    writer = McapWriter(tmp_path / "a.mcap")
-    with pytest.raises(OutputError, match="unsigned"):
-        writer.add_attachment(Attachment("a", "", -1, 0, b""))
-    with pytest.raises(UnwritableError) as unwritable:
-        writer.write(writer.add_connection(connection_for(2, "/odd")), -1, b"", 0)
-    assert unwritable.value.topic == "/odd"
-    writer.abort()
-    closed = Sqlite3Writer(tmp_path / "a.db3")
-    closed.abort()
-    with pytest.raises(OutputError, match="closed"):
-        closed.finish()

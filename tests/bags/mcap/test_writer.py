@@ -9,14 +9,13 @@ from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from mcap.reader import NonSeekingReader, make_reader
+from mcap.reader import make_reader
 from mcap.records import Chunk, Message, MessageIndex
 from mcap.stream_reader import StreamReader
 
 from pc2scan.bags.mcap.read import McapReader
 from pc2scan.bags.mcap.write import McapWriter
-from pc2scan.errors import OutputError
-from pc2scan.model import Definition, Metadata
+from pc2scan.model import Definition
 from support.mcap_files import CLOUD, COMPRESSIONS, QOS, SAMPLE, connection, encoded, streamed, write
 
 if TYPE_CHECKING:
@@ -67,17 +66,6 @@ def test_what_ros1_knows_of_a_topic_is_metadata(tmp_path: Path) -> None:
     assert only.metadata == {"callerid": "/driver", "latching": "1", "md5sum": MD5, "topic": "/points"}
 
 
-def test_metadata_of_a_channel_stay_verbatim(tmp_path: Path) -> None:
-    recorded = {"latching": "true", "callerid": "/a", "md5sum": "0", "zebra": "1", "ant": "2"}
-    first = declared(
-        tmp_path / "a.mcap", connection(metadata=recorded, **ROS1), connection(metadata={}, **ROS1), profile="ros1"
-    )
-    assert [c.latching for c in first] == [True, False]
-    second = declared(tmp_path / "b.mcap", *first, profile="ros1")
-    assert [list(c.metadata.items()) for c in second] == [list(recorded.items()), []]
-    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
-
-
 @pytest.mark.parametrize(
     ("msgtype", "serialization", "definition", "written"),
     [
@@ -114,13 +102,6 @@ def test_kept_ids_and_new_ones_do_not_collide(tmp_path: Path) -> None:
     assert summary.statistics is not None
     assert summary.statistics.schema_count == len(summary.schemas) == 3
     assert {c.topic: c.schema_id for c in summary.channels.values()} == {"/one": 7, "/two": 8, "/three": 1, "/four": 0}
-
-
-def test_equal_schemas_are_written_once(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    declared(path, connection(metadata={"publisher": "a"}), connection(metadata={"publisher": "b"}))
-    summary = summary_of(path)
-    assert (len(summary.schemas), len(summary.channels)) == (1, 2)
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)
@@ -161,40 +142,3 @@ def test_a_large_message_has_a_chunk_of_its_own(tmp_path: Path) -> None:
     path = write(tmp_path / "a.mcap", messages, chunk_size=1000)
     chunks = [sorted(c.message_index_offsets) for c in summary_of(path).chunk_indexes]
     assert chunks == [[1], [2], [1], [2]]
-
-
-def test_channels_precede_their_messages(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    writer = McapWriter(path, metadata=[Metadata("first", {"k": "v"})])
-    for number, msgtype in enumerate((CLOUD, "a/msg/B")):
-        handle = writer.add_connection(connection(f"/{number}", msgtype=msgtype))
-        writer.write(handle, number, bytes([number]), number)
-    writer.finish()
-    with path.open("rb") as file:
-        found = [(c.topic, m.data) for _, c, m in NonSeekingReader(file, validate_crcs=True).iter_messages()]
-    assert found == [("/0", b"\0"), ("/1", b"\1")]
-    assert [type(record).__name__ for record in streamed(path)][:3] == ["Header", "Metadata", "Schema"]
-
-
-def test_an_empty_file_is_a_file(tmp_path: Path) -> None:
-    assert declared(tmp_path / "a.mcap") == []
-    statistics = summary_of(tmp_path / "a.mcap").statistics
-    assert statistics is not None
-    assert (statistics.message_count, statistics.message_start_time, statistics.message_end_time) == (0, 0, 0)
-
-
-@pytest.mark.slow
-def test_there_is_room_for_65535_channels(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    writer = McapWriter(path)
-    same = connection()
-    for _ in range(65535):
-        handle = writer.add_connection(same)
-    assert handle == 65535
-    with pytest.raises(OutputError, match="65535 channels"):
-        writer.add_connection(same)
-    writer.write(handle, 1, b"last", 1)
-    writer.finish()
-    with closing(McapReader(path)) as reader:
-        assert len(reader.connections) == 65535
-        assert [m.connection.id for m in reader.messages()] == [65535]

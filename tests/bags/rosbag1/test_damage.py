@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import bz2
 import tracemalloc
 from contextlib import closing
 from typing import TYPE_CHECKING
 
-import lz4.frame
 import pytest
 
 from pc2scan.bags.rosbag1.read import Rosbag1Reader
@@ -20,11 +18,9 @@ from support.rosbag1_files import (
     connection_record,
     fails,
     given_bytes,
-    header,
     message,
     record,
     simple_bag,
-    time,
     uint32,
 )
 
@@ -53,25 +49,12 @@ def test_what_does_not_begin_as_a_bag_is_refused(data: bytes, told: str, hint: s
     assert told in fails(given_bytes(tmp_path, data), hint=hint)
 
 
-def test_what_cannot_be_opened_is_refused(tmp_path: Path) -> None:
-    assert "No such file" in fails(tmp_path / "missing.bag")
-    assert "Is a directory" in fails(tmp_path)
-
-
 @pytest.mark.parametrize(
     ("info", "told"),
     [
-        (chunk_info(FIRST_CHUNK, 1, 1, {0: 1}, version=2), "version 2, only 1"),
         (chunk_info(FIRST_CHUNK, 1, 1, {0: 1}, count=3), "of 8 bytes declares 3 counts"),
-        (chunk_info(FIRST_CHUNK, 1, 1, {3: 1}), "connection 3 has messages but is not described"),
         (chunk_info(2**50, 1, 1, {0: 1}), "4 bytes are declared from byte 1125899906842624"),
-        (chunk_info(len(b"#ROSBAG V2.0\n"), 1, 1, {0: 1}), "is a bag header, a chunk should be there"),
-        (record(op=b"\x06", ver=b"\1"), "'ver' has 1 bytes, 4 are needed"),
-        (record(op=b"\x06"), "no field 'ver'"),
-        (record(b"x" * 9, op=b"\x06")[:-1], "the chunk info at byte"),
         (uint32(8) + uint32(2) + b"op" + uint32(0)[:2], "has no '='"),
-        (uint32(6) + uint32(9) + b"op" + uint32(0), "does not fit into its header of 6 bytes"),
-        (uint32(2) + b"op" + uint32(0), "ends inside a field's length"),
         (chunk_info(FIRST_CHUNK, 1, 1, {0: 1}) + chunk(message(1)), "after the records that the bag header counts"),
     ],
 )
@@ -79,18 +62,6 @@ def test_a_damaged_index_is_refused(info: bytes, told: str, tmp_path: Path) -> N
     body = chunk(message(1))
     raw = bag_header(FIRST_CHUNK + len(body), 1, 1) + body + connection_record() + info
     assert told in fails(given_bytes(tmp_path, raw), hint="`strict`")
-
-
-def test_an_index_that_repeats_chunks_is_refused(tmp_path: Path) -> None:
-    body = chunk(message(1))
-    infos = chunk_info(FIRST_CHUNK, 1, 1, {0: 1}) * 2
-    raw = bag_header(FIRST_CHUNK + len(body), 1, 2) + body + connection_record() + infos
-    assert "the index names a chunk twice" in fails(given_bytes(tmp_path, raw))
-
-
-def test_a_connection_without_a_type_is_refused(tmp_path: Path) -> None:
-    bare = record(header(topic=b"/a")[4:], op=b"\x07", conn=uint32(0), topic=b"/a")
-    assert "no field 'type'" in fails(simple_bag(tmp_path / "a.bag", message(1), connections=[bare]))
 
 
 # --- Chunks ---
@@ -101,17 +72,9 @@ def test_a_connection_without_a_type_is_refused(tmp_path: Path) -> None:
     [
         (message(1, identity=7), "a message of connection 7, which is not in the index"),
         (message(1, order=("conn", "op", "time"))[:-1], "a message reaches to byte 50 of a chunk of 49"),
-        (message(1)[:-1], "a record reaches to byte 50 of a chunk of 49"),
-        (message(1)[:20], "a record reaches to byte 42 of a chunk of 20"),
-        (message(1)[:2], "a record's length does not fit into the 2 bytes"),
         (message(1) + b"\0", "a record's length does not fit"),
         (record(op=b"\x04"), "a record of kind 4"),
-        (record(conn=uint32(0)), "no field 'op'"),
-        (record(op=b"\x02", time=time(1)), "no field 'conn'"),
-        (record(op=b"\x02", conn=b"", time=time(1)), "'conn' has 0 bytes, 4 are needed"),
-        (record(op=b"\x02", conn=uint32(0)), "no field 'time'"),
         (message(10), "a message of log time 0.000000010, declared are 0.000000001 to 0.000000009"),
-        (message(0), "a message of log time 0.000000000, declared are"),
     ],
 )
 def test_a_damaged_chunk_is_refused(payload: bytes, told: str, tmp_path: Path) -> None:
@@ -139,18 +102,6 @@ def test_a_chunk_of_another_size_is_refused(compression: str, wrong: int, tmp_pa
     assert (said if compression != "none" else f"{len(PAYLOAD) + wrong} are declared") in fails(path)
 
 
-@pytest.mark.parametrize(("compression", "packed"), [("bz2", bz2.compress(LONG)), ("lz4", lz4.frame.compress(LONG))])
-def test_compressed_data_that_are_none_are_refused(compression: str, packed: bytes, tmp_path: Path) -> None:
-    for size, stored, told in (
-        (100, b"not compressed at all", f"its {compression} data cannot be decompressed"),
-        (2**32 - 1, b"not compressed at all", f"it declares {2**32 - 1} bytes"),
-        (len(LONG), packed[:-1], f"cannot be decompressed to the declared {len(LONG)} bytes"),
-        (len(LONG), b"", f"cannot be decompressed to the declared {len(LONG)} bytes"),
-    ):
-        path = simple_bag(tmp_path / "a.bag", b"", compression=compression, size=size, stored=stored)
-        assert told in fails(path)
-
-
 @pytest.mark.parametrize("compression", ["bz2", "lz4"])
 def test_a_decompression_bomb_is_not_let_off(compression: str, tmp_path: Path) -> None:
     path = simple_bag(tmp_path / "a.bag", bytes(50_000_000), compression=compression, size=1000)
@@ -160,8 +111,3 @@ def test_a_decompression_bomb_is_not_let_off(compression: str, tmp_path: Path) -
         assert tracemalloc.get_traced_memory()[1] < 10_000_000
     finally:
         tracemalloc.stop()
-
-
-def test_an_unknown_compression_is_refused(tmp_path: Path) -> None:
-    path = simple_bag(tmp_path / "a.bag", message(1), compression="zstd")
-    assert "compressed with 'zstd', allowed are none, bz2, lz4" in fails(path, hint="`strict`")

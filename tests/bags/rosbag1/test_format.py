@@ -4,29 +4,21 @@ from __future__ import annotations
 
 import itertools
 import struct
-import tracemalloc
 from contextlib import closing
-from dataclasses import replace
 from typing import TYPE_CHECKING
 from unittest.mock import Mock
 
 import pytest
 
 from pc2scan.bags.rosbag1 import read as rosbag1_reader
-from pc2scan.bags.rosbag1 import write as rosbag1_writer
 from pc2scan.bags.rosbag1.read import Rosbag1Reader
 from pc2scan.bags.rosbag1.records import record_in
-from pc2scan.bags.rosbag1.write import Rosbag1Writer
-from pc2scan.errors import UnwritableError
-from pc2scan.model import Connection, Definition
+from pc2scan.model import Connection
 from support.rosbag1_files import (
     COMPRESSIONS,
-    FIRST_CHUNK,
     SECOND,
-    bag_header,
     connection,
     connection_record,
-    given_bytes,
     header,
     message,
     read_rows,
@@ -66,13 +58,6 @@ def test_orders_of_fields_may_change_within_a_chunk(tmp_path: Path) -> None:
     assert read_rows(simple_bag(tmp_path / "a.bag", payload)) == expected
 
 
-@pytest.mark.parametrize("size", [0, 1, 3, 37, 38, 39, 45, 46, 47])
-def test_a_message_may_hold_what_looks_like_a_record(size: int, tmp_path: Path) -> None:
-    data = message(1, b"inside")[:size]
-    path = simple_bag(tmp_path / "a.bag", message(1, data) + message(2, data, order=("conn", "op", "time")))
-    assert read_rows(path) == [(0, 1, data), (0, 2, data)]
-
-
 @pytest.mark.parametrize("times", [(0, 0), (9, 1), (2**32 * SECOND - 1, 0)])
 @pytest.mark.parametrize("compression", COMPRESSIONS)
 def test_times_that_the_index_lacks_are_found(times: tuple[int, int], compression: str, tmp_path: Path) -> None:
@@ -93,32 +78,6 @@ def test_connections_that_only_a_chunk_describes_are_found(tmp_path: Path) -> No
         assert [item.connection.id for item in reader.messages()] == [5, 0]
 
 
-@pytest.mark.parametrize("counts", [{}, {0: 1}])
-def test_chunks_without_messages_are_passed_over(counts: dict[int, int], tmp_path: Path) -> None:
-    path = simple_bag(tmp_path / "a.bag", connection_record(), counts=counts, times=(0, 0))
-    with closing(Rosbag1Reader(path)) as reader:
-        assert reader.summary.start_ns is None
-        assert list(reader.messages()) == []
-
-
-def test_a_chunk_may_have_very_many_index_records(tmp_path: Path) -> None:
-    rows = [(number, number, b"x" * number) for number in range(400)]
-    path = write(tmp_path / "a.bag", [connection(f"/{number}") for number in range(400)], rows, chunk_size=1 << 24)
-    with closing(Rosbag1Reader(path, strict=True)) as reader:
-        assert len(list(reader.messages())) == 400
-
-
-def test_lying_lengths_of_index_records_do_no_harm(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.bag", [connection()], [(0, 1, b"a"), (0, 2, b"b")], "none")
-    raw = bytearray(path.read_bytes())
-    # conn, count, op and ver make 47 bytes, followed by the length of two entries of 12 bytes.
-    place = raw.index(header(conn=uint32(0), count=uint32(2), op=b"\x04", ver=uint32(1)))
-    assert raw[place + 51 : place + 55] == uint32(24)
-    raw[place + 51 : place + 55] = uint32(12)
-    path.write_bytes(raw)
-    assert read_rows(path) == [(0, 1, b"a"), (0, 2, b"b")]
-
-
 def test_connections_may_lack_a_definition_and_be_repeated(tmp_path: Path) -> None:
     bare = record(header(type=b"std_msgs/String")[4:], op=b"\x07", conn=uint32(0), topic=b"/bare")
     again = connection_record(callerid=b"/second")
@@ -128,29 +87,7 @@ def test_connections_may_lack_a_definition_and_be_repeated(tmp_path: Path) -> No
         assert reader.connections == (Connection(0, "/bare", "std_msgs/String", "ros1", message_count=1),)
 
 
-def test_an_empty_encryptor_is_none(tmp_path: Path) -> None:
-    with closing(Rosbag1Reader(given_bytes(tmp_path, bag_header(FIRST_CHUNK + 14, 0, 0, encryptor=b"")))) as reader:
-        assert reader.connections == ()
-
-
 # --- What is written ---
-
-
-def test_headers_of_connections_are_kept(tmp_path: Path) -> None:
-    connections = [
-        connection("/a", callerid="/node"),
-        connection("no_slash//double", msgtype="std_msgs/msg/String", digest="", latching=True),
-        connection("/ü", callerid="", metadata={"latching": "0", "tcp_nodelay": "1", "topic": "/remapped"}),
-        connection("/silent", definition=Definition("ros1msg", b"\xff\xfe not text\r\n")),
-    ]
-    path = write(tmp_path / "a.bag", connections, [(0, 7, b"x")])
-    with closing(Rosbag1Reader(path)) as reader:
-        assert list(reader.connections) == [
-            replace(each, id=index, msgtype="std_msgs/String", digest=each.digest or "*", message_count=index == 0)
-            for index, each in enumerate(connections)
-        ]
-        (found,) = reader.messages()
-        assert (found.log_time_ns, found.publish_time_ns) == (7, 7)
 
 
 def records_of(raw: bytes) -> list[tuple[dict[str, bytes], bytes]]:
@@ -193,33 +130,3 @@ def test_records_are_laid_out_as_ros1_does(tmp_path: Path) -> None:
     fields |= {"start_time": time(3), "ver": uint32(1)}
     assert records[11] == (fields, uint32(0) + uint32(2) + uint32(1) + uint32(1))
     assert [records_of(item[1])[-1][1] for item in records if item[0]["op"] == b"\5"] == [b"3", bytes(2000), b"5"]
-
-
-def test_the_writer_holds_one_chunk(tmp_path: Path) -> None:
-    writer = Rosbag1Writer(tmp_path / "a.bag", "none", 100_000)
-    handle = writer.add_connection(connection())
-
-    def chunks(count: int) -> None:
-        for _ in range(count * 700):
-            writer.write(handle, 1, bytes(100), 1)
-
-    chunks(5)
-    tracemalloc.start()
-    try:
-        before = tracemalloc.get_traced_memory()[0]
-        chunks(20)
-        grown = tracemalloc.get_traced_memory()[0] - before
-    finally:
-        tracemalloc.stop()
-    writer.finish()
-    # 14,000 messages later: at most the open chunk, and 20 small records.
-    assert grown < 700 * 500 + 20 * 400
-
-
-def test_a_message_that_no_chunk_can_hold_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    writer = Rosbag1Writer(tmp_path / "a.bag")
-    handle = writer.add_connection(connection())
-    monkeypatch.setattr(rosbag1_writer, "UINT32_MAX", 1000)
-    with pytest.raises(UnwritableError, match="a message of 990 bytes does not fit into a ROS 1 bag"):
-        writer.write(handle, 1, bytes(990), 1)
-    writer.abort()

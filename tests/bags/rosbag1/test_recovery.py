@@ -10,9 +10,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import pytest
 
 from fuzz.mutants.mutate import stretches
-from pc2scan.bags.rosbag1 import read as rosbag1_reader
-from pc2scan.bags.rosbag1 import records as rosbag1_records
-from pc2scan.bags.rosbag1 import recover as rosbag1_recovery
 from pc2scan.bags.rosbag1.read import Rosbag1Reader
 from pc2scan.errors import DamageError
 from support.rosbag1_files import (
@@ -34,9 +31,7 @@ from support.rosbag1_files import (
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from pc2scan.bags.chunks import Segment
     from pc2scan.bags.damage import Damage
-    from pc2scan.bags.rosbag1.records import BagFile
 
 CONNECTIONS = [connection("/a"), connection("/b")]
 ROWS: list[Row] = [(i % 2, 1_000_000_000 + 10 * (i // 2) + (i * 7) % 13, string(f"{i:03}" * 6)) for i in range(9)]
@@ -128,31 +123,6 @@ def test_a_bag_that_was_never_closed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("sound", [True, False])
-def test_of_a_bag_never_closed_no_chunk_is_read_twice(
-    sound: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = write(tmp_path / "a.bag", CONNECTIONS, ROWS, "lz4", chunk_size=150)
-    data = bytearray(path.read_bytes())
-    chunks = len(stretches("a.bag", bytes(data)))
-    if not sound:
-        at = data.index(b"index_pos=") + len(b"index_pos=")
-        data[at : at + 8] = bytes(8)
-        path.write_bytes(data)
-    read: list[int] = []
-    original = rosbag1_records.borrow_payload
-
-    def counting(file: BagFile, segment: Segment) -> memoryview:
-        read.append(segment.offset)
-        return original(file, segment)
-
-    for module in (rosbag1_records, rosbag1_reader, rosbag1_recovery):
-        monkeypatch.setattr(module, "borrow_payload", counting)
-    rows, damage = recovered(path)
-    assert (len(rows), bool(damage)) == (len(ROWS), not sound)
-    assert len(read) == len(set(read)) == chunks
-
-
-@pytest.mark.parametrize("sound", [True, False])
 def test_index_records_that_lie_about_their_length(sound: bool, tmp_path: Path) -> None:
     """A real recorder declares 20 bytes an entry where there are 12."""
     entries = b"".join(time(stamp) + uint32(0) for stamp in range(1, 9))
@@ -208,20 +178,3 @@ def test_of_a_chunk_that_breaks_midway_the_front_is_kept(compression: str, tmp_p
     assert damage.bytes_lost > 0
     assert damage.messages_lost == 600 - len(found)
     assert (damage.first_ns or 0) >= rows[0][1]
-
-
-@pytest.mark.parametrize("run_size", [1, 200, 1 << 22])
-def test_messages_outside_chunks_are_chosen_by_topic_and_time(
-    run_size: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(rosbag1_recovery, "_RUN_SIZE", run_size)
-    connections = b"".join(connection_record(number, topic=f"/{number}".encode()) for number in range(3))
-    loose = b"".join(message(100 + time, bytes([time]) * 30, time % 3) for time in range(9))
-    path = tmp_path / "loose.bag"
-    path.write_bytes(bag_header(0, 3, 0) + connections + loose)
-    with closing(Rosbag1Reader(path)) as reader:
-        assert (reader.summary.start_ns, reader.summary.end_ns) == (100, 108)
-        for number, own in enumerate(sorted(reader.connections, key=lambda each: each.topic)):
-            for first, stop in ((0, 9), (3, 6), (4, 9)):
-                found = [each.log_time_ns for each in reader.messages([own], 100 + first, 100 + stop)]
-                assert found == [100 + time for time in range(first, stop) if time % 3 == number]

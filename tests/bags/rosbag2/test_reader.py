@@ -19,7 +19,6 @@ from support.rosbag2_files import (
     QOS_NUMBERS,
     compress_file,
     listed,
-    names,
     read,
     write_metadata,
     write_storage,
@@ -61,14 +60,6 @@ def test_every_version_of_metadata_is_read(version: int, bag: Path) -> None:
         assert reader.path == bag
 
 
-def test_the_storage_is_right_where_they_disagree(bag: Path) -> None:
-    write_storage(bag / "bag_0.db3", [("/a", 3)], qos="- durability: 2", digest="RIHS01_own", latching=False)
-    write_metadata(bag, 8, ["bag_0.db3"])
-    with closing(Rosbag2Reader(bag)) as reader:
-        a = reader.connections[0]
-        assert (a.qos, a.digest, a.latching, a.message_count) == ("- durability: 2", "RIHS01_own", False, 1)
-
-
 @pytest.mark.parametrize("suffix", STORAGES)
 @pytest.mark.parametrize("with_metadata", [True, False])
 def test_split_recordings_are_merged_by_time(suffix: str, with_metadata: bool, bag: Path) -> None:
@@ -82,28 +73,6 @@ def test_split_recordings_are_merged_by_time(suffix: str, with_metadata: bool, b
         found = [(m.connection.topic, m.log_time_ns) for m in reader.messages()]
         assert found == [("/a", 1), ("/b", 2), ("/b", 2), ("/a", 3), ("/a", 9)]
         assert reader.summary.size_bytes == sum(f.stat().st_size for f in storage_files(bag))
-
-
-@pytest.mark.parametrize(
-    ("suffix", "mode"), [("db3", "FILE"), ("mcap", "file"), ("db3", "File"), ("mcap", None), ("db3", None)]
-)
-def test_compressed_files_are_read_from_copies(suffix: str, mode: str | None, bag: Path) -> None:
-    for number in range(2):
-        write_storage(bag / f"bag_{number}.{suffix}", [("/a", 10 * number), ("/a", 10 * number + 1)])
-        compress_file(bag / f"bag_{number}.{suffix}")
-    if mode:
-        files = [f"bag_{number}.{suffix}.zstd" for number in range(2)]
-        write_metadata(bag, 8, files, STORAGES[suffix], compression_format="zstd", compression_mode=mode)
-    before = names(bag)
-    reader = Rosbag2Reader(bag)
-    temporary = reader._temporary
-    assert temporary is not None
-    assert [m.log_time_ns for m in reader.messages()] == [0, 1, 10, 11]
-    assert reader.summary.compression == ("zstd",)
-    assert reader.summary.size_bytes == sum(f.stat().st_size for f in storage_files(bag))
-    reader.close()
-    assert not Path(temporary.name).exists()
-    assert names(bag) == before
 
 
 @pytest.mark.parametrize("name", ["../outside.db3", "/etc/outside.db3", "C:\\x\\outside.db3", "sub/outside.db3"])
@@ -174,17 +143,6 @@ def test_a_contradiction_is_damage_and_the_rest_is_read(
     with pytest.raises(DamageError) as caught:
         Rosbag2Reader(bag, strict=True)
     assert told in caught.value.message
-
-
-def test_a_part_in_which_a_topic_has_no_serialization(bag: Path) -> None:
-    for number, form in enumerate(("cdr", "")):
-        write_storage(bag / f"bag_{number}.db3", [("/a", 10 * number + n) for n in range(4)], serialization=form)
-    write_metadata(bag, 8, ["bag_0.db3", "bag_1.db3"], message_count=8)
-    with closing(Rosbag2Reader(bag)) as reader:
-        assert len(list(reader.messages())) == 8
-        # metadata.yaml has it.
-        assert {connection.serialization for connection in reader.connections} == {"cdr"}
-        assert not reader.damage
 
 
 @pytest.mark.parametrize("suffix", sampled(STORAGES, 1))

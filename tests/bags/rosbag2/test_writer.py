@@ -13,7 +13,6 @@ from rosbags.rosbag2 import Reader as TheirReader
 from ruamel.yaml import YAML
 
 from pc2scan.bags.mcap.read import McapReader
-from pc2scan.bags.qos import parse_qos, respell_qos
 from pc2scan.bags.rosbag2.read import Rosbag2Reader
 from pc2scan.bags.rosbag2.write import Rosbag2Writer
 from support.rosbag2_files import QOS_NUMBERS, STORE, STRING, names, read, text, topic
@@ -89,41 +88,3 @@ def test_rosbags_reads_what_is_written(storage: str, compression: str, tmp_path:
     assert (first["message_count"], second["message_count"]) == (3, 3)
     assert [each["topic_metadata"]["offered_qos_profiles"] for each in (first, second)] == [QOS_NUMBERS, ""]
     assert stored_info(path / file) == info
-
-
-@pytest.mark.parametrize("storage", SUFFIXES)
-def test_an_empty_recording_has_no_times(storage: str, tmp_path: Path) -> None:
-    path = tmp_path / "bag"
-    writer = Rosbag2Writer(path, "bag", storage=storage)
-    writer.add_connection(topic("/a"))
-    writer.finish()
-    info = info_of(path)
-    assert info["starting_time"] == {"nanoseconds_since_epoch": 9223372036854775807}
-    assert info["duration"] == {"nanoseconds": 0}
-    with TheirReader(path) as theirs:
-        assert theirs.message_count == 0
-        assert list(theirs.messages()) == []
-    with closing(Rosbag2Reader(path)) as reader:
-        assert list(reader.messages()) == []
-        assert [c.topic for c in reader.connections] == ["/a"]
-        assert (reader.summary.message_count, reader.summary.start_ns) == (0, None)
-
-
-PROFILES = ["- durability: 1", "- {}", "not: a list", "[unbalanced", "- durability: 77\n  speed: 3", "- - 1", "3",
-            "- history: !!x"]  # fmt: skip
-
-
-@pytest.mark.parametrize("storage", SUFFIXES)
-def test_mutilated_profiles_are_completed_if_they_can_be(storage: str, tmp_path: Path) -> None:
-    writer = Rosbag2Writer(tmp_path / "bag", "bag", storage=storage)
-    for number, qos in enumerate(PROFILES):
-        metadata = {"offered_qos_profiles": qos, "other": "kept"}
-        writer.write(writer.add_connection(topic(f"/{number}", qos=qos, metadata=metadata)), 1, text("x"), 1)
-    writer.finish()
-    with closing(Rosbag2Reader(tmp_path / "bag")) as reader:
-        for qos, found in zip(PROFILES, reader.connections, strict=True):
-            assert found.qos == respell_qos(qos)
-            assert (found.qos == qos) == (parse_qos(qos) is None)
-        assert len(list(reader.messages())) == len(PROFILES)
-    # metadata.yaml is well-formed whatever the profiles are.
-    assert info_of(tmp_path / "bag")

@@ -99,17 +99,6 @@ def test_behind_damage_in_a_log_nothing_is_read_and_that_is_reported(
             Sqlite3Reader(path, strict=True)
 
 
-def test_a_log_cut_anywhere_keeps_what_was_committed(hot: tuple[Path, Rows, list[int]], tmp_path: Path) -> None:
-    source, rows, ends = hot
-    log = Path(f"{source}-wal").read_bytes()
-    noise = random.Random(3)
-    for size in {1, 31, 33, *(noise.randrange(32, len(log)) for _ in range(20)), *(end - 4120 for end in ends)}:
-        found, damage = recovered(changed(source, tmp_path, log[:size]))
-        committed = 6 * sum(end <= size for end in ends)
-        assert sorted(found) == sorted(rows[: 20 + committed]), size
-        assert damage or size in ends, size
-
-
 def test_what_a_log_has_not_yet_overwritten_is_no_damage(tmp_path: Path) -> None:
     live = tmp_path / "live.db3"
     rows = build(live, 20)
@@ -124,12 +113,3 @@ def test_what_a_log_has_not_yet_overwritten_is_no_damage(tmp_path: Path) -> None
         shutil.copyfile(live, tmp_path / "a.db3")
         shutil.copyfile(f"{live}-wal", tmp_path / "a.db3-wal")
     assert [sorted(recovered(tmp_path / "a.db3")[0]), recovered(tmp_path / "a.db3")[1]] == [sorted(rows), ()]
-
-
-@pytest.mark.parametrize(("place", "data"), [(0, b"\xff"), (9000, b""), (513, b"\xff")])
-def test_a_damaged_journal_is_reported(place: int, data: bytes, tmp_path: Path) -> None:
-    path = interrupted(tmp_path / "a", "DELETE", 1, "FULL")
-    journal = Path(f"{path}-journal")
-    good = journal.read_bytes()
-    journal.write_bytes(good[:place] + (data + good[place + 1 :] if data else b""))
-    assert recovered(path)[1]

@@ -12,9 +12,8 @@ import zstandard
 
 from pc2scan.bags.rosbag2.sqlite3.read import Sqlite3Reader
 from pc2scan.bags.rosbag2.sqlite3.write import Sqlite3Writer
-from pc2scan.errors import RecordingError
 from pc2scan.model import Connection, Definition
-from support.builders import CONTENT, STRING, TF, definition, write_db3
+from support.builders import CONTENT, TF, definition, write_db3
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -75,16 +74,6 @@ def test_every_schema_version_is_read(version: int, more: str, tmp_path: Path) -
     assert [entry.name for entry in tmp_path.iterdir()] == ["x.db3"]
 
 
-def test_a_definition_is_chosen_by_hash(tmp_path: Path) -> None:
-    script = f"""UPDATE topics SET type_description_hash = 'RIHS01_new' WHERE name = '/chatter';
-        UPDATE message_definitions SET type_description_hash = 'RIHS01_old' WHERE topic_type = '{STRING}';
-        INSERT INTO message_definitions VALUES (99, '{STRING}', 'ros2idl', 'idl', 'RIHS01_new');
-        UPDATE message_definitions SET encoding = '', encoded_message_definition = '' WHERE topic_type = '{TF}'"""
-    with closing(Sqlite3Reader(build(tmp_path / "x.db3", script=script))) as reader:
-        found = {each.topic: each.definition for each in reader.connections}
-        assert (found["/chatter"], found["/tf"]) == (Definition("ros2idl", b"idl"), Definition())
-
-
 def test_without_an_index_memory_does_not_grow(tmp_path: Path) -> None:
     rows = ((1, 1000 - number, bytes(100_000)) for number in range(100))
     path = build(tmp_path / "x.db3", script=WITHOUT_INDEX, rows=rows)
@@ -120,20 +109,6 @@ def test_compressed_messages_are_recognised(declared: str, content_size: bool, t
     assert read(path, message_compression=declared) == ROWS
     with closing(Sqlite3Reader(path)) as reader:
         assert reader.summary.compression == ("zstd",)
-
-
-def test_what_is_not_rosbag2_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "x.db3"
-    with pytest.raises(RecordingError, match="No such file"):
-        Sqlite3Reader(path)
-    path.write_bytes(b"SQLite format 3\0" + bytes(4000))
-    with pytest.raises(RecordingError, match="nothing of it can be recovered: SQLite cannot read it"):
-        Sqlite3Reader(path)
-    path.unlink()
-    with closing(sqlite3.connect(path)) as database, database:
-        database.execute("CREATE TABLE topics(id)")
-    with pytest.raises(RecordingError, match="table topics lacks name, serialization_format, type"):
-        Sqlite3Reader(path)
 
 
 # --- What is written ---

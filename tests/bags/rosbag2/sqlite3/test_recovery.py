@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import sqlite3
 import struct
 from collections import Counter
-from contextlib import closing
 from typing import TYPE_CHECKING
 
 import pytest
@@ -13,7 +11,7 @@ import pytest
 from pc2scan.bags.rosbag2.sqlite3.read import Sqlite3Reader
 from pc2scan.errors import DamageError
 from support import sampled
-from support.sqlite3_files import build, hot_log, recovered, rosbag2_pages
+from support.sqlite3_files import build, recovered, rosbag2_pages
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -73,61 +71,6 @@ def test_of_an_overwritten_page_only_its_own_rows_are_lost(tmp_path: Path) -> No
         if len(rows) < len(complete):
             assert damage, page
         assert rows == sorted(rows, key=lambda row: row[1])
-
-
-def test_damage_that_shows_midway_repeats_nothing(tmp_path: Path) -> None:
-    complete = build(tmp_path / "a.db3", 600)
-    data = bytearray((tmp_path / "a.db3").read_bytes())
-    # A leaf of the index: SQLite meets it while it reads in order of time.
-    leaves = [at for at in range(0, len(data), 4096) if data[at] == 0x0A]
-    data[leaves[len(leaves) // 2] : leaves[len(leaves) // 2] + 4096] = b"\xa5" * 4096
-    (tmp_path / "a.db3").write_bytes(data)
-    rows, damage = recovered(tmp_path / "a.db3")
-    assert Counter(rows) == Counter(complete)
-    assert rows == sorted(rows, key=lambda row: row[1])
-    assert ["SQLite cannot read it" in place.what for place in damage] == [True]
-    with pytest.raises(DamageError, match="malformed"), closing(Sqlite3Reader(tmp_path / "a.db3", strict=True)) as r:
-        list(r.messages())
-
-
-def test_a_reading_goes_on_after_another_one_met_damage(tmp_path: Path) -> None:
-    complete = build(tmp_path / "a.db3", 3_000)
-    data = bytearray((tmp_path / "a.db3").read_bytes())
-    # The last page that a large message continues in is read only with it; then its next page does not exist.
-    pages = [at for at in range(0, len(data), 4096) if data[at] == 0 and struct.unpack_from(">I", data, at)[0]]
-    struct.pack_into(">I", data, pages[-1], 1_000_000)
-    (tmp_path / "a.db3").write_bytes(data)
-    with closing(Sqlite3Reader(tmp_path / "a.db3")) as reader:
-        messages = reader.messages()
-        times = [next(messages).log_time_ns]
-        assert not reader.damage
-        again = [message.log_time_ns for message in reader.messages()]
-        damage = reader.damage
-        assert (len(again), bool(damage)) == (len(complete) - 1, True)
-        times += (message.log_time_ns for message in messages)
-        assert (times, reader.damage) == (again, damage)
-
-
-def test_messages_of_a_topic_that_is_not_described_are_counted(tmp_path: Path) -> None:
-    build(tmp_path / "a.db3")
-    with closing(sqlite3.connect(tmp_path / "a.db3")) as database, database:
-        database.execute("DELETE FROM topics WHERE name = '/b'")
-    rows, (damage,) = recovered(tmp_path / "a.db3")
-    assert {row[0] for row in rows} == {"/a"}
-    assert damage.messages_lost == 60
-    assert "60 messages are of topic 2" in damage.what
-
-
-def test_rows_of_a_hot_log_beside_a_broken_database_count(tmp_path: Path) -> None:
-    path, complete, _ = hot_log(tmp_path)
-    data = bytearray(path.read_bytes())
-    # A page that the log does not have: an inner one is enough for SQLite to give up.
-    number = next(at for at in range(4096 * 7, len(data), 4096) if data[at] == 0x0D)
-    data[number : number + 4096] = b"\xa5" * 4096
-    path.write_bytes(data)
-    rows, damage = recovered(path)
-    assert damage
-    assert {row for row in complete if row[1] >= 2_000_000} <= set(rows)
 
 
 def test_a_row_with_an_impossible_length_loses_no_other(tmp_path: Path) -> None:
