@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pytest
 
 import pc2scan
@@ -92,25 +91,6 @@ def test_livox_clouds_get_the_fields_of_the_driver(form: str, jobs: int, tmp_pat
         (scan, *_) = pc2scan.scans(source, min_height=-9.0, range_min=0.1, intensity_field="intensity")
         made.append((scan.ranges.tobytes(), scan.intensities.tobytes()))
     assert made[0] == made[1]
-
-
-def test_points_are_as_late_in_both(tmp_path: Path) -> None:
-    path = recording(tmp_path / "a.mcap", LIVOX, livox, 2)
-    report = pc2scan.convert(path, clouds_as="pointcloud2")
-    (own, *_), (driver, *_) = pc2scan.clouds(path), pc2scan.clouds(report.destination)
-    # float64 has steps of 256 ns at the present time.
-    np.testing.assert_allclose(driver["timestamp"] - float(T0), own["offset_time"], atol=256)
-
-
-def test_messages_that_cannot_be_decoded_are_skipped_and_named(tmp_path: Path) -> None:
-    def broken(step: int, ros_version: int) -> bytes:
-        return livox(step, ros_version)[: -40 if step == 1 else None]
-
-    path = recording(tmp_path / "a.mcap", LIVOX, broken, 2)
-    report = pc2scan.convert(path, clouds_as="pointcloud2")
-    (topic,) = (topic for topic in report.topics if topic.topic == LIVOX.topic)
-    assert (topic.messages_in, topic.messages_out, topic.skipped) == (3, 2, 1)
-    assert "message ends after" in report.skipped[0].reason
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,7 @@ from pc2scan.conversion.cloud_to_scan import CloudToScan
 from pc2scan.conversion.scan_to_cloud import ScanToCloud
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.project import project
-from pc2scan.core.unproject import UnprojectParams
-from pc2scan.errors import DecodeError, TransformError
+from pc2scan.errors import DecodeError
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan, encode_laserscan
 from pc2scan.messages.pointcloud2 import PointCloud2, decode_pointcloud2
 from pc2scan.request.options import ScanSpec
@@ -107,21 +106,6 @@ def test_a_cloud_is_transformed_before_the_limits_apply() -> None:
     np.testing.assert_allclose(np.sort(read.ranges)[:2], [math.hypot(1, 3), math.hypot(3, 2)], rtol=1e-6)
 
 
-def test_the_way_back_carries_the_header_and_all_channels() -> None:
-    every = UnprojectParams(distances=True, stamps=True, viewpoint=True)
-    ranges = [1, 2, math.nan, 40, 3, 0.01, math.inf]
-    message = scan(ranges, intensities=np.arange(7, dtype=np.float32), time_increment=0.25)
-    made = once(ScanToCloud(every, Placer()), message, "ros1", "cdr")
-    read = decode_pointcloud2(made.message, "cdr")
-    assert (read.stamp_ns, read.frame_id, read.height, read.width, read.is_dense) == (5 * SECOND, "laser", 1, 3, False)
-    names = ["x", "y", "z", "intensity", "index", "distances", "stamps", "vp_x", "vp_y", "vp_z"]
-    assert [field.name for field in read.fields] == names
-    assert read.field("index").tolist() == [0, 1, 4]
-    assert read.field("intensity").tolist() == [0, 1, 4]
-    assert read.field("stamps").tolist() == [0, 0.25, 1.0]
-    assert (made.counts.total, made.counts.used, made.counts.nan, made.counts.range) == (7, 3, 1, 3)
-
-
 def test_deskewing_takes_each_beam_from_where_the_sensor_was() -> None:
     # 1 m/s and a quarter turn a second; five beams, a quarter of a second apart.
     rows = [("odom", "laser", (5 + k) * SECOND, float(k), k * math.pi / 2) for k in range(2)]
@@ -143,19 +127,6 @@ def test_last_beams_beyond_ros_time_are_an_error(stamp_ns: int, increment: float
     assert caught.value.stamp_ns == stamp_ns
 
 
-def test_nans_that_signal_are_nans_like_any_other() -> None:
-    signalling = np.array([0x7F800001, 0xFFBFFFFF, 0x3F800000], np.uint32).view(np.float32)
-    known = frames("odom", ("odom", "laser", 5 * SECOND, 1.0, 0.5))
-    every = UnprojectParams(distances=True, stamps=True, viewpoint=True)
-    for deskewed in (False, True):
-        message = scan(signalling, intensities=signalling[::-1].copy())
-        made = once(ScanToCloud(every, known, deskewed=deskewed), message)
-        assert (made.counts.used, made.counts.nan) == (1, 2)
-        (intensity,) = decode_pointcloud2(made.message, "ros1").field("intensity").view(np.uint32)
-        # The bits are the scan's: a signalling NaN stays one.
-        assert intensity == 0x7F800001
-
-
 @pytest.mark.parametrize("static", [False, True])
 @pytest.mark.parametrize("stamp_ns", [5 * SECOND, 0])
 def test_a_transformed_cloud_has_the_header_of_the_transform(stamp_ns: int, static: bool) -> None:
@@ -173,30 +144,3 @@ def test_a_transformed_cloud_has_the_header_of_the_transform(stamp_ns: int, stat
     ):
         read = decode_pointcloud2(once(conversion, message).message, "ros1")
         assert (read.sequence, read.stamp_ns, read.frame_id) == expected
-
-
-#: A time without a transform, and an intensity for one of two beams.
-NO_SCANS: list[tuple[Any, bytes, type[Exception], str]] = [
-    (
-        ScanToCloud(None, frames("odom", ("odom", "laser", 5 * SECOND, 1.0, 0.0)), deskewed=True),
-        scan([2.0] * 3, time_increment=0.1),
-        TransformError,
-        "too late",
-    ),
-    (ScanToCloud(None, Placer()), scan([1, 2], intensities=np.array([1.0], np.float32)), DecodeError, "intensities"),
-    (
-        CloudToScan(ScanSpec(params=ProjectionParams(intensity_field="r")), Placer()),
-        cloud([[2, 0, 0]]),
-        DecodeError,
-        "no field 'r'; the",
-    ),
-]
-
-
-@pytest.mark.parametrize(("conversion", "message", "kind", "what"), NO_SCANS)
-def test_what_cannot_be_converted_is_an_error_with_the_stamp(
-    conversion: Any, message: bytes, kind: type[Exception], what: str
-) -> None:
-    with pytest.raises(kind, match=what) as caught:
-        once(conversion, message)
-    assert kind is TransformError or caught.value.stamp_ns == 5 * SECOND  # type: ignore[attr-defined]

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import struct
 from contextlib import closing
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from mcap.records import Channel, Schema
-from mcap.writer import Writer as LibraryWriter
 
 import pc2scan
 from pc2scan.bags import chunks
@@ -28,11 +25,9 @@ from pc2scan.errors import DamageError
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.model import Connection, Definition
-from pc2scan.threads import Threads
 from support import builders, sampled
-from support.mcap_files import encoded, streamed
 from support.outputs import opened, physical_order
-from support.rosbag1_files import ROS1, ROSBAG, ros1, ros1_missing, ros1_read
+from support.rosbag1_files import ros1_missing, ros1_read
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -175,36 +170,6 @@ def test_copying_is_seen_in_the_work_and_not_in_the_messages(source: Path, monke
     assert len(copied.of("/scan")) == ROUNDS
 
 
-@pytest.mark.parametrize("suffix", [".bag", ".mcap"])
-def test_another_compression_leaves_chunks_whole(suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    source = write(tmp_path / f"drive{suffix}", "lz4")
-    counts = Counts(monkeypatch)
-    destination = convert(source, compression="none")
-    assert {compression for _, compression, _ in stored_chunks(destination)} == {"none"}
-    there = write(tmp_path / f"plain{suffix}", "none")
-    assert images_only(destination) == images_only(there)
-    if suffix == ".mcap":
-        assert counts.done.count("split") == ROUNDS + ROUNDS
-    monkeypatch.setattr(chunks, "MIN_WHOLE_BYTES", 1 << 40)
-    assert opened(destination) == opened(convert(source, compression="none"))
-
-
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_compressing_is_the_work_of_the_pool(source: Path, jobs: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    counts = Counts(monkeypatch)
-    submit, given = Threads.submit, []
-
-    def submitting(self: Threads, work: Callable[..., Any], *args: Any) -> Any:
-        given.append(getattr(work, "func", work).__qualname__)
-        return submit(self, work, *args)
-
-    monkeypatch.setattr(Threads, "submit", submitting)
-    convert(source, jobs=jobs, keep_clouds=True, compression="lz4")
-    assert counts.done.count("compressed") >= ROUNDS
-    chunks = sum("WriteAhead" in name for name in given)
-    assert chunks == (0 if jobs == 1 else counts.done.count("compressed"))
-
-
 @pytest.mark.parametrize(
     "options", sampled([{}, {"keep_clouds": True}, {"compression": "lz4"}, {"start": "0.004"}], 2), ids=str
 )
@@ -280,11 +245,6 @@ def test_chunks_are_copied_unless_something_belongs_between_their_messages(
         )
 
 
-def test_small_chunks_are_gathered(source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(chunks, "MIN_WHOLE_BYTES", 256 << 10)
-    assert len(stored_chunks(convert(source))) == 1
-
-
 @pytest.mark.parametrize("options", sampled([{}, {"jobs": 1}, {"compression": "none"}], 1), ids=str)
 def test_damage_in_a_copied_chunk_is_found(source: Path, options: dict[str, Any]) -> None:
     if source.suffix == ".bag" and stored_chunks(source)[0][1] == "none":
@@ -302,90 +262,6 @@ def test_damage_in_a_copied_chunk_is_found(source: Path, options: dict[str, Any]
     report = pc2scan.convert(source, source.with_name(f"told{source.suffix}"), params=PARAMS, **options)
     assert len(report.damage) == 1
     assert report.exit_status == 3
-
-
-QOS = "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1"
-
-
-def declaring_chunks(path: Path, *, clouds_first: bool) -> list[bytes]:
-    """Write chunks of images that declare their own channel, as other writers do; returns the chunks.
-
-    With ``clouds_first`` the first of them declares the clouds' channel too.
-    """
-
-    def declare_clouds() -> int:
-        text, _ = definition(POINTCLOUD2, 2)
-        schema = writer.register_schema(POINTCLOUD2, "ros2msg", text.data)
-        return writer.register_channel("/points", "cdr", schema, {"offered_qos_profiles": QOS})
-
-    with path.open("wb") as file:
-        writer = LibraryWriter(file, chunk_size=CHUNK)
-        writer.start("ros2", "test")
-        points = declare_clouds() if clouds_first else 0
-        schema = writer.register_schema("pc2scan_msgs/msg/Blob", "ros2msg", b"uint8[] data\n")
-        images = writer.register_channel("/left", "cdr", schema, {"offered_qos_profiles": QOS})
-        for number in range(8):
-            writer.add_message(images, T0 + number * STEP, image(number), T0)
-        points = points or declare_clouds()
-        writer.add_message(points, T0 + 8 * STEP, cloud(2, 8), T0)
-        writer.finish()  # type: ignore[no-untyped-call]
-    return [stored for _, _, stored in stored_chunks(path)]
-
-
-def consistent(path: Path) -> bool:
-    """Whether all records of one channel or schema are equal."""
-    declared: dict[tuple[type, int], set[bytes]] = {}
-    for record in streamed(path):
-        if isinstance(record, Channel | Schema):
-            declared.setdefault((type(record), record.id), set()).add(encoded(record))
-    return all(len(records) == 1 for records in declared.values())
-
-
-#: Whether the chunks declare the clouds first, whether the destination is a directory, which completes QoS profiles,
-#: and which chunks are copied. The second one declares nothing, but that cannot be known without looking.
-DECLARED = [(False, False, slice(0, 2)), (True, False, slice(1, 2)), (False, True, slice(1, 2))]
-
-
-@pytest.mark.parametrize(("clouds_first", "directory", "copied"), DECLARED)
-def test_chunks_that_declare_what_is_written_are_copied(
-    clouds_first: bool, directory: bool, copied: slice, tmp_path: Path
-) -> None:
-    there = declaring_chunks(tmp_path / "drive.mcap", clouds_first=clouds_first)
-    assert len(there) == 3
-    options = {"suffix": ""} if directory else {}
-    destination = convert(tmp_path / "drive.mcap", **options)
-    storage = destination / "scans_0.mcap" if directory else destination
-    assert [stored for _, _, stored in stored_chunks(storage) if stored in there] == there[copied]
-    assert consistent(storage)
-    assert {channel.topic for channel in streamed(storage) if isinstance(channel, Channel)} == {"/left", "/scan"}
-    assert len(opened(destination).messages) == 9
-
-
-@pytest.mark.parametrize(
-    ("compression", "start"), sampled(product(("lz4", "none", "bz2"), (str(T0 + 3 * STEP), None)), 1)
-)
-def test_ros1_itself_reads_copied_chunks(compression: str, start: str | None, tmp_path: Path) -> None:
-    if ros1_missing():
-        pytest.skip(ros1_missing())
-    source = write(tmp_path / "drive.bag", compression)
-    destination = convert(source, start=start)
-    theirs = [(topic, time_ns) for topic, time_ns, *_ in ros1_read(destination)]
-    assert sorted(theirs) == sorted((found.topic, found.log_time_ns) for found in opened(destination).messages)
-
-
-def test_ros1_can_make_a_new_index(tmp_path: Path) -> None:
-    """Also where the chunks that described the connections first were cut off."""
-    if ros1_missing():
-        pytest.skip(ros1_missing())
-    destination = convert(write(tmp_path / "drive.bag", "lz4"), start=str(T0 + 7 * STEP))
-    expected = len(opened(destination).messages)
-    data = bytearray(destination.read_bytes())
-    (index_pos,) = struct.unpack_from("<Q", data, place := data.index(b"index_pos=") + 10)
-    data[place : place + 8] = bytes(8)
-    destination.write_bytes(data[:index_pos])
-    done = ros1(ROS1, ROSBAG, "reindex", destination)
-    assert done.returncode == 0, done.stderr
-    assert len(opened(destination).messages) == expected
 
 
 @pytest.mark.parametrize("apart", [True, False])
@@ -407,19 +283,3 @@ def test_parts_of_a_recording(apart: bool, tmp_path: Path) -> None:
         times = [time_ns for _, time_ns in physical_order(destination)]
         assert times == sorted(times)
         assert len(times) == sum(bool(topic) for part in parts for topic, _, _ in part)
-
-
-def test_rosbag2_directories(tmp_path: Path) -> None:
-    source = write(tmp_path / "drive", "zstd")
-    there = images_only(source / "drive_0.mcap", frozenset({2, 3}))
-    assert len(there) == ROUNDS
-    destination = convert(source)
-    written = [stored for _, _, stored in stored_chunks(destination / "scans_0.mcap")]
-    assert [stored for stored in written if stored in there] == there
-    assert len(opened(destination).messages) == ROUNDS * (IMAGES_A_CHUNK + 2)
-    # Messages that are packed by themselves do not depend on the threads either.
-    packed = [
-        (convert(source, suffix="", storage="sqlite3", compression="zstd", jobs=jobs) / "scans_0.db3").read_bytes()
-        for jobs in (1, 2, 5)
-    ]
-    assert packed[0] == packed[1] == packed[2]

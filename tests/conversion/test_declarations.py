@@ -69,11 +69,3 @@ def test_alone_or_elsewhere_they_stay_as_they_are() -> None:
     assert declared(*connections, one_a_topic=False) == ([101, 102], connections)
     connection = publisher(qos="[{depth: 1}]", metadata={"a": "b"})
     assert declared(connection) == ([101], [connection])
-
-
-def test_tens_of_thousands_of_publishers_are_compared_once() -> None:
-    """Were each compared with each, this would take minutes."""
-    large = Definition("ros2msg", b"string data  # and more\n" * 10_000)
-    connections = [publisher(definition=large, qos="- depth: 1") for _ in range(5_000)]
-    connections += [publisher(digest=f"RIHS01_{number}", text="") for number in range(5_000)]
-    assert declared(*connections)[0].count(101) == 5_000

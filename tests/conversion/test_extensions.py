@@ -24,7 +24,6 @@ from pc2scan.request.filters import Frame
 from pc2scan.request.options import ScanSpec
 from support import builders
 from support.builders import T0
-from support.command import run
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
 
     from pc2scan.messages.clouds import Decode
     from pc2scan.model import Buffer
-    from pc2scan.request.filters import Filter
 
 TOY_CLOUD = "toy_msgs/msg/Polar"
 BAND = pc2scan.ProjectionParams(min_height=-1.0, max_height=2.0)
@@ -126,22 +124,6 @@ def test_a_new_cloud_type_is_one_decoder(tmp_path: Path, monkeypatch: pytest.Mon
     assert scan.ranges[np.isfinite(scan.ranges)].tolist() == pytest.approx([2.0, 3.0])
 
 
-def test_a_new_cloud_type_is_in_what_is_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(CLOUDS, TOY_CLOUD, polar_decoder)
-    source = recorded(tmp_path / "a.mcap", TOY_CLOUD, [struct.pack("<q4f", T0, 2.0, 0.0, 3.0, 0.0)])
-    (described,) = pc2scan.info([source]).clouds
-    assert (described.shape, described.points_max, described.frames) == ((1, 2), 2, ("polar",))
-    assert [name for name, *_ in described.fields] == ["x", "y", "z"]
-    printed = run("info", source).stdout
-    assert "2 a cloud (1 x 2)\n" in printed
-    assert "x float32, y float32, z float32" in printed
-    with pytest.raises(UsageError, match="the recording has no LaserScan topic") as caught:
-        pc2scan.convert(source, tmp_path / "b.mcap", reverse=True)
-    assert caught.value.hint == "it has Polar topics; without `reverse` they become scans"
-    with pytest.raises(ParameterError, match="intensity_field is 'ring', which the clouds on /points do not have"):
-        pc2scan.convert(source, tmp_path / "b.mcap", params=pc2scan.ProjectionParams(intensity_field="ring"))
-
-
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_a_new_filter_is_one_class(tmp_path: Path, jobs: int) -> None:
     source = recorded(tmp_path / "a.mcap", POINTCLOUD2, [cloud(), cloud()])
@@ -176,23 +158,6 @@ def test_filters_work_in_the_frame_that_they_name(tmp_path: Path, frame: Any) ->
     expected = {"used": 1, "this_side": 4} if frame is Frame.TARGET else {"used": 2, "this_side": 3}
     assert points.total == 5
     assert {name: getattr(points, name) for name in expected} == expected
-
-
-def test_filters_are_applied_in_their_order(tmp_path: Path) -> None:
-    source = recorded(tmp_path / "a.mcap", POINTCLOUD2, [cloud()])
-    target = tmp_path / "b.mcap"
-
-    def points(*filters: Filter) -> Any:
-        return pc2scan.convert(source, target, params=BAND, filters=filters, overwrite=True).topics[0].points
-
-    every, far = EveryNth(2), Beyond(Frame.SOURCE, 1.5)
-    assert points(far, every) == pc2scan.PointCounts(total=5, used=1, this_side=3, thinned=1)
-    points(Beyond(Frame.SOURCE, -99.0), Beyond(Frame.TARGET, -99.0))
-    kept = target.read_bytes()
-    points()
-    assert target.read_bytes() == kept
-    (warning,) = pc2scan.convert(source, target, params=BAND, filters=[EveryNth(1, highest=0)], overwrite=True).warnings
-    assert warning == "1 of 1 scan on /scan has no return at all: 100% of all points were thinned out (see n)"
 
 
 def test_a_filter_that_cannot_be_is_an_error(tmp_path: Path) -> None:

@@ -73,12 +73,6 @@ def test_topics_that_share_a_target_become_one_scan() -> None:
         plan({"/a": "scan", "/b": "scan"}, "/a:=/c /b:=/c", reverse=True)
 
 
-def test_a_cloud_that_ros_did_not_serialise_is_not_converted() -> None:
-    connections = [Connection(1, "/points", "sensor_msgs/msg/PointCloud2", "json")]
-    with pytest.raises(TopicError, match="in an encoding that is not ROS's: /points"):
-        make_plan(connections, ConvertOptions())
-
-
 def test_an_output_without_sources_has_the_only_topic() -> None:
     spec = ScanSpec(name="/low", place="scans.yaml, line 3")
     options = ConvertOptions(scans=(spec, ScanSpec(name="/high", topics=(TopicRequest("/a", "/high"),))))

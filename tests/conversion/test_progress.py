@@ -52,32 +52,3 @@ def test_progress_is_the_bytes_read_of_those_in_all(name: str, case: str, tmp_pa
     size = sum(path.stat().st_size for path in (source.iterdir() if source.is_dir() else [source]))
     share = {"a cut": 0.5, "moving": 1 if name == "a" else 2}.get(case, 1)
     assert dones[-1] == pytest.approx(share * size, rel=0.1)
-
-
-#: Exports and maps that read transforms ahead, and whether they convert clouds.
-AHEAD: dict[str, tuple[str, bool, dict[str, Any]]] = {
-    "a map of clouds": ("map", True, {"odom_frame": "odom"}),
-    "a map of scans": ("map", False, {"odom_frame": "odom"}),
-    "scans of clouds": ("export", True, {"target_frame": "base_link"}),
-    "scans with poses": ("export", False, {"pose_frame": "odom"}),
-}
-
-
-@pytest.mark.parametrize("case", AHEAD)
-def test_what_exports_and_maps_read_ahead_counts(case: str, tmp_path: Path) -> None:
-    command, converts, options = AHEAD[case]
-    source = Long(clouds=100, points=4_096).write(tmp_path / "a.mcap")
-    if converts:
-        options = options | {"min_height": -2}
-    else:
-        pc2scan.convert(source, tmp_path / "b.mcap", min_height=-2)
-        source = tmp_path / "b.mcap"
-    told: list[tuple[int, int, int]] = []
-    arguments = [tmp_path / "scans.npz"] if command == "export" else []
-    getattr(pc2scan, command)(source, *arguments, progress=lambda *step: told.append(step), **options)
-    dones = [done for done, _, _ in told]
-    assert dones == sorted(dones)
-    assert {total for _, total, _ in told} == {dones[-1]}
-    assert told[-1][2] == 100
-    # All messages are read once more than those that give transforms.
-    assert any(0.2 < done / total < 0.8 and messages == 0 for done, total, messages in told)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 import re
 from pathlib import Path
 from typing import Any
@@ -60,13 +58,6 @@ def test_what_is_as_it_should_be_draws_no_warning(counts: dict[str, Any], params
     assert (made.warnings, made.exit_status) == ([], 0)
 
 
-def test_the_motion_of_a_topic_is_summed_up() -> None:
-    made = report(used=100, motions=[(0.1, 0.01, 0.02), (0.3, 0.02, 0.3), (0.2, 0.03, 0.02)])
-    degrees = {"largest_deg": math.degrees(0.03), "median_deg": math.degrees(0.02)}
-    expected = {"largest_m": 0.3, "median_m": 0.2, **degrees, "longest_gap_s": 0.3}
-    assert made.topics[0].motion == pytest.approx(expected)
-
-
 def test_skipped_messages_are_all_counted_and_some_listed() -> None:
     made = report(used=100)
     output = Output(None, "/scan", report=made.topics[0])
@@ -91,23 +82,3 @@ def test_what_cannot_be_carried_over_is_a_loss(lost: bool) -> None:
     assert made.topics[-1].messages_in == 3
     made.add(*result_findings(made))
     assert made.warnings == ["3 messages of 1 topic are skipped: /x (3: cannot be written)"][: int(lost)]
-
-
-def test_a_warning_lists_some_of_many_topics() -> None:
-    made = report(used=100)
-    for number in range(7):
-        made.topics.append(TopicReport(f"/x{number}", "a/msg/B", None, "skipped", note="no", lost=True))
-        made.topics[-1].skip(1)
-    made.add(*result_findings(made))
-    (warning,) = made.warnings
-    assert warning.startswith("7 messages of 7 topics are skipped: /x0 (1: no)")
-    assert warning.count("/x") == 5
-
-
-def test_json_has_no_infinities_and_keeps_every_nanosecond() -> None:
-    made = report(ProjectionParams(range_max=math.inf), used=100)
-    made.skipped.append(Skipped("/points", 1604515190231374463, None, "no header"))
-    read = json.loads(json.dumps(made.as_dict(), allow_nan=False))
-    assert read["scans"][0]["params"]["range_max"] == "inf"
-    assert read["skipped"][0]["log_time_ns"] == 1604515190231374463
-    assert read["topics"][0]["points"]["used"] == 100

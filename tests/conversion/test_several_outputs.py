@@ -62,15 +62,6 @@ def test_each_output_is_as_if_it_were_alone(jobs: int, tmp_path: Path) -> None:
         assert entry.messages_out
 
 
-@pytest.mark.parametrize("options", [{}, {"drop": "/tf*"}, {"keep_clouds": False}])
-def test_the_report_says_whether_clouds_are_kept(options: dict[str, Any], tmp_path: Path) -> None:
-    """Also if the clouds' topic is the first one of the output."""
-    report = pc2scan.convert(HALL, tmp_path / "a.mcap", **{"keep_clouds": True, **BAND, **options})
-    kept = [topic.topic for topic in report.topics if topic.clouds_kept]
-    assert kept == ["/points"] * ("/points" in messages(tmp_path / "a.mcap"))
-    assert ("(cloud kept)" in str(report)) == bool(kept)
-
-
 def test_a_message_is_decoded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: Counter[str] = Counter()
     decoder = CLOUDS[POINTCLOUD2]
@@ -139,13 +130,3 @@ def test_nothing_is_written_if_no_output_can_be_made(tmp_path: Path) -> None:
     assert all(entry.points.used for entry in others)
     assert (lost.target, lost.points.total) == ("/lost", 0)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_warnings_and_counts_are_those_of_each_output(tmp_path: Path) -> None:
-    report = converted(tmp_path / "a.mcap", {"/scan": BAND, "/none": {"min_height": 90.0, "max_height": 91.0}})
-    full, empty = made(report)
-    assert (full.empty_scans, empty.empty_scans) == (0, empty.messages_out)
-    assert empty.points.height > full.points.height
-    (warning,) = (text for text in report.warnings if "have no return" in text)
-    assert warning.startswith("5 of 5 scans on /none have no return at all: 97% ")
-    assert report.exit_status == 0

@@ -13,12 +13,10 @@ import pytest
 
 import pc2scan
 from pc2scan.bags.opening import open_recording
-from pc2scan.errors import UsageError
 from pc2scan.messages.laserscan import decode_laserscan
 from pc2scan.messages.pointcloud2 import decode_pointcloud2
 from pc2scan.messages.stamps import move_point_times, set_stamp, stamp_in
-from support.builders import CLOUD, SECOND, T0, Item, Recording, Stream, cloud, points_of, write_mcap, write_rosbag1
-from support.clouds import structured
+from support.builders import SECOND, cloud, points_of, write_mcap, write_rosbag1
 from support.tables import rows
 from support.worlds.moving import Lidar, write_world
 from support.worlds.posed import recording
@@ -85,34 +83,6 @@ def test_log_times_become_stamps(suffix: str, tmp_path: Path) -> None:
     ]
 
 
-def test_recorded_scans_are_corrected_too(tmp_path: Path) -> None:
-    """In loops, exports, maps and pages, on the way back, and where they are converted to scans."""
-    right = converted(
-        write_mcap(tmp_path / "right.mcap", recording("tf")), "r", target_frame="base_link", keep_clouds=False
-    )[0]
-    wrong = converted(
-        write_mcap(tmp_path / "wrong.mcap", recording("tf")), "w", target_frame="base_link", keep_clouds=False
-    )[0]
-    how: dict[str, Any] = {"time_offset": "/scan=-5s"}
-    pc2scan.export(right, tmp_path / "r.csv")
-    pc2scan.export(wrong, tmp_path / "w.csv", **how)
-    stamps = [
-        [int(line.split(",")[0]) for line in (tmp_path / name).read_text("utf-8").splitlines()[1:]]
-        for name in ("r.csv", "w.csv")
-    ]
-    assert [stamp + 5 * SECOND for stamp in stamps[1]] == stamps[0]
-    found = tmp_path / "o.mcap"
-    ways: dict[str, dict[str, Any]] = {
-        "/cloud": {"reverse": True},
-        "/new": {"rebin": True, "topics": "/scan:=/new", "min_height": -1.0},
-    }
-    for topic, options in ways.items():
-        pc2scan.convert(wrong, found, overwrite=True, time_offset="-5s", **options)
-        assert [stamp_in(each, "cdr") for _, each in messages(found, topic)] == stamps[1]
-    assert "22:13:15" in pc2scan.view(wrong, topics="/scan", **how).html
-    assert "22:13:15" not in pc2scan.view(wrong, topics="/scan").html
-
-
 def test_an_offset_is_measured_against_the_transforms(tmp_path: Path) -> None:
     """Clouds are logged 5 ms after their stamps, transforms 2 ms."""
     for text, offset_ns in OFFSETS.items():
@@ -130,32 +100,6 @@ def test_an_offset_is_measured_against_the_transforms(tmp_path: Path) -> None:
         # What is printed can be typed.
         again, _ = converted(wrong, "c", time_offset=note.split("time_offset=")[1].strip("`"), overwrite=True)
         assert messages(again, "/scan") == messages(found, "/scan")
-
-
-def test_without_transforms_the_log_times_are_the_clock(tmp_path: Path) -> None:
-    wrong = write_mcap(tmp_path / "w.mcap", recording(offset_ns=-1_600_000_000 * SECOND))
-    _, report = converted(wrong, "b", time_offset="auto", target_frame="")
-    assert any("measured against the log times in the first 5 messages" in note for note in report.notes)
-
-
-@pytest.mark.parametrize("kind", ["none", "after the stamp", "since the start", "since the start, and one of 0"])
-def test_an_offset_counts_from_the_last_point(kind: str, tmp_path: Path) -> None:
-    """Clouds of 80 ms are logged 2 ms after their last point."""
-    points = Stream("/points", CLOUD)
-    items = []
-    for number in range(5):
-        right_ns = T0 + number * 100_000_000
-        wrong_ns = right_ns - 1_600_000_000 * SECOND
-        times = np.linspace(0, 0.08, 9) + (wrong_ns / 1e9 if "since" in kind else 0.0)
-        times[4] *= "of 0" not in kind
-        rows = [(5.0, 0.0, 0.0, *([] if kind == "none" else [time])) for time in times]
-        fields = np.array(rows, [(name, "<f4") for name in "xyz"] + [("t", "<f8")] * (kind != "none"))
-        data = {2: structured(fields, 2, seq=number, stamp_ns=wrong_ns)}
-        items.append(Item(points, right_ns + 82_000_000, data))
-    path = write_mcap(tmp_path / "w.mcap", Recording((points,), tuple(items)))
-    _, report = converted(path, "b", time_offset="auto", target_frame="", min_height=-1.0)
-    expected = 1_600_000_000.082 if kind == "none" else 1_600_000_000.002
-    assert any(f"time_offset is {expected:.3f} s" in note for note in report.notes), report.notes
 
 
 def test_a_clock_that_jumps_is_not_corrected_without_a_word(tmp_path: Path) -> None:
@@ -182,18 +126,6 @@ def test_deskewing_follows_the_corrected_clock(kind: str, tmp_path: Path) -> Non
 
 
 # --- Bytes ---
-
-
-@pytest.mark.parametrize("version", [1, 2])
-@pytest.mark.parametrize("stamp_ns", [1, SECOND, 1_700_000_000_123_456_789, 2**31 * SECOND - 1])
-def test_a_stamp_is_replaced_and_nothing_else(version: int, stamp_ns: int) -> None:
-    form = {1: "ros1", 2: "cdr"}[version]
-    for frame in ("", "lidar", "a/long/name"):
-        data = cloud(points_of(1), version, seq=7, stamp_ns=5 * SECOND + 3, frame_id=frame)
-        copy = bytearray(data)
-        assert set_stamp(copy, form, stamp_ns)
-        assert stamp_in(copy, form) == stamp_ns
-        assert bytes(copy) == cloud(points_of(1), version, seq=7, stamp_ns=stamp_ns, frame_id=frame)
 
 
 def test_a_stamp_that_does_not_fit_is_the_nearest_that_does() -> None:
@@ -246,20 +178,6 @@ def test_wrong_options_say_what_to_type(options: dict[str, Any], said: str, tmp_
     assert not (tmp_path / "b.mcap").exists()
 
 
-def test_a_trajectory_of_another_time_is_refused_with_the_offset(tmp_path: Path) -> None:
-    path = write_mcap(tmp_path / "a.mcap", recording())
-    poses = tmp_path / "p.tum"
-    poses.write_text("".join(f"{step / 10} {step} 0 0 0 0 0 1\n" for step in range(9)), encoding="utf-8")
-    how: dict[str, Any] = {"trajectory": poses, "trajectory_frames": "odom:base_link", "target_frame": "odom"}
-    with pytest.raises(UsageError, match="no pose is of the time of a message") as caught:
-        converted(path, "b", **how)
-    assert "its times count from its beginning" in str(caught.value.hint)
-    typed = str(caught.value.hint).split("`time_offset=")[1].split("`")[0]
-    out, report = converted(path, "b", **how, time_offset=typed)
-    assert len(messages(out, "/scan")) == 5
-    assert not report.skipped
-
-
 # --- What info finds ---
 
 
@@ -295,14 +213,3 @@ def test_a_sound_clock_is_no_finding(offset_ns: int, tmp_path: Path) -> None:
     found = pc2scan.info(path)
     assert not found.warnings
     assert all("time_offset" not in call.options for call in found.proposals)
-
-
-def test_a_recording_that_was_played_back_has_one_clock(tmp_path: Path) -> None:
-    """All its stamps are a year before its log times."""
-    made = recording("tf")
-    year_ns = 31_536_000 * SECOND
-    later = replace(made, items=tuple(replace(each, log_time_ns=each.log_time_ns + year_ns) for each in made.items))
-    assert not pc2scan.info(write_mcap(tmp_path / "a.mcap", later)).warnings
-    alone = recording("odometry", offset_ns=0)
-    later = replace(alone, items=tuple(replace(each, log_time_ns=each.log_time_ns + year_ns) for each in alone.items))
-    assert not pc2scan.info(write_mcap(tmp_path / "b.mcap", later)).warnings

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -17,17 +16,12 @@ from pc2scan.bags.rosbag1 import read as rosbag1_reader
 from pc2scan.bags.rosbag1.read import Rosbag1Reader
 from pc2scan.bags.rosbag1.write import Rosbag1Writer
 from pc2scan.conversion import cloud_to_scan, engine, recording
-from pc2scan.conversion.engine import DeferredMessage
-from pc2scan.conversion.items import Item
-from pc2scan.conversion.plan import Output, Route
-from pc2scan.conversion.steps import ConvertedMessage, Steps
 from pc2scan.core.project import Projector
-from pc2scan.core.rule import PointCounts
 from pc2scan.core.scene import JUDGED_CLOUDS
 from pc2scan.files import source as files
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
-from pc2scan.model import Connection, RawMessage
+from pc2scan.model import Connection
 from support import sampled
 from support.builders import cloud, transforms
 
@@ -137,23 +131,6 @@ def test_chunks_that_nobody_wants_are_not_read(drive: Path, jobs: int, extents: 
     assert sum(extent.length for extent in extents) < stored + chunks["/other"][0].length * CLOUDS
 
 
-def test_a_cut_reads_only_its_own_chunks(drive: Path, extents: list[Extent]) -> None:
-    chunks = segments(drive)["/points"]
-    extents.clear()
-    convert(drive, start="0.000002", end="0.000004")
-    assert times_read(extents, chunks) == [0, 0, 2, 2, 0, 0]
-
-
-def test_transforms_are_found_without_reading_clouds(drive: Path, extents: list[Extent]) -> None:
-    chunks = segments(drive)
-    extents.clear()
-    params = pc2scan.ProjectionParams(min_height=-2, max_height=2, target_frame="base_link")
-    assert convert(drive, params=params).topics[0].messages_out == CLOUDS
-    assert times_read(extents, chunks["/points"]) == READS
-    assert times_read(extents, chunks["/other"]) == [0] * CLOUDS
-    assert min(times_read(extents, chunks["/tf"])) >= 1
-
-
 @pytest.mark.parametrize("form", sampled(FORMS, 1))
 def test_the_thread_that_decompressed_clouds_projects_them(
     form: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -187,54 +164,6 @@ def test_the_thread_that_decompressed_clouds_projects_them(
     assert there[JUDGED_CLOUDS:] == [True] * CLOUDS
     assert together.topics == alone.topics
     assert drive.with_name(f"scans{drive.suffix}").read_bytes() == expected
-
-
-@pytest.mark.parametrize("form", sampled(reversed(FORMS), 1))
-@pytest.mark.parametrize("options", sampled([{}, {"only_scans": False, "keep_clouds": True}], 1), ids=str)
-@pytest.mark.skipif(not hasattr(os, "preadv"), reason="this system cannot read into a buffer")
-def test_large_chunks_are_read_into_buffers_that_are_used_again(
-    form: tuple[str, str], options: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """And what is made of them is the same where there are none."""
-    drive = record(tmp_path, *form, size=1 << 20)
-    monkeypatch.delattr(os, "preadv")
-    expected = convert(drive, jobs=1, **options)
-    written = drive.with_name(f"scans{drive.suffix}").read_bytes()
-    monkeypatch.undo()
-    read: list[int] = []
-    original = files.SourceFile.read
-
-    def counting(self: files.SourceFile, offset: int, length: int) -> bytes:
-        read.append(length)
-        return original(self, offset, length)
-
-    monkeypatch.setattr(files.SourceFile, "read", counting)
-    for jobs in (1, 2, 5):
-        assert convert(drive, jobs=jobs, **options).topics == expected.topics
-        assert drive.with_name(f"scans{drive.suffix}").read_bytes() == written
-    # Chunks without anything to convert are copied as they are.
-    assert (max(read) < 1 << 18) is not bool(options)
-
-
-@pytest.mark.parametrize("passes", [False, True])
-@pytest.mark.parametrize("shrinks_from", [2, 9])
-def test_a_result_larger_than_its_message_waits_for_its_turn(passes: bool, shrinks_from: int) -> None:
-    connection = Connection(1, "/points", POINTCLOUD2, "cdr")
-    converted = ConvertedMessage(b"scan", PointCounts(), False)
-    output = Output(None, "/scan")
-    steps = [Steps(None, None, lambda _: converted)]
-    route = Route(connection, [output], steps=steps, shrinks_from=shrinks_from, handle=1 if passes else -1)
-    message = RawMessage(connection, 5, memoryview(b"cloud and all else of a chunk")[:5], 6)
-    done = engine.convert({1: route}, message)
-    assert isinstance(done, DeferredMessage) is (shrinks_from == 9)
-    if isinstance(done, DeferredMessage):
-        assert done.log_time_ns == 5
-        # What waits keeps no chunk.
-        assert isinstance(done.message.data, bytes)
-        done = done.work(done.message)
-    assert isinstance(done, Item)
-    assert (done.results, done.passing) == ([(output, converted)], b"cloud" if passes else None)
-    assert not isinstance(done.passing, memoryview)
 
 
 @pytest.mark.parametrize("queue_size", [1, 3])

@@ -18,11 +18,9 @@ from pc2scan.conversion.steps import ConvertedMessage
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid
-from pc2scan.errors import DecodeError
 from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.request.ground import MinHeightSlope
 from pc2scan.request.options import Combining, ScanSpec, TopicRequest
-from pc2scan.request.regions import ExcludeBox
 from pc2scan.request.where import Where
 from pc2scan.transforms.builder import TransformBuilder
 from pc2scan.transforms.placing import Placer
@@ -102,16 +100,6 @@ def test_without_motion_the_scan_is_that_of_joined_clouds(seed: int, choice: dic
     same(together(conversion(params, filters=filters), clouds), scan_of(params, concatenated(clouds), filters))
 
 
-def test_what_a_filter_rejects_in_its_own_frame_counts_once() -> None:
-    rng = np.random.default_rng(3)
-    box = ExcludeBox("base_link", (-1.0, 1.0), (-1.0, 1.0), (-5.0, 5.0))
-    params = ProjectionParams(target_frame="base_link", min_height=-0.5)
-    clouds = [cloud(rng, frame, T0) for frame in MOUNTS]
-    made, expected = together(conversion(params, filters=(box,)), clouds), scan_of(params, concatenated(clouds), (box,))
-    assert made.counts.exclude_box == expected.counts.exclude_box > 0
-    same(made, expected)
-
-
 @pytest.mark.parametrize(("choice", "kept"), [({}, set()), ({"reduce": "max"}, {"x", "y", "z"})])
 def test_preparing_keeps_nothing_of_the_message(choice: dict[str, Any], kept: set[str]) -> None:
     rng = np.random.default_rng(4)
@@ -123,12 +111,6 @@ def test_preparing_keeps_nothing_of_the_message(choice: dict[str, Any], kept: se
         each.field("x")[:] = 1.0
     assert encode_laserscan(made.scan(contribution[0], contribution).message, "cdr") == before
     assert all(each.points.fields.keys() == kept for each in contribution)
-
-
-def test_a_missing_field_is_the_error_of_its_message() -> None:
-    made = conversion(ProjectionParams(target_frame="base_link", intensity_field="reflectivity"))
-    with pytest.raises(DecodeError, match="no field 'reflectivity'"):
-        made.steps("/a").project(cloud(np.random.default_rng(0), "a", T0))
 
 
 def test_heights_of_beams_count_only_if_they_are_asked_for() -> None:

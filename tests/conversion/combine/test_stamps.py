@@ -12,8 +12,8 @@ import pytest
 
 import pc2scan
 from pc2scan.conversion.combine import grouping
-from pc2scan.errors import ResultError, UsageError, stamp_text
-from support import ROOT, sampled
+from pc2scan.errors import UsageError, stamp_text
+from support import sampled
 from support.builders import CLOUD, SECOND, TF, Item, Recording, Stream, cloud, transforms, write_mcap
 from support.tables import rows
 
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
 TABLES = Path(__file__).with_name("silence.txt")
-HALL = ROOT / "fixtures" / "hall.bag"
 T0 = 1_700_000_000 * SECOND
 HOUR = 3600 * SECOND
 DAY = 86_400 * SECOND
@@ -140,24 +139,6 @@ def test_what_is_lost_while_the_lead_is_silent_is_said(
     assert entry["joined"]["longest_unmatched"]["number"] == int(expected.partition("; ")[2].partition(" ")[0])
 
 
-def test_a_lead_without_messages_is_named_as_the_cause(tmp_path: Path) -> None:
-    source = recorded(tmp_path / "d.mcap", clouds("/rear", tenths(0, 5)))
-    with pytest.raises(ResultError, match="the leading topic has none, so those of /rear are in no scan") as caught:
-        made(source, **BOTH)
-    assert "name another topic first" in str(caught.value.hint)
-
-
-def test_messages_left_out_on_purpose_are_a_note(tmp_path: Path) -> None:
-    source = recorded(tmp_path / "d.mcap", clouds("/front", tenths(0, 30)))
-    report = made(source, topics="/front:=/scan", every=10, accumulate="2clouds").report
-    (note,) = (each for each in report.notes if "in no scan" in each)
-    assert note == (
-        "294 of 300 messages of /front are in no scan on /scan; 98 in a row, from 1700000000.000000000 to "
-        "1700000009.700000000"
-    )
-    assert not any("in no scan" in each for each in report.warnings)
-
-
 def test_stamps_that_jump_back_begin_a_new_series(tmp_path: Path) -> None:
     source = recorded(tmp_path / "d.mcap", clouds("/front", tenths(0, 30), lambda at: 0 if at < 10 else -HOUR))
     one = {"topics": "/front:=/scan"}
@@ -194,14 +175,6 @@ def test_a_window_joins_topics_of_clocks_that_are_apart(tmp_path: Path) -> None:
     assert not any("jump" in each for each in done.report.warnings)
 
 
-@pytest.mark.parametrize("topics", [["/front:=/scan", "/rear:=/scan"], ["/rear:=/scan", "/front:=/scan"]])
-def test_the_window_is_half_of_the_longer_period(topics: list[str], tmp_path: Path) -> None:
-    # One cloud of /rear in 0.1 s, one of /front in 0.4 s; at last they are 0.15 s apart.
-    found = [*clouds("/front", [0.0, 0.4, 0.8, 3.0]), *clouds("/rear", [*tenths(0, 1), 3.15])]
-    done = made(recorded(tmp_path / "d.mcap", found), **{**BOTH, "topics": topics})
-    assert [size for size in done.sizes if size > 1] == [2, 2, 2, 2]
-
-
 # A scan of an interval has the log time of the message that ends the interval.
 @pytest.mark.parametrize(("options", "lost"), [({"accumulate": 0.5}, 2), ({"every": 0.5}, 3)], ids=str)
 def test_scans_that_the_destination_cannot_hold_are_listed(options: dict[str, Any], lost: int, tmp_path: Path) -> None:
@@ -221,20 +194,3 @@ def test_another_clock_is_one_in_the_whole_recording(tmp_path: Path) -> None:
     source = recorded(tmp_path / "d.mcap", [*clouds("/front", tenths(0, 10)), *rear])
     with pytest.raises(UsageError, match="of different clocks"):
         made(source, **BOTH)
-
-
-def test_many_jumps_are_counted_and_three_are_listed(tmp_path: Path) -> None:
-    source = recorded(tmp_path / "d.mcap", clouds("/front", tenths(0, 6), lambda at: -HOUR * (int(at) % 2)))
-    done = made(source, topics="/front:=/scan", every=1)
-    assert done.sizes == [10] * 6
-    (warning,) = (each for each in done.report.warnings if "jump" in each)
-    assert warning.count("by 3,600 s at") == 3
-    assert "and 2 more times, compared with" in warning
-
-
-def test_time_is_counted_back_from_the_last_message(tmp_path: Path) -> None:
-    report = pc2scan.convert(HALL, tmp_path / "o.bag", every=0.4, accumulate=0.1, min_height=-0.3)
-    (entry,) = (topic for topic in report.topics if topic.action == "converted")
-    assert entry.messages_out > 1
-    assert entry.empty_scans == 0
-    assert not any("no return" in each for each in report.warnings)

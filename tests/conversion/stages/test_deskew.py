@@ -11,7 +11,7 @@ import pytest
 
 from pc2scan.conversion.stages.deskew import Deskew, MovingCloud
 from pc2scan.core.points import TIME, Points
-from pc2scan.core.rigid import Pose, Rigid
+from pc2scan.core.rigid import Rigid
 from pc2scan.errors import DecodeError, TransformError
 from pc2scan.request.point_time import PointTime
 from pc2scan.request.regions import ExcludeBox
@@ -83,49 +83,6 @@ def test_every_point_is_where_one_lookup_with_two_times_puts_it(target: str, sta
     assert_placed_by_lookups(frames(target, rate=30), "odom", xyz, rng.integers(-20_000_000, 80_000_000, 400), stamp)
 
 
-@pytest.mark.parametrize("target", ["", "base_link", "hall"])
-def test_a_frame_that_changes_its_parent_within_a_cloud_is_an_error(target: str) -> None:
-    builder = TransformBuilder()
-    for number in range(-50, 51):
-        parent, pose = "cart" if number <= 1 else "floor", driven(number / 50).pose
-        builder.add([("hall", each, T0 + number * SECOND // 50, *pose) for each in ("cart", "floor")], static=False)
-        builder.add([(parent, "base_link", T0 + number * SECOND // 50, *pose)], static=False)
-    builder.add([("base_link", "lidar", T0, *MOUNT.pose)], static=True)
-    placer = Placer(target, "", builder.build(), 0)
-    with pytest.raises(TransformError, match="a frame changes its parent"):
-        Deskew(placer, "hall", PointTime())(points(np.ones((3, 3)), [0, 50_000_000, 95_000_000]))
-
-
-@pytest.mark.parametrize("squared", [0.9901, 0.999, 1.0, 1.0099])
-@pytest.mark.parametrize("fixed", ["odom", "map", "wheel"])
-def test_quaternions_of_other_lengths_scale_as_in_a_lookup(fixed: str, squared: float) -> None:
-    builder = TransformBuilder()
-    length = math.sqrt(squared)
-
-    def longer(pose: Pose) -> Pose:
-        x, y, z, i, j, k, r = pose
-        return (x, y, z, length * i, length * j, length * k, length * r)
-
-    for number in range(-50, 51):
-        stamp_ns = T0 + number * SECOND // 50
-        builder.add([("odom", "base_link", stamp_ns, *longer(driven(number / 50).pose))], static=False)
-        builder.add([("map", "odom", stamp_ns, *longer(driven(number / 100).pose))], static=False)
-        builder.add([("map", "wheel", stamp_ns, *longer(driven(number / 25).pose))], static=False)
-    builder.add([("base_link", "lidar", T0, *longer(Rigid.from_rpy(0, 0, 1, (1.28, 0, 0.5)).pose))], static=True)
-    times = np.arange(0, 100_000_000, 5_000_000)
-    xyz = np.random.default_rng(7).uniform(-8, 8, (times.size, 3)).astype(np.float32)
-    assert_placed_by_lookups(Placer("base_link", "", builder.build(), 0), fixed, xyz, times)
-
-
-def test_a_direction_that_is_not_known_is_an_error() -> None:
-    angles = np.random.default_rng(3).permutation(np.arange(600) * 2 * math.pi / 600)
-    cloud = points(np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1), np.zeros(600), "x_again")
-    with pytest.raises(DecodeError, match="in which direction the lidar turned") as caught:
-        Deskew(frames(), "odom", PointTime.parse("azimuth:0.1"))(cloud)
-    assert "azimuth:0.1:cw" in str(caught.value.hint)
-    assert Deskew(frames(), "odom", PointTime.parse("azimuth:0.1:cw"))(cloud) is not None
-
-
 def test_points_without_a_transform_or_a_time_are_counted() -> None:
     xyz = np.ones((10, 3))
     seconds = np.linspace(-0.05, 0.04, 10)
@@ -168,22 +125,6 @@ def test_a_time_of_zero_is_none_among_absolute_times(kind: str, unit: float, nam
     assert not sum(moving.place(moving.points)[2].values())
 
 
-def test_a_gap_of_the_odometry_is_reported() -> None:
-    builder = TransformBuilder()
-    for seconds in (-1.0, -0.02, 0.0, 0.7, 0.72):
-        pose = driven(seconds).pose
-        builder.add([("odom", "lidar", T0 + round(seconds * SECOND), *pose)], static=False)
-    known = Placer("", "", builder.build(), 0)
-
-    def gap(first: int, last: int) -> float:
-        moving = moving_of(Deskew(known, "odom", PointTime()), points(np.ones((2, 3)), [first, last]))
-        return moving.motion.gap
-
-    assert gap(0, 100_000_000) == pytest.approx(0.7)
-    assert gap(-10_000_000, 0) == pytest.approx(0.02)
-    assert gap(-500_000_000, -100_000_000) == pytest.approx(0.98)
-
-
 def test_a_cloud_before_all_transforms_is_an_error() -> None:
     with pytest.raises(TransformError):
         Deskew(frames(begin=0.5), "odom", PointTime())(points([[1, 1, 1]] * 2, [0, 1000]))
@@ -210,13 +151,6 @@ def test_points_that_were_not_measured_need_no_time() -> None:
     assert Deskew(frames(), "odom", PointTime())(points(np.empty((0, 3)), np.empty(0, np.uint32))) is None
 
 
-def test_a_field_with_several_times_a_point_is_an_error() -> None:
-    with pytest.raises(DecodeError, match="field t has several values a point") as caught:
-        Deskew(frames(), "odom", PointTime())(points(np.ones((3, 3)), np.arange(6, dtype=np.uint32).reshape(3, 2)))
-    assert caught.value.hint
-    assert caught.value.stamp_ns == T0
-
-
 @pytest.mark.parametrize(("times", "name", "what"), rows(TABLES, "times that cannot be"))
 def test_times_that_cannot_be_are_errors(times: Any, name: str, what: str) -> None:
     with pytest.raises(DecodeError) as caught:
@@ -239,31 +173,6 @@ def test_a_unit_that_cannot_be_has_the_one_that_fits(asked: str, times: list[int
     with pytest.raises(DecodeError) as caught:
         Deskew(frames(), "odom", PointTime.parse(asked) if asked else PointTime())(points(np.ones((2, 3)), times))
     assert hint in str(caught.value.hint)
-
-
-@pytest.mark.parametrize(
-    ("times", "hint"),
-    [([0.0, 100.0], "probably in another unit"), ([90.0, 91.0], "probably in another unit"), ([np.nan] * 2, "None")],
-)
-def test_times_of_beams_that_cannot_be_name_no_field(times: list[float], hint: str) -> None:
-    beams = points(np.ones((2, 3)), np.array(times), TIME)
-    with pytest.raises(DecodeError) as caught:
-        Deskew(frames(), "odom", PointTime())(beams)
-    assert hint in str(caught.value.hint)
-    assert "point_time" not in str(caught.value.hint)
-
-
-def test_a_cloud_of_a_minute_has_a_bounded_number_of_nodes() -> None:
-    moving = moving_of(Deskew(frames(end=61.0), "odom", PointTime()), points(np.ones((2, 3)), [0, 59 * SECOND], "t"))
-    assert 20_000 < moving.transform.node_times.size < 24_000
-
-
-def test_rows_with_gaps_keep_their_shape_and_other_fields() -> None:
-    x = np.arange(12, dtype=np.float32).reshape(3, 4)
-    fields = {"x": x, "y": x, "z": x, "t": np.arange(12, dtype=np.uint32).reshape(3, 4) * 1000, "ring": x}
-    moving = moving_of(Deskew(frames(), "odom", PointTime()), Points(0, T0, "lidar", fields))
-    placed, _, _ = moving.place(moving.points)
-    assert placed.field("x").shape == placed.field("ring").shape == (3, 4)
 
 
 def test_what_is_fixed_to_the_robot_stays_where_it_is() -> None:
