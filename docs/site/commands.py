@@ -36,15 +36,12 @@ READ_ON = {
     "plot": "[look, and tune by eye](../look.md)",
     "map": "[a map at once](../look.md#a-map-at-once)",
     "check": "[would SLAM take the scans?](../check.md)",
-    "info": "[from a bag to a map](../tutorial.md), [parameters and their traps](../parameters.md)",
+    "info": "[parameters and their traps](../parameters.md)",
     "tf": "[frames](../frames.md)",
     "repair": "[the recording is damaged](../troubleshooting.md#the-recording-is-damaged)",
     "diff": "[comparing recordings](../diff.md)",
     "golden": "[golden cases, and CI](../golden.md)",
 }
-
-#: A command with more options than these only names those that ``convert`` has too.
-FEW = 30
 
 HEAD = "| option | what it does | default |\n|---|---|---|"
 
@@ -107,17 +104,16 @@ def _option_tables(name: str, command: Command) -> Iterable[str]:
             yield f"## {title}"
         yield "\n".join([HEAD, *rows])
     if elsewhere:
+        titles = list(dict.fromkeys(option.panel for option in elsewhere.values() if option.panel))
         yield "## Options of convert"
-        yield "These are the same as those of [`pc2scan convert`](convert.md)."
-        shared: dict[str, list[str]] = {}
-        for option in elsewhere.values():
-            shared.setdefault(option.panel or "", []).append(f"`{option.spelling}`")
-        yield "\n".join(["| | |", "|---|---|", *(f"| {title} | {', '.join(all_)} |" for title, all_ in shared.items())])
+        yield (
+            f"{', '.join(titles)}: described on the page of [`pc2scan convert`](convert.md). `--help-all` lists them."
+        )
 
 
 def _of_convert(name: str, known: Mapping[str, Option]) -> dict[str, Option]:
     """Return the options that are only named on a command's page, because the page of ``convert`` describes them."""
-    if name == "convert" or len(known) <= FEW:
+    if name == "convert":
         return {}
     others = options_of("convert")
     return {key: option for key, option in known.items() if others.get(key) is option and option.spelling}

@@ -1,4 +1,4 @@
-"""The table of docs/parity.md: pc2scan compared with ROS's own libraries, on a machine that has Debian's ROS packages.
+"""The table of docs/exactness.md: pc2scan beside ROS's own libraries, on a machine that has Debian's ROS packages.
 
     PYTHONPATH=src:tests python tests/parity/table.py --lookups 30000 --points 1000000
 
