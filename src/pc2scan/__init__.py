@@ -71,7 +71,7 @@ if TYPE_CHECKING:
     from .request.where import Where as Where
     from .show.check import Check as Check
     from .show.info import Info as Info
-    from .show.map_result import Map as Map
+    from .show.map import Map as Map
     from .show.plot import Plotted as Plotted
     from .show.tf import FrameTree as FrameTree
     from .show.view import Page as Page
@@ -94,7 +94,7 @@ _HOMES = {
     "FrameTree": "show.tf",
     "GoldenReport": "compare.golden.check",
     "Info": "show.info",
-    "Map": "show.map_result",
+    "Map": "show.map",
     "MinHeightSlope": "request.ground",
     "Page": "show.view",
     "Pc2ScanError": "errors",

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from .options import table
     from .show.check import Check
     from .show.info import Info
-    from .show.map_result import Map
+    from .show.map import Map
     from .show.plot import Plotted
     from .show.tf import FrameTree
     from .show.view import Page
@@ -324,7 +324,7 @@ def map(  # noqa: A001  # the command's name
     >>> pc2scan.map("drive.bag", min_height=0.1, max_height=1.5).save("map.yaml")  # doctest: +SKIP
     """
     asked = Options("map", options)
-    return draw_map(paths_in("sources", sources), asked, progress=asked.progress)
+    return draw_map(paths_in("sources", sources), None, asked, progress=asked.progress)
 
 
 @takes_options

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from pc2scan.errors import UsageError
 from pc2scan.files.urls import path_or_url
 from pc2scan.options.call import Options
-from pc2scan.show.map import write_map
+from pc2scan.show.map import draw_map
 
 from .render import LiveWarnings, progress_bar, show
 
@@ -15,9 +16,12 @@ def map(  # noqa: A001  # the function of a command has its name
     sources: list[Path], destination: str | None, *, options: Options
 ) -> int:
     """Draw scans into a map."""
-    path = None if destination is None else path_or_url(destination)
+    if destination is None:
+        raise UsageError(
+            "no file to write is given", hint="`destination=map.yaml`; or `destination=map.png`, the picture"
+        )
     warn = LiveWarnings()
     with progress_bar(enabled=not options.as_json) as progress:
-        result = write_map(sources, path, options, warn=warn, progress=progress)
+        result = draw_map(sources, path_or_url(destination), options, warn=warn, progress=progress)
     show(result, as_json=options.as_json, known=warn)
     return result.exit_status

@@ -2,42 +2,51 @@
 
 A scan is placed at its own stamp, by the transform from its frame to the odometry's. If it has a ``time_increment``,
 and there are transforms up to its last beam, each beam is placed at its own time.
+
+Sources of the files' rules: map_saver and image_loader of ROS 1's map_server, and map_io of nav2_map_server. Both write
+254 for free, 0 for occupied and 205 for unknown cells, the first row of the image being that with the largest y, and
+both read a pixel by its darkness, ``(255 - pixel) / 255``: occupied above ``occupied_thresh``, free below
+``free_thresh``. 205 is a darkness of 0.19608: unknown with ROS 1's ``free_thresh`` of 0.196, which means the same to
+both; with nav2's default of 0.25 unknown cells come back as free (slam_toolbox issue 587).
 """
 
 from __future__ import annotations
 
+import json
 import shlex
+import struct
+import zlib
 from collections import Counter
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from pc2scan.advice.odometry import odometry_of
 from pc2scan.bags.topics import find_topics, matches
 from pc2scan.conversion.frame_checks import frame_that_stays
-from pc2scan.core.occupancy import LONGEST, OccupancyGrid, observing_beams, place_beams
+from pc2scan.core.occupancy import FREE, LONGEST, OCCUPIED, OccupancyGrid, observing_beams, place_beams
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.unproject import beam_angles, last_beam_ns
 from pc2scan.errors import MessageError, ResultError, TransformError, UsageError, name_list
 from pc2scan.files.outputs import files_output
 from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
+from pc2scan.files.urls import path_of
 from pc2scan.messages.clouds import CLOUDS, usual_topics
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.progress import Meter
 from pc2scan.request.options import TopicRequest
 from pc2scan.requests import conversion_of, first_output
-from pc2scan.result import Skipped, tell_early
+from pc2scan.result import Part, Remark, Result, Skipped, skipped_remarks, tell_early
 from pc2scan.streams.scans import Scans
-from pc2scan.text import counted, did_you_mean
-from pc2scan.transforms.lookup_errors import mount_text, named_in_namespace
+from pc2scan.text import counted, did_you_mean, duration
+from pc2scan.transforms.lookup_errors import named_in_namespace
 from pc2scan.transforms.summary import BODIES
 from pc2scan.transforms.world_frames import find_body_motion
 
-from .map_result import Map, map_paths
 from .recording import open_recording
 
 if TYPE_CHECKING:
@@ -46,6 +55,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
     from pc2scan.options.call import Options
     from pc2scan.progress import Progress
@@ -61,16 +71,222 @@ _MAX_CELLS = 64 << 20
 #: A robot whose way is narrower and shorter than this, metres, stands.
 _STANDS = 0.01
 
+#: What a pixel of the picture is, and its colour.
+_UNKNOWN, _FREE, _OCCUPIED, _ROBOT = range(4)
+_COLOURS = bytes.fromhex("e2e7ec ffffff 17222e d1495b")
+
+#: Cells of small maps are enlarged, up to the second number, until the longer side of a picture has these pixels.
+_SIDE, _LARGEST_CELL = 1600, 12
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Map(Result):
+    """A map of a recording by its recorded odometry. Notebooks show its picture.
+
+    Attributes
+    ----------
+    cells
+        (H, W) int8 as in nav_msgs/OccupancyGrid: -1 unknown, 0 free, 100 occupied; the first row has the smallest y.
+    resolution
+        The side of a cell, metres.
+    origin
+        x, y (metres) and yaw of the corner of the first cell; yaw is always 0.
+    frame
+        The frame of the map.
+    robot_frame
+        The frame whose path is `trajectory`.
+    trajectory
+        (N, 2) float64, metres: the position of the robot at each scan.
+    duration
+        The time from the first position to the last, seconds.
+    scans
+        How many scans of each topic are in the map.
+    converted
+        Whether the scans were made of clouds.
+    skipped
+        Why scans are not in the map, and how many.
+    warnings
+        What may be wrong with the map.
+    damage
+        The damage in the parts of the recording that were read.
+    """
+
+    kind: ClassVar[str] = "map"
+    json_names: ClassVar[tuple[str, ...]] = (
+        *("preview", "frame", "robot_frame", "resolution", "origin", "width", "height", "occupied", "free", "scans"),
+        *("converted", "distance", "duration", "skipped", "skipped_count"),
+    )
+
+    #: What the map is.
+    preview: ClassVar[str] = "by recorded odometry, no SLAM"
+
+    cells: NDArray[np.int8]
+    resolution: float
+    origin: tuple[float, float, float]
+    frame: str
+    robot_frame: str
+    trajectory: NDArray[np.float64]
+    duration: float
+    scans: dict[str, int]
+    converted: bool
+    skipped: tuple[Skipped, ...] = ()
+    warnings: tuple[str, ...] = ()
+    damage: tuple[Damage, ...] = ()
+
+    @property
+    def exit_status(self) -> int:
+        """The exit status of the command: 0, or 3 if scans were skipped or the recording is damaged."""
+        return 3 if self.skipped or self.damage else 0
+
+    @property
+    def distance(self) -> float:
+        """The length of the robot's path, metres."""
+        steps = np.diff(self.trajectory, axis=0)
+        return float(np.hypot(steps[:, 0], steps[:, 1]).sum())
+
+    @property
+    def width(self) -> int:
+        """Cells along x."""
+        return int(self.cells.shape[1])
+
+    @property
+    def height(self) -> int:
+        """Cells along y."""
+        return int(self.cells.shape[0])
+
+    @property
+    def occupied(self) -> float:
+        """The share of occupied cells."""
+        return float(np.mean(self.cells == OCCUPIED))
+
+    @property
+    def free(self) -> float:
+        """The share of free cells."""
+        return float(np.mean(self.cells == FREE))
+
+    @property
+    def skipped_count(self) -> int:
+        """How many scans are not in the map."""
+        return sum(entry.messages for entry in self.skipped)
+
+    @property
+    def png(self) -> bytes:
+        """The picture: the map, and where the robot was at each scan."""
+        pixels = np.select([self.cells == OCCUPIED, self.cells == FREE], [_OCCUPIED, _FREE], _UNKNOWN).astype(np.uint8)
+        places = np.floor((self.trajectory - self.origin[:2]) / self.resolution)
+        inside = ((places >= 0) & (places < (self.width, self.height))).all(axis=1)
+        columns, rows = places[inside].astype(int).T
+        pixels[rows, columns] = _ROBOT
+        enlarged = max(1, min(_LARGEST_CELL, _SIDE // max(pixels.shape)))
+        return _png(pixels[::-1].repeat(enlarged, axis=0).repeat(enlarged, axis=1))
+
+    def _repr_png_(self) -> bytes:
+        return self.png
+
+    def save(self, destination: str | Path, *, overwrite: bool = False) -> Path:
+        """Write the map, as map_server reads it: ``NAME.yaml``, ``NAME.pgm``, and the picture ``NAME.png``.
+
+        With a name that ends in ``.png``, only the picture is written.
+
+        Raises
+        ------
+        DestinationError, UsageError
+            If there is such a file, or the name ends in neither ``.yaml`` nor ``.png``.
+        OutputError
+            If one cannot be written.
+        """
+        path = path_of("destination", destination)
+        with files_output(_paths(path), overwrite=overwrite) as deliver:
+            deliver(self.contents(path))
+        return path
+
+    def contents(self, path: Path) -> list[bytes]:
+        """Return the contents of the map's files: image, picture and YAML, or of ``NAME.png`` only the picture."""
+        image, *others = _paths(path)
+        return [self._pgm(), self.png, self._yaml(image.name)] if others else [self.png]
+
+    def _pgm(self) -> bytes:
+        pixels = np.select([self.cells == OCCUPIED, self.cells == FREE], [0, 254], 205).astype(np.uint8)
+        head = f"P5\n# CREATOR: pc2scan map {self.resolution:.3f} m/pix\n{self.width} {self.height}\n255\n"
+        return head.encode("ascii") + pixels[::-1].tobytes()
+
+    def _yaml(self, image: str) -> bytes:
+        # YAML reads JSON's quotes. A name that is not UTF-8 keeps its bytes.
+        text = f"""\
+# A preview by recorded odometry, made by pc2scan map. Not a result of SLAM.
+image: {json.dumps(image, ensure_ascii=False)}
+mode: trinary
+resolution: {self.resolution!r}
+origin: {[round(number, 6) + 0.0 for number in self.origin]}
+negate: 0
+occupied_thresh: 0.65
+free_thresh: 0.196
+"""
+        return text.encode("utf-8", "surrogateescape")
+
+    def __repr__(self) -> str:
+        return f"<pc2scan.Map of {self.width} x {self.height} cells of {self.resolution:g} m in {self.frame!r}>"
+
+    def body(self, *, verbose: bool = False) -> Iterator[Part]:
+        """Yield the size of the map, its scans, and the robot's way."""
+        yield (
+            f"map: {self.width:,} x {self.height:,} cells of {self.resolution:g} m "
+            f"({self.width * self.resolution:.1f} x {self.height * self.resolution:.1f} m), "
+            f"{self.occupied:.1%} occupied, {self.free:.1%} free"
+        )
+        of = ", ".join(f"{count:,} of {topic}" for topic, count in self.scans.items())
+        yield f"scans: {of}{' (made of clouds)' if self.converted else ''}"
+        yield f"robot: {self.robot_frame} drove {self.distance:.1f} m in {self.frame}, in {duration(self.duration)}"
+        yield "This is a preview by the recorded odometry: no SLAM, nothing is matched or corrected."
+
+    def remarks(self, *, verbose: bool = False) -> Iterator[Remark]:
+        """Yield why scans were skipped, damage and warnings."""
+        yield from skipped_remarks(self.skipped, self.skipped_count, verbose=verbose)
+        yield from self.usual_remarks(verbose=verbose)
+
+
+def _paths(path: Path) -> list[Path]:
+    """Return the files of a map: image, picture, and the YAML file; of ``NAME.png`` only the picture."""
+    if path.suffix == ".png":
+        return [path]
+    if path.suffix != ".yaml":
+        hint = f"maps are NAME.yaml: `destination={path.stem}.yaml`; a picture is NAME.png"
+        raise UsageError("is not the name of a map", path=path, hint=hint)
+    return [path.with_suffix(".pgm"), path.with_suffix(".png"), path]
+
+
+def _png(pixels: NDArray[np.uint8]) -> bytes:
+    """Return pixels, numbers of `_COLOURS`, as a PNG file."""
+    height, width = pixels.shape
+    # Each row begins with the number of its filter: 0, none.
+    rows = np.pad(pixels, ((0, 0), (1, 0)))
+    parts = (
+        (b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 3, 0, 0, 0)),
+        (b"PLTE", _COLOURS),
+        (b"IDAT", zlib.compress(rows.tobytes(), 9)),
+        (b"IEND", b""),
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in parts
+    )
+
 
 def draw_map(
-    sources: Sequence[Path], options: Options, *, warn: Warn | None = None, progress: Progress | None = None
+    sources: Sequence[Path],
+    destination: Path | None,
+    options: Options,
+    *,
+    warn: Warn | None = None,
+    progress: Progress | None = None,
 ) -> Map:
-    """Draw the scans of a recording, or scans made of its clouds; see `pc2scan.map`.
+    """Draw the scans of a recording, or scans made of its clouds; see `pc2scan.map`. Write it if it has a destination.
 
     Parameters
     ----------
     sources
         Recordings; several are read as one, in time order.
+    destination
+        ``NAME.yaml``, or ``NAME.png`` for only the picture; None: no file is written.
     options
         The options of the call. Its topics decide whether scans or clouds are drawn. Without topics, clouds are drawn
         if there are no scans, or if any option is about the conversion of clouds.
@@ -79,24 +295,10 @@ def draw_map(
     progress
         Called regularly; see `pc2scan.progress.Progress`.
     """
-    return _draw(sources, first_output(conversion_of(options, warn), "drawn", warn), options, warn, progress)
-
-
-def write_map(
-    sources: Sequence[Path],
-    destination: Path | None,
-    options: Options,
-    *,
-    warn: Warn | None = None,
-    progress: Progress | None = None,
-) -> Map:
-    """Draw a map, and write it: its files, or with a name that ends in ``.png`` only the picture; see `draw_map`."""
-    if destination is None:
-        raise UsageError(
-            "no file to write is given", hint="`destination=map.yaml`; or `destination=map.png`, the picture"
-        )
     request = first_output(conversion_of(options, warn), "drawn", warn)
-    paths = map_paths(destination)
+    if destination is None:
+        return _draw(sources, request, options, warn, progress)
+    paths = _paths(destination)
     refuse_overlap(inputs_of(sources, options.tf_from, request.files), [OutputPath(path) for path in paths])
     with files_output(paths, overwrite=options.overwrite) as deliver:
         made = _draw(sources, request, options, warn, progress)
@@ -107,8 +309,6 @@ def write_map(
 def _draw(
     sources: Sequence[Path], options: ConvertOptions, asked: Options, warn: Warn | None, progress: Progress | None
 ) -> Map:
-    if options.scan.reverse:
-        raise UsageError("`reverse` makes clouds, but a map is made of scans")
     warnings = list(options.notes)
     tell = partial(tell_early, warnings, warn)
     frames = (asked.odom_frame, asked.base_frame)
@@ -176,13 +376,6 @@ def _topics(reader: Reader, options: ConvertOptions) -> tuple[tuple[TopicRequest
     return tuple(map(TopicRequest, dict.fromkeys(chosen))), False
 
 
-@lru_cache(maxsize=4)
-def _directions(beams: int, angle_min: float, angle_increment: float) -> NDArray[np.float64]:
-    """Return cosines and sines of a scan's beams."""
-    angles = beam_angles(beams, angle_min, angle_increment)
-    return np.stack((np.cos(angles), np.sin(angles)))
-
-
 @dataclass(slots=True)
 class _Drawing:
     """Draws scans, and counts them."""
@@ -201,6 +394,13 @@ class _Drawing:
 
     def __post_init__(self) -> None:
         self.odom = self.asked.odom_frame.removeprefix("/")
+        names = sorted(name.removeprefix("/") for name in self.buffer.frames)
+        self.robot = self.asked.base_frame.removeprefix("/") or next((name for name in BODIES if name in names), "")
+        if self.asked.base_frame and self.robot not in names:
+            raise UsageError(
+                f"there is no frame {self.robot!r} for `base_frame`; the frames are {name_list(names)}",
+                hint=did_you_mean(self.robot, names) or None,
+            )
 
     def add(self, scan: Scan, level: LevelTransform | None) -> None:
         """Draw a scan, or count why not; ``level`` is the transform of its frame, if that was made level."""
@@ -211,12 +411,10 @@ class _Drawing:
                 start = start.compose(Rigid.from_pose(level.row[3:]))
             elif scan.time_increment:
                 end = self._end(scan)
-            longest = LONGEST * self.asked.resolution
+            longest, count = LONGEST * self.asked.resolution, len(scan.ranges)
             beams = observing_beams(scan.ranges, scan.range_min, scan.range_max, longest=longest)
-            count = len(scan.ranges)
-            origins, ends = place_beams(
-                beams, _directions(count, scan.angle_min, scan.angle_increment), count, start, end
-            )
+            angles = beam_angles(count, scan.angle_min, scan.angle_increment)
+            origins, ends = place_beams(beams, np.stack((np.cos(angles), np.sin(angles))), count, start, end)
             self.grid.add(origins, ends, beams.hits)
         except MessageError as err:
             if isinstance(err, TransformError) and not self.scans and self.odom not in self.buffer.frames:
@@ -224,15 +422,17 @@ class _Drawing:
             self.skip(scan.topic, err)
             return
         self.scans[scan.topic] += 1
-        self._drive(scan, start)
+        self.robot = self.robot or scan.frame.removeprefix("/")
+        with suppress(TransformError):
+            x, y, _ = self._pose(self.robot, scan.stamp_ns).translation.tolist()
+            self.path.append((scan.stamp_ns, x, y))
 
     def skip(self, topic: str, error: MessageError) -> None:
         """Count a message that is not drawn."""
         if self.options.strict:
             raise error
         self.first_error = self.first_error or error
-        reason = error.reason if isinstance(error, TransformError) else ""
-        self.skipped[topic, reason or error.message] += 1
+        self.skipped[topic, getattr(error, "reason", "") or error.message] += 1
 
     def _pose(self, frame: str, stamp_ns: int) -> Rigid:
         return self.buffer.lookup(self.odom, frame, stamp_ns, self.options.scan.params.tolerance_ns)
@@ -245,26 +445,6 @@ class _Drawing:
         except MessageError:
             return None
 
-    def _drive(self, scan: Scan, start: Rigid) -> None:
-        """Note the position of the robot."""
-        frame = scan.frame.removeprefix("/")
-        if not self.robot:
-            known = {name.removeprefix("/") for name in self.buffer.frames}
-            asked = self.asked.base_frame.removeprefix("/")
-            if asked and asked not in known:
-                names = sorted(known)
-                raise UsageError(
-                    f"there is no frame {asked!r} for `base_frame`; the frames are {name_list(names)}",
-                    hint=did_you_mean(asked, names) or None,
-                )
-            self.robot = asked or next((name for name in BODIES if name in known), frame)
-        try:
-            pose = start if self.robot == frame else self._pose(self.robot, scan.stamp_ns)
-        except TransformError:
-            return
-        x, y, _ = pose.translation.tolist()
-        self.path.append((scan.stamp_ns, x, y))
-
     def _no_frame(self, scan: Scan) -> UsageError:
         """Return the error that the frame of the map does not exist, with a hint what to type."""
         frame, frames = scan.frame.removeprefix("/"), self.buffer.frames
@@ -273,8 +453,6 @@ class _Drawing:
             hint = f"`odom_frame={namesake}`"
         elif roots:
             hint = f"`odom_frame={roots[0]}` draws the map in the root of the frames of {scan.topic}"
-        elif frames:
-            hint = mount_text(frame, frames)
         else:
             hint = f"`tf_from` adds transforms; `odom_frame={frame}` draws all scans as if the robot stood still"
         known = f"the frames are {name_list(sorted(frames))}" if frames else "the recording has no transforms"
@@ -289,9 +467,7 @@ class _Drawing:
             If the map is empty.
         """
         if not self.scans:
-            if self.first_error is None:
-                raise ResultError(f"no scan can be placed in {self.odom}, there are none")
-            first = self.first_error
+            first = self.first_error or MessageError("there are none")
             raise ResultError(
                 f"no scan can be placed in {self.odom}: {first.message}", topic=first.topic, hint=first.hint
             )
