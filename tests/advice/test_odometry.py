@@ -101,15 +101,13 @@ def test_the_way_of_a_robot_tells_which_way_round_its_odometry_is() -> None:
         poses = driven(seed, wheels=True)
         inverse = [pose.inverse() for pose in poses]
         found = [direction(poses), direction(inverse), direction(poses, **SWAPPED), direction(inverse, **SWAPPED)]
-        assert [each.is_below for each in found] == [False, False, True, True]
         assert [bool(each.fault) for each in found[2:]] == [True, True]
-        verdicts = [(each.way, each.is_sound) for each in found]
-        if verdicts == [("", False)] * 4:
+        doubts = [bool(each.doubt) for each in found]
+        if doubts == [False, False, True, True]:
             # Where it drives beside odom, its inverse is not much sideways.
-            assert [bool(each.doubt) for each in found] == [False, False, True, True]
             continue
-        assert verdicts == [("", True), ("sideways", False), ("sideways", False), ("", True)]
-        assert [bool(each.doubt) for each in found] == [False, True, True, False]
+        assert doubts == [False, True, True, False]
+        assert all("sideways" in each.doubt for each in found[1:3])
         told += 1
     assert told >= 6
 

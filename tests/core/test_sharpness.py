@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import pytest
 
-from pc2scan.core.sharpness import Window, busiest, noise, spread
+from pc2scan.core.sharpness import Window, busiest, spread
 
 SECOND = 1_000_000_000
 
@@ -16,22 +15,6 @@ def poses(times: np.ndarray, yaw: np.ndarray, x: np.ndarray | float = 0.0) -> np
     found = np.zeros((len(times), 7))
     found[:, 0], found[:, 5], found[:, 6] = x, np.sin(yaw / 2), np.cos(yaw / 2)
     return found
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("hertz", [10, 100])
-def test_noise_is_measured_whatever_the_motion_is(hertz: int, sign: int) -> None:
-    random = np.random.default_rng(1)
-    times = np.cumsum(random.uniform(0.8, 1.2, 60 * hertz) / hertz)
-    stamps = (times * SECOND).astype(np.int64)
-    found = poses(times, 0.8 * np.sin(2 * times) + random.normal(0, 0.01, times.size), 3 * np.cos(times))
-    found[:, 0] += random.normal(0, 0.02, times.size)
-    # A quaternion and its negative are one rotation, and single poses jump.
-    found[::7, 3:] *= sign
-    found[::200, 0] += 5
-    metres, radians = noise(stamps, found)
-    assert (metres, radians) == pytest.approx((0.02, 0.01), rel=0.15)
-    assert max(noise(stamps, poses(times, np.sin(2 * times), 3 * np.cos(times)))) < 0.002
 
 
 def test_spread_grows_with_the_width_of_a_wall() -> None:

@@ -1,27 +1,25 @@
 """Judges whether the transforms to a fixed frame fit the clouds that are placed through it.
 
-What the transforms show alone is judged before the first cloud: poses that are noisy, too few or inverted. Whether they
-fit the clouds is judged by samples of those that are converted: what is seen in the seconds of the strongest motion
-must not be sharper by the poses of another time, or with the points in another order.
+Which way round they are is judged by the robot's way, before the first cloud. Whether they fit the clouds is judged by
+samples of those that are converted: what is seen in the seconds of the strongest motion must not be sharper by the
+poses of another time, or by smoother ones.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pc2scan.core.percentiles import median, percentiles
+from pc2scan.core.percentiles import median
 from pc2scan.core.scene import GOLDEN
-from pc2scan.core.sharpness import LEVER, Window, busiest, noise, spread, steps_of
-from pc2scan.core.timing import fit_sweep
+from pc2scan.core.sharpness import Window, busiest, spread
 from pc2scan.errors import DecodeError, TransformError
 from pc2scan.request.point_time import PointTime
 from pc2scan.text import counted
-from pc2scan.transforms.up_sources import UpByImu
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -33,16 +31,6 @@ if TYPE_CHECKING:
     from pc2scan.request.point_time import Times
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.history import FrameHistory
-    from pc2scan.transforms.up_sources import UpSource
-
-#: About how long a lidar takes for a cloud, nanoseconds.
-_CLOUD_NS = 100_000_000
-
-#: From this noise on, metres at `LEVER`, poses may move points wrongly.
-_LEAST_NOISE = 0.03
-
-#: If poses come this many nanoseconds apart (median), fewer than five a second, motion within a cloud is not known.
-_SLOW_NS = 205_000_000
 
 #: A robot on wheels moves along its own x axis: less than the first share of its way is sideways. Poses of which more
 #: than the second one is, and whose inverses move along x, are inverted. Nothing is known of a shorter way, metres, and
@@ -52,11 +40,6 @@ _LEAST_WAY, _LEAST_TURN = 1.0, 1.0
 _STEP_NS = 200_000_000
 #: Poses that are farther apart than this many steps are not compared.
 _LONGEST_STEP = 3
-
-#: Roll and pitch that change by more than this within a cloud, radians, and by less than this share of it in the
-#: odometry.
-_LEAST_TILT = math.radians(0.3)
-_LEVEL_BESIDE = 0.3
 
 #: The windows in which surroundings are sampled, and the points of each cloud, of each topic in a window, and in all
 #: windows that are needed.
@@ -83,6 +66,9 @@ _A_LITTLE = 1.02
 _NODE_NS = 5_000_000
 _LEAST_SHIFT = 0.015
 
+#: Poses that jitter are compared with their means over so many seconds.
+_SMOOTH = 0.1
+
 #: Surroundings are sharper if they are spread over fewer cells by this factor, and in no window over more by the other.
 _SHARPER = 1.1
 _NOT_LESS = 0.97
@@ -93,62 +79,25 @@ _COLUMN, _TALL = 0.3, 0.4
 
 
 class Odometry(NamedTuple):
-    """What moves a robot in a fixed frame, and which way round.
+    """What moves a robot in a fixed frame.
 
     Attributes
     ----------
     links
         The transforms between the two frames that move, first the one that carries the robot; empty if nothing moves.
-    parent, child
-        The frames of the transforms that carry the robot.
-    is_below
-        Whether the odometry's frame is the child, which REP 105 has above the robot's.
-    way
-        How the robot drives by these transforms, if it drives straight ahead by their inverses: ``sideways`` or
-        ``backwards``; empty if it does not, or if its way does not tell.
-    is_sound
-        Whether the robot drives straight ahead by these transforms, and not by their inverses.
+    doubt
+        What may place the robot wrongly, and what to do; empty if nothing does.
+    fault
+        What is wrong for programs that read the transforms; empty if nothing is.
     """
 
     links: Sequence[FrameHistory] = ()
-    parent: str = ""
-    child: str = ""
-    is_below: bool = False
-    way: str = ""
-    is_sound: bool = False
+    doubt: str = ""
+    fault: str = ""
 
-    @property
-    def doubt(self) -> str:
-        """What may place the robot wrongly, and what to do; empty if nothing does."""
-        return "" if self.is_sound or not self._text else f"{self._text}; {self.cure}"
 
-    @property
-    def fault(self) -> str:
-        """What is wrong for programs that read the transforms; empty if nothing is."""
-        if not self.is_below:
-            return self._text
-        return (
-            f"{self._text}; programs that localise the robot publish the transform from map to {self.child}, which "
-            "then has two parents"
-        )
-
-    @property
-    def cure(self) -> str:
-        """What to do."""
-        return "`odom_topic=/odom` uses the poses of a topic instead"
-
-    @property
-    def _text(self) -> str:
-        if self.way:
-            why = "the two frames are swapped" if self.is_below else "the poses are inverted"
-            return (
-                f"by the transforms from {self.parent} to {self.child} the robot drives {self.way}, by their inverses "
-                f"straight ahead: {why}"
-            )
-        if not self.is_below:
-            return ""
-        text = f"{self.child} is below {self.parent} in the transforms, and REP 105 has it above"
-        return text if self.is_sound else f"{text}: if the poses are not inverted, too, the robot moves the wrong way"
+#: What to do if transforms are the wrong way round.
+OTHER_ODOMETRY = "`odom_topic=/odom` uses the poses of a topic instead"
 
 
 def odometry_of(buffer: TransformBuffer, fixed: str, source: str) -> Odometry:
@@ -173,9 +122,28 @@ def odometry_of(buffer: TransformBuffer, fixed: str, source: str) -> Odometry:
     )
     if not links:
         return Odometry()
-    body = links[0]
-    parent, child = buffer.frames[body.parent_at(None)], buffer.frames[body.child]
+    parent, child = buffer.frames[links[0].parent_at(None)], buffer.frames[links[0].child]
     is_below = len(links) == 1 and child == fixed.removeprefix("/")
+    way, is_sound = _way(links[0], is_below=is_below)
+    text = f"{child} is below {parent} in the transforms, and REP 105 has it above" if is_below else ""
+    if way:
+        why = "the two frames are swapped" if is_below else "the poses are inverted"
+        text = (
+            f"by the transforms from {parent} to {child} the robot drives {way}, by their inverses straight ahead: "
+            f"{why}"
+        )
+    elif is_below and not is_sound:
+        text += ": if the poses are not inverted, too, the robot moves the wrong way"
+    doubt = f"{text}; {OTHER_ODOMETRY}" if text and not is_sound else ""
+    if is_below:
+        text += (
+            f"; programs that localise the robot publish the transform from map to {child}, which then has two parents"
+        )
+    return Odometry(links, doubt, text)
+
+
+def _way(body: FrameHistory, *, is_below: bool) -> tuple[str, bool]:
+    """Return how a robot drives if it drives straight ahead by the inverse poses, and whether it does by the poses."""
     stamps_ns = body.stamps_ns
     intervals = np.diff(stamps_ns)
     apart_ns = max(1, int(median(intervals))) if intervals.size else _STEP_NS
@@ -187,14 +155,15 @@ def odometry_of(buffer: TransformBuffer, fixed: str, source: str) -> Odometry:
     # From one second with transforms to the next, nobody knows the way.
     known = np.diff(stamps_ns[::every]) <= _LONGEST_STEP * max(_STEP_NS, apart_ns)
     # Of the poses, and of their inverses: the shares of the way that are ahead, less those that are back, and sideways.
-    ahead, beside = [0.0, 0.0], [0.0, 0.0]
-    for number, sign in enumerate((1, -1)):
+    ahead, beside = [], []
+    for sign in (1, -1):
         # A chord of a circle has the direction of its middle.
         steps = ((np.diff(x) + 1j * np.diff(y)) * np.exp(-1j * sign * (yaw[:-1] + turned / 2)))[known]
         way = float((np.abs(steps.real) + np.abs(steps.imag)).sum())
         if way < _LEAST_WAY:
-            return Odometry(links, parent, child, is_below)
-        ahead[number], beside[number] = float(steps.real.sum()) / way, float(np.abs(steps.imag).sum()) / way
+            return "", False
+        ahead.append(float(steps.real.sum()) / way)
+        beside.append(float(np.abs(steps.imag).sum()) / way)
         inverse = -(x + 1j * y) * np.exp(-1j * yaw)
         x, y = inverse.real, inverse.imag
     if is_below:
@@ -206,83 +175,7 @@ def odometry_of(buffer: TransformBuffer, fixed: str, source: str) -> Odometry:
     elif is_below and -ahead[0] >= 1 - _AHEAD and ahead[1] >= 1 - _AHEAD:
         drives = "backwards"
     is_sound = ahead[0] >= 1 - _AHEAD or (turns and beside[0] <= _AHEAD and beside[1] >= _SIDEWAYS)
-    return Odometry(links, parent, child, is_below, drives, is_sound=bool(is_sound))
-
-
-def odometry_warnings(spec: ScanSpec, odometry: Odometry) -> Iterator[str]:
-    """Yield warnings about poses that are the wrong way round, too noisy, or too few to place points at their times."""
-    if doubt := odometry.doubt:
-        yield doubt
-    if not odometry.links or not spec.deskew:
-        return
-    body = odometry.links[0]
-    pair = f"from {spec.fixed_frame} to {odometry.child}"
-    intervals = np.diff(body.stamps_ns)
-    apart_ns = int(median(intervals)) if intervals.size else 0
-    if apart_ns > _SLOW_NS:
-        yield (
-            f"the transforms {pair} come every {apart_ns / 1e9:.3g} s (median), and a cloud takes about "
-            f"{_CLOUD_NS / 1e9:g} s: points are placed as if the robot had moved evenly meanwhile; odometry of 10 Hz "
-            "and more deskews better: another `fixed_frame`, or `tf_from` another recording"
-        )
-    metres, radians = map(sum, zip(*(noise(link.stamps_ns, link.poses) for link in odometry.links), strict=True))
-    off = math.hypot(metres, LEVER * radians)
-    moved = _motion_of_cloud(body, apart_ns)
-    if off > max(_LEAST_NOISE, moved / math.sqrt(12)):
-        yield (
-            f"the transforms {pair} jitter by {metres:.2g} m and {math.degrees(radians):.2g} degrees from one to the "
-            f"next: `deskew` moves points {LEVER:g} m away by {off:.2g} m wrongly, and the robot moves them by "
-            f"{moved:.2g} m within {_CLOUD_NS / 1e9:g} s; without `deskew` they are sharper, or with a smoother "
-            "`fixed_frame`"
-        )
-
-
-def tilt_warnings(spec: ScanSpec, odometry: Odometry, up: UpSource) -> Iterator[str]:
-    """Yield a warning if a robot tilts within a cloud by its IMU, and not by the odometry that deskews the cloud.
-
-    ``up`` makes the scans level.
-    """
-    if not (spec.deskew and odometry.links and isinstance(up, UpByImu)):
-        return
-    body = odometry.links[0]
-    level = _ups(body.quaternions)
-    by_imu = _tilts(up.stamps_ns, up.directions)
-    by_odometry = _tilts(body.stamps_ns, level)
-    if by_imu > _LEAST_TILT and by_odometry < _LEVEL_BESIDE * by_imu:
-        yield (
-            f"by {up.topic}, roll and pitch change by {math.degrees(by_imu):.2g} degrees within {_CLOUD_NS / 1e9:g} s "
-            f"(90 %), by the transforms to {spec.fixed_frame} they do not: `level` turns each cloud as a whole, and "
-            f"`deskew` leaves points {LEVER:g} m away off by {LEVER * by_imu:.2g} m; a `fixed_frame` with roll and "
-            "pitch places them"
-        )
-
-
-def _ups(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the directions of up in frames, (N, 3), by their rotations, (N, 4)."""
-    x, y, z, w = quaternions.T
-    return np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), w * w + z * z - x * x - y * y], axis=1)
-
-
-def _tilts(stamps_ns: NDArray[np.int64], ups: NDArray[np.float64]) -> float:
-    """Return by how much the direction of up changes within a cloud, radians (90 %)."""
-    intervals = np.diff(stamps_ns)
-    between = max(1, round(_CLOUD_NS / max(1, median(intervals)))) if intervals.size else 1
-    if len(ups) <= between:
-        return 0.0
-    chords = np.linalg.norm(ups[between:] - ups[:-between], axis=1)
-    (angle,) = percentiles(2 * np.arcsin(np.minimum(1.0, chords / 2)), 90)
-    return angle
-
-
-def _motion_of_cloud(link: FrameHistory, apart_ns: int) -> float:
-    """Return how far points at `LEVER` move within a cloud, metres, when the robot moves (third quartile)."""
-    between = max(1, round(_CLOUD_NS / apart_ns)) if apart_ns else 1
-    poses = link.poses[::between]
-    if len(poses) < _FEWEST // 100:
-        return 0.0
-    moved, turned = steps_of(poses)
-    sizes = np.hypot(np.linalg.norm(moved, axis=1), LEVER * np.linalg.norm(turned, axis=1))
-    return float(np.sort(sizes)[3 * len(sizes) // 4]) * _CLOUD_NS / max(between * apart_ns, 1)
+    return drives, bool(is_sound)
 
 
 class _Cloud(NamedTuple):
@@ -300,6 +193,13 @@ class _Path(NamedTuple):
     times: NDArray[np.float64]
     rows: NDArray[np.float64]
 
+    def smoothed(self, seconds: float) -> _Path:
+        """Return the path whose poses are the means of some time."""
+        width = round(seconds * 1e9 / _NODE_NS)
+        sums = np.cumsum(np.pad(self.rows, ((1, 0), (0, 0))), axis=0)
+        means = (sums[width:] - sums[:-width]) / width
+        return _Path(np.lib.stride_tricks.sliding_window_view(self.times, width).mean(axis=1), means)
+
     def place(self, points: NDArray[np.float64], seconds: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return points in the fixed frame, (N, 3); NaN where there is no pose."""
         newer = np.clip(self.times.searchsorted(seconds), 1, len(self.times) - 1)
@@ -314,19 +214,17 @@ class _Path(NamedTuple):
 class _Seen:
     """What a topic shows in a window: (N, 3) points of walls in the sensor's frame, and (N,) times of each.
 
-    ``stamps`` are those of their clouds, seconds after the window's begin, ``seconds`` are after the stamp, and
-    ``ends`` the sum of the first and the last of a cloud.
+    ``stamps`` are those of their clouds, seconds after the window's begin, and ``seconds`` after the stamp.
     """
 
     path: _Path
     points: NDArray[np.float64]
     stamps: NDArray[np.float64]
     seconds: NDArray[np.float64]
-    ends: NDArray[np.float64]
 
     def select(self, chosen: NDArray[np.intp]) -> _Seen:
         """Return some of the points."""
-        return _Seen(self.path, self.points[chosen], self.stamps[chosen], self.seconds[chosen], self.ends[chosen])
+        return _Seen(self.path, self.points[chosen], self.stamps[chosen], self.seconds[chosen])
 
     @cached_property
     def here(self) -> NDArray[np.float64]:
@@ -341,10 +239,6 @@ class _Seen:
     def placed(self, later: NDArray[np.float64] | float = 0.0) -> NDArray[np.float64]:
         """Return the points in the fixed frame, by the poses of so many seconds later."""
         return self.path.place(self.points, self.stamps + self.seconds + later)
-
-    def reversed(self) -> NDArray[np.float64]:
-        """Return the points in the fixed frame as if the lidar had turned the other way round."""
-        return self.path.place(self.points, self.stamps + self.ends - self.seconds)
 
 
 class Surroundings:
@@ -441,11 +335,9 @@ class Surroundings:
             if path is None:
                 continue
             after = [np.full(len(each.points), (each.stamp_ns - window.begin_ns) / 1e9) for each in own]
-            both = [np.full(len(each.points), each.seconds.min() + each.seconds.max()) for each in own]
             stamps, seconds = np.concatenate(after), np.concatenate([each.seconds for each in own])
-            seen = _Seen(path, np.concatenate([each.points for each in own]), stamps, seconds, np.concatenate(both))
+            seen = _Seen(path, np.concatenate([each.points for each in own]), stamps, seconds)
             seen = seen.select(np.arange(len(stamps))[:: 1 + len(stamps) // _OF_WINDOW])
-            seen = seen.select(np.flatnonzero(self._within_heights(seen.points, own[0])))
             seen = seen.select(np.flatnonzero(_are_walls(seen.here)))
             if len(seen.points) >= _FEWEST:
                 found[window] = seen
@@ -466,17 +358,6 @@ class Surroundings:
             return None
         return _Path((stamps_ns - window.begin_ns) / 1e9, rows[::2])
 
-    def _within_heights(self, points: NDArray[np.float64], cloud: _Cloud) -> NDArray[np.bool_]:
-        """Return which points have the heights of the scans."""
-        params, z = self._spec.params, points[:, 2]
-        if params.target_frame:
-            try:
-                moved = self._buffer.lookup(params.target_frame, cloud.frame_id, cloud.stamp_ns)
-            except TransformError:
-                return np.zeros(len(points), np.bool_)
-            z = moved.apply(points)[:, 2]
-        return np.asarray((z >= params.min_height) & (z <= params.max_height))
-
     def _doubts(self, topic: str, windows: Mapping[Window, _Seen]) -> Iterator[str]:
         """Yield a warning if other times of the points of a topic fit the transforms better."""
         spec = self._spec
@@ -484,11 +365,6 @@ class Surroundings:
             lambda seconds: _gain((each, each.placed(seconds), None) for each in windows.values())
         )
         seen = f"in {counted(len(windows), 'second')} of the strongest motion, surroundings are"
-        if spec.deskew and spec.point_time.startswith("azimuth"):
-            turned = _gain((each, each.reversed(), None) for each in windows.values())
-            if turned > max(gain, _SHARPER):
-                yield f"{topic}: {seen} {turned:.2g} times as sharp if {_other_way(spec.point_time, windows.values())}"
-                return
         if gain >= _SHARPER and abs(shift) >= _LEAST_SHIFT:
             yield (
                 f"{topic}: {seen} {gain:.2g} times as sharp with the transforms to {spec.fixed_frame} of "
@@ -498,11 +374,12 @@ class Surroundings:
             )
             return
         if spec.deskew:
-            still = _gain((each, each.placed(-each.seconds), None) for each in windows.values())
-            if still >= _SHARPER:
+            paths = ((each, replace(each, path=each.path.smoothed(_SMOOTH))) for each in windows.values())
+            smooth = _gain((each, other.placed(), None) for each, other in paths)
+            if smooth >= _SHARPER:
                 yield (
-                    f"{topic}: {seen} {still:.2g} times as sharp without `deskew`: the transforms to "
-                    f"{spec.fixed_frame} jitter, or the times of the points are wrong (`point_time`)"
+                    f"{topic}: {seen} {smooth:.2g} times as sharp by poses that are smoothed over {_SMOOTH} s: the "
+                    f"transforms to {spec.fixed_frame} jitter; a smoother `fixed_frame` deskews better, or none"
                 )
 
     def _clock_doubts(
@@ -522,25 +399,6 @@ class Surroundings:
                 f"{'later' if shift > 0 else 'earlier'} than its stamps say: the clocks of the two lidars differ; "
                 f"`time_offset={other}={shift:.2f}s` corrects them"
             )
-
-
-def _other_way(point_time: str, windows: Iterable[_Seen]) -> str:
-    """Return which way a lidar turns, if its times, computed from azimuths, show the wrong one; and the option."""
-    rates = []
-    for seen in windows:
-        of_one = seen.stamps == seen.stamps[0]
-        sweep = fit_sweep(np.arctan2(seen.points[of_one, 1], seen.points[of_one, 0]), seen.seconds[of_one])
-        rates += [] if sweep is None else [sweep.rate]
-    ways = {"ccw": "counter-clockwise", "cw": "clockwise"}
-    other = "cw" if sum(rates) > 0 else "ccw"
-    kind, *words = (word for word in point_time.split(":") if word not in ways)
-    typed = ":".join(
-        (kind, *words[:1], other, *words[1:]) if words and words[0] not in {"start", "end"} else (kind, other, *words)
-    )
-    return (
-        f"the lidar turns {ways[other]}, not {ways['ccw' if other == 'cw' else 'cw']} as its times say: "
-        f"`point_time={typed}`"
-    )
 
 
 def _are_walls(points: NDArray[np.float64]) -> NDArray[np.bool_]:

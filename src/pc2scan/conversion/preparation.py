@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pc2scan.advice.checks.clouds import KnownTransforms
 from pc2scan.advice.clocks import CLOCK_HEADERS, ask_motion, clock_warnings, refuse_other_clock
 from pc2scan.advice.measurements import ask_measurements, measure
-from pc2scan.advice.odometry import Surroundings, odometry_of, odometry_warnings, tilt_warnings
+from pc2scan.advice.odometry import Surroundings, odometry_of
 from pc2scan.advice.point_times import ask_times, duration_warning, measure_turns, time_warnings
 from pc2scan.advice.survey import Span, Survey
 from pc2scan.bags.opening import as_one, open_recordings
@@ -227,9 +227,7 @@ class _OutputFacts:
             with spec.naming_errors():
                 doubts = check_fixed_frame(source, spec, placer.buffer)
             odometry = odometry_of(placer.buffer, spec.fixed_frame, source)
-            doubts += odometry_warnings(spec, odometry)
-            if placer.up is not None:
-                doubts += tilt_warnings(spec, odometry, placer.up)
+            doubts += [odometry.doubt] if odometry.doubt else []
             tell(*(label + doubt for doubt in doubts))
         for sources in self._sources:
             with spec.naming_errors():

@@ -1,4 +1,4 @@
-"""How well odometry fits what a lidar sees: where a robot moves most, how noisy its poses are, how sharp its walls are.
+"""How well odometry fits what a lidar sees: where a robot moves most, and how sharp its walls are.
 
 Surroundings that do not move are sharp in a frame that does not move if each point is placed by the pose of its own
 time. With poses of another time, or in another order, a wall that is seen several times becomes several walls.
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 #: Rotations are compared with translations at this distance from the robot, metres.
-LEVER = 10.0
+_LEVER = 10.0
 
 #: The width of cells, metres, and the directions of the grids, radians: walls along one grid lie across the others.
 _CELL = 0.2
@@ -72,8 +72,12 @@ def busiest(
     if steps < 2 or end_ns - begin_ns < length_ns:
         return []
     times = np.arange(begin_ns, end_ns, step_ns)
-    moved, turned = steps_of(poses[np.minimum(stamps_ns.searchsorted(times), len(stamps_ns) - 1)])
-    motion = np.concatenate([moved, LEVER / 2 * turned], axis=1)
+    near = poses[np.minimum(stamps_ns.searchsorted(times), len(stamps_ns) - 1)]
+    one, other = near[:-1, 3:], near[1:, 3:]
+    # The rotations from each pose to the next one, as vectors; a quaternion and its negative are one rotation.
+    turned = one[:, 3:] * other[:, :3] - other[:, 3:] * one[:, :3] - np.cross(other[:, :3], one[:, :3])
+    turned *= np.where((one * other).sum(axis=1, keepdims=True) < 0, -2.0, 2.0)
+    motion = np.concatenate([np.diff(near[:, :3], axis=0), _LEVER / 2 * turned], axis=1)
     sums, squares = (np.cumsum(np.pad(each, ((1, 0), (0, 0))), axis=0) for each in (motion, motion**2))
     mean, square = ((each[steps:] - each[:-steps]) / steps for each in (sums, squares))
     change = (square - mean**2).sum(axis=1)
@@ -82,31 +86,6 @@ def busiest(
         found.append(Window(int(times[at]), int(times[at]) + length_ns))
         change[max(0, at - steps + 1) : at + steps] = 0
     return found
-
-
-def steps_of(poses: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the translations, and the rotations as vectors, from each pose to the next one: (N - 1, 3) each."""
-    one, other = poses[:-1, 3:], poses[1:, 3:]
-    vector = one[:, 3:] * other[:, :3] - other[:, 3:] * one[:, :3] - np.cross(other[:, :3], one[:, :3])
-    sign = np.where((one * other).sum(axis=1, keepdims=True) < 0, -2.0, 2.0)
-    return np.diff(poses[:, :3], axis=0), sign * vector
-
-
-def noise(stamps_ns: NDArray[np.int64], poses: NDArray[np.float64]) -> tuple[float, float]:
-    """Return how far poses are off a smooth motion, as standard deviations: metres and radians; see `roughness`.
-
-    Parameters
-    ----------
-    stamps_ns, poses
-        As for `busiest`.
-    """
-    places = _places(len(stamps_ns))
-    chosen = poses[places]
-    one, other = chosen[:, :-1, 3:], chosen[:, 1:, 3:]
-    # A quaternion and its negative are one rotation.
-    other *= np.cumprod(np.where((one * other).sum(axis=2, keepdims=True) < 0, -1.0, 1.0), axis=1)
-    sizes = _deviations(stamps_ns[places], chosen)
-    return float(np.linalg.norm(sizes[:3])), 2 * float(np.linalg.norm(sizes[3:]))
 
 
 def roughness(stamps_ns: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -122,26 +101,16 @@ def roughness(stamps_ns: NDArray[np.int64], values: NDArray[np.float64]) -> NDAr
     The divided differences of five consecutive values are 0 for every polynomial of third degree. Their median size is
     that of the noise, even if single values jump.
     """
-    places = _places(len(stamps_ns))
-    return _deviations(stamps_ns[places], values[places])
-
-
-def _places(values: int) -> NDArray[np.intp]:
-    """Return which consecutive values are compared, (M, 5); of few values, none."""
-    count = values - _TOGETHER + 1
+    count = len(stamps_ns) - _TOGETHER + 1
+    if count < _FEWEST:
+        return np.zeros(values.shape[1])
     # Of long recordings, a thousand times five values are enough.
-    begins = np.linspace(0, count - 1, min(count, 1_000) if count >= _FEWEST else 0).astype(np.intp)
-    return begins[:, None] + np.arange(_TOGETHER)
-
-
-def _deviations(stamps_ns: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the standard deviations of consecutive values, (M, 5, K), from a smooth course."""
-    if not len(values):
-        return np.zeros(values.shape[2])
-    times = (stamps_ns - stamps_ns[:, :1]) / 1e9
+    begins = np.linspace(0, count - 1, min(count, 1_000)).astype(np.intp)
+    places = begins[:, None] + np.arange(_TOGETHER)
+    times = (stamps_ns[places] - stamps_ns[places[:, :1]]) / 1e9
     apart = times[:, :, None] - times[:, None, :]
     apart[:, range(_TOGETHER), range(_TOGETHER)] = 1.0
     weights = 1 / apart.prod(axis=2)
     weights /= np.linalg.norm(weights, axis=1, keepdims=True)
-    sizes = np.median(np.abs(np.einsum("np,npk->nk", weights, values)), axis=0) / 0.6745
+    sizes = np.median(np.abs(np.einsum("np,npk->nk", weights, values[places])), axis=0) / 0.6745
     return np.asarray(sizes, np.float64)

@@ -8,7 +8,7 @@ from bisect import bisect_left
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from pc2scan.advice.odometry import odometry_of
+from pc2scan.advice.odometry import OTHER_ODOMETRY, odometry_of
 from pc2scan.core.consumers import NO_TRANSFORMS
 from pc2scan.core.layout import TURN
 from pc2scan.core.rigid import Rigid
@@ -247,7 +247,7 @@ class ScanFrames:
             yield from self._name_findings()
             odometry = odometry_of(self._buffer, self._odom, self._base)
             if odometry.fault:
-                yield Finding("odometry-direction", "defect", odometry.fault, f"pc2scan convert {odometry.cure}")
+                yield Finding("odometry-direction", "defect", odometry.fault, f"pc2scan convert {OTHER_ODOMETRY}")
             # An empty name is reported with the scans themselves.
             for frame in filter(None, self._scans):
                 yield from self._frame_findings(frame, interval_ns)

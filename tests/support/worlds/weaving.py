@@ -70,8 +70,6 @@ class Fault(NamedTuple):
         The standard deviations of its noise.
     scale
         The share of the yaw that it measures.
-    is_level
-        Whether it has no roll and pitch.
     pair
         The parent and the child of its transforms.
     inverted
@@ -82,7 +80,6 @@ class Fault(NamedTuple):
     metres: float = 0.0
     degrees: float = 0.0
     scale: float = 1.0
-    is_level: bool = False
     pair: tuple[str, str] = ("odom", "base_link")
     inverted: bool = False
 
@@ -104,9 +101,7 @@ def write_weaving(
 
     def odometry(time: float) -> Rigid:
         at = np.array([time - fault.late])
-        roll, pitch, yaw = (
-            0.0 if fault.is_level and axis < 2 else float(drive.angles(at)[axis][0]) for axis in range(3)
-        )
+        roll, pitch, yaw = (float(angle[0]) for angle in drive.angles(at))
         random = np.random.default_rng(round((time + 10) * 1e6))
         dx, dy, turned = (random.normal(0, 1, 3) * (fault.metres, fault.metres, math.radians(fault.degrees))).tolist()
         x, y, _ = drive.positions(at)[0].tolist()
