@@ -52,7 +52,7 @@ def test_a_path_is_text_or_an_object(name: str, kind: type, tmp_path: Path, monk
     assert function(kind(source), **keywords)
     # "~" is the home folder, as in a shell.
     monkeypatch.setenv("HOME", str(HALL.parent))
-    assert pc2scan.info([kind("~/hall.bag")])
+    assert pc2scan.info([kind("~/hall.bag")]).messages == 11
 
 
 # --- arguments ---

@@ -206,7 +206,7 @@ def _annotation(option: Option) -> Any:
         if isinstance(option, Parameter):
             spellings[0] += f"/{option.negation}"
         return Annotated[bool | None, typer.Option(*spellings)]
-    offers = option.offers or (("words", *value.words) if value.words else ())
+    offers = value.offers
 
     def offered(incomplete: str) -> list[str]:
         return completion.offered(offers, incomplete)

@@ -29,7 +29,7 @@ class _TooLateError(Exception):
 
 
 def offered(offers: Sequence[str], incomplete: str) -> list[str]:
-    """Return what the shell offers: see `pc2scan.options.option.Option.offers`; or ``words`` and the words."""
+    """Return what the shell offers: see `pc2scan.options.values.Value.offers`; or ``words`` and the words."""
     kind, *words = offers
     if kind == "topics":
         return _topics(words, incomplete)

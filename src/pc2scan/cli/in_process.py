@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.compare.golden.check import CommandResult
 from pc2scan.errors import UsageError
-from pc2scan.options.option import CALL_ONLY
+from pc2scan.options.option import Scope
 from pc2scan.options.table import options_of
 
 from .app import parse, run
@@ -57,7 +57,7 @@ def _refuse_others(name: str, chosen: Sequence[str]) -> None:
         raise UsageError("--help and --version may not be in a case")
     unnamed = typed.values.pop("sources", None)
     known = options_of(name)
-    allowed = {key for key, option in known.items() if option.scope != CALL_ONLY} - _PLACE | {"jobs"}
+    allowed = {key for key, option in known.items() if option.scope != Scope.CALL_ONLY} - _PLACE | {"jobs"}
     others = [known[key].spelling if key in known else "--output" for key in typed.values if key not in allowed]
     if others:
         raise UsageError(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.errors import UsageError
 
 from .conversion import CloudCombination
-from .option import ONE_OUTPUT, SINGLE, Parameter
+from .option import Parameter, Scope
 from .table import PARAMETERS, conversion_options, options_of, spelling_of
 
 if TYPE_CHECKING:
@@ -111,7 +111,9 @@ class Options:
     def of_one_output(self) -> list[str]:
         """The names of what was given and describes one output, except parameters of the projection."""
         return [
-            name for name in self.given if name not in PARAMETERS and self._known[name].scope in (ONE_OUTPUT, SINGLE)
+            name
+            for name in self.given
+            if name not in PARAMETERS and self._known[name].scope in (Scope.ONE_OUTPUT, Scope.SINGLE)
         ]
 
     @property

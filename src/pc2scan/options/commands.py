@@ -10,138 +10,115 @@ from pc2scan.core.presets import PRESETS
 
 from .option import (
     Compression,
+    File,
     FileFormat,
+    Frame,
+    How,
+    Metres,
     Names,
-    Option,
     Path,
     Progress,
-    Quantity,
+    Scope,
+    Section,
     Storage,
     Time,
     Tolerance,
+    When,
+    group,
 )
 from .running import MAX_JOBS
-from .values import (
-    Count,
-    Function,
-    Moment,
-    Moments,
-    Number,
-    PathName,
-    Recording,
-    Switch,
-    Text,
-    Texts,
-    Tolerances,
-)
+from .values import Count, Function, Moments, Number, Recording, Switch, Texts, Tolerances
 
 
+@group(Section.EXPORT, Scope.CALL_ONLY)
 class ExportFormat(TypedDict, total=False):
     """An export."""
 
     format: Annotated[
         FileFormat | None,
-        Option(
-            "For scans: npz (NumPy arrays), csv (one row per scan), carmen (ROBOTLASER1, .log), flaser (FLASER, .clf). "
-            "For the trajectory only: tum. For clouds, in a folder: pcd, kitti.",
-            default_text="by OUT's suffix",
-            short="-f",
-        ),
+        "For scans: npz (NumPy arrays), csv (one row per scan), carmen (ROBOTLASER1, .log), flaser (FLASER, .clf). "
+        "For the trajectory only: tum. For clouds, in a folder: pcd, kitti.",
+        How(default_text="by OUT's suffix", short="-f"),
     ]
-    overwrite: Annotated[bool, Option("Replace OUT: a file, or a folder with an export and nothing else.")]
+    overwrite: Annotated[bool, "Replace OUT: a file, or a folder with an export and nothing else."]
 
 
+@group(Section.EXPORT, Scope.CONVERSION)
 class BatchExport(TypedDict, total=False):
     """Results of a batch that are not recordings."""
 
     format: Annotated[
         FileFormat | None,
-        Option(
-            "Write the files of pc2scan export instead of recordings, in a folder for each recording.",
-            short="-f",
-        ),
+        "Write the files of pc2scan export instead of recordings, in a folder for each recording.",
+        How(short="-f"),
     ]
 
 
+@group(Section.EXPORT, Scope.CONVERSION)
 class Poses(TypedDict, total=False):
     """The robot's poses in an export."""
 
     pose_frame: Annotated[
-        str,
-        Option(
-            "Write the robot's pose in this frame (odom, map) at each message's stamp, from the recorded transforms.",
-            Text("FRAME"),
-        ),
+        Frame,
+        "Write the robot's pose in this frame (odom, map) at each message's stamp, from the recorded transforms.",
     ]
     base_frame: Annotated[
-        str,
-        Option(
-            "The robot's frame, whose pose is written.",
-            Text("FRAME"),
-            default_text="base_link, base_footprint, or the frame that the sensor is mounted on",
-        ),
+        Frame,
+        "The robot's frame, whose pose is written.",
+        How(default_text="base_link, base_footprint, or the frame that the sensor is mounted on"),
     ]
 
 
+@group(Section.BATCH, Scope.CALL_ONLY)
 class BatchRun(TypedDict, total=False):
     """How a batch runs."""
 
     dataset: Annotated[
-        Path | None,
-        Option(
-            "A YAML file with options for the recordings that match a pattern. Options given here override it.",
-            PathName(),
-        ),
+        File,
+        "A YAML file with options for the recordings that match a pattern. Options given here override it.",
     ]
     jobs: Annotated[
         int,
-        Option(
-            f"Number of recordings at a time, up to {MAX_JOBS:,}, each in its own process; the output does not depend "
-            "on it.",
-            Count(0, MAX_JOBS),
-            default=0,
-            default_text="number of cores, as memory allows",
-            short="-j",
-        ),
+        Count(0, MAX_JOBS),
+        f"Number of recordings at a time, up to {MAX_JOBS:,}, each in its own process; the output does not depend "
+        "on it.",
+        How(default=0, default_text="number of cores, as memory allows", short="-j"),
     ]
     dask: Annotated[
         bool | str,
-        Option(
-            "Convert on the Dask cluster of this scheduler, such as tcp://scheduler:8786. Without an address (in "
-            "Python: True), a cluster is started on this machine. Needs pc2scan[dask].",
-            Switch("[ADDRESS]"),
-            default=False,
-        ),
+        Switch("[ADDRESS]"),
+        "Convert on the Dask cluster of this scheduler, such as tcp://scheduler:8786. Without an address (in Python: "
+        "True), a cluster is started on this machine. Needs pc2scan[dask].",
+        How(default=False),
     ]
-    again: Annotated[
-        bool, Option("Convert again what is up to date. Only results that this batch has written are replaced.")
-    ]
-    report: Annotated[Path | None, Option("Write the summary of all recordings to this file, as JSON.", PathName())]
+    again: Annotated[bool, "Convert again what is up to date. Only results that this batch has written are replaced."]
+    report: Annotated[File, "Write the summary of all recordings to this file, as JSON."]
 
 
+@group(Section.BATCH, Scope.CALL_ONLY)
 class BatchScreen(TypedDict, total=False):
     """What a batch shows on the screen; only the command has it."""
 
-    quiet: Annotated[bool, Option("Show warnings and errors only.", short="-q", command_only=True)]
+    quiet: Annotated[
+        bool, "Show warnings and errors only, no line for each recording.", How(short="-q", command_only=True)
+    ]
     verbose: Annotated[
         bool,
-        Option(
-            "Show the tables of each conversion, and every recording in the summary.", short="-v", command_only=True
-        ),
+        "Show the tables of each conversion, and every recording in the summary.",
+        How(short="-v", command_only=True),
     ]
 
 
+@group(Section.PYTHON, Scope.CALL_ONLY)
 class BatchRunProgress(TypedDict, total=False):
     """Progress of a batch."""
 
     progress: Annotated[
         Progress | None,
-        Option(
-            "A function that is called from time to time with a tuple: bytes_done, bytes_total, recordings_done, "
-            "recordings_total.",
-            Function(),
-            typed="",
-        ),
+        Function(),
+        "A function that is called from time to time with a tuple: bytes_done, bytes_total, recordings_done, "
+        "recordings_total.",
+        How(typed=""),
     ]
 
 
@@ -150,7 +127,8 @@ class FirstClouds(TypedDict, total=False):
 
     at: Annotated[
         Time | Iterable[Time] | None,
-        Option("Show the first cloud at or after this time, written like `start`.", Moments("TIME")),
+        Moments("TIME"),
+        "Show the first cloud at or after this time, written like `start`.",
     ]
 
 
@@ -159,11 +137,9 @@ class PageClouds(FirstClouds, total=False):
 
     clouds: Annotated[
         int,
-        Option(
-            "Number of clouds of each topic on the page, up to 1,000, evenly spread over the recording.",
-            Count(1, 1000),
-            default=10,
-        ),
+        Count(1, 1000),
+        "Number of clouds of each topic on the page, up to 1,000, evenly spread over the recording.",
+        How(default=10),
     ]
 
 
@@ -171,7 +147,9 @@ class ShownFiles(TypedDict, total=False):
     """A page or a map on the disk; only the command has it."""
 
     overwrite: Annotated[
-        bool, Option("Replace files of these names; an older page is always replaced.", command_only=True)
+        bool,
+        "Replace files of these names; an older page is always replaced.",
+        How(command_only=True),
     ]
 
 
@@ -180,30 +158,24 @@ class FigureClouds(FirstClouds, total=False):
 
     clouds: Annotated[
         int,
-        Option(
-            "Number of clouds of each topic, side by side, spread over the recording.",
-            Count(1),
-            default=1,
-            short="--frames",
-        ),
+        Count(1),
+        "Number of clouds of each topic, side by side, spread over the recording.",
+        How(default=1, short="--frames"),
     ]
-    overwrite: Annotated[bool, Option("Replace a file of that name.")]
+    overwrite: Annotated[bool, "Replace a file of that name."]
 
 
 class RobotFrames(TypedDict, total=False):
     """The robot's frames."""
 
-    odom_frame: Annotated[
-        str,
-        Option("The odometry's frame, to which scans must be connected.", Text("FRAME"), default="odom"),
-    ]
-    base_frame: Annotated[str, Option("The robot's frame.", Text("FRAME"), default_text="base_link, or base_footprint")]
+    odom_frame: Annotated[Frame, "The odometry's frame, to which scans must be connected.", How(default="odom")]
+    base_frame: Annotated[Frame, "The robot's frame.", How(default_text="base_link, or base_footprint")]
 
 
 class MapDrawing(RobotFrames, total=False):
     """A map."""
 
-    resolution: Annotated[Quantity, Option("Side of a cell: 0.05, or 5cm.", Number("m"), default=0.05)]
+    resolution: Annotated[Metres, "Side of a cell: 0.05, or 5cm.", How(default=0.05)]
 
 
 class CheckRules(RobotFrames, total=False):
@@ -211,22 +183,16 @@ class CheckRules(RobotFrames, total=False):
 
     consumers: Annotated[
         Names | None,
-        Option(
-            f"Consumer that decides the exit status: {', '.join(PRESETS)}. Default: all of them, and defects for all "
-            "consumers too.",
-            Texts("CONSUMER", words=PRESETS),
-            typed="--for",
-        ),
+        Texts("CONSUMER", words=PRESETS),
+        f"Consumer that decides the exit status: {', '.join(PRESETS)}. Default: all of them, and defects for all "
+        "consumers too.",
+        How(typed="--for"),
     ]
     topics: Annotated[
         Names | None,
-        Option(
-            "Topic of scans to check, or a glob. Default: all.",
-            Texts("TOPIC"),
-            typed="--topic",
-            short="-t",
-            offers=("topics", "/LaserScan"),
-        ),
+        Texts("TOPIC", offers=("topics", "/LaserScan")),
+        "Topic of scans to check, or a glob. Default: all.",
+        How(typed="--topic", short="-t"),
     ]
 
 
@@ -235,105 +201,92 @@ class InfoSamples(TypedDict, total=False):
 
     topics: Annotated[
         Names | None,
-        Option(
-            "Topic with clouds or scans to describe, or a glob. Default: all.",
-            Texts("TOPIC"),
-            typed="--topic",
-            short="-t",
-            offers=("topics", "/PointCloud2", "/LaserScan"),
-        ),
+        Texts("TOPIC", offers=("topics", "/PointCloud2", "/LaserScan")),
+        "Topic with clouds or scans to describe, or a glob. Default: all.",
+        How(typed="--topic", short="-t"),
     ]
-    target_frame: Annotated[str, Option("Show heights in this frame, like convert --target-frame.", Text("FRAME"))]
+    target_frame: Annotated[Frame, "Show heights in this frame, like convert --target-frame."]
 
 
 class RepairContainer(TypedDict, total=False):
     """A repair."""
 
-    storage: Annotated[Storage | None, Option("Storage of a rosbag2 directory.", default_text="SRC's")]
-    compression: Annotated[Compression | None, Option("Compression of DST.", default_text="SRC's")]
+    storage: Annotated[Storage | None, "Storage of a rosbag2 directory.", How(default_text="SRC's")]
+    compression: Annotated[Compression | None, "Compression of DST.", How(default_text="SRC's")]
 
 
 class RepairScreen(TypedDict, total=False):
     """What a repair shows on the screen; only the command has it."""
 
-    as_json: Annotated[bool, Option("Print the report as JSON.", typed="--json", command_only=True)]
-    quiet: Annotated[bool, Option("Show damage, warnings and errors only.", short="-q", command_only=True)]
+    as_json: Annotated[bool, "Print the report as JSON.", How(typed="--json", command_only=True)]
+    quiet: Annotated[bool, "Show damage, warnings and errors only.", How(short="-q", command_only=True)]
 
 
+@group(Section.RULES, Scope.CALL_ONLY)
 class ComparisonRules(TypedDict, total=False):
     """A comparison."""
 
     topics: Annotated[
         Names | None,
-        Option(
-            "Topic to compare, and its name in B if that differs. Default: every topic with scans or clouds.",
-            Texts("A[:=B]"),
-            typed="--topic",
-            short="-t",
-            panel="",
-            offers=("topics",),
-        ),
+        Texts("A[:=B]", offers=("topics",)),
+        "Topic to compare, and its name in B if that differs. Default: every topic with scans or clouds.",
+        How(typed="--topic", short="-t", panel=""),
     ]
-    all_topics: Annotated[bool, Option("Compare the other topics too: matched by log time, byte for byte.", panel="")]
+    all_topics: Annotated[bool, "Compare the other topics too: matched by log time, byte for byte.", How(panel="")]
     atol: Annotated[
         Tolerance | None,
-        Option(
-            "Absolute tolerance of all values, or of ranges, intensities or a field of the clouds.",
-            Tolerances("[NAME=]X"),
-            default=0.0,
-        ),
+        Tolerances("[NAME=]X"),
+        "Absolute tolerance of all values, or of ranges, intensities or a field of the clouds.",
+        How(default=0.0),
     ]
     rtol: Annotated[
         Tolerance | None,
-        Option("Tolerance relative to A's value; the two are added.", Tolerances("[NAME=]X"), default=0.0),
+        Tolerances("[NAME=]X"),
+        "Tolerance relative to A's value; the two are added.",
+        How(default=0.0),
     ]
     allow_beams: Annotated[
         float,
-        Option(
-            "Share of a topic's beams (clouds: points) that may be beyond the tolerance: 0.001 is one in a thousand.",
-            Number(metavar="SHARE"),
-            default=0.0,
-        ),
+        Number(metavar="SHARE"),
+        "Share of a topic's beams (clouds: points) that may be beyond the tolerance: 0.001 is one in a thousand.",
+        How(default=0.0),
     ]
     ignore: Annotated[
         Names | None,
-        Option(
-            "Do not compare: log_time, seq, frame_id, order, intensities, ranges, angle_min and the other numbers of a "
-            "scan, shape, layout, padding, is_dense.",
-            Texts("NAME"),
-        ),
+        Texts("NAME"),
+        "Do not compare: log_time, seq, frame_id, order, intensities, ranges, angle_min and the other numbers of a "
+        "scan, shape, layout, padding, is_dense.",
     ]
 
 
 class CompareScreen(TypedDict, total=False):
     """What a comparison shows on the screen; only the command has it."""
 
-    quiet: Annotated[bool, Option("Print nothing; only set the exit status.", short="-q", command_only=True)]
+    quiet: Annotated[bool, "Print nothing; only set the exit status.", How(short="-q", command_only=True)]
 
 
+@group(Section.NEW_CASE, Scope.CALL_ONLY)
 class GoldenCases(TypedDict, total=False):
     """Golden cases."""
 
     update: Annotated[
-        bool, Option("Write the expected output of cases that differ or have none; review the changes.", panel="")
+        bool,
+        "Write the expected output of cases that differ or have none; review the changes.",
+        How(panel=""),
     ]
-    init: Annotated[Path | None, Option("Make a new case of this recording, in DIR.", Recording("SRC"))]
-    start: Annotated[Time | None, Option("With `init`: where the input begins, as in convert.", Moment("TIME"))]
-    end: Annotated[Time | None, Option("With `init`: where it ends.", Moment("TIME"))]
+    init: Annotated[Path | None, Recording("SRC"), "Make a new case of this recording, in DIR."]
+    start: Annotated[When, "With `init`: where the input begins, as in convert."]
+    end: Annotated[When, "With `init`: where it ends."]
     topics: Annotated[
         Names | None,
-        Option(
-            "With `init`: a topic of clouds or scans to keep, or a glob. Default: all.",
-            Texts("TOPIC"),
-            typed="--topic",
-            short="-t",
-            offers=("topics", "/PointCloud2", "/LaserScan"),
-        ),
+        Texts("TOPIC", offers=("topics", "/PointCloud2", "/LaserScan")),
+        "With `init`: a topic of clouds or scans to keep, or a glob. Default: all.",
+        How(typed="--topic", short="-t"),
     ]
-    params_file: Annotated[Path | None, Option("With `init`: the case's parameter file.", PathName())]
+    params_file: Annotated[File, "With `init`: the case's parameter file."]
 
 
 class GoldenScreen(TypedDict, total=False):
     """What golden cases show on the screen; only the command has it."""
 
-    quiet: Annotated[bool, Option("Do not show cases that passed.", short="-q", command_only=True)]
+    quiet: Annotated[bool, "Do not show cases that passed.", How(short="-q", command_only=True)]

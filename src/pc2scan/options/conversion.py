@@ -5,113 +5,74 @@ No ``from __future__ import annotations`` here: see `pc2scan.options.table`.
 
 from typing import Annotated, Any, Literal, TypedDict
 
-from .option import (
-    FRAMES,
-    ONE_OUTPUT,
-    POINTS,
-    PYTHON,
-    RUN,
-    SINGLE,
-    Channels,
-    Names,
-    Option,
-    Path,
-    Paths,
-    Period,
-    Quantity,
-    Time,
-    Transforms,
-)
-from .values import (
-    ChannelNames,
-    Duration,
-    Filters,
-    Moment,
-    Number,
-    PathName,
-    Recordings,
-    Share,
-    Text,
-    Texts,
-    TransformTexts,
-)
+from .option import Channels, File, Frame, How, Names, Paths, Period, Quantity, Scope, Section, Transforms, When, group
+from .values import ChannelNames, Duration, Filters, Number, Recordings, Share, Text, Texts, TransformTexts
 
 
+@group(Section.TOPICS, Scope.SINGLE)
 class SourceTopics(TypedDict, total=False):
     """Which topics are converted."""
 
     topics: Annotated[
         Names | None,
-        Option(
-            "Cloud topic to convert, and the topic of its scans. Default: every topic with PointCloud2 or Livox's "
-            "messages; the scans of a single topic are on /scan, of several on <topic>/scan.",
-            Texts("IN[:=OUT]"),
-            typed="--topic",
-            short="-t",
-            offers=("topics", "/PointCloud2", "/LaserScan"),
-        ),
+        Texts("IN[:=OUT]", offers=("topics", "/PointCloud2", "/LaserScan")),
+        "Cloud topic to convert, and the topic of its scans. Default: every topic with PointCloud2 or Livox's "
+        "messages; the scans of a single topic are on /scan, of several on <topic>/scan.",
+        How(typed="--topic", short="-t"),
     ]
 
 
+@group(Section.TOPICS, Scope.CONVERSION)
 class TimeRange(TypedDict, total=False):
     """What is read of a recording, and how."""
 
     start: Annotated[
-        Time | None,
-        Option(
-            "Start time: seconds from the beginning, @seconds since 1970, or a date and time (ISO 8601). Messages that "
-            "are latched then, and static transforms, are written at the start.",
-            Moment("TIME"),
-        ),
+        When,
+        "Start time: seconds from the beginning, @seconds since 1970, or a date and time (ISO 8601). Messages that "
+        "are latched then, and static transforms, are written at the start.",
     ]
-    end: Annotated[Time | None, Option("End time (exclusive), written like `start`.", Moment("TIME"))]
+    end: Annotated[When, "End time (exclusive), written like `start`."]
     strict: Annotated[
         bool,
-        Option(
-            "End with an error at the first damage of a source, and at the first message that cannot be converted. "
-            "Without this option, all that is readable is converted, the rest is counted and listed, and the exit "
-            "status is 3.",
-            panel=RUN,
-        ),
+        "End with an error at the first damage of a source, and at the first message that cannot be converted. "
+        "Without this option, all that is readable is converted, the rest is counted and listed, and the exit status "
+        "is 3.",
+        How(panel=Section.RUN),
     ]
 
 
+@group(Section.TOPICS, Scope.CONVERSION)
 class StampCorrection(TypedDict, total=False):
     """Lidars whose clock is not the recording's."""
 
     stamps: Annotated[
         Literal["header", "log"],
-        Option(
-            "The stamps of converted messages: those of their headers, or their log times, for a lidar without a sound "
-            "clock. Kept clouds and the points' own times are corrected, too."
-        ),
+        "The stamps of converted messages: those of their headers, or their log times, for a lidar without a sound "
+        "clock. Kept clouds and the points' own times are corrected, too.",
     ]
     time_offset: Annotated[
         Names | None,
-        Option(
-            "Add this to the stamps of converted messages, for a lidar on its own clock: 3.2s, -37s. auto: measure it "
-            "against the transforms, or the log times. Of one topic: /rear=0.12s; of the poses in a file: "
-            "trajectory=0.5s.",
-            Texts("[TOPIC=]S|auto"),
-        ),
+        Texts("[TOPIC=]S|auto"),
+        "Add this to the stamps of converted messages, for a lidar on its own clock: 3.2s, -37s. auto: measure it "
+        "against the transforms, or the log times. Of one topic: /rear=0.12s; of the poses in a file: "
+        "trajectory=0.5s.",
     ]
 
 
+@group(Section.TOPICS, Scope.CONVERSION)
 class CloudUnit(TypedDict, total=False):
     """Clouds in another unit than metres."""
 
     cloud_scale: Annotated[
         float,
-        Option(
-            "Multiply x, y and z of clouds by this, before everything else: 0.001 for clouds in millimetres, 0.01 for "
-            "centimetres. Kept clouds are multiplied, too.",
-            Number(metavar="X"),
-            default=1.0,
-            default_text="1, which is metres",
-        ),
+        Number(metavar="X"),
+        "Multiply x, y and z of clouds by this, before everything else: 0.001 for clouds in millimetres, 0.01 for "
+        "centimetres. Kept clouds are multiplied, too.",
+        How(default=1.0, default_text="1, which is metres"),
     ]
 
 
+@group(Section.POINTS, Scope.ONE_OUTPUT)
 class PointSelection(TypedDict, total=False):
     """Which points and beams are used.
 
@@ -121,301 +82,252 @@ class PointSelection(TypedDict, total=False):
 
     remove: Annotated[
         Names | None,
-        Option(
-            "Remove beams: shadows (returns between an edge and the surface behind it) or speckles. With parameters, "
-            "the filter of laser_filters removes them: 'shadows min_angle=5 neighbors=10', 'speckles filter_window=3'.",
-            Texts("BEAMS"),
-        ),
+        Texts("BEAMS"),
+        "Remove beams: shadows (returns between an edge and the surface behind it) or speckles. With parameters, the "
+        "filter of laser_filters removes them: 'shadows min_angle=5 neighbors=10', 'speckles filter_window=3'.",
     ]
     where: Annotated[
         Names | None,
-        Option(
-            "Use only points whose fields fulfil this condition: 'ring in (3, 4, 5) and intensity > 10'. Fields, "
-            "numbers, < <= > >= == != in, and or not, + - * / %, abs(). Of several, all must be fulfilled.",
-            Texts("CONDITION"),
-            makes="where:Where",
-        ),
+        Texts("CONDITION"),
+        "Use only points whose fields fulfil this condition: 'ring in (3, 4, 5) and intensity > 10'. Fields, numbers,"
+        " < <= > >= == != in, and or not, + - * / %, abs(). Of several, all must be fulfilled.",
+        How(makes="where:Where"),
     ]
     exclude_box: Annotated[
         Names | None,
-        Option(
-            "Reject points in this box, such as the robot's own body: 'frame x0 x1 y0 y1 z0 z1' (m).",
-            Texts("BOX"),
-            makes="regions:ExcludeBox",
-        ),
+        Texts("BOX"),
+        "Reject points in this box, such as the robot's own body: 'frame x0 x1 y0 y1 z0 z1' (m).",
+        How(makes="regions:ExcludeBox"),
     ]
     exclude_polygon: Annotated[
         Names | None,
-        Option(
-            "Reject points in this polygon, at any height, such as the robot's footprint: "
-            "'frame x0 y0 x1 y1 x2 y2 ...' (m).",
-            Texts("POLYGON"),
-            makes="regions:ExcludePolygon",
-        ),
+        Texts("POLYGON"),
+        "Reject points in this polygon, at any height, such as the robot's footprint: 'frame x0 y0 x1 y1 x2 y2 ...' "
+        "(m).",
+        How(makes="regions:ExcludePolygon"),
     ]
     ground: Annotated[
         Literal["keep", "remove"],
-        Option(
-            "remove: reject points on the ground, which is found in each cloud; it may slope by up to 15 degrees and "
-            "have kerbs. Needs a frame of the robot whose z axis points up.",
-            makes="ground:RemoveGround",
-        ),
+        "remove: reject points on the ground, which is found in each cloud; it may slope by up to 15 degrees and have"
+        " kerbs. Needs a frame of the robot whose z axis points up.",
+        How(makes="ground:RemoveGround"),
     ]
     min_height_slope: Annotated[
         float | None,
-        Option(
-            "Reject points below `min_height` + this * range, a limit that rises with the range, for ramps and rough "
-            "ground. 0.05 is about 3 degrees.",
-            Number(metavar="M/M"),
-            makes="ground:MinHeightSlope",
-        ),
+        Number(metavar="M/M"),
+        "Reject points below `min_height` + this * range, a limit that rises with the range, for ramps and rough "
+        "ground. 0.05 is about 3 degrees.",
+        How(makes="ground:MinHeightSlope"),
     ]
     filters: Annotated[
-        Any, Option("Further filters of points, as objects.", Filters(), panel=PYTHON, typed="", scope=SINGLE)
+        Any,
+        Filters(),
+        "Further filters of points, as objects.",
+        How(panel=Section.PYTHON, typed="", scope=Scope.SINGLE),
     ]
 
 
+@group(Section.FRAMES, Scope.CONVERSION)
 class TransformTopics(TypedDict, total=False):
     """The topics of transforms."""
 
     tf_topics: Annotated[
         Names | None,
-        Option(
-            "Topic of the transforms, if not /tf and /tf_static.",
-            Texts("TOPIC"),
-            typed="--tf-topic",
-            offers=("topics", "/TFMessage", "/tfMessage"),
-        ),
+        Texts("TOPIC", offers=("topics", "/TFMessage", "/tfMessage")),
+        "Topic of the transforms, if not /tf and /tf_static.",
+        How(typed="--tf-topic"),
     ]
 
 
+@group(Section.FRAMES, Scope.CONVERSION)
 class StaticTransforms(TypedDict, total=False):
     """Added transforms."""
 
     static_tf: Annotated[
         Transforms | None,
-        Option(
-            "Add a transform: 'parent child x y z qx qy qz qw' or 'parent child x y z roll pitch yaw' (m, rad; or "
-            "20cm, 90deg); or the YAML file with a list of such transforms, *.yaml. Replaces the recording's transform "
-            "to this child.",
-            TransformTexts("TRANSFORM"),
-        ),
+        TransformTexts("TRANSFORM"),
+        "Add a transform: 'parent child x y z qx qy qz qw' or 'parent child x y z roll pitch yaw' (m, rad; or 20cm, "
+        "90deg); or the YAML file with a list of such transforms, *.yaml. Replaces the recording's transform to this "
+        "child.",
     ]
 
 
+@group(Section.FRAMES, Scope.CONVERSION)
 class TransformInputs(TransformTopics, total=False):
     """What else gives transforms: poses, and a robot's model."""
 
     odom_topic: Annotated[
         Names | None,
-        Option(
-            "Use the poses of this topic as transforms: nav_msgs/Odometry, TransformStamped, PoseStamped or "
-            "PoseWithCovarianceStamped. FRAME has the poses, if the messages do not name it or name a wrong one: "
-            "/pose:base_link, or with both frames /pose:map:base_link.",
-            Texts("TOPIC[:FRAME]"),
+        Texts(
+            "TOPIC[:FRAME]",
             offers=("topics", "/Odometry", "/TransformStamped", "/PoseStamped", "/PoseWithCovarianceStamped"),
         ),
+        "Use the poses of this topic as transforms: nav_msgs/Odometry, TransformStamped, PoseStamped or "
+        "PoseWithCovarianceStamped. FRAME has the poses, if the messages do not name it or name a wrong one: "
+        "/pose:base_link, or with both frames /pose:map:base_link.",
     ]
     trajectory: Annotated[
-        Path | None,
-        Option(
-            "Use the poses of this file as transforms: TUM (stamp x y z qx qy qz qw). Needs `trajectory_frames`.",
-            PathName(),
-        ),
+        File,
+        "Use the poses of this file as transforms: TUM (stamp x y z qx qy qz qw). Needs `trajectory_frames`.",
     ]
     trajectory_frames: Annotated[
         str,
-        Option(
-            "The frames of `trajectory`: the poses are those of CHILD in PARENT (odom:base_link, map:velodyne).",
-            Text("PARENT:CHILD"),
-        ),
+        Text("PARENT:CHILD"),
+        "The frames of `trajectory`: the poses are those of CHILD in PARENT (odom:base_link, map:velodyne).",
     ]
     urdf: Annotated[
-        Path | None,
-        Option(
-            "The robot's model, whose fixed joints are static transforms; those of the recording have precedence.",
-            PathName(),
-            default_text="the recording's /robot_description",
-        ),
+        File,
+        "The robot's model, whose fixed joints are static transforms; those of the recording have precedence.",
+        How(default_text="the recording's /robot_description"),
     ]
 
 
+@group(Section.FRAMES, Scope.CONVERSION)
 class TransformSources(TransformInputs, total=False):
     """Where transforms come from."""
 
-    tf_from: Annotated[Paths | None, Option("Read the transforms of this recording too.", Recordings())]
+    tf_from: Annotated[Paths | None, Recordings(), "Read the transforms of this recording too."]
 
 
+@group(Section.FRAMES, Scope.CONVERSION)
 class SourceFrame(TypedDict, total=False):
     """The frame of messages."""
 
-    source_frame: Annotated[
-        str, Option("Frame of the messages to convert, if their frame_id is wrong or empty.", Text("FRAME"))
-    ]
+    source_frame: Annotated[Frame, "Frame of the messages to convert, if their frame_id is wrong or empty."]
 
 
 class ConversionFrames(StaticTransforms, TransformSources, SourceFrame, total=False):
     """Frames and transforms of a conversion."""
 
 
+@group(Section.MOVING, Scope.ONE_OUTPUT)
 class RobotMotion(TypedDict, total=False):
     """The robot's motion."""
 
     deskew: Annotated[
         bool,
-        Option(
-            "Transform each point of a cloud with the pose at its own time, through `fixed_frame`. With `reverse`, "
-            "each beam of a scan; that needs a `target_frame` such as odom."
-        ),
+        "Transform each point of a cloud with the pose at its own time, through `fixed_frame`. With `reverse`, each "
+        "beam of a scan; that needs a `target_frame` such as odom.",
     ]
     fixed_frame: Annotated[
-        str,
-        Option(
-            "A frame that does not move, such as odom; the robot's motion in it is corrected. For `level`, its z axis "
-            "points up.",
-            Text("FRAME"),
-        ),
+        Frame,
+        "A frame that does not move, such as odom; the robot's motion in it is corrected. For `level`, its z axis "
+        "points up.",
     ]
     point_time: Annotated[
         str,
-        Option(
-            "Field with the points' times, relative to the stamp or absolute; unit: s, ms, us, ns. For clouds without "
-            "such a field: azimuth, which measures how the lidar turns; or azimuth:0.1 with the time of a turn (s), "
-            "then :cw or :ccw, and :start or :end if the stamp is that of the turn's start or end.",
-            Text("FIELD[:UNIT]"),
-            default_text="t, time, timestamp, time_stamp or offset_time",
-        ),
+        Text("FIELD[:UNIT]"),
+        "Field with the points' times, relative to the stamp or absolute; unit: s, ms, us, ns. For clouds without "
+        "such a field: azimuth, which measures how the lidar turns; or azimuth:0.1 with the time of a turn (s), then "
+        ":cw or :ccw, and :start or :end if the stamp is that of the turn's start or end.",
+        How(default_text="t, time, timestamp, time_stamp or offset_time"),
     ]
     stamp: Annotated[
         Literal["header", "start", "middle", "end"],
-        Option("The time of a deskewed scan: the cloud's stamp, or the start, middle or end of its points' times."),
+        "The time of a deskewed scan: the cloud's stamp, or the start, middle or end of its points' times.",
     ]
     level: Annotated[
         bool,
-        Option(
-            "Make scans in a frame without the roll and pitch of the target frame, which come from `fixed_frame` or "
-            "`imu`. This frame has the target frame's name with _stabilized appended; its transforms are written to "
-            "/tf."
-        ),
+        "Make scans in a frame without the roll and pitch of the target frame, which come from `fixed_frame` or "
+        "`imu`. This frame has the target frame's name with _stabilized appended; its transforms are written to /tf.",
     ]
     imu: Annotated[
         str,
-        Option(
-            "sensor_msgs/Imu topic from which `level` takes roll and pitch; and the IMU's frame, if its frame_id is "
-            "wrong or empty.",
-            Text("TOPIC[:FRAME]"),
-            offers=("topics", "/Imu"),
-        ),
+        Text("TOPIC[:FRAME]", offers=("topics", "/Imu")),
+        "sensor_msgs/Imu topic from which `level` takes roll and pitch; and the IMU's frame, if its frame_id is wrong"
+        " or empty.",
     ]
 
 
+@group(Section.MOVING, Scope.ONE_OUTPUT)
 class CloudCombination(TypedDict, total=False):
     """Scans of several messages."""
 
     window: Annotated[
         Period | None,
-        Option(
-            "How far the stamps of the other topics may be from those of the first one.",
-            Duration("S"),
-            default_text="half the median period",
-        ),
+        Duration("S"),
+        "How far the stamps of the other topics may be from those of the first one.",
+        How(default_text="half the median period"),
     ]
     accumulate: Annotated[
         Period | None,
-        Option(
-            "Make each scan of all points of the last S seconds (1, 500ms), or of the last N clouds (10clouds).",
-            Duration("S|Nclouds"),
-        ),
+        Duration("S|Nclouds"),
+        "Make each scan of all points of the last S seconds (1, 500ms), or of the last N clouds (10clouds).",
     ]
-    every: Annotated[
-        Period | None, Option("Make one scan every S seconds, instead of one for each cloud.", Duration("S"))
-    ]
-    rebin: Annotated[
-        bool, Option("Convert LaserScan to LaserScan: with other beams, in another frame, or several into one.")
-    ]
+    every: Annotated[Period | None, Duration("S"), "Make one scan every S seconds, instead of one for each cloud."]
+    rebin: Annotated[bool, "Convert LaserScan to LaserScan: with other beams, in another frame, or several into one."]
 
 
+@group(Section.TOPICS, Scope.ONE_OUTPUT)
 class EchoChoice(TypedDict, total=False):
     """Which of several echoes is used."""
 
     echo: Annotated[
         Literal["first", "last", "strongest"],
-        Option(
-            "Which echo of each beam of a MultiEchoLaserScan is used; strongest: the one with the highest intensity."
-        ),
+        "Which echo of each beam of a MultiEchoLaserScan is used; strongest: the one with the highest intensity.",
     ]
 
 
+@group(Section.REVERSE, Scope.SINGLE)
 class Reversal(TypedDict, total=False):
     """Whether scans are converted to clouds."""
 
-    reverse: Annotated[bool, Option("Convert LaserScan to PointCloud2, as laserscan_to_pointcloud does.")]
+    reverse: Annotated[bool, "Convert LaserScan to PointCloud2, as laserscan_to_pointcloud does."]
 
 
+@group(Section.REVERSE, Scope.SINGLE)
 class CloudContent(Reversal, total=False):
     """What the clouds of scans have."""
 
     channels: Annotated[
         Channels | None,
-        Option(
-            "Add these fields to the cloud: distances, stamps, viewpoint.",
-            ChannelNames("NAME", words=("distances", "stamps", "viewpoint")),
-            typed="--channel",
-        ),
+        ChannelNames("NAME", words=("distances", "stamps", "viewpoint")),
+        "Add these fields to the cloud: distances, stamps, viewpoint.",
+        How(typed="--channel"),
     ]
 
 
+@group(Section.TOPICS, Scope.CONVERSION)
 class OtherTopics(TypedDict, total=False):
     """What a recording has besides the scans."""
 
     keep: Annotated[
         Names | None,
-        Option(
-            "Of the topics that are not converted, copy only these (names or globs).",
-            Texts("TOPIC"),
-            offers=("topics",),
-        ),
+        Texts("TOPIC", offers=("topics",)),
+        "Of the topics that are not converted, copy only these (names or globs).",
     ]
-    drop: Annotated[
-        Names | None, Option("Do not write these topics (names or globs).", Texts("TOPIC"), offers=("topics",))
-    ]
-    keep_clouds: Annotated[bool, Option("Write the converted clouds too.")]
+    drop: Annotated[Names | None, Texts("TOPIC", offers=("topics",)), "Do not write these topics (names or globs)."]
+    keep_clouds: Annotated[bool, "Write the converted clouds too."]
     clouds_as: Annotated[
         Literal["recorded", "pointcloud2"],
-        Option(
-            "pointcloud2: make no scans, and write the clouds of all types as PointCloud2, Livox's with the fields of "
-            "its driver (x y z intensity tag line timestamp). With `keep_clouds`: scans, too."
-        ),
+        "pointcloud2: make no scans, and write the clouds of all types as PointCloud2, Livox's with the fields of its"
+        " driver (x y z intensity tag line timestamp). With `keep_clouds`: scans, too.",
     ]
-    only_scans: Annotated[bool, Option("Write only the scans.")]
+    only_scans: Annotated[bool, "Write only the scans."]
     keep_used: Annotated[
         str,
-        Option(
-            "Also write the points that give the scan its ranges, to this topic: PointCloud2 with all their fields and "
-            "the beam's number.",
-            Text("TOPIC"),
-            panel=POINTS,
-            scope=ONE_OUTPUT,
-        ),
+        Text("TOPIC"),
+        "Also write the points that give the scan its ranges, to this topic: PointCloud2 with all their fields and "
+        "the beam's number.",
+        How(panel=Section.POINTS, scope=Scope.ONE_OUTPUT),
     ]
-    write_static_tf: Annotated[bool, Option("Write the added static transforms to DST's /tf_static.", panel=FRAMES)]
+    write_static_tf: Annotated[
+        bool, "Write the added static transforms to DST's /tf_static.", How(panel=Section.FRAMES)
+    ]
 
 
+@group(Section.RUN, Scope.CONVERSION)
 class FailureConditions(TypedDict, total=False):
     """When a run fails."""
 
     fail_on: Annotated[
         Literal["", "empty", "warning"],
-        Option(
-            "Fail and write nothing. empty: if a scan has no return; warning: if there is any warning, skipped message "
-            "or damage."
-        ),
+        "Fail and write nothing. empty: if a scan has no return; warning: if there is any warning, skipped message or"
+        " damage.",
     ]
     min_used: Annotated[
         Quantity,
-        Option(
-            "Fail and write nothing if less than this share of a topic's points is used in its scans: 0.05 or 5%.",
-            Share(metavar="SHARE"),
-            default=0.0,
-        ),
+        Share(metavar="SHARE"),
+        "Fail and write nothing if less than this share of a topic's points is used in its scans: 0.05 or 5%.",
+        How(default=0.0),
     ]

@@ -1,4 +1,4 @@
-"""An option: its attributes, the types of values in Python, and the sections of the help.
+"""An option: how it is declared, the types of values in Python, and the sections of the help.
 
 No ``from __future__ import annotations`` here: see `pc2scan.options.table`.
 """
@@ -7,9 +7,11 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from datetime import datetime, timedelta
 from os import PathLike
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias, TypeVar, get_args, get_origin
 
-from .values import Flag, Text, Value, in_words
+from pc2scan.core.params import ProjectionParams
+
+from .values import Flag, Moment, Number, PathName, Text, Value, in_words
 
 if TYPE_CHECKING:
     import numpy as np
@@ -35,44 +37,50 @@ Tolerance: TypeAlias = float | Mapping[str, float]
 Progress: TypeAlias = Callable[..., object]
 Preset: TypeAlias = Literal["slam_toolbox", "cartographer", "gmapping", "amcl", "nav2", "mrpt"]
 Reduce: TypeAlias = Literal[
-    "min",
-    "max",
-    "mean",
-    "median",
-    "surface",
-    "kth=2",
-    "kth=3",
-    "kth=4",
-    "kth=5",
-    "kth=6",
-    "kth=7",
-    "kth=8",
-    "kth=9",
+    "min", "max", "mean", "median", "surface", "kth=2", "kth=3", "kth=4", "kth=5", "kth=6", "kth=7", "kth=8", "kth=9"
 ]
 Storage: TypeAlias = Literal["mcap", "sqlite3"]
 Compression: TypeAlias = Literal["none", "lz4", "zstd", "bz2"]
 FileFormat: TypeAlias = Literal["npz", "csv", "tum", "carmen", "flaser", "pcd", "kitti"]
 
-# Sections of the help.
-PARAMS = "Parameters of pointcloud_to_laserscan"
-SLAM = "Beyond pointcloud_to_laserscan (ready for SLAM)"
-TOPICS = "Topics and time"
-POINTS = "Which points"
-FRAMES = "Frames"
-MOVING = "Robots that move"
-REVERSE = "LaserScan to PointCloud2"
-RUN = "Run"
-OUTPUT = "Output"
-REPORT = "Report"
-BATCH = "Batch"
-EXPORT = "Export"
-RULES = "Tolerances"
-NEW_CASE = "A new case"
-PYTHON = "Python"
+# Types that several options have, with how their values are read.
+Metres: TypeAlias = Annotated[Quantity, Number("m")]
+Radians: TypeAlias = Annotated[Quantity, Number("rad")]
+Seconds: TypeAlias = Annotated[Quantity, Number("s")]
+SecondsOrAuto: TypeAlias = Annotated[Quantity, Number("s", words=("auto",))]
+Frame: TypeAlias = Annotated[str, Text("FRAME", offers=("frames",))]
+File: TypeAlias = Annotated[Path | None, PathName()]
+When: TypeAlias = Annotated[Time | None, Moment("TIME")]
 
-# Where an option may stand: in the description of one output (scans files, and dataset files); in that of a conversion
-# with a single output; in that of any conversion (dataset files); or only in the call.
-ONE_OUTPUT, SINGLE, CONVERSION, CALL_ONLY = "output", "single", "conversion", "call"
+
+class Section:
+    """Sections of the help."""
+
+    PARAMS = "Parameters of pointcloud_to_laserscan"
+    SLAM = "Beyond pointcloud_to_laserscan (ready for SLAM)"
+    TOPICS = "Topics and time"
+    POINTS = "Which points"
+    FRAMES = "Frames"
+    MOVING = "Robots that move"
+    REVERSE = "LaserScan to PointCloud2"
+    RUN = "Run"
+    OUTPUT = "Output"
+    REPORT = "Report"
+    BATCH = "Batch"
+    EXPORT = "Export"
+    RULES = "Tolerances"
+    NEW_CASE = "A new case"
+    PYTHON = "Python"
+
+
+class Scope:
+    """Where an option may stand.
+
+    In the description of one output (scans files, and dataset files); in that of a conversion with a single output; in
+    that of any conversion (dataset files); or only in the call.
+    """
+
+    ONE_OUTPUT, SINGLE, CONVERSION, CALL_ONLY = "output", "single", "conversion", "call"
 
 
 #: The options that ``--help`` has of a command with many.
@@ -84,74 +92,68 @@ _MAIN = {
 }
 
 
+class How(NamedTuple):
+    """What does not follow from an option's name, its type and its group.
+
+    Attributes
+    ----------
+    short, typed
+        How it is typed: ``-t``, ``--topic``; of a flag that is on by default, what switches it off. With an empty
+        ``typed``, only Python has it.
+    panel, scope
+        The section of the help, and where it may stand, if they are not those of its group.
+    default
+        The value of a call that does not have it. Usually False for a flag, the first of a few words, and nothing for
+        what may be given several times.
+    default_text
+        The default for users.
+    command_only
+        Whether only the command has it.
+    makes
+        The class of the filters that it asks for: ``regions:ExcludeBox`` in `pc2scan.request`; see its `filters_of`.
+    """
+
+    short: str = ""
+    typed: str = "--"
+    panel: str | None = None
+    scope: str | None = None
+    default: Any = None
+    default_text: str | None = None
+    command_only: bool = False
+    makes: str = ""
+
+
 class Option:
-    """An option: what its values mean, and how it is shown and typed.
+    """An option, by its name and its declaration: ``Annotated[type in Python, type of values, help, How(...)]``.
+
+    Without a type of values, it is true or false, or one of the words of the type in Python.
 
     Attributes
     ----------
     name
         Its name in Python and in files.
     value
-        The type of its values; None: true or false, or one of the words of its type in Python.
+        The type of its values.
     help
         One or two sentences, without the default.
-    default
-        The value of a call that does not have it. Usually False for a flag, the first of a few words, and nothing for
-        what may be given several times.
-    panel
-        The section of the help. Usually that of its group in `_SECTIONS`, like ``scope``.
-    scope
-        Where it may stand.
-    spelling, short
-        How it is typed: ``--min-height``, ``-t``; of a flag that is on by default, what switches it off. An empty
-        ``spelling``: only Python has it.
-    offers
-        What the shell completes: ``frames``, ``presets``, or ``topics`` and the ends of their types (none: all topics).
-    command_only
-        Whether only the command has it.
-    makes
-        The class of the filters that it asks for: ``regions:ExcludeBox`` in `pc2scan.conversion.stages`; see its
-        `filters.filters_of`.
+    spelling
+        How it is typed: ``--min-height``; empty: only Python has it.
+    panel, scope, default, short, command_only, makes
+        See `How`.
     """
 
-    __slots__ = (
-        *("_default_text", "_is_open", "command_only", "default", "help", "makes", "name", "offers", "panel", "scope"),
-        *("short", "spelling", "value"),
-    )
-
-    def __init__(
-        self,
-        text: str,
-        value: Value | None = None,
-        *,
-        panel: str | None = None,
-        default: Any = None,
-        default_text: str | None = None,
-        scope: str | None = None,
-        typed: str = "--",
-        short: str = "",
-        offers: tuple[str, ...] = (),
-        command_only: bool = False,
-        makes: str = "",
-    ) -> None:
-        self.name, self.help = "", text
-        self.value: Value = value or Flag()
-        self._is_open = value is None
-        self.panel, self.scope, self.default, self._default_text = panel, scope, default, default_text
-        self.spelling, self.short, self.offers = typed, short, offers
-        self.command_only, self.makes = command_only, makes
-
-    def complete(self, name: str, kind: Any, panel: str, scope: str) -> None:
-        """Set what follows from its place in the table: the name, the type in Python, and what the group has."""
-        self.name = name
-        self.spelling += name.replace("_", "-") if self.spelling == "--" else ""
-        self.panel = panel if self.panel is None else self.panel
-        self.scope = scope if self.scope is None else self.scope
+    def __init__(self, name: str, declared: Any, panel: str, scope: str) -> None:
+        self.name, kind = name, declared.__origin__
+        parts = {type(part): part for part in declared.__metadata__}
+        how: How = parts.pop(How, How())
+        self.help: str = parts.pop(str)
         words = [word for part in (kind, *get_args(kind)) if get_origin(part) is Literal for word in get_args(part)]
-        if self._is_open and words:
-            self.value = Text(words=filter(None, words))
-        if self.value.metavar == "FRAME":
-            self.offers = ("frames",)
+        self.value: Value = next(iter(parts.values()), Text(words=filter(None, words)) if words else Flag())
+        self.spelling = f"--{name.replace('_', '-')}" if how.typed == "--" else how.typed
+        self.panel = panel if how.panel is None else how.panel
+        self.scope = how.scope or scope
+        self.short, self.command_only, self.makes = how.short, how.command_only, how.makes
+        self.default, self._default_text = how.default, how.default_text
         if self.default is None:
             # A flag is off, a text is empty, and a word is the first one.
             usual = {bool: False, str: ""}.get(kind, words[0] if get_origin(kind) is Literal else None)
@@ -176,12 +178,14 @@ class Option:
 class Parameter(Option):
     """A parameter of the projection, upstream's or pc2scan's own; its default is that of `ProjectionParams`."""
 
-    __slots__ = ()
+    def __init__(self, name: str, declared: Any, panel: str, scope: str) -> None:
+        super().__init__(name, declared, panel, scope)
+        self.default = ProjectionParams.__dataclass_fields__[name].default
 
     @property
     def upstreams(self) -> bool:
         """Whether upstream's node has it."""
-        return self.panel is PARAMS
+        return self.panel is Section.PARAMS
 
     @property
     def is_shared(self) -> bool:
@@ -203,3 +207,32 @@ class Parameter(Option):
         if not text or text == "no limit" or self.name == "beams":
             return "" if self.name == "beams" else text
         return f"{text} {self.value.unit}".rstrip() + (", 1 degree" if self.name == "angle_increment" else "")
+
+
+_Group = TypeVar("_Group", bound=type)
+
+#: Every option that is in use, by its name and its declaration: groups that inherit one share it.
+_KNOWN: dict[tuple[Any, ...], Option] = {}
+
+
+def group(panel: str, scope: str, kind: type[Option] = Option) -> Callable[[_Group], _Group]:
+    """Decorate a group of options: their section of the help, and where they may stand, unless they say otherwise."""
+
+    def declare(declared: _Group) -> _Group:
+        options_in(declared, panel, scope, kind)
+        return declared
+
+    return declare
+
+
+def options_in(
+    declared: type, panel: str = "", scope: str = Scope.CALL_ONLY, kind: type[Option] = Option
+) -> dict[str, Any]:
+    """Return the options of a group, by name."""
+    found = {}
+    for name, annotation in declared.__annotations__.items():
+        key = name, *(part for part in annotation.__metadata__ if not isinstance(part, Value))
+        if key not in _KNOWN:
+            _KNOWN[key] = kind(name, annotation, panel, scope)
+        found[name] = _KNOWN[key]
+    return found

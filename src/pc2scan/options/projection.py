@@ -9,207 +9,163 @@ from typing import Annotated, Any, Literal, TypedDict
 from pc2scan.core.params import CHOICES, ProjectionParams
 
 from .option import (
-    CONVERSION,
-    PYTHON,
-    SINGLE,
-    SLAM,
-    TOPICS,
+    File,
+    Frame,
+    How,
+    Metres,
     Names,
-    Option,
     Parameter,
     Path,
     Preset,
-    Quantity,
+    Radians,
     Reduce,
+    Scope,
+    Seconds,
+    SecondsOrAuto,
+    Section,
+    group,
 )
-from .values import Count, Instance, Number, Outputs, PathName, Reduction, Text, Texts
+from .values import Count, Instance, Outputs, Reduction, Text, Texts
 
 
-class Projection(TypedDict, total=False):
-    """The parameters of the projection: upstream's in upstream's order, then pc2scan's own."""
+@group(Section.PARAMS, Scope.ONE_OUTPUT, Parameter)
+class NodeParameters(TypedDict, total=False):
+    """The parameters of upstream's node, in its order."""
 
     target_frame: Annotated[
-        str,
-        Parameter(
-            "Frame that the clouds are transformed into; the scans are in this frame. Empty: the cloud's own frame.",
-            Text("FRAME"),
-        ),
+        Frame,
+        "Frame that the clouds are transformed into; the scans are in this frame. Empty: the cloud's own frame.",
     ]
     transform_tolerance: Annotated[
-        Quantity,
-        Parameter("How far a stamp may be before the first or after the last recorded transform.", Number("s")),
+        Seconds,
+        "How far a stamp may be before the first or after the last recorded transform.",
     ]
     min_height: Annotated[
-        Quantity,
-        Parameter(
-            "Lowest z of the points used, in the target frame, inclusive. The default, the smallest positive number, "
-            "rejects z <= 0.",
-            Number("m"),
-        ),
+        Metres,
+        "Lowest z of the points used, in the target frame, inclusive. The default, the smallest positive number, "
+        "rejects z <= 0.",
     ]
-    max_height: Annotated[
-        Quantity, Parameter("Highest z of the points used, in the target frame, inclusive.", Number("m"))
-    ]
-    angle_min: Annotated[
-        Quantity,
-        Parameter("Angle at which the scan begins; 0 is straight ahead, positive is to the left.", Number("rad")),
-    ]
-    angle_max: Annotated[Quantity, Parameter("Angle at which the scan ends.", Number("rad"))]
-    angle_increment: Annotated[Quantity, Parameter("Angle from one beam to the next.", Number("rad"))]
+    max_height: Annotated[Metres, "Highest z of the points used, in the target frame, inclusive."]
+    angle_min: Annotated[Radians, "Angle at which the scan begins; 0 is straight ahead, positive is to the left."]
+    angle_max: Annotated[Radians, "Angle at which the scan ends."]
+    angle_increment: Annotated[Radians, "Angle from one beam to the next."]
     scan_time: Annotated[
-        Quantity,
-        Parameter(
-            "Time between scans, copied into the scan. auto: the median interval of the recorded stamps.",
-            Number("s", words=("auto",)),
-        ),
+        SecondsOrAuto,
+        "Time between scans, copied into the scan. auto: the median interval of the recorded stamps.",
     ]
-    range_min: Annotated[
-        Quantity, Parameter("Shortest horizontal distance of the points used, inclusive.", Number("m"))
-    ]
-    range_max: Annotated[Quantity, Parameter("Longest horizontal distance of the points used, inclusive.", Number("m"))]
+    range_min: Annotated[Metres, "Shortest horizontal distance of the points used, inclusive."]
+    range_max: Annotated[Metres, "Longest horizontal distance of the points used, inclusive."]
     use_inf: Annotated[
         bool,
-        Parameter("Whether beams without a return have the range inf; otherwise it is `range_max` + `inf_epsilon`."),
+        "Whether beams without a return have the range inf; otherwise it is `range_max` + `inf_epsilon`.",
     ]
-    inf_epsilon: Annotated[
-        Quantity, Parameter("Added to `range_max` for beams without a return, if `use_inf` is off.", Number("m"))
-    ]
+    inf_epsilon: Annotated[Metres, "Added to `range_max` for beams without a return, if `use_inf` is off."]
     queue_size: Annotated[
         int,
-        Parameter(
-            "Maximum number of chunks of messages processed at a time; 0: as many as memory allows. Nothing is "
-            "dropped.",
-            Count(),
-        ),
+        Count(),
+        "Maximum number of chunks of messages processed at a time; 0: as many as memory allows. Nothing is dropped.",
     ]
+
+
+@group(Section.SLAM, Scope.ONE_OUTPUT, Parameter)
+class ScanParameters(TypedDict, total=False):
+    """Further parameters of the projection."""
+
     geometry: Annotated[
         Literal["upstream", "centered", "half-open", "symmetric"],
-        Parameter(
-            "Angles of beam i. upstream: from angle i to angle i + 1; centered: around angle i; half-open, symmetric: "
-            "also centered, for gmapping and MRPT.",
-            panel=SLAM,
-        ),
+        "Angles of beam i. upstream: from angle i to angle i + 1; centered: around angle i; half-open, symmetric: "
+        "also centered, for gmapping and MRPT.",
     ]
     beams: Annotated[
         int | str,
-        Parameter(
-            "Number of beams in the sector, instead of `angle_increment`. auto: the lidar's own resolution.",
-            Count(2, words=("auto",)),
-            panel=SLAM,
-        ),
+        Count(2, words=("auto",)),
+        "Number of beams in the sector, instead of `angle_increment`. auto: the lidar's own resolution.",
     ]
     no_return: Annotated[
         Literal["", "inf", "range-max-plus", "range-max-minus", "nan", "zero"],
-        Parameter("Range of beams without a return. Default: set by `use_inf`.", panel=SLAM),
+        "Range of beams without a return. Default: set by `use_inf`.",
     ]
     reduce: Annotated[
         Reduce,
-        Parameter(
-            "What a beam's range is made of: its closest or farthest return, their mean or median, the closest "
-            "surface, or with kth=2 the second closest return.",
-            Reduction(words=CHOICES["reduce"]),
-            panel=SLAM,
-        ),
+        Reduction(words=CHOICES["reduce"]),
+        "What a beam's range is made of: its closest or farthest return, their mean or median, the closest surface, "
+        "or with kth=2 the second closest return.",
     ]
-    min_points: Annotated[
-        int, Parameter("Beams with fewer returns than this count as beams without a return.", Count(), panel=SLAM)
-    ]
+    min_points: Annotated[int, Count(), "Beams with fewer returns than this count as beams without a return."]
     intensity_field: Annotated[
         str,
-        Parameter(
-            "Field of the cloud that becomes the scan's intensities, from the points that give the ranges.",
-            Text("NAME"),
-            panel=SLAM,
-        ),
+        Text("NAME"),
+        "Field of the cloud that becomes the scan's intensities, from the points that give the ranges.",
     ]
     time_increment: Annotated[
-        Quantity,
-        Parameter(
-            "Time from beam to beam, such as 48us. auto: by the points' times; the scan's stamp is then the first "
-            "beam's.",
-            Number("s", words=("auto",)),
-            panel=SLAM,
-        ),
+        SecondsOrAuto,
+        "Time from beam to beam, such as 48us. auto: by the points' times; the scan's stamp is then the first beam's.",
     ]
     angle_rounding: Annotated[
         Literal["correct", "glibc-2.40"],
-        Parameter(
-            "Which atan2f is reproduced: the correct one of glibc 2.41 and later, or that of 2.31 to 2.40 "
-            "(Ubuntu 20.04 to 24.04).",
-            panel=SLAM,
-        ),
+        "Which atan2f is reproduced: the correct one of glibc 2.41 and later, or that of 2.31 to 2.40 (Ubuntu 20.04 "
+        "to 24.04).",
     ]
 
 
+class Projection(NodeParameters, ScanParameters, total=False):
+    """The parameters of the projection."""
+
+
+@group(Section.PARAMS, Scope.ONE_OUTPUT)
 class ParameterSources(TypedDict, total=False):
     """Where parameters come from, besides their own options."""
 
     params_file: Annotated[
-        Path | None,
-        Option(
-            "The file that the robot was run with: a ROS 2 parameter file, a ROS 1 YAML file, or a launch file (XML or "
-            "Python, which is read, not executed), whose remappings are used too.",
-            PathName(),
-        ),
+        File,
+        "The file that the robot was run with: a ROS 2 parameter file, a ROS 1 YAML file, or a launch file (XML or "
+        "Python, which is read, not executed), whose remappings are used too.",
     ]
     launch_args: Annotated[
-        Names | None, Option("An argument of the launch file.", Texts("NAME:=VALUE"), typed="--arg", scope=SINGLE)
+        Names | None,
+        Texts("NAME:=VALUE"),
+        "An argument of the launch file.",
+        How(typed="--arg", scope=Scope.SINGLE),
     ]
     node: Annotated[
         str | None,
-        Option(
-            "The node whose parameters are read, if the parameter file or launch file has several nodes.", Text("NAME")
-        ),
+        Text("NAME"),
+        "The node whose parameters are read, if the parameter file or launch file has several nodes.",
     ]
     param: Annotated[
         Names | None,
-        Option(
-            "A parameter in ROS's notation. Overrides the file; the parameter's own option overrides it.",
-            Texts("NAME:=VALUE"),
-            short="-p",
-            scope=CONVERSION,
-        ),
+        Texts("NAME:=VALUE"),
+        "A parameter in ROS's notation. Overrides the file; the parameter's own option overrides it.",
+        How(short="-p", scope=Scope.CONVERSION),
     ]
     remap: Annotated[
         Names | None,
-        Option(
-            "A remapping in ROS's notation: cloud_in:=/points with scan:=/scan is the same as `topics=/points:=/scan`.",
-            Texts("FROM:=TO"),
-            panel=TOPICS,
-            short="-r",
-            scope=SINGLE,
-        ),
+        Texts("FROM:=TO"),
+        "A remapping in ROS's notation: cloud_in:=/points with scan:=/scan is the same as `topics=/points:=/scan`.",
+        How(panel=Section.TOPICS, short="-r", scope=Scope.SINGLE),
     ]
     preset: Annotated[
         Preset | None,
-        Option(
-            "Parameters for a consumer of the scans: slam_toolbox, cartographer, gmapping, amcl, nav2, mrpt. "
-            "Parameters given here or in a file override them.",
-            Text("CONSUMER"),
-            panel=SLAM,
-            offers=("presets",),
-        ),
+        Text("CONSUMER", offers=("presets",)),
+        "Parameters for a consumer of the scans: slam_toolbox, cartographer, gmapping, amcl, nav2, mrpt. Parameters "
+        "given here or in a file override them.",
+        How(panel=Section.SLAM),
     ]
     params: Annotated[
         ProjectionParams | None,
-        Option(
-            "The parameters of the projection, instead of `preset` and `params_file`.",
-            Instance(),
-            panel=PYTHON,
-            typed="",
-            scope=SINGLE,
-        ),
+        Instance(),
+        "The parameters of the projection, instead of `preset` and `params_file`.",
+        How(panel=Section.PYTHON, typed="", scope=Scope.SINGLE),
     ]
 
 
+@group(Section.TOPICS, Scope.CONVERSION)
 class SeveralOutputs(TypedDict, total=False):
     """Several outputs of one recording."""
 
     scans: Annotated[
         Path | Mapping[str, Any] | list[Any] | None,
-        Option(
-            "A YAML file with several outputs, each with its own sources, parameters and filters. Parameters of the "
-            "call override those of all outputs.",
-            Outputs(),
-        ),
+        Outputs(),
+        "A YAML file with several outputs, each with its own sources, parameters and filters. Parameters of the call "
+        "override those of all outputs.",
     ]

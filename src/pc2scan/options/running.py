@@ -5,110 +5,103 @@ No ``from __future__ import annotations`` here: see `pc2scan.options.table`.
 
 from typing import Annotated, Literal, TypedDict
 
-from .option import Compression, Option, Path, Progress, Storage
+from .option import Compression, File, How, Path, Progress, Scope, Section, Storage, group
 from .values import Count, Function, OpenText, PathName
 
 #: The largest number of threads, or of processes of a batch. More than any machine has cores would only take memory.
 MAX_JOBS = 1024
 
 
+@group(Section.OUTPUT, Scope.CONVERSION)
 class Container(TypedDict, total=False):
     """The format of the recording that is written."""
 
     to: Annotated[
         Literal["bag", "mcap", "rosbag2"] | None,
-        Option(
-            "Format of DST, if its name does not say it.",
-            OpenText(words=("bag", "mcap", "rosbag2")),
-            default_text="SRC's",
-        ),
+        OpenText(words=("bag", "mcap", "rosbag2")),
+        "Format of DST, if its name does not say it.",
+        How(default_text="SRC's"),
     ]
-    storage: Annotated[Storage | None, Option("Storage of a rosbag2 directory.", default_text="mcap")]
+    storage: Annotated[Storage | None, "Storage of a rosbag2 directory.", How(default_text="mcap")]
     compression: Annotated[
         Compression | None,
-        Option(
-            "Bags: lz4 (default), none, bz2. MCAP: zstd (default), none, lz4. sqlite3: none (default), zstd. Without "
-            "this option, chunks that are copied whole keep their compression.",
-        ),
+        "Bags: lz4 (default), none, bz2. MCAP: zstd (default), none, lz4. sqlite3: none (default), zstd. Without this"
+        " option, chunks that are copied whole keep their compression.",
     ]
     profile: Annotated[
         Literal["ros1", "ros2"] | None,
-        Option("ROS version of an .mcap file.", default_text="the source's"),
+        "ROS version of an .mcap file.",
+        How(default_text="the source's"),
     ]
 
 
+@group(Section.OUTPUT, Scope.CALL_ONLY)
 class Replacement(TypedDict, total=False):
     """Whether a recording is replaced."""
 
-    overwrite: Annotated[bool, Option("Replace DST, and the file of `report`, if they exist.")]
+    overwrite: Annotated[bool, "Replace DST, and the file of `report`, if they exist."]
 
 
+@group(Section.OUTPUT, Scope.CALL_ONLY)
 class DryRun(TypedDict, total=False):
     """Whether anything is written."""
 
-    dry_run: Annotated[bool, Option("Write nothing; show what would be read and written.", short="-n")]
+    dry_run: Annotated[bool, "Write nothing; show what would be read and written.", How(short="-n")]
 
 
+@group(Section.OUTPUT, Scope.CALL_ONLY)
 class Scratch(TypedDict, total=False):
     """Local copies of files at URLs."""
 
     scratch: Annotated[
         Path | None,
-        Option(
-            "Folder for local copies of files at URLs.",
-            PathName("DIR"),
-            default_text="the system's folder for temporary files",
-        ),
+        PathName("DIR"),
+        "Folder for local copies of files at URLs.",
+        How(default_text="the system's folder for temporary files"),
     ]
 
 
+@group(Section.REPORT, Scope.CALL_ONLY)
 class RunReport(TypedDict, total=False):
     """The report of a run."""
 
-    report: Annotated[
-        Path | None, Option("Write a report as JSON. An older report is replaced, any other file is not.", PathName())
-    ]
+    report: Annotated[File, "Write a report as JSON. An older report is replaced, any other file is not."]
 
 
+@group(Section.RUN, Scope.CALL_ONLY)
 class ThreadCount(TypedDict, total=False):
     """Threads of a run."""
 
     jobs: Annotated[
         int,
-        Option(
-            f"Number of threads, up to {MAX_JOBS:,}; the output does not depend on it.",
-            Count(0, MAX_JOBS),
-            default=0,
-            default_text="number of cores",
-            short="-j",
-        ),
+        Count(0, MAX_JOBS),
+        f"Number of threads, up to {MAX_JOBS:,}; the output does not depend on it.",
+        How(default=0, default_text="number of cores", short="-j"),
     ]
 
 
+@group(Section.PYTHON, Scope.CALL_ONLY)
 class RunProgress(TypedDict, total=False):
     """Progress of a run."""
 
     progress: Annotated[
         Progress | None,
-        Option(
-            "A function that is called from time to time with bytes read, bytes in total, and messages read "
-            "(0 while transforms are read ahead).",
-            Function(),
-            typed="",
-        ),
+        Function(),
+        "A function that is called from time to time with bytes read, bytes in total, and messages read (0 while "
+        "transforms are read ahead).",
+        How(typed=""),
     ]
 
 
+@group(Section.REPORT, Scope.CALL_ONLY)
 class ScreenOutput(TypedDict, total=False):
     """What a run shows on the screen; only commands have it."""
 
-    quiet: Annotated[bool, Option("Show warnings and errors only.", short="-q", command_only=True)]
-    verbose: Annotated[
-        bool, Option("Show every parameter and where its value comes from.", short="-v", command_only=True)
-    ]
+    quiet: Annotated[bool, "Show warnings and errors only.", How(short="-q", command_only=True)]
+    verbose: Annotated[bool, "Show every parameter and where its value comes from.", How(short="-v", command_only=True)]
 
 
 class JsonOutput(TypedDict, total=False):
     """Results as JSON; only commands have it."""
 
-    as_json: Annotated[bool, Option("Print JSON.", typed="--json", command_only=True)]
+    as_json: Annotated[bool, "Print JSON.", How(typed="--json", command_only=True)]

@@ -9,274 +9,174 @@ have to be compiled.
 """
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
-from pc2scan.core.params import ProjectionParams
-
-from .commands import (
-    BatchExport,
-    BatchRun,
-    BatchRunProgress,
-    BatchScreen,
-    CheckRules,
-    CompareScreen,
-    ComparisonRules,
-    ExportFormat,
-    FigureClouds,
-    GoldenCases,
-    GoldenScreen,
-    InfoSamples,
-    MapDrawing,
-    PageClouds,
-    Poses,
-    RepairContainer,
-    RepairScreen,
-    ShownFiles,
-)
-from .conversion import (
-    CloudCombination,
-    CloudContent,
-    CloudUnit,
-    ConversionFrames,
-    EchoChoice,
-    FailureConditions,
-    OtherTopics,
-    PointSelection,
-    Reversal,
-    RobotMotion,
-    SourceFrame,
-    SourceTopics,
-    StampCorrection,
-    StaticTransforms,
-    TimeRange,
-    TransformInputs,
-    TransformSources,
-)
-from .option import (
-    BATCH,
-    CALL_ONLY,
-    CONVERSION,
-    EXPORT,
-    FRAMES,
-    MOVING,
-    NEW_CASE,
-    ONE_OUTPUT,
-    OUTPUT,
-    PARAMS,
-    POINTS,
-    PYTHON,
-    REPORT,
-    REVERSE,
-    RULES,
-    RUN,
-    SINGLE,
-    TOPICS,
-    Option,
-    Parameter,
-)
-from .projection import ParameterSources, Projection, SeveralOutputs
-from .running import (
-    Container,
-    DryRun,
-    JsonOutput,
-    Replacement,
-    RunProgress,
-    RunReport,
-    Scratch,
-    ScreenOutput,
-    ThreadCount,
-)
+from . import commands, conversion, projection, running
+from .option import Option, Parameter, Scope, options_in
 from .values import Instance
 
 # Which command takes which groups; the order is that of the help's sections.
 
 
 class _Clouds(
-    ParameterSources,
-    Projection,
-    TimeRange,
-    StampCorrection,
-    CloudUnit,
-    PointSelection,
-    ConversionFrames,
-    RobotMotion,
+    projection.ParameterSources,
+    projection.Projection,
+    conversion.TimeRange,
+    conversion.StampCorrection,
+    conversion.CloudUnit,
+    conversion.PointSelection,
+    conversion.ConversionFrames,
+    conversion.RobotMotion,
     total=False,
 ):
     """How a cloud becomes a scan, and what is read."""
 
 
-class _Scans(_Clouds, CloudCombination, EchoChoice, total=False):
+class _Scans(_Clouds, conversion.CloudCombination, conversion.EchoChoice, total=False):
     """How clouds become scans, and what is read."""
 
 
 class _Conversion(
-    SourceTopics,
+    conversion.SourceTopics,
     _Scans,
-    SeveralOutputs,
-    CloudContent,
-    OtherTopics,
-    FailureConditions,
-    Container,
-    Replacement,
-    DryRun,
-    Scratch,
+    projection.SeveralOutputs,
+    conversion.CloudContent,
+    conversion.OtherTopics,
+    conversion.FailureConditions,
+    running.Container,
+    running.Replacement,
+    running.DryRun,
+    running.Scratch,
     total=False,
 ):
     """A conversion to a recording."""
 
 
-class Convert(_Conversion, RunReport, ThreadCount, RunProgress, total=False):
+class Convert(_Conversion, running.RunReport, running.ThreadCount, running.RunProgress, total=False):
     """``convert``."""
 
 
-class Batch(BatchRun, BatchExport, Poses, _Conversion, BatchRunProgress, total=False):
+class Batch(
+    commands.BatchRun, commands.BatchExport, commands.Poses, _Conversion, commands.BatchRunProgress, total=False
+):
     """``batch``."""
 
 
-class Export(ExportFormat, Poses, SourceTopics, _Scans, ThreadCount, RunProgress, total=False):
+class Export(
+    commands.ExportFormat,
+    commands.Poses,
+    conversion.SourceTopics,
+    _Scans,
+    running.ThreadCount,
+    running.RunProgress,
+    total=False,
+):
     """``export``."""
 
 
-class View(PageClouds, SourceTopics, _Clouds, SeveralOutputs, Reversal, total=False):
+class View(
+    commands.PageClouds, conversion.SourceTopics, _Clouds, projection.SeveralOutputs, conversion.Reversal, total=False
+):
     """``view``."""
 
 
-class Plot(FigureClouds, SourceTopics, _Clouds, SeveralOutputs, total=False):
+class Plot(commands.FigureClouds, conversion.SourceTopics, _Clouds, projection.SeveralOutputs, total=False):
     """``plot``."""
 
 
-class Map(MapDrawing, SourceTopics, _Scans, SeveralOutputs, ThreadCount, RunProgress, total=False):
+class Map(
+    commands.MapDrawing,
+    conversion.SourceTopics,
+    _Scans,
+    projection.SeveralOutputs,
+    running.ThreadCount,
+    running.RunProgress,
+    total=False,
+):
     """``map``."""
 
 
-class Check(CheckRules, EchoChoice, StaticTransforms, TransformSources, total=False):
+class Check(
+    commands.CheckRules, conversion.EchoChoice, conversion.StaticTransforms, conversion.TransformSources, total=False
+):
     """``check``."""
 
 
-class Info(InfoSamples, CloudUnit, StaticTransforms, TransformSources, SourceFrame, total=False):
+class Info(
+    commands.InfoSamples,
+    conversion.CloudUnit,
+    conversion.StaticTransforms,
+    conversion.TransformSources,
+    conversion.SourceFrame,
+    total=False,
+):
     """``info``."""
 
 
-class Tf(TransformInputs, StaticTransforms, total=False):
+class Tf(conversion.TransformInputs, conversion.StaticTransforms, total=False):
     """``tf``."""
 
 
-class Repair(RepairContainer, Replacement, RunReport, RunProgress, total=False):
+class Repair(commands.RepairContainer, running.Replacement, running.RunReport, running.RunProgress, total=False):
     """``repair``."""
 
 
-class Diff(ComparisonRules, total=False):
+class Diff(commands.ComparisonRules, total=False):
     """``diff``."""
 
 
-class Golden(GoldenCases, total=False):
+class Golden(commands.GoldenCases, total=False):
     """``golden``."""
 
 
-class Scans(_Scans, ThreadCount, total=False):
+class Scans(_Scans, running.ThreadCount, total=False):
     """``pc2scan.scans``."""
 
 
-class Clouds(TimeRange, CloudUnit, total=False):
+class Clouds(conversion.TimeRange, conversion.CloudUnit, total=False):
     """``pc2scan.clouds``."""
 
 
 #: For each command, the groups that its function takes too, and those that only the command has; then the functions
 #: without a command.
 GROUPS: Mapping[str, tuple[Any, ...]] = {
-    "convert": (Convert, ScreenOutput),
-    "batch": (Batch, BatchScreen),
-    "export": (Export, JsonOutput),
-    "view": (View, ShownFiles),
+    "convert": (Convert, running.ScreenOutput),
+    "batch": (Batch, commands.BatchScreen),
+    "export": (Export, running.JsonOutput),
+    "view": (View, commands.ShownFiles),
     "plot": (Plot,),
-    "map": (Map, ShownFiles, JsonOutput),
-    "check": (Check, JsonOutput),
-    "info": (Info, JsonOutput),
-    "tf": (Tf, JsonOutput),
-    "repair": (Repair, RepairScreen),
-    "diff": (Diff, JsonOutput, CompareScreen),
-    "golden": (Golden, JsonOutput, GoldenScreen),
+    "map": (Map, commands.ShownFiles, running.JsonOutput),
+    "check": (Check, running.JsonOutput),
+    "info": (Info, running.JsonOutput),
+    "tf": (Tf, running.JsonOutput),
+    "repair": (Repair, commands.RepairScreen),
+    "diff": (Diff, running.JsonOutput, commands.CompareScreen),
+    "golden": (Golden, running.JsonOutput, commands.GoldenScreen),
     "scans": (Scans,),
     "clouds": (Clouds,),
 }
 
 
-#: Where the options of a group stand in the help, and where they may stand, unless they say otherwise.
-_SECTIONS: Mapping[Any, tuple[str, str]] = {
-    Projection: (PARAMS, ONE_OUTPUT),
-    ParameterSources: (PARAMS, ONE_OUTPUT),
-    SeveralOutputs: (TOPICS, CONVERSION),
-    SourceTopics: (TOPICS, SINGLE),
-    TimeRange: (TOPICS, CONVERSION),
-    StampCorrection: (TOPICS, CONVERSION),
-    CloudUnit: (TOPICS, CONVERSION),
-    PointSelection: (POINTS, ONE_OUTPUT),
-    ConversionFrames: (FRAMES, CONVERSION),
-    SourceFrame: (FRAMES, CONVERSION),
-    RobotMotion: (MOVING, ONE_OUTPUT),
-    CloudCombination: (MOVING, ONE_OUTPUT),
-    CloudContent: (REVERSE, SINGLE),
-    EchoChoice: (TOPICS, ONE_OUTPUT),
-    OtherTopics: (TOPICS, CONVERSION),
-    FailureConditions: (RUN, CONVERSION),
-    Container: (OUTPUT, CONVERSION),
-    Replacement: (OUTPUT, CALL_ONLY),
-    DryRun: (OUTPUT, CALL_ONLY),
-    Scratch: (OUTPUT, CALL_ONLY),
-    RunReport: (REPORT, CALL_ONLY),
-    ThreadCount: (RUN, CALL_ONLY),
-    RunProgress: (PYTHON, CALL_ONLY),
-    ScreenOutput: (REPORT, CALL_ONLY),
-    ExportFormat: (EXPORT, CALL_ONLY),
-    BatchExport: (EXPORT, CONVERSION),
-    Poses: (EXPORT, CONVERSION),
-    BatchRun: (BATCH, CALL_ONLY),
-    BatchScreen: (BATCH, CALL_ONLY),
-    BatchRunProgress: (PYTHON, CALL_ONLY),
-    ComparisonRules: (RULES, CALL_ONLY),
-    GoldenCases: (NEW_CASE, CALL_ONLY),
-}
-
-
-# Each option gets its name and spelling, and the place of its group if it has none of its own.
-for _group in (*_SECTIONS, *(group for groups in GROUPS.values() for group in groups)):
-    for _name, _annotation in _group.__annotations__.items():
-        _option = _annotation.__metadata__[0]
-        if not _option.name:
-            if isinstance(_option, Parameter):
-                _option.default = ProjectionParams.__dataclass_fields__[_name].default
-            _option.complete(_name, _annotation.__origin__, *_SECTIONS.get(_group, ("", CALL_ONLY)))
-
-
+@cache
 def options_of(command: str) -> Mapping[str, Option]:
     """Return the options of a command or function, by name."""
-    if command not in _FOUND:
-        _FOUND[command] = {
-            name: annotation.__metadata__[0]
-            for group in GROUPS[command]
-            for name, annotation in group.__annotations__.items()
-        }
-    return _FOUND[command]
+    return {name: option for group in GROUPS[command] for name, option in options_in(group).items()}
 
-
-_FOUND: dict[str, Mapping[str, Option]] = {}
 
 #: Every parameter of the projection by its ROS name: upstream's in upstream's order, then pc2scan's own.
-PARAMETERS: Mapping[str, Parameter] = {
-    name: annotation.__metadata__[0] for name, annotation in Projection.__annotations__.items()
-}
+PARAMETERS: Mapping[str, Parameter] = options_in(projection.Projection)
 
 
 def spelling_of(name: str) -> str | None:
     """Return how an option is typed, by its name in Python; None if no command has it."""
-    if not _SPELLINGS:
-        for command in GROUPS:
-            _SPELLINGS.update((key, option.spelling) for key, option in options_of(command).items() if option.spelling)
-        _SPELLINGS["destination"] = "-o"
-    return _SPELLINGS.get(name)
+    return _spellings().get(name)
 
 
-_SPELLINGS: dict[str, str] = {}
+@cache
+def _spellings() -> Mapping[str, str]:
+    options = [option for command in GROUPS for option in options_of(command).values()]
+    return {option.name: option.spelling for option in options if option.spelling} | {"destination": "-o"}
 
 
 def instead_of(command: str, name: str) -> str:
@@ -286,7 +186,7 @@ def instead_of(command: str, name: str) -> str:
     others = [other for other in GROUPS if name in options_of(other) and not options_of(other)[name].command_only]
     if not others:
         return ""
-    if command in ("view", "plot") and name in CloudCombination.__annotations__:
+    if command in ("view", "plot") and name in conversion.CloudCombination.__annotations__:
         return "pages and figures make each scan of one cloud; convert with this option, and use what it writes"
     if "convert" in others and command in ("export", "map", "plot", "scans", "view"):
         of_recordings = any(name in group.__annotations__ for group in _OF_RECORDINGS)
@@ -296,20 +196,37 @@ def instead_of(command: str, name: str) -> str:
 
 
 #: What is about a recording that is written.
-_OF_RECORDINGS: tuple[Any, ...] = (OtherTopics, FailureConditions, Container, CloudContent, DryRun, RunReport)
+_OF_RECORDINGS: tuple[Any, ...] = (
+    conversion.OtherTopics,
+    conversion.FailureConditions,
+    running.Container,
+    conversion.CloudContent,
+    running.DryRun,
+    running.RunReport,
+)
 
 
 def options_about_scans() -> set[str]:
     """Return the options of a conversion that say which scans are made, and how."""
-    groups = (SourceTopics, ParameterSources, SeveralOutputs, Projection, PointSelection, RobotMotion, CloudCombination)
-    names = {name for group in (*groups, CloudContent) for name in group.__annotations__}
+    groups = (
+        conversion.SourceTopics,
+        projection.ParameterSources,
+        projection.SeveralOutputs,
+        projection.Projection,
+        conversion.PointSelection,
+        conversion.RobotMotion,
+        conversion.CloudCombination,
+    )
+    names = {name for group in (*groups, conversion.CloudContent) for name in group.__annotations__}
     return names | {"keep_used", "min_used", "only_scans"}
 
 
 def conversion_options() -> Mapping[str, Option]:
     """Return the options of a conversion as a batch has it: all that may stand in a dataset file, and ``overwrite``."""
     return {
-        name: option for name, option in options_of("batch").items() if option.scope != CALL_ONLY or name == "overwrite"
+        name: option
+        for name, option in options_of("batch").items()
+        if option.scope != Scope.CALL_ONLY or name == "overwrite"
     }
 
 
@@ -327,5 +244,5 @@ def output_options() -> Mapping[str, Option]:
     return {
         name: option
         for name, option in options_of("convert").items()
-        if option.scope == ONE_OUTPUT and not isinstance(option, Parameter)
+        if option.scope == Scope.ONE_OUTPUT and not isinstance(option, Parameter)
     }

@@ -52,6 +52,9 @@ class Value:
         Whether there may be several.
     note
         What Python takes besides, for the documentation.
+    offers
+        What the shell completes: ``frames``, ``presets``, ``words`` and the words, or ``topics`` and the ends of their
+        types (none: all topics).
     """
 
     metavar: str | None = None
@@ -63,10 +66,11 @@ class Value:
     repeats = False
     note = ""
 
-    def __init__(self, metavar: str | None = None, words: Iterable[str] = ()) -> None:
+    def __init__(self, metavar: str | None = None, words: Iterable[str] = (), *, offers: tuple[str, ...] = ()) -> None:
         if metavar is not None:
             self.metavar = metavar
         self.words = tuple(words)
+        self.offers = offers or (("words", *self.words) if self.words else ())
 
     @property
     def expected(self) -> str:
