@@ -19,7 +19,7 @@ import zstandard
 from mcap.writer import Writer as McapLibraryWriter
 
 import pc2scan
-from fuzz.mutants.mutate import fields_of
+from fuzz.records import FIRST_LINE, bag_records, mcap_records
 from pc2scan.bags.opening import open_recording
 from pc2scan.errors import DamageError, ResultError, UsageError
 from support import ROOT, sampled
@@ -327,9 +327,14 @@ def bent(source: Path, number: int, field: str, bend: Callable[[int, int], int])
     By the index; without one, by the chunk itself. ``bend`` takes the first log time and the last one.
     """
     bag = source.suffix == ".bag"
-    record = next(r for r in ("chunk_info", "chunk_index", "chunk") if fields_of(source, f"{r}.start_time"))
-    places = {name: fields_of(source, f"{record}.{name}")[number].start for name in ("start_time", "end_time")}
     data = bytearray(source.read_bytes())
+    if bag:
+        infos = [row.values for row in bag_records(bytes(data), len(FIRST_LINE), len(data)) if row.op == 6]
+        places = {name: infos[number][name.encode()][0] for name in ("start_time", "end_time")}
+    else:
+        records = mcap_records(bytes(data), 8, len(data) - 8)
+        chunks = [r for r in records if r[0] == 8] or [r for r in records if r[0] == 6]
+        places = {"start_time": chunks[number][1] + 9, "end_time": chunks[number][1] + 17}
     found = (struct.unpack_from("<II" if bag else "<Q", data, place) for place in places.values())
     first, last = (time[0] * SECOND + time[1] if bag else time[0] for time in found)
     new = bend(first, last)

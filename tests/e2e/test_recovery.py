@@ -14,8 +14,8 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer as McapLibraryWriter
 
-from fuzz.mutants.mutate import byte_mutants
-from fuzz.mutants.seeds import Seed
+from fuzz.mutants import at_each
+from fuzz.seeds import Seed
 from pc2scan.bags.opening import open_recording
 from pc2scan.conversion.run import run as repaired
 from pc2scan.conversion.run_files import OutputOptions
@@ -166,7 +166,7 @@ def files_of(folder: Path, name: str, data: bytes, count: int) -> list[Path]:
     """The sound file, and copies that are cut off or of which a byte is another, evenly spread."""
     seed = Seed(name, {name: data}, name)
     places = range(len(data) // 20, len(data), len(data) // count)
-    versions = (data, *(made.edit.data for made in byte_mutants(seed, places)))
+    versions = (data, *(made.data for made in at_each(seed, places)))
     paths = [folder / f"{number:02}_{name}" for number in range(2 * len(places) + 1)]
     for path, version in zip(paths, versions, strict=True):
         path.write_bytes(version)

@@ -26,11 +26,9 @@ from pc2scan.messages.pointcloud2 import PointCloud2, PointField
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
     from pc2scan.core.project import ProjectedScan
 
-__all__ = ["motion_written", "project_cloud", "project_moving", "written"]
+__all__ = ["project_cloud", "project_moving"]
 
 #: What is asked for (parameters, reduction, smallest number of returns, flags); height, width, point_step, row_step.
 _HEAD = struct.Struct("<4B4I")
@@ -61,20 +59,6 @@ def _projector(asked: int, reduction: int, few: int) -> Projector:
     if asked < len(_GRIDS):
         return Projector(ProjectionParams(**{**_GRIDS[asked], **changes}))
     return Projector(ProjectionParams.preset(sorted(PRESETS)[asked - len(_GRIDS)], **changes))
-
-
-def written(
-    fields: tuple[tuple[int, int], ...], data: bytes, *, step: int, height: int = 1, row_step: int = 0, flags: int = 0
-) -> bytes:
-    """Write an input: offsets and datatypes of x, y, z and the intensity, and the points."""
-    width = len(data) // (row_step or step) if height == 1 else (row_step or len(data) // height) // step
-    head = _HEAD.pack(0, 0, 0, flags, height, width, step, row_step)
-    return head + b"".join(_FIELD.pack(*field, 1) for field in fields) + data
-
-
-def motion_written(steps: bytes, rows: NDArray[np.float32], cloud: bytes, *, offset: float, unit: float) -> bytes:
-    """Write an input of `project_moving`: the steps between the nodes (hundredths of a second), and their rows."""
-    return _MOTION.pack(len(steps), offset, unit) + steps + rows.tobytes() + cloud
 
 
 def project_cloud(data: bytes) -> None:

@@ -7,7 +7,7 @@ Guided by coverage, by hand (``pip install atheris``), one decoder at a time::
     PYTHONPATH=src:tests python tests/fuzz/decoders.py schema -max_total_time=300
 
 It begins with the small corpus and leaves that as it is; a folder that is named gets what was found to reach new code.
-The tests go through the corpus without atheris.
+The tests go through the corpus without atheris. The first byte of most inputs selects the ROS version.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ import numpy as np
 
 import pc2scan
 from fuzz.clouds import project_cloud, project_moving
-from fuzz.rays import draw_rays
 from pc2scan.errors import Pc2ScanError
 from pc2scan.model import Connection, Definition, RawMessage
 from support.clouds import COMPRESSED, LIVOX, OLD_CLOUD, VELODYNE
@@ -275,7 +274,6 @@ DECODERS: dict[str, Callable[[bytes], None]] = {
     "cloud": _cloud,
     "clouds": project_cloud,
     "moving": project_moving,
-    "rays": draw_rays,
     "livox": partial(_cloud, kind=LIVOX[1]),
     "compressed": partial(_cloud, kind=COMPRESSED),
     "pointcloud": partial(_cloud, kind=OLD_CLOUD),

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 from mcap.writer import Writer
 
-from fuzz.mutants.mutate import mutant
-from fuzz.mutants.seeds import make_seeds, place
+from fuzz.mutants import damaged
+from fuzz.seeds import make_seeds, place
 from hostile.test_side_files import journal
 from support.builders import CONTENT, write_db3, write_mcap, write_rosbag2
 
@@ -24,7 +24,7 @@ __all__ = ["make_hostile"]
 FILES = Path(__file__).with_name("files")
 
 #: Seeds of which there is a mutant.
-_DAMAGED = ("bag-lz4", "mcap-zstd", "mcap-unchunked", "rosbag2-sqlite3", "rosbag2-mcap-zstd-file", "db3", "db3-wal")
+_DAMAGED = ("bag-lz4", "mcap-zstd", "mcap-unchunked", "rosbag2-split", "rosbag2-zstd", "db3", "db3-wal")
 
 
 def make_hostile(folder: Path) -> dict[str, Path]:
@@ -44,7 +44,7 @@ def make_hostile(folder: Path) -> dict[str, Path]:
         found[name] = make(folder / name, victim)
     seeds = {seed.name: seed for seed in make_seeds()}
     for number, name in enumerate(_DAMAGED):
-        made = mutant(seeds[name], random.Random(number))
+        made = damaged(seeds[name], random.Random(number))
         found[f"mutant of {name}"] = place(made.files, made.seed.opened, folder / f"mutant of {name}")
     return found
 

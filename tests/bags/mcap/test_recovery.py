@@ -1,4 +1,4 @@
-"""What is recovered of damaged MCAP files, where no byte changed alone shows it (`fuzz.test_every_byte` does those)."""
+"""What is recovered of damaged MCAP files, where no byte changed alone shows it (`fuzz.test_campaign` does those)."""
 
 from __future__ import annotations
 

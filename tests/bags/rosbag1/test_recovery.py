@@ -1,4 +1,4 @@
-"""What is recovered of damaged ROS 1 bags, where no byte changed alone shows it (`fuzz.test_every_byte` does those)."""
+"""What is recovered of damaged ROS 1 bags, where no byte changed alone shows it (`fuzz.test_campaign` does those)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
 
-from fuzz.mutants.mutate import stretches
+from fuzz.records import stretches
 from pc2scan.bags.rosbag1.read import Rosbag1Reader
 from pc2scan.errors import DamageError
 from support.rosbag1_files import (
@@ -110,7 +110,7 @@ def test_a_wrong_length_inside_a_chunk_is_made_good_by_its_index(wrong: int, tmp
 
 def test_a_bag_that_was_never_closed(tmp_path: Path) -> None:
     data = write(tmp_path / "a.bag", CONNECTIONS, ROWS, "lz4", chunk_size=150).read_bytes()
-    places = stretches("a.bag", data)
+    places = stretches(data)
     path = tmp_path / "b.bag.active"
     # Behind the chunks is the index.
     path.write_bytes(NEVER_CLOSED + data[places[0].start : places[-1].stop])
@@ -168,7 +168,7 @@ def test_of_a_chunk_that_breaks_midway_the_front_is_kept(compression: str, tmp_p
     rows = [(0, 1_000_000_000 + i, string(" ".join(noise.choices(words, k=600)))) for i in range(600)]
     path = write(tmp_path / "a.bag", CONNECTIONS[:1], rows, compression, chunk_size=4 << 20)
     data = bytearray(path.read_bytes())
-    ((start, stop, _),) = stretches("a.bag", bytes(data))
+    ((start, stop, _),) = stretches(bytes(data))
     at = start + (stop - start) * 3 // 4
     data[at : at + 100] = bytes(100)
     path.write_bytes(data)
