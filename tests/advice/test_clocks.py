@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from pc2scan.advice.clocks import are_doubtful, ask_motion, clock_warnings
+from pc2scan.advice.clocks import Clocks, are_doubtful, moving
 from pc2scan.advice.survey import Span, Survey
 from pc2scan.bags.opening import open_recording
-from pc2scan.request.options import ScanSpec
 from pc2scan.transforms.placing import FrameOptions
 from support.worlds.moving import BEGIN_NS, Lidar, write_world
 
@@ -31,10 +30,9 @@ def test_clouds_whose_clock_is_not_that_of_the_transforms(kind: str, clock: floa
     with closing(open_recording(path)) as reader:
         own = [each for each in reader.connections if each.topic == "/points"]
         survey = Survey(reader, [], FrameOptions(), Span(None, None, BEGIN_NS))
-        facts, motion = survey.facts(own), ask_motion(survey, FrameOptions(), ScanSpec(fixed_frame="odom", deskew=True))
-        facts.ask_headers(3)
+        clocks = Clocks(survey, [survey.facts(own)], moving(reader.connections, ()))
         survey.read()
-        found = list(clock_warnings([facts], motion))
+        found = clocks.warnings()
     assert len(found) == bool(what)
     assert all(text.startswith("the stamps of /points are ") and f" s {what} those of /tf" in text for text in found)
 

@@ -10,7 +10,6 @@ from pc2scan.bags.topics import by_topic
 from pc2scan.core.percentiles import median_low
 from pc2scan.errors import DecodeError, UsageError, stamp_text
 from pc2scan.messages.clouds import CLOUDS
-from pc2scan.messages.imu import IMU
 from pc2scan.messages.poses import POSES
 from pc2scan.messages.stamps import STAMPED, stamp_in
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
@@ -20,12 +19,10 @@ from pc2scan.text import counted, stamp
 from pc2scan.transforms.reading import tf_connections
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, RawMessage
-    from pc2scan.request.options import ScanSpec
-    from pc2scan.transforms.placing import FrameOptions
     from pc2scan.transforms.trajectory import Trajectory
 
     from .survey import Span, Survey, TopicFacts
@@ -63,8 +60,7 @@ _DAY_NS = 86_400_000_000_000
 #: Earlier times do not count from 1970, nanoseconds.
 _LONG_AGO_NS = 1_000_000_000_000_000
 
-#: In how many messages of each topic an offset is measured, and the longest time that a cloud takes, seconds.
-_MEASURED = 50
+#: The longest time that a cloud takes, seconds.
 _LONGEST_S = 1.0
 
 
@@ -85,51 +81,6 @@ def are_doubtful(one_ns: int, other_ns: int, window_ns: int = 0) -> bool:
     """
     limit_ns = _SMALL_NS if logged_early(one_ns, other_ns) else _OTHER_CLOCK_NS
     return abs(one_ns - other_ns) > max(limit_ns, window_ns)
-
-
-def ask_motion(survey: Survey, frames: FrameOptions, spec: ScanSpec) -> dict[str, Observer[Delays]]:
-    """Ask for the delays of what says where the robot was: moving transforms, and an IMU; return their observers."""
-    connections = survey.reader.connections
-    found: list[Connection] = []
-    if spec.fixed_frame:
-        found += (each for each in tf_connections(connections, frames.tf_topics) if not each.is_static)
-    if spec.imu_request:
-        name = spec.imu_request.topic.strip("/")
-        found += (each for each in connections if each.ros_type == IMU and each.topic.strip("/") == name)
-    start_ns, stop_ns = survey.span.start_ns, survey.span.stop_ns
-    observers = {topic: Observer(own, _delays, _MOTIONS, start_ns, stop_ns) for topic, own in by_topic(found).items()}
-    survey.observers += observers.values()
-    return observers
-
-
-def clock_warnings(topics: Iterable[TopicFacts], motion: Mapping[str, Observer[Delays]]) -> Iterator[str]:
-    """Yield a warning for each topic whose stamps are probably of another clock than those of what says where it was.
-
-    Parameters
-    ----------
-    topics
-        Facts of topics with clouds or scans: their headers.
-    motion
-        What was observed of the topics with moving transforms, or of an IMU.
-    """
-    known = {topic: _medians(observer.found) for topic, observer in motion.items()}
-    for facts in topics:
-        if not facts.headers:
-            continue
-        delay_ns = median_low([each.delay_ns for each in facts.headers[:CLOCK_HEADERS]])
-        for other, by_child in known.items():
-            if not by_child:
-                continue
-            # Localisation stamps its transforms ahead of time: the nearest one is compared.
-            nearest_ns = min(by_child.values(), key=lambda each: abs(delay_ns - each))
-            behind_ns = delay_ns - nearest_ns
-            if are_doubtful(delay_ns, nearest_ns):
-                yield (
-                    f"the stamps of {facts.topic} are {abs(behind_ns) / 1e9:.3g} s "
-                    f"{'behind' if behind_ns > 0 else 'ahead of'} those of {other}, compared with their log times: if "
-                    "their clocks differ, points are placed as if they were measured at another time; "
-                    f"`time_offset={offset_text(delay_ns, nearest_ns)}` corrects that"
-                )
 
 
 class ClockFinding(NamedTuple):
@@ -166,25 +117,29 @@ class Clocks:
     survey
         Asked for the messages.
     topics
-        Facts of the topics with clouds, of which headers are asked for.
+        Facts of the topics with clouds or scans, of which headers are asked for.
+    compared
+        What says where the robot was; None: the moving transforms, or without any, all other topics.
     """
 
-    def __init__(self, survey: Survey, topics: Iterable[TopicFacts]) -> None:
+    def __init__(
+        self, survey: Survey, topics: Iterable[TopicFacts], compared: Iterable[Connection] | None = None
+    ) -> None:
         self._topics = list(topics)
         for facts in self._topics:
             facts.ask_headers(CLOCK_HEADERS)
         connections = survey.reader.connections
         self._is_simulated = any(each.ros_type == _CLOCK for each in connections)
-        self._motion = self._observers(survey, _moving(connections, survey.frames.tf_topics))
+        motion = moving(connections, survey.frames.tf_topics) if compared is None else compared
+        self._motion = _observers(motion, survey.span)
         own = {facts.topic for facts in self._topics}
         others = (each for each in connections if each.ros_type in STAMPED and each.ros_version is not None)
-        self._others = self._observers(survey, (each for each in others if each.topic not in own))
+        self._others = _observers((each for each in others if each.topic not in own and compared is None), survey.span)
+        survey.observers += (*self._motion.values(), *self._others.values())
 
-    def _observers(self, survey: Survey, connections: Iterable[Connection]) -> dict[str, Observer[Delays]]:
-        limits = survey.span.start_ns, survey.span.stop_ns
-        found = {topic: Observer(own, _delays, _MOTIONS, *limits) for topic, own in by_topic(connections).items()}
-        survey.observers += found.values()
-        return found
+    def warnings(self) -> list[str]:
+        """Return warnings about topics whose clock is not that of what says where the robot was."""
+        return [each.warning for each in self.findings().values() if each.other]
 
     def findings(self) -> dict[str, ClockFinding]:
         """Return what is wrong with the clocks of topics, once the survey was read.
@@ -209,32 +164,17 @@ class Clocks:
             against = f"those of {topic}, compared with their log times" if topic else "their log times"
             behind_ns = delay_ns - reference_ns
             how = f"{_duration_text(behind_ns)} {'behind' if behind_ns > 0 else 'ahead of'} {against}"
-            offset = offset_text(delay_ns, reference_ns)
-            cause = _cause(facts.headers[0].stamp_ns, behind_ns)
+            scale = next((s for s in _TIME_SCALES if abs(behind_ns + s * 1_000_000_000) < _OTHER_CLOCK_NS), None)
+            offset = "auto" if scale is None else f"-{scale}s"
+            cause = _cause(facts.headers[0].stamp_ns, behind_ns) if scale is None else f" ({_TIME_SCALES[scale]})"
             text = f"the stamps of {facts.topic} are {how}{cause}"
             short = f"its stamps are {_duration_text(behind_ns)} {'behind' if behind_ns > 0 else 'ahead'}"
             found[facts.topic] = ClockFinding(text, offset, short + cause, topic)
         return found
 
 
-def other_clocks(survey: Survey, connections: Iterable[Connection]) -> Iterator[str]:
-    """Yield a warning for each topic of some connections whose clock is not that of the transforms."""
-    clocks = Clocks(survey, survey.topics(connections).values())
-    survey.read()
-    yield from (each.warning for each in clocks.findings().values() if each.other)
-
-
-def offset_text(delay_ns: int, reference_ns: int) -> str:
-    """Return the value of ``time_offset`` that corrects a clock, given the delays of its stamps and of others."""
-    known = next((s for s in _TIME_SCALES if abs(reference_ns - delay_ns - s * 1_000_000_000) < _OTHER_CLOCK_NS), None)
-    return "auto" if known is None else f"-{known}s"
-
-
 def _cause(stamp_ns: int, behind_ns: int) -> str:
     """Return why a clock probably differs, as a part of a sentence."""
-    ahead = next((s for s in _TIME_SCALES if abs(-behind_ns - s * 1_000_000_000) < _OTHER_CLOCK_NS), None)
-    if ahead is not None:
-        return f" ({_TIME_SCALES[ahead]})"
     if behind_ns > _DAY_NS and 0 <= stamp_ns < _LONG_AGO_NS:
         return " (its clock counts from its start)"
     return f" (its clock says {stamp(stamp_ns)})" if abs(behind_ns) > _DAY_NS else ""
@@ -245,13 +185,11 @@ def _duration_text(duration_ns: int) -> str:
     return f"{seconds / 86400:,.0f} days" if seconds > 2 * 86400 else f"{seconds:.3g} s"
 
 
-def _medians(messages: Iterable[Delays]) -> dict[str, int]:
-    """Return the median delay of a topic, for transforms by child; nanoseconds."""
-    delays: dict[str, list[int]] = {}
-    for message in messages:
-        for child, delay_ns in message:
-            delays.setdefault(child, []).append(delay_ns)
-    return {child: median_low(each) for child, each in delays.items()}
+def _observers(connections: Iterable[Connection], span: Span) -> dict[str, Observer[Delays]]:
+    return {
+        topic: Observer(own, _delays, _MOTIONS, span.start_ns, span.stop_ns)
+        for topic, own in by_topic(connections).items()
+    }
 
 
 def _delays(message: RawMessage) -> Delays:
@@ -291,17 +229,12 @@ def refuse_other_clock(trajectory: Trajectory, topics: Iterable[TopicFacts], spa
         if trajectory.first_ns <= end_ns and trajectory.last_ns >= begin_ns:
             return
         offset = f"`time_offset={TRAJECTORY}={stamp_text(begin_ns - trajectory.first_ns)}s`"
-        is_relative = trajectory.first_ns < _LONG_AGO_NS <= begin_ns
-        why = "its times count from its beginning" if is_relative else "the clocks differ"
         raise UsageError(
             f"its poses are from {stamp(trajectory.first_ns)} to {stamp(trajectory.last_ns)}, {facts.topic} is from "
             f"{stamp(begin_ns)} to {stamp(end_ns)}: no pose is of the time of a message",
             path=trajectory.name,
-            hint=f"if {why}, {offset} moves the first pose to the first message",
+            hint=f"if the clocks differ, {offset} moves the first pose to the first message",
         )
-
-
-# --- Offsets between clocks ---
 
 
 class Offset(NamedTuple):
@@ -325,9 +258,8 @@ class Offset(NamedTuple):
 def measure_offsets(
     reader: Reader,
     topics: Mapping[str, Sequence[Connection]],
-    tf_topics: Sequence[str] = (),
-    start_ns: int | None = None,
-    stop_ns: int | None = None,
+    tf_topics: Sequence[str],
+    span: Span,
 ) -> dict[str, Offset]:
     """Measure how far the stamps of topics are off those of the moving transforms, or the log times without any.
 
@@ -340,17 +272,12 @@ def measure_offsets(
         The connections of each topic.
     tf_topics
         See `tf_connections`. If it is not clear which transforms to use, log times are.
-    start_ns, stop_ns
+    span
         The cut, in whose first messages it is measured.
-
-    Returns
-    -------
-    dict[str, Offset]
-        What has to be added to the stamps of each topic.
     """
-    moving = [each for each in _moving(reader.connections, tf_topics) if each.topic not in topics]
-    ends = {topic: Observer(own, _delay_of_end, _MEASURED, start_ns, stop_ns) for topic, own in topics.items()}
-    references = {topic: Observer(own, _delays, _MOTIONS, start_ns, stop_ns) for topic, own in by_topic(moving).items()}
+    motion = [each for each in moving(reader.connections, tf_topics) if each.topic not in topics]
+    ends = {topic: Observer(own, _delay_of_end, _MOTIONS, span.start_ns, span.stop_ns) for topic, own in topics.items()}
+    references = _observers(motion, span)
     observe((reader, [*ends.values(), *references.values()]))
     known = {topic: _nearest(observer.found) for topic, observer in references.items()}
     fitting = {topic: delays for topic, delays in known.items() if delays}
@@ -374,12 +301,12 @@ def measure_offsets(
     return found
 
 
-def _moving(connections: Sequence[Connection], tf_topics: Sequence[str]) -> list[Connection]:
+def moving(connections: Sequence[Connection], tf_topics: Sequence[str]) -> list[Connection]:
     """Return the connections with moving transforms; without any, or if it is not clear which, those with poses."""
-    moving: list[Connection] = []
+    found: list[Connection] = []
     with suppress(UsageError):
-        moving = [each for each in tf_connections(connections, tf_topics) if not each.is_static]
-    return moving or [each for each in connections if each.ros_type in POSES and each.ros_version is not None]
+        found = [each for each in tf_connections(connections, tf_topics) if not each.is_static]
+    return found or [each for each in connections if each.ros_type in POSES and each.ros_version is not None]
 
 
 def _nearest(messages: Iterable[Delays]) -> list[int]:

@@ -7,7 +7,7 @@ from functools import cache, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.advice.checks.clouds import KnownTransforms
-from pc2scan.advice.clocks import CLOCK_HEADERS, ask_motion, clock_warnings, refuse_other_clock
+from pc2scan.advice.clocks import CLOCK_HEADERS, Clocks, moving, refuse_other_clock
 from pc2scan.advice.measurements import ask_measurements, measure
 from pc2scan.advice.odometry import Surroundings, odometry_of
 from pc2scan.advice.point_times import ask_times, duration_warning, measure_turns, time_warnings
@@ -30,10 +30,8 @@ from .stages.deskew import Deskew
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
 
-    from pc2scan.advice.clocks import Delays
     from pc2scan.advice.odometry import Odometry
     from pc2scan.advice.survey import TopicFacts
-    from pc2scan.bags.observers import Observer
     from pc2scan.bags.reader import Reader
     from pc2scan.progress import Meter
     from pc2scan.request.options import ConvertOptions, ScanSpec
@@ -179,15 +177,17 @@ class _OutputFacts:
         self._topics: Mapping[str, TopicFacts] = {}
         self._alone: Mapping[str, TopicFacts] = survey.topics(plan.sources_of(spec, ""))
         self._where = PointTime.parse(spec.point_time) if spec.deskew else None
-        self._motion: Mapping[str, Observer[Delays]] = {}
+        self._clocks: list[Clocks] = []
         if spec.fixed_frame or spec.imu or spec.deskew:
             self._topics = survey.topics(plan.sources_of(spec))
         if spec.fixed_frame or spec.imu:
-            self._motion = ask_motion(survey, survey.frames, spec)
-            for facts in self._topics.values():
-                facts.ask_headers(CLOCK_HEADERS)
+            connections = survey.reader.connections
+            if spec.fixed_frame:
+                self._clocks.append(Clocks(survey, self._topics.values(), moving(connections, survey.frames.tf_topics)))
             if spec.imu_request:
-                survey.imu(spec.imu_request.topic)
+                observers = survey.imu(spec.imu_request.topic).observers(survey.reader)
+                imu = [connection for each in observers for connection in each.connections]
+                self._clocks.append(Clocks(survey, self._topics.values(), imu))
         self._sources: list[SourceFacts] = []
         for output in (each for each in plan.combined.values() if each.spec is spec):
             own = survey.topics(plan.sources_of(spec, output.scan))
@@ -217,8 +217,8 @@ class _OutputFacts:
         """
         spec, label = self._spec, self._spec.label
         conversions: dict[tuple[Any, str], Conversion] = {}
-        if self._motion:
-            tell(*clock_warnings(self._topics.values(), self._motion))
+        for clocks in self._clocks:
+            tell(*clocks.warnings())
         odometry = None
         if spec.fixed_frame and placer.buffer is not None:
             # By log time.

@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from pc2scan.advice.checks import request_warnings
-from pc2scan.advice.clocks import other_clocks
+from pc2scan.advice.clocks import Clocks
 from pc2scan.advice.survey import Survey
 from pc2scan.bags.damage import mention
 from pc2scan.bags.destinations import (
@@ -195,7 +195,10 @@ def _judge(
     }
     if far and not options.clock:
         doubtful = [each for each in plan.converted if each.topic in far]
-        report.add([*other_clocks(Survey(reader, (), options.frames, prepared.span), doubtful)])
+        survey = Survey(reader, (), options.frames, prepared.span)
+        clocks = Clocks(survey, survey.topics(doubtful).values())
+        survey.read()
+        report.add(clocks.warnings())
     routes = recording.routes.values()
     report.messages_declared, difference = compare_counts(reader, routes, options, report)
     report.damage += difference

@@ -10,6 +10,7 @@ from threading import Lock
 from typing import TYPE_CHECKING
 
 from pc2scan.advice.clocks import measure_offsets
+from pc2scan.advice.survey import Span
 from pc2scan.bags.opening import open_recordings
 from pc2scan.bags.reader import ChangedReader
 from pc2scan.bags.topics import by_topic, find_topic
@@ -136,7 +137,7 @@ def corrected(
         for topic, offset in offsets.items()
         if topic in topics and (offset is None or abs(offset) > _CONSTANT_NS)
     }
-    measured = measure_offsets(reader, wanted, tf_topics, start_ns, stop_ns) if wanted else {}
+    measured = measure_offsets(reader, wanted, tf_topics, Span(start_ns, stop_ns, 0)) if wanted else {}
     for topic, found in measured.items():
         if (given_ns := offsets[topic]) is None:
             offsets[topic] = found.offset_ns
