@@ -186,7 +186,6 @@ PARTS = {
         filled(*(range(i, i + 6) if i % 360 < 200 else () for i in range(0, 720, 6))),
         "parts",
     ),
-    "a few directions": (filled(*(range(10, 15) for _ in range(20))), "few-directions"),
     "a wall on one side": (filled(*(range(100, 160) for _ in range(30))), ""),
     "a robot that turns before a wall": (packets(70, 20), ""),
     "a lidar that is coarser than the beams": (by_chance(0.25), ""),

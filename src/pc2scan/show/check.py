@@ -14,7 +14,7 @@ from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics, unheard
 from pc2scan.core.consumers import CONSUMERS
 from pc2scan.core.verdicts import OUTCOMES
-from pc2scan.errors import DecodeError, TopicError, leading, stamp_text
+from pc2scan.errors import DecodeError, TopicError, leading
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.other_clouds import without
 from pc2scan.model import copied_message
@@ -27,6 +27,7 @@ from pc2scan.transforms.robot_model import NO_MODEL
 
 from .scan_frames import Arrivals, ScanFrames, mounting_findings
 from .scan_topic import ConsumerCheck, Finding, ScanTopic
+from .spread import count_range
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -43,17 +44,19 @@ if TYPE_CHECKING:
 _MAX_SHOWN = 5
 
 
-#: The defects of scans that are of no use, and the consumers to whom they are of none: Nav2 does not match scans, and
-#: needs no odometry.
-_UNUSABLE: dict[str, frozenset[str]] = {
+#: What a consumer does with a topic without scans, and all outcomes, the worst last.
+_NOTHING = "nothing to take"
+_WORST = (*OUTCOMES, _NOTHING)
+
+#: The defects that make scans useless to consumers, and those who can use them nevertheless: Nav2 does not match scans,
+#: and needs no odometry; only slam_toolbox has a queue of one.
+_NAV2 = frozenset({"nav2"})
+_USEFUL_TO: dict[str, frozenset[str]] = {
     **dict.fromkeys(
-        ("angles", "full-circle", "moving-frame", "no-returns", "optical-frame", "parts", "static-unheard"),
-        frozenset(CONSUMERS),
+        ("angles", "full-circle", "moving-frame", "no-returns", "optical-frame", "parts", "static-unheard"), frozenset()
     ),
-    "transforms-late": frozenset({"slam_toolbox"}),
-    **dict.fromkeys(
-        ("few-directions", "odometry-direction", "stamps-back", "stamps-zero"), frozenset(CONSUMERS) - {"nav2"}
-    ),
+    **dict.fromkeys(("odometry-direction", "stamps-back", "stamps-zero"), _NAV2),
+    "transforms-late": frozenset(CONSUMERS) - {"slam_toolbox"},
 }
 
 
@@ -90,9 +93,14 @@ class TopicCheck:
 
     def lines(self, asked: tuple[str, ...]) -> Iterator[str]:
         """Yield the text of a report, with the verdicts of these consumers, or of all."""
-        yield f"{leading(self.topic)}: {self._summary()}"
-        if self.first is not None:
-            scan = self.first
+        scan = self.first
+        if scan is None:
+            yield f"{leading(self.topic)}: no scans"
+        else:
+            frames = ", ".join(map(repr, self.frames[:_MAX_SHOWN])) + (", ..." if self.frames[_MAX_SHOWN:] else "")
+            rate = "" if self.interval_ns is None else f", {1e9 / self.interval_ns:.2f} Hz"
+            beams = f"{count_range(*self.beams)} beams"
+            yield f"{leading(self.topic)}: {counted(self.scans, 'scan')} of {beams}{rate}, in frame {frames}"
             yield (
                 f"  angles {scan.angle_min:.6g} to {scan.angle_max:.6g} rad by {scan.angle_increment:.6g}, "
                 f"ranges {scan.range_min:.4g} to {scan.range_max:.4g} m"
@@ -102,20 +110,8 @@ class TopicCheck:
             if not asked or consumer.consumer in asked:
                 yield from consumer.lines(self.scans)
         for finding in self.findings:
-            since = "" if finding.stamp_ns is None else f" (first at {stamp_text(finding.stamp_ns)})"
-            yield f"  {finding.level}: {finding.text}{since}"
-            if finding.hint:
-                yield f"          {finding.hint}"
+            yield from finding.lines()
         yield ""
-
-    def _summary(self) -> str:
-        if not self.scans:
-            return "no scans"
-        low, high = self.beams
-        beams = counted(high, "beam") if low == high else f"{low:,} to {high:,} beams"
-        frames = ", ".join(map(repr, self.frames[:_MAX_SHOWN])) + (", ..." if self.frames[_MAX_SHOWN:] else "")
-        rate = "" if self.interval_ns is None else f", {1e9 / self.interval_ns:.2f} Hz"
-        return f"{counted(self.scans, 'scan')} of {beams}{rate}, in frame {frames}"
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -150,39 +146,29 @@ class Check(Result):
         return self.asked or tuple(CONSUMERS)
 
     @property
-    def accepted(self) -> bool:
-        """Whether all consumers that count accept every scan of every topic; False without scans.
-
-        Beams that are shifted, by up to one increment, count only if consumers are given: no scan satisfies both
-        slam_toolbox and gmapping, unless it is a full circle.
-        """
-        taken = ("accepted",) if self.asked else ("accepted", "shifted")
-        outcomes = [{each.consumer: each.outcome for each in topic.consumers} for topic in self.topics]
-        return all(of_topic.get(consumer) in taken for of_topic in outcomes for consumer in self.counting)
+    def _refused(self) -> list[tuple[str, str, str]]:
+        """Outcome, topic and consumer, where a consumer that counts does not accept every scan of a topic."""
+        outcomes = {topic.topic: {each.consumer: each.outcome for each in topic.consumers} for topic in self.topics}
+        every = [(own.get(name, _NOTHING), topic, name) for topic, own in outcomes.items() for name in self.counting]
+        return [each for each in every if each[0] != "accepted"]
 
     @property
     def _defects(self) -> list[str]:
-        """The kinds of the defects of all topics."""
-        return [each.kind for topic in self.topics for each in topic.findings if each.level == "defect"]
-
-    @property
-    def unusable(self) -> bool:
-        """Whether scans are of no use: empty, parts, in a frame that is no sensor's, or at impossible angles."""
-        return any(not _UNUSABLE.get(kind, frozenset()).isdisjoint(self.counting) for kind in self._defects)
-
-    @property
-    def defects(self) -> int:
-        """How many findings are defects; a damaged recording counts as one."""
-        return len(self._defects) + bool(self.damage)
+        """The kinds of all defects."""
+        kinds = [each.kind for topic in self.topics for each in topic.findings if each.level == "defect"]
+        return [*kinds, *["damage"] * bool(self.damage)]
 
     @property
     def exit_status(self) -> int:
         """0 if the scans are good, 1 if not.
 
-        If consumers are given: 0 if these accept every scan of every topic, and none is `unusable`. Otherwise: 0 if all
-        do, and there is no defect.
+        If consumers are given: 0 if these accept every scan of every topic, and no defect makes them useless. Otherwise
+        0 if all consumers do, and there is no defect; but beams may be shifted by up to one increment, because no scan
+        satisfies both slam_toolbox and gmapping, unless it is a full circle.
         """
-        return int(not self.accepted or self.unusable or (not self.asked and self.defects > 0))
+        refused = any(self.asked or outcome != "shifted" for outcome, _, _ in self._refused)
+        useless = any(not _USEFUL_TO[kind].issuperset(self.counting) for kind in self._defects if kind in _USEFUL_TO)
+        return int(refused or useless or (not self.asked and bool(self._defects)))
 
     def body(self, *, verbose: bool = False) -> Iterator[Part]:
         """Yield the results by topic, and which consumers would not accept what."""
@@ -192,24 +178,16 @@ class Check(Result):
 
     def _conclusion(self) -> str:
         """Return in one line which consumers would not accept what, the worst first."""
-        several = len(self.topics) > 1
-        refusing: dict[str, dict[str, list[str]]] = {}
-        for topic in self.topics:
-            outcomes = {consumer.consumer: consumer.outcome for consumer in topic.consumers}
-            for consumer in self.counting:
-                outcome = outcomes.get(consumer, "nothing to take")
-                if outcome != "accepted":
-                    refusing.setdefault(outcome, {}).setdefault(topic.topic, []).append(consumer)
-        parts = [
-            f"{outcome}{f' ({topic})' if several else ''}: {', '.join(consumers)}"
-            for outcome in ("nothing to take", *reversed(OUTCOMES))
-            for topic, consumers in refusing.get(outcome, {}).items()
-        ]
-        if self.defects:
-            parts.append(counted(self.defects, "defect"))
+        refusing: dict[tuple[str, str], list[str]] = {}
+        for outcome, topic, consumer in sorted(self._refused, key=lambda each: -_WORST.index(each[0])):
+            of = f" ({topic})" if len(self.topics) > 1 else ""
+            refusing.setdefault((outcome, of), []).append(consumer)
+        parts = [f"{outcome}{of}: {', '.join(consumers)}" for (outcome, of), consumers in refusing.items()]
+        if defects := len(self._defects):
+            parts.append(counted(defects, "defect"))
         if not parts:
             return f"ok: accepted by {', '.join(self.counting)}"
-        verdict = "not ok" if self.exit_status else "accepted" if self.defects else "ok"
+        verdict = "not ok" if self.exit_status else "accepted" if defects else "ok"
         return "; ".join((verdict, *parts))
 
     def __repr__(self) -> str:
@@ -265,7 +243,7 @@ def check(
         readers = open_recordings(sources, stack)
         reader = as_one(readers)
         try:
-            chosen = _scan_connections(reader, tuple(topics))
+            chosen = scan_connections(reader, topics)
         except TopicError as err:
             mention(reader.damage, err)
             raise
@@ -307,8 +285,8 @@ def check(
     return Check(tuple(map(str, sources)), asked, tuple(checked), (*transforms.warnings, *transforms.notes), damage)
 
 
-def _scan_connections(reader: Reader, topics: tuple[str, ...]) -> dict[str, list[Connection]]:
-    """Return the connections of the topics to check, by topic."""
+def scan_connections(reader: Reader, topics: Iterable[str]) -> dict[str, list[Connection]]:
+    """Return the connections with scans of the given topics, or of all, by topic."""
     types: dict[str, set[str]] = {}
     scans: dict[str, list[Connection]] = {}
     for connection in reader.connections:

@@ -6,6 +6,7 @@ import math
 from array import array
 from bisect import bisect_left
 from contextlib import suppress
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from pc2scan.advice.odometry import OTHER_ODOMETRY, odometry_of
@@ -21,7 +22,7 @@ from pc2scan.transforms.placing import Placer
 from pc2scan.transforms.summary import BODIES
 from pc2scan.transforms.world_frames import find_body_motion
 
-from .scan_topic import Finding, Tally, few_unplaced
+from .scan_topic import Counted, Finding, Level, few_unplaced
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator
@@ -37,9 +38,6 @@ _TILT = 0.001
 
 #: A frame's z axis is not up if the cosine between it and the robot's is below this: 45 degrees and more.
 _SIDEWAYS = math.sqrt(0.5)
-
-#: The names of camera frames, whose z axis points forward (REP 103).
-_OPTICAL = ("_optical_frame", "_optical")
 
 _HINT = "`pc2scan tf` shows the frames; `tf_from` reads transforms from another recording"
 
@@ -73,6 +71,32 @@ class Arrivals:
         return latest
 
 
+@dataclass(slots=True)
+class _Frame:
+    """What is known of the scans in one frame.
+
+    Attributes
+    ----------
+    scans
+        How many there are.
+    missing
+        Those without a transform to the odometry, although there are some.
+    reason, hint
+        Why the first of these has none, and what to do.
+    pose
+        The first place on the robot: x, y and yaw.
+    moving
+        The frames that move between this one and the odometry's.
+    """
+
+    scans: int = 0
+    missing: Counted = field(default_factory=Counted)
+    reason: str = ""
+    hint: str = ""
+    pose: tuple[float, float, float] | None = None
+    moving: list[str] | None = None
+
+
 class ScanFrames:
     """The transforms that the scans of one topic need, looked up scan by scan.
 
@@ -98,51 +122,42 @@ class ScanFrames:
         clock: ClockFinding | None,
         arrivals: Arrivals,
     ) -> None:
-        self._buffer = buffer
-        self._odom = odom_frame.removeprefix("/")
-        known = set(buffer.frames)
-        self._base = base_frame.removeprefix("/") or next((f for f in BODIES if f in known), BODIES[0])
-        self._named = bool(base_frame)
-        self._clock = clock
-        self._arrivals = arrivals
+        self._buffer, self._clock, self._arrivals = buffer, clock, arrivals
         self._trees = {frame: number for number, tree in enumerate(buffer.trees) for frame in tree.frames}
-        self._scans: dict[str, int] = {}
-        self._missing: dict[str, Tally] = {}
-        #: Why the first transform of a frame is missing, and what to do.
-        self._reasons: dict[str, tuple[str, str]] = {}
+        self._odom = odom_frame.removeprefix("/")
+        self._base = base_frame.removeprefix("/") or next((f for f in BODIES if f in self._trees), BODIES[0])
+        #: Without transforms of the robot, its frame may have another name.
+        self._knows_base = bool(base_frame) or not self._trees or self._base in self._trees
+        self._frames: dict[str, _Frame] = {}
         self._looked = 0
-        self._tilted, self._sideways, self._late = Tally(), Tally(), Tally()
+        self._tilted, self._sideways, self._late = Counted(), Counted(), Counted()
         self._tilt = 0.0
-        #: The first place of each frame on the robot: x, y and yaw.
-        self._first_poses: dict[str, tuple[float, float, float]] = {}
-        #: The frames that move between a scan's and the odometry's.
-        self._moving: dict[str, list[str]] = {}
         #: The last scan: its stamp, and when its transform was known.
         self._waiting = (0, 0)
 
     def add(self, frame_id: str, stamp_ns: int, log_time_ns: int) -> ScanTransforms:
         """Look up one scan's transforms; scans are added in the order of their log times."""
-        frame = frame_id.removeprefix("/")
+        name = frame_id.removeprefix("/")
+        frame = self._frames.setdefault(name, _Frame())
+        frame.scans += 1
         earlier_ns, known_ns = self._waiting
         if known_ns > log_time_ns > 0:
             self._late.add(earlier_ns)
-        self._scans[frame] = self._scans.get(frame, 0) + 1
-        odometry, missing, hint = self._lookup(frame, self._odom, stamp_ns)
-        if odometry is None and self._joined(frame, self._odom):
-            self._missing.setdefault(frame, Tally()).add(stamp_ns)
-            self._reasons.setdefault(frame, (missing, hint))
-        self._waiting = stamp_ns, 0 if odometry is None else self._known_ns(frame, stamp_ns)
-        robot, why, how = self._lookup(frame, self._base, stamp_ns)
-        known: bool | None = robot is not None
-        if robot is None and self._trees and self._base not in self._trees and not self._named:
-            # The name of the robot's frame is unknown.
-            known = None
+        odometry, missing, hint = self._lookup(name, self._odom, stamp_ns)
+        if odometry is None and self._joined(name, self._odom):
+            frame.missing.add(stamp_ns)
+            if frame.missing.count == 1:
+                frame.reason, frame.hint = missing, hint
+        self._waiting = stamp_ns, 0 if odometry is None else self._known_ns(name, frame, stamp_ns)
+        robot, why, how = self._lookup(name, self._base, stamp_ns)
+        known = robot is not None if robot is not None or self._knows_base else None
         up, turned, moved = None, 0.0, 0.0
         if robot is not None:
             up = self._up(robot, stamp_ns)
             if odometry is not None:
-                x, y, yaw = pose = *robot.translation.tolist()[:2], robot.rpy[2]
-                first_x, first_y, first_yaw = self._first_poses.setdefault(frame, pose)
+                x, y, yaw = *robot.translation.tolist()[:2], robot.rpy[2]
+                frame.pose = frame.pose or (x, y, yaw)
+                first_x, first_y, first_yaw = frame.pose
                 turned, moved = math.remainder(yaw - first_yaw, TURN), math.hypot(x - first_x, y - first_y)
         return ScanTransforms(
             frame_id=frame_id,
@@ -152,15 +167,14 @@ class ScanFrames:
             turned=turned,
             moved=moved,
             missing=missing or why,
-            cure="" if odometry is not None and known is not False else self._cure(frame, hint or how),
+            cure="" if odometry is not None and known is not False else self._cure(name, hint or how),
         )
 
-    def _known_ns(self, frame: str, stamp_ns: int) -> int:
+    def _known_ns(self, name: str, frame: _Frame, stamp_ns: int) -> int:
         """Return the log time from which on a frame's transform to the odometry was known at a stamp; 0: always."""
-        if frame not in self._moving:
-            links = self._buffer.moving_links(self._odom, frame)
-            self._moving[frame] = [self._buffer.frames[link.child] for link in links]
-        return self._arrivals.known_ns(self._moving[frame], stamp_ns)
+        if frame.moving is None:
+            frame.moving = [self._buffer.frames[link.child] for link in self._buffer.moving_links(self._odom, name)]
+        return self._arrivals.known_ns(frame.moving, stamp_ns)
 
     def _lookup(self, frame: str, target: str, stamp_ns: int) -> tuple[Rigid | None, str, str]:
         """Return the transform to a frame at a stamp; or None, why there is none, and what to do."""
@@ -192,7 +206,7 @@ class ScanFrames:
     def _joined(self, one: str, other: str) -> bool:
         return one in self._trees and self._trees[one] == self._trees.get(other)
 
-    def _cure(self, frame: str, hint: str) -> str:
+    def _cure(self, frame: str, hint: str = "") -> str:
         """Return what gives scans the transforms that they lack, or the hint of the transform's error.
 
         Empty if only recording transforms does.
@@ -200,8 +214,7 @@ class ScanFrames:
         if not frame or not self._trees:
             return ""
         if frame not in self._trees:
-            near = nearest(frame, self._trees)
-            if near:
+            if near := nearest(frame, self._trees):
                 return f"did you mean {near}? For scans made from clouds: pc2scan convert `source_frame={near}`"
             return f"for scans made from clouds: pc2scan convert {mount_text(frame, self._trees)}"
         return self._naming("odom_frame", self._odom) if self._odom not in self._trees else hint
@@ -241,41 +254,42 @@ class ScanFrames:
         if not self._trees:
             text = "the recording has no transforms: SLAM and navigation drop scans that they cannot place"
             yield Finding("no-transforms", "notice", text, NO_TRANSFORMS)
-        elif self._clock is not None:
-            yield Finding("clock", "notice", self._clock.text, self._gap_cure)
-        if self._trees:
+        else:
+            if self._clock is not None:
+                yield Finding("clock", "notice", self._clock.text, self._gap_cure)
             yield from self._name_findings()
             odometry = odometry_of(self._buffer, self._odom, self._base)
             if odometry.fault:
                 yield Finding("odometry-direction", "defect", odometry.fault, f"pc2scan convert {OTHER_ODOMETRY}")
-            # An empty name is reported with the scans themselves.
-            for frame in filter(None, self._scans):
-                yield from self._frame_findings(frame, interval_ns)
-        scans = sum(self._scans.values())
+            for name, frame in self._frames.items():
+                # An empty name is reported with the scans themselves.
+                if name:
+                    yield from self._frame_findings(name, frame, interval_ns)
+        scans = sum(frame.scans for frame in self._frames.values())
         if self._late.count and not few_unplaced(self._late.count, scans, interval_ns):
             text = (
                 f"{self._late.count:,} of {counted(scans, 'scan')} have their transform to {self._odom!r} logged only "
                 "after the next scan: a message filter with a queue of one, as slam_toolbox has, drops them"
             )
+            level: Level = "defect" if 2 * self._late.count >= scans else "notice"
             hint = "publish the transforms sooner, or give slam_toolbox a larger scan_queue_size"
-            yield self._late.finding(
-                "transforms-late", "defect" if 2 * self._late.count >= scans else "notice", text, hint
-            )
+            yield self._late.finding("transforms-late", level, text, hint)
         yield from self._level_findings()
 
     def _name_findings(self) -> Iterator[Finding]:
         roots = ", ".join(root for tree in self._buffer.trees for root in tree.roots)
-        if self._odom not in self._trees:
-            text = f"there is no frame {self._odom!r} (odometry) in the transforms; their roots: {roots}"
-            still = "" if self._robot_moves else "; the robot does not move in them"
-            yield Finding("no-odometry-frame", "defect", text + still, self._naming("odom_frame", self._odom))
-        if self._base not in self._trees:
-            text = f"there is no frame {self._base!r} (robot) in the transforms; their roots: {roots}"
-            yield Finding("no-robot-frame", "notice", text, self._naming("base_frame", self._base))
+        still = "" if self._robot_moves else "; the robot does not move in them"
+        named: tuple[tuple[str, str, str, Level, str], ...] = (
+            (self._odom, "odometry", "odom_frame", "defect", still),
+            (self._base, "robot", "base_frame", "notice", ""),
+        )
+        for name, role, option, level, more in named:
+            if name not in self._trees:
+                text = f"there is no frame {name!r} ({role}) in the transforms; their roots: {roots}{more}"
+                yield Finding(f"no-{role}-frame", level, text, self._naming(option, name))
 
     def _level_findings(self) -> Iterator[Finding]:
         hint = "for scans made from clouds: pc2scan convert `target_frame=base_link`; a scan lies in the x-y plane"
-        named = [frame for frame in self._scans if frame.endswith(_OPTICAL)]
         # A tilting lidar points sideways for a moment.
         if 2 * self._sideways.count > self._looked:
             text = (
@@ -283,45 +297,36 @@ class ScanFrames:
                 f"cameras (optical frames): it is turned by up to {self._tilt:.1f} deg from that of {self._base}"
             )
             yield self._sideways.finding("optical-frame", "defect", text, hint)
-        elif named and not self._looked:
-            text = f"the frame {named[0]!r} is an optical frame, judging by its name: z is forward, scans lie across it"
-            yield Finding("optical-frame", "defect", text, hint, self._scans[named[0]])
         elif self._tilted.count:
             text = (
                 f"{counted(self._tilted.count, 'scan', 'are')} tilted against {self._base}, by up to "
                 f"{self._tilt:.1f} deg: 2D SLAM treats them as level"
             )
-            yield self._tilted.finding(
-                "tilted", "notice", text, "for scans made from clouds: pc2scan convert `target_frame`"
-            )
+            yield self._tilted.finding("tilted", "notice", text, hint)
 
-    def _frame_findings(self, frame: str, interval_ns: float | None) -> Iterator[Finding]:
-        scans = self._scans[frame]
-        if frame not in self._trees:
-            text = f"the scan's frame {frame!r} is not in the transforms"
-            yield Finding("frame-unknown", "defect", text, self._cure(frame, ""), scans)
+    def _frame_findings(self, name: str, frame: _Frame, interval_ns: float | None) -> Iterator[Finding]:
+        if name not in self._trees:
+            text = f"the scan's frame {name!r} is not in the transforms"
+            yield Finding("frame-unknown", "defect", text, self._cure(name), frame.scans)
             return
-        moving = find_body_motion(self._buffer, frame, self._base)
-        if moving is not None:
+        if moving := find_body_motion(self._buffer, name, self._base):
             text = (
-                f"the scan's frame {frame!r} is one that {moving.body} moves in (by {moving.metres:.2f} m): scans are "
+                f"the scan's frame {name!r} is one that {moving.body} moves in (by {moving.metres:.2f} m): scans are "
                 "measured from its origin, and consumers expect them from the robot"
             )
             hint = f"for scans made from clouds: pc2scan convert `target_frame={moving.body}`"
-            yield Finding("moving-frame", "defect", text, hint, scans)
-        apart = [name for name in (self._odom, self._base) if name in self._trees and not self._joined(frame, name)]
-        if apart:
-            text = f"the scan's frame {frame!r} is not connected with {' or '.join(map(repr, apart))}"
-            yield Finding("frame-apart", "defect" if self._odom in apart else "notice", text, _HINT, scans)
-        if missing := self._missing.get(frame):
-            share = f"{missing.count:,} of {scans:,} scans"
-            text = f"{share} have no transform from {frame!r} to {self._odom!r} at their stamp"
-            if few_unplaced(missing.count, scans, interval_ns):
-                hint = "a few at the beginning and the end are usual, and SLAM drops them; " + _HINT
-                yield missing.finding("no-transform", "notice", text, hint)
+            yield Finding("moving-frame", "defect", text, hint, frame.scans)
+        if self._odom in self._trees and not self._joined(name, self._odom):
+            text = f"the scan's frame {name!r} is not connected with {self._odom!r}"
+            yield Finding("frame-apart", "defect", text, _HINT, frame.scans)
+        if missing := frame.missing.count:
+            which = f"{missing:,} of {frame.scans:,} scans"
+            text = f"{which} have no transform from {name!r} to {self._odom!r} at their stamp"
+            if few_unplaced(missing, frame.scans, interval_ns):
+                hint = f"a few at the beginning and the end are usual, and SLAM drops them; {_HINT}"
+                yield frame.missing.finding("no-transform", "notice", text, hint)
             else:
-                why, hint = self._reasons[frame]
-                yield missing.finding("no-transform", "defect", f"{text}: {why}", hint or _HINT)
+                yield frame.missing.finding("no-transform", "defect", f"{text}: {frame.reason}", frame.hint or _HINT)
 
 
 def mounting_findings(

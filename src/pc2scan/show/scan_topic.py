@@ -40,6 +40,9 @@ _MILLIMETRES = 500.0
 #: Rounding of a driver's ``time_increment``.
 _ROUNDING = 1.01
 
+#: A scan whose beams take so many times the interval has a ``time_increment`` in another unit.
+_LONG = 10.0
+
 #: An interval that differs from the median by more than this share is reported: scans are missing or repeated.
 _STUTTER = 0.5
 
@@ -64,9 +67,6 @@ _FEWEST_RETURNS = 4
 #: How constant the steps from part to part are: the length of the mean of the steps as directions. It is 1 for a lidar
 #: that turns, and near 0 for single returns in directions by chance, such as of dust.
 _STEADY = 0.5
-
-#: If fewer than this share of the directions have a return in any scan, no consumer can match the scans.
-_FEW = 0.05
 
 #: What to do about stamps that are out of order.
 _BACK = (
@@ -99,11 +99,6 @@ _EACH_SCAN: dict[str, tuple[str, str, str]] = {
     "stamps-back": ("have", "a stamp before that of the scan before", _BACK),
     "stamps-repeated": ("repeat", "the stamp of the scan before", _BACK),
     "stamps-zero": ("have", "no stamp (0)", _BACK),
-    "time-increment": (
-        "take",
-        "longer from the first beam to the last (time_increment) than from one scan to the next (scan_time)",
-        "time_increment * (beams - 1) should be at most scan_time",
-    ),
     "times": ("have", "a scan_time or time_increment that is not a valid duration", ""),
     "no-returns": (
         "have",
@@ -113,7 +108,7 @@ _EACH_SCAN: dict[str, tuple[str, str, str]] = {
 }
 
 #: Those that are notices; the others are defects. Without returns, half of the scans are a defect.
-_NOTICES = {"time-increment", "times", "no-returns"}
+_NOTICES = {"times", "no-returns"}
 
 #: What is counted range by range: the counts of `ConsumerScan`, the problem, and what the user can do.
 _EACH_RANGE = {
@@ -155,17 +150,24 @@ class Finding:
     count: int = 0
     stamp_ns: int | None = None
 
+    def lines(self) -> Iterator[str]:
+        """Yield the text of a report."""
+        since = "" if self.stamp_ns is None else f" (first at {stamp_text(self.stamp_ns)})"
+        yield f"  {self.level}: {self.text}{since}"
+        if self.hint:
+            yield f"          {self.hint}"
+
 
 @dataclass(slots=True)
-class Tally:
-    """A count, and the stamp of the first occurrence; of verdicts, also the first one."""
+class Counted:
+    """How many scans have a problem, and the stamp of the first; of verdicts, also the first one."""
 
     count: int = 0
     stamp_ns: int = 0
     verdict: Verdict | None = None
 
     def add(self, stamp_ns: int, verdict: Verdict | None = None) -> None:
-        """Count one more."""
+        """Count one more scan."""
         if not self.count:
             self.stamp_ns, self.verdict = stamp_ns, verdict
         self.count += 1
@@ -241,14 +243,14 @@ class ScanTopic:
         self.frames: Counter[str] = Counter()
         self.beams: Counter[int] = Counter()
         #: The verdicts of each consumer, by outcome; those about transforms are beside the others.
-        self._verdicts: dict[str, dict[str, Tally]] = {consumer: {} for consumer in CONSUMERS}
-        self._undecodable = Tally()
+        self._verdicts: dict[str, dict[str, Counted]] = {consumer: {} for consumer in CONSUMERS}
+        self._undecodable = Counted()
         self._reason = ""
         self._first_of: dict[str, ConsumerScan] = {}
         self._kept_of: dict[tuple[str, str], ConsumerScan] = {}
-        self._tallies = {kind: Tally() for kind in _EACH_SCAN}
+        self._tallies = {kind: Counted() for kind in _EACH_SCAN}
         self._ranges: Counter[str] = Counter()
-        self._spread: list[float] = []
+        self._median = 0.0
         self._stamps = _Stamps()
         self._sectors = _Sectors()
 
@@ -264,8 +266,8 @@ class ScanTopic:
         self.scans += 1
         if self.first is None:
             self.first = scan
-            finite = np.sort(message.ranges[np.isfinite(message.ranges)])
-            self._spread = [float(finite[place]) for place in (0, len(finite) // 2, -1)] if len(finite) else []
+            finite = message.ranges[np.isfinite(message.ranges)]
+            self._median = float(np.median(finite)) if len(finite) else 0.0
         self.frames[frame] += 1
         self.beams[scan.beams] += 1
         self._judge(scan, frame, stamp_ns, placed)
@@ -278,7 +280,6 @@ class ScanTopic:
             "angles": not angles,
             "full-circle": angles and _turn(scan) > TURN * _ROUNDING,
             "intensities": scan.intensities not in (0, scan.beams),
-            "time-increment": scan.time_increment * (scan.beams - 1) > scan.scan_time * _ROUNDING > 0,
             "times": not (0 <= scan.scan_time < math.inf and abs(scan.time_increment) < math.inf),
             "no-returns": not scan.returns,
             **self._stamps.add(stamp_ns, log_time_ns),
@@ -294,11 +295,11 @@ class ScanTopic:
             kept = self._kept_of.get((consumer, frame))
             verdict = judge(consumer, scan, kept, placed)
             if verdict.unplaced:
-                verdicts.setdefault("unplaced", Tally()).add(stamp_ns, verdict)
+                verdicts.setdefault("unplaced", Counted()).add(stamp_ns, verdict)
                 verdict = judge(consumer, scan, kept)
             else:
                 self._kept_of.setdefault((consumer, frame), scan)
-            verdicts.setdefault(verdict.outcome, Tally()).add(stamp_ns, verdict)
+            verdicts.setdefault(verdict.outcome, Counted()).add(stamp_ns, verdict)
 
     @property
     def interval_ns(self) -> float | None:
@@ -312,7 +313,7 @@ class ScanTopic:
         """
         for consumer, verdicts in self._verdicts.items() if self.scans else ():
             outcome = [known for known in OUTCOMES if known in verdicts][-1]
-            unplaced = verdicts.get("unplaced", Tally())
+            unplaced = verdicts.get("unplaced", Counted())
             few = few_unplaced(unplaced.count, self.scans, self.interval_ns)
             worst = unplaced if outcome in ("accepted", "shifted") and not few else verdicts[outcome]
             verdict = worst.verdict
@@ -338,7 +339,6 @@ class ScanTopic:
             named = ", ".join(repr(name) for name in list(self.frames)[:5])
             text = f"{len(self.frames)} frames on one topic: {named}"
             yield Finding("frames", "notice", text, "use a topic for each sensor")
-        doubt = self._increment_doubt(first)
         increment = f"{first.angle_increment:.6g} rad ({math.degrees(first.angle_increment):.4g} deg)"
         facts = {
             "low": min(self.beams),
@@ -348,42 +348,37 @@ class ScanTopic:
         }
         for kind, (verb, problem, hint) in _EACH_SCAN.items():
             tally = self._tallies[kind]
-            if not tally.count or (kind == "time-increment" and doubt):
+            if not tally.count:
                 continue
             of = f"{tally.count:,} of {counted(self.scans, 'scan')} {agreeing(tally.count, verb)}"
             few = kind in _NOTICES and (kind != "no-returns" or 2 * tally.count <= self.scans)
             yield tally.finding(kind, "notice" if few else "defect", f"{of} {problem.format(**facts)}", hint)
-        if doubt:
-            yield doubt
+        yield from self._increment_findings(first)
         yield from self._stamps.findings(first.scan_time * 1e9)
         yield from self._sectors.findings()
         yield from self._range_findings()
 
-    def _increment_doubt(self, first: ConsumerScan) -> Finding | None:
-        """Return what is implausible about the time_increment."""
+    def _increment_findings(self, first: ConsumerScan) -> Iterator[Finding]:
         if self.interval_ns is None or not has_angles(first) or not _turn(first):
-            return None
-        turn = abs(first.time_increment) * (first.beams - 1) / min(1.0, _turn(first) / TURN)
-        period = self.interval_ns / 1e9
-        doubt = increment_doubt(turn, period)
-        hint = f"{IN_SECONDS}; pc2scan convert `rebin=True` writes 0"
-        return Finding("time-increment", "defect" if turn > period else "notice", doubt, hint) if doubt else None
+            return
+        span, period = abs(first.time_increment) * (first.beams - 1), self.interval_ns / 1e9
+        doubt = increment_doubt(span / min(1.0, _turn(first) / TURN), period)
+        if span > period * _ROUNDING:
+            doubt = doubt or f"by its time_increment a scan takes {span:.3g} s, but scans come every {period:.3g} s"
+        if doubt:
+            level: Level = "defect" if span > _LONG * period else "notice"
+            yield Finding("time-increment", level, doubt, f"{IN_SECONDS}; pc2scan convert `rebin=True` writes 0")
 
     def _range_findings(self) -> Iterator[Finding]:
-        if self._spread and self._spread[1] >= _MILLIMETRES:
-            low, middle, high = self._spread
-            text = f"ranges of the first scan are {low:,.0f} to {high:,.0f} m (median {middle:,.0f} m)"
+        if self._median >= _MILLIMETRES:
+            text = f"the median range of the first scan is {self._median:,.0f} m"
             hint = "ranges are metres; if the clouds are in millimetres: pc2scan convert `cloud_scale=0.001`"
             yield Finding("units", "notice", text, hint)
         for name, (problem, hint) in _EACH_RANGE.items():
             if count := self._ranges[name]:
-                zeros = self._ranges["zero short"] if name == "short" else 0
-                text = f"{self._share(count)} of the ranges {problem}" + f" ({self._share(zeros)} are 0)" * bool(zeros)
+                zeros = f" ({self._ranges['zero short']:,} are 0)" if name == "short" else ""
+                text = f"{count:,} of {self._ranges['beams']:,} ranges {problem}{zeros}"
                 yield Finding(f"ranges-{name}", "notice", text, hint)
-
-    def _share(self, count: int) -> str:
-        total = self._ranges["beams"]
-        return f"{count / total:.1%}" if count / total >= 0.001 else f"{count:,} of {total:,}"
 
 
 class _Stamps:
@@ -393,8 +388,7 @@ class _Stamps:
         self._last: tuple[int, int] | None = None
         self._offsets: list[int] = []
         self._intervals = array("q")
-        self._longest = (0, 0)
-        self._jumps, self._farthest = Tally(), 0
+        self._jumps, self._farthest = Counted(), 0
 
     def add(self, stamp_ns: int, log_time_ns: int) -> dict[str, bool]:
         """Add the next scan's stamp and log time; return what is wrong with the stamp."""
@@ -411,7 +405,6 @@ class _Stamps:
             self._farthest = max(self._farthest, abs(interval))
         elif interval > 0:
             self._intervals.append(interval)
-            self._longest = max(self._longest, (interval, last_ns))
         return {"stamps-back": interval < 0, "stamps-repeated": interval == 0 and not is_first}
 
     @property
@@ -430,19 +423,17 @@ class _Stamps:
             hint = "a second publisher with another clock, or a clock that was set"
             yield self._jumps.finding("clocks", "notice", text, hint)
         if self._offsets and max(map(abs, self._offsets)) > _FAR_NS:
-            side = "after" if sum(self._offsets) >= 0 else "before"
-            low, high = sorted(offset / (1e9 if side == "after" else -1e9) for offset in self._offsets)
-            text = f"log times lie {low:,.3f} to {high:,.3f} s {side} the stamps"
+            low, high = (offset / 1e9 for offset in self._offsets)
+            text = f"log times lie {low:,.3f} to {high:,.3f} s after the stamps"
             hint = "transforms are looked up by stamp: they must come from the same clock"
             yield Finding("stamps-far", "notice", text, hint)
         median = self.interval_ns
         if median is None:
             return
         if off := int(np.count_nonzero(np.abs(np.array(self._intervals) - median) > _STUTTER * median)):
-            longest, after = self._longest
             text = (
                 f"the rate stutters: {off} of {len(self._intervals)} intervals are not the usual {median / 1e9:.3f} s; "
-                f"the longest is {longest / 1e9:.3f} s, after {stamp_text(after)}"
+                f"the longest is {max(self._intervals) / 1e9:.3f} s"
             )
             yield Finding("rate", "notice", text, "scans are missing, or were stamped on arrival", off)
         if scan_time_ns > 0 and abs(scan_time_ns - median) > _SCAN_TIME * median:
@@ -457,32 +448,22 @@ class _Sectors:
     def __init__(self) -> None:
         #: By frame: the last scan's directions with a return; None if it is no part.
         self._last: dict[str, NDArray[np.bool_] | None] = {}
-        #: By frame: the directions with a return in any scan, as long as these are few.
-        self._ever: dict[str, NDArray[np.bool_]] = {}
-        self._few = True
         self._pairs = 0
-        self._parts = Tally()
+        self._parts = Counted()
         self._steps = 0j
         self._returns = self._beams = 0
 
     def add(self, frame_id: str, scan: ConsumerScan, ranges: NDArray[np.float32], stamp_ns: int) -> None:
         """Add the next scan, and its ranges, float32, shape (beams,), metres."""
-        self._few = self._few and scan.returns < _FEW * scan.beams
         if frame_id not in self._last and len(self._last) == _MOST_FRAMES:
             return
         self._returns += scan.returns
         self._beams += scan.beams
         self._pairs += frame_id in self._last
         last, self._last[frame_id] = self._last.get(frame_id), None
-        if scan.returns >= _PART * scan.beams:
+        if not _FEWEST_RETURNS <= scan.returns < _PART * scan.beams:
             return
-        returns = are_returns(ranges, scan.range_min, scan.range_max)
-        if self._few:
-            ever = self._ever.setdefault(frame_id, returns)
-            self._ever[frame_id] = ever | returns if len(ever) == len(returns) else returns
-        if scan.returns < _FEWEST_RETURNS:
-            return
-        self._last[frame_id] = returns
+        self._last[frame_id] = returns = are_returns(ranges, scan.range_min, scan.range_max)
         if last is None or len(last) != len(returns):
             return
         if np.count_nonzero(last & returns) >= _PART * min(np.count_nonzero(last), np.count_nonzero(returns)):
@@ -493,23 +474,17 @@ class _Sectors:
             self._steps += cmath.rect(1.0, (start - other) / len(returns) * TURN)
 
     def findings(self) -> Iterator[Finding]:
-        """Yield the problems."""
-        parts, ever = self._parts.count, sum(int(np.count_nonzero(filled)) for filled in self._ever.values())
-        beams = sum(map(len, self._ever.values()))
+        """Yield the problem."""
+        parts = self._parts.count
         if parts > self._pairs / 2 and abs(self._steps) > _STEADY * parts:
             text = (
                 f"the scans are parts of a turn: on average {self._returns / self._beams:.1%} of the directions have a "
                 f"return, and {parts:,} of {self._pairs:,} scans have them in another sector than the scan before"
             )
             hint = (
-                "packets of a lidar? For scans made from clouds, pc2scan convert `accumulate` with the time of a turn, "
-                "such as `accumulate=0.1`, joins them"
+                "packets of a lidar? For scans made from clouds: pc2scan convert `accumulate=0.1`, the time of a turn"
             )
             yield self._parts.finding("parts", "defect", text, hint)
-        elif self._few and ever < _FEW * beams:
-            text = f"only {ever:,} of {beams:,} directions ever have a return: SLAM and localisation cannot match scans"
-            hint = "a sector as wide as the sensor sees, or other heights: pc2scan info suggests them"
-            yield Finding("few-directions", "defect", text, hint)
 
 
 def _sector(returns: NDArray[np.bool_]) -> tuple[int, int]:

@@ -6,10 +6,8 @@ import math
 from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.bags.topics import find_topic
-from pc2scan.errors import MessageError, RecordingError, TopicError, TransformError
-from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
-from pc2scan.messages.other_clouds import without
+from pc2scan.errors import MessageError, RecordingError, TransformError
+from pc2scan.messages.clouds import SCANS
 from pc2scan.text import counted
 
 from .html import compress, description_of
@@ -19,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from pc2scan.bags.reader import Reader
+    from pc2scan.messages.laserscan import LaserScan
     from pc2scan.model import Connection, RawMessage
     from pc2scan.request.options import ConvertOptions
     from pc2scan.transforms.buffer import TransformBuffer
@@ -27,25 +26,6 @@ if TYPE_CHECKING:
 
 #: The pose of a scan that is shown in its own frame.
 _HERE = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
-
-
-def scan_connections(reader: Reader, asked: Sequence[str]) -> dict[str, list[Connection]]:
-    """Return the connections of each LaserScan topic: of all topics, or of the requested ones.
-
-    Raises
-    ------
-    TopicError
-        If there are none, or a requested topic is missing or has another type.
-    """
-    types: dict[str, set[str]] = {}
-    for connection in reader.connections:
-        types.setdefault(connection.topic, set()).add(connection.ros_type)
-    candidates = [topic for topic, kinds in types.items() if LASERSCAN in kinds]
-    if not candidates:
-        message, hint = without("PointCloud2 or LaserScan", reader.connections)
-        raise TopicError(message, hint=hint or None)
-    chosen = [find_topic(name, types, candidates, LASERSCAN) for name in asked] or candidates
-    return {topic: [c for c in reader.connections if c.topic == topic and c.ros_type == LASERSCAN] for topic in chosen}
 
 
 def scans_page(
@@ -100,7 +80,7 @@ def scans_page(
             if message is None:
                 continue
             try:
-                scan = decode_laserscan(message.data, message.connection.serialization)
+                scan = SCANS[message.connection.ros_type](message.connection.serialization, "first")(message.data)
             except MessageError as err:
                 failed.append(f"{topic} at {moment_text(message.log_time_ns)}: {err.message}")
                 continue

@@ -16,12 +16,12 @@ from pc2scan.requests import conversion_of, first_output
 from pc2scan.result import Part, Result
 from pc2scan.text import size
 
-from .check import check
+from .check import check, scan_connections
 from .clouds import Packing, clouds_page
 from .html import BEGINNING, check_page_name, html
 from .opening import Opening, opening
 from .recording import moment_text, open_recording, title_of
-from .scans import findings, scan_connections, scans_page
+from .scans import findings, scans_page
 from .shots import take_shots
 
 if TYPE_CHECKING:
