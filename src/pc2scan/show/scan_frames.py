@@ -155,7 +155,8 @@ class ScanFrames:
         if robot is not None:
             up = self._up(robot, stamp_ns)
             if odometry is not None:
-                x, y, yaw = *robot.translation.tolist()[:2], robot.rpy[2]
+                x, y, _ = robot.translation.tolist()
+                yaw = robot.rpy[2]
                 frame.pose = frame.pose or (x, y, yaw)
                 first_x, first_y, first_yaw = frame.pose
                 turned, moved = math.remainder(yaw - first_yaw, TURN), math.hypot(x - first_x, y - first_y)
