@@ -13,7 +13,7 @@ from pc2scan.advice import checks
 from pc2scan.advice.checks.clouds import CloudFacts, KnownTransforms
 from pc2scan.advice.checks.request import OutputRequest
 from pc2scan.conversion import result_checks as result
-from pc2scan.conversion.combine.counts import Jump, Run, SourceCounts
+from pc2scan.conversion.combine.grouping import Run, SourceCounts
 from pc2scan.conversion.report import Report, TopicReport
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.points import Points
@@ -182,8 +182,8 @@ def test_points_that_are_no_returns_are_not_outside_the_heights(lowest: float, t
 
 @pytest.mark.parametrize(("counts", "name", "text"), rows(TABLE, "joined"))
 def test_a_check_of_the_counts_of_several_messages(counts: dict[str, Any], name: str, text: str) -> None:
-    counts["jumps"] = [Jump(*jump) for jump in counts.get("jumps", ())]
-    counts["left"] = Run(*counts.get("left", (0, 0, 0)))
+    if "longest_unmatched" in counts:
+        counts["longest_unmatched"] = Run(*counts["longest_unmatched"])
     joined = SourceCounts(**counts)
     topic = topic_report(action="joined", joined=joined)
     found = named((*result.WARNINGS, *result.NOTES), topic, Report([], "", (ScanSpec(),)))

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pc2scan.errors import Pc2ScanError
     from pc2scan.request.options import ScanSpec
 
-    from .combine.counts import SourceCounts
+    from .combine.grouping import SourceCounts
     from .steps import ConvertedMessage
 
 #: The text for the frame of scans without a target frame.

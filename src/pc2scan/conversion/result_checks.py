@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Buffer
     from pc2scan.request.options import ScanSpec
 
-    from .combine.counts import SourceCounts
+    from .combine.grouping import SourceCounts
     from .report import Report, TopicReport
 
 #: How many topics the warning about skipped ones lists.
@@ -230,15 +230,12 @@ def jumping_stamps(topic: TopicReport, _: Report) -> Iterator[str]:
     counts = topic.joined
     if counts is None or not counts.jumped:
         return
-    listed = [
-        f"{'back' if jump.by_ns < 0 else 'ahead'} by {f'{abs(jump.by_ns) / 1e9:,.3f}'.rstrip('0').rstrip('.')} s "
-        f"at {stamp_text(jump.stamp_ns)}"
-        for jump in counts.jumps
-    ]
-    more = counts.jumped - len(listed)
+    stamp_ns, by_ns = counts.first_jump
+    far = f"{abs(by_ns) / 1e9:,.3f}".rstrip("0").rstrip(".")
+    more = f" and {counts.jumped - 1:,} more times" if counts.jumped > 1 else ""
     yield (
-        f"the stamps of {topic.topic} jump {', '.join(listed)}{f' and {more:,} more times' if more else ''}, compared "
-        f"with their log times: no scan on {topic.target} has messages from before and after"
+        f"the stamps of {topic.topic} jump {'back' if by_ns < 0 else 'ahead'} by {far} s at {stamp_text(stamp_ns)}"
+        f"{more}, compared with their log times: no scan on {topic.target} has messages from before and after"
     )
 
 
@@ -252,8 +249,8 @@ def source_in_no_scan(topic: TopicReport, _: Report) -> Iterator[str]:
             f"no message of {topic.topic} is in a scan on {scans}: its stamps are never within the window of the "
             "leading topic's"
         )
-    elif counts.scans_without:
-        first, last, number = counts.silence
+    elif counts.longest_silence is not None:
+        first, last, number = counts.longest_silence
         yield (
             f"{counted(counts.scans_without, 'scan')} on {scans} {agreeing(counts.scans_without, 'have')} "
             f"nothing of {topic.topic}; {number:,} in a row, "
@@ -271,17 +268,20 @@ def messages_in_no_scan(topic: TopicReport, _: Report) -> Iterator[str]:
 def _are_left_long(topic: TopicReport, counts: SourceCounts) -> bool:
     """Whether messages in a row are in no scan for so long that the leading topic is silent, or far from them."""
     every_ns = topic.spec.combining.every_ns if topic.spec else 0
-    long_ns = counts.left.last_stamp_ns - counts.left.first_stamp_ns
-    return topic.action == "joined" and long_ns > _NOTABLE_SILENCE_NS + every_ns
+    run = counts.longest_unmatched
+    if topic.action != "joined" or run is None:
+        return False
+    return run.last_stamp_ns - run.first_stamp_ns > _NOTABLE_SILENCE_NS + every_ns
 
 
 def _unmatched(topic: TopicReport, counts: SourceCounts) -> str:
     """Return how many messages are in no scan, and where most of them are."""
-    first, last, number = counts.left
-    where = f"{number:,} in a row, from {stamp_text(first)} to {stamp_text(last)}"
+    run = counts.longest_unmatched
+    assert run is not None
     return (
         f"{counts.unmatched:,} of {counted(counts.messages, 'message')} of {topic.topic} "
-        f"{agreeing(counts.unmatched, 'are')} in no scan on {topic.target}; {where}"
+        f"{agreeing(counts.unmatched, 'are')} in no scan on {topic.target}; {run.number:,} in a row, "
+        f"from {stamp_text(run.first_stamp_ns)} to {stamp_text(run.last_stamp_ns)}"
     )
 
 

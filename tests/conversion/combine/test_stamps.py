@@ -154,7 +154,6 @@ def test_stamps_that_jump_back_begin_a_new_series(tmp_path: Path) -> None:
         )
         (entry,) = (topic for topic in done.report.as_dict()["topics"] if topic["topic"] == "/front")
         assert entry["joined"]["jumped"] == 1
-        assert entry["joined"]["jumps"] == [{"stamp_ns": T0 + 10 * SECOND - HOUR, "by_ns": -HOUR}]
 
 
 @pytest.mark.parametrize("options", [{"every": 1}, {"every": 1, "accumulate": "10clouds"}], ids=["", "count"])

@@ -67,23 +67,23 @@ class Combiner:
         self._last = last
         self._grouper = conversion.grouper()
 
-    def add(self, arrival: Arrival, log_time_ns: int) -> list[Group[Any]]:
+    def add(self, arrival: Arrival, log_time_ns: int) -> list[Group]:
         """Take a message, and return the groups that are complete now."""
         contribution = arrival.contribution
-        return self._grouper.add(contribution.source, contribution.stamp_ns, log_time_ns, contribution.size, arrival)  # type: ignore[arg-type]
+        return self._grouper.add(contribution.source, contribution.stamp_ns, log_time_ns, contribution.size, arrival)
 
-    def finish(self) -> list[Group[Any]]:
+    def finish(self) -> list[Group]:
         """Return the groups that are still open, and add the counts to the report."""
-        groups: list[Group[Any]] = self._grouper.finish()
+        groups = self._grouper.finish()
         for number, entry in self.reports.items():
             entry.joined = self._grouper.counts[number]
             if number:
                 entry.messages_out = entry.joined.used
         return groups
 
-    def make(self, group: Group[Arrival], log_time_ns: int) -> Item:
+    def make(self, group: Group, log_time_ns: int) -> Item:
         """Make the scan of a group; runs on any thread."""
-        lead: SourceMessage[Arrival] = group.lead
+        lead: SourceMessage = group.lead
         route, output, contribution, sequence = lead.item
         made: ConvertedMessage | MessageError
         try:
@@ -94,7 +94,7 @@ class Combiner:
             err.stamp_ns = err.stamp_ns or contribution.stamp_ns
         return Item(route, log_time_ns, log_time_ns, sequence, 0, [(output, made)], is_group=True)
 
-    def is_quick(self, group: Group[Arrival]) -> bool:
+    def is_quick(self, group: Group) -> bool:
         """Whether making a scan takes less time than handing it to another thread: all points are projected already."""
         return all(member.item.contribution.nearest is not None for member in group.members)
 
@@ -186,5 +186,5 @@ def _same(item: Item | StoredChunk) -> Item | StoredChunk:
     return item
 
 
-def _size(group: Group[Arrival]) -> int:
+def _size(group: Group) -> int:
     return sum(member.size for member in group.members)

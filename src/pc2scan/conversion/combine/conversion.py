@@ -143,7 +143,7 @@ class MessagesToScan(Conversion):
         topics: Sequence[str],
         placer: Placer,
         measured: Measurements,
-        grouper: Callable[[], Grouper[Contribution]] | None,
+        grouper: Callable[[], Grouper] | None,
         deskews: Mapping[str, Deskew] | None = None,
         surroundings: Surroundings | None = None,
     ) -> None:

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from pc2scan.conversion.plan import Output
     from pc2scan.transforms.placing import Placer
 
-    from .conversion import Contribution
     from .rules import Rule
 
 #: How many messages of a topic are read to measure its period, and to compare its clock.
@@ -97,7 +96,7 @@ def _surely_differ(one_ns: int, other_ns: int) -> bool:
 
 def measure_sources(
     sources: SourceFacts, placer: Placer
-) -> tuple[Measurements, Callable[[], Grouper[Contribution]] | None, list[str], list[str]]:
+) -> tuple[Measurements, Callable[[], Grouper] | None, list[str], list[str]]:
     """Measure what scans of several messages need.
 
     Parameters
@@ -137,7 +136,7 @@ def measure_sources(
     if asked.every_ns and (spec.params.scan_time == "auto" or spec.origins.get("scan_time", "default") == "default"):
         found = Measurements(asked.every_ns / 1e9, found.time_increment, 0, found.azimuth_step)
     warnings = _doubtful(sources)
-    grouper: Callable[[], Grouper[Contribution]]
+    grouper: Callable[[], Grouper]
     if asked.accumulates:
         # The first message is in the middle of an interval: near its edge, jitter would move messages to the next.
         half_ns = (sources.period_ns(lead) or 0) // 2

@@ -12,9 +12,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import ClassVar, Generic, TypeAlias, TypeVar
-
-Item = TypeVar("Item")
+from typing import Any, ClassVar, TypeAlias
 
 #: The place of a message in its topic: its stamp, nanoseconds, and its number among those with the same stamp.
 Key: TypeAlias = tuple[int, int]
@@ -23,7 +21,7 @@ KEY = attrgetter("key")
 
 
 @dataclass(slots=True, eq=False)
-class SourceMessage(Generic[Item]):
+class SourceMessage:
     """A message that is held because a scan may need it.
 
     Attributes
@@ -48,7 +46,7 @@ class SourceMessage(Generic[Item]):
     key: Key
     since_ns: int
     size: int
-    item: Item
+    item: Any
     used: bool = False
     end_ns: int = 0
 
@@ -58,7 +56,8 @@ class SourceMessage(Generic[Item]):
         return self.key[0]
 
 
-Entries: TypeAlias = Sequence[SourceMessage[Item]]
+#: Messages of a topic, sorted.
+Messages: TypeAlias = Sequence[SourceMessage]
 
 
 @dataclass(frozen=True)
@@ -93,12 +92,7 @@ class Rule(ABC):
         return stamp_ns + self.every_ns - (stamp_ns - begin_ns) % self.every_ns
 
     @abstractmethod
-    def members(
-        self,
-        leads: Sequence[SourceMessage[Item]],
-        held: Sequence[Sequence[SourceMessage[Item]]],
-        coming: Sequence[Key],
-    ) -> list[SourceMessage[Item]] | None:
+    def members(self, leads: Messages, held: Sequence[Messages], coming: Sequence[Key]) -> Messages | None:
         """Return the messages of the first scan that is to be made, sorted by topic and stamp.
 
         Parameters
@@ -117,7 +111,7 @@ class Rule(ABC):
         """
 
     @abstractmethod
-    def needless(self, held: Sequence[SourceMessage[Item]], source: int, first: Key, end_ns: int) -> int:
+    def needless(self, held: Messages, source: int, first: Key, end_ns: int) -> int:
         """Return how many of a topic's first messages no scan needs that is led from a place on.
 
         Parameters
@@ -157,12 +151,7 @@ class Nearest(Rule):
         """Twice the window: another leading message may be as far on the other side of a message within it."""
         return 2 * max(self.windows_ns[1:], default=0)
 
-    def members(
-        self,
-        leads: Sequence[SourceMessage[Item]],
-        held: Sequence[Sequence[SourceMessage[Item]]],
-        coming: Sequence[Key],
-    ) -> list[SourceMessage[Item]] | None:
+    def members(self, leads: Messages, held: Sequence[Messages], coming: Sequence[Key]) -> Messages | None:
         """Return the messages of the first scan; see `Rule.members`."""
         found = [leads[0]]
         for source in range(1, len(held)):
@@ -174,18 +163,18 @@ class Nearest(Rule):
                 found.append(partner)
         return found
 
-    def needless(self, held: Sequence[SourceMessage[Item]], source: int, first: Key, end_ns: int) -> int:  # noqa: ARG002
+    def needless(self, held: Messages, source: int, first: Key, end_ns: int) -> int:  # noqa: ARG002
         """Return how many messages no scan needs; see `Rule.needless`."""
         return _before(held, (first[0] - self.windows_ns[source], 0) if source else first)
 
 
 def _partner(
-    leads: Sequence[SourceMessage[Item]],
-    others: Sequence[SourceMessage[Item]],
+    leads: Messages,
+    others: Messages,
     window_ns: int,
     coming_lead_ns: int,
     coming_ns: int,
-) -> tuple[bool, SourceMessage[Item] | None]:
+) -> tuple[bool, SourceMessage | None]:
     """Return whether it is certain which message is in the scan of the first leading message, and that message.
 
     A pair is in a scan if no closer pair that shares a message with it is. So pairs are judged from the closest one on.
@@ -240,12 +229,7 @@ class Recent(Rule):
     span_ns: int = 0
     count: int = 0
 
-    def members(
-        self,
-        leads: Sequence[SourceMessage[Item]],
-        held: Sequence[Sequence[SourceMessage[Item]]],
-        coming: Sequence[Key],
-    ) -> list[SourceMessage[Item]] | None:
+    def members(self, leads: Messages, held: Sequence[Messages], coming: Sequence[Key]) -> Messages | None:
         """Return the messages of the first scan; see `Rule.members`."""
         last = leads[0].key
         if self.every_ns and coming[0] < (leads[0].end_ns, 0):
@@ -253,14 +237,14 @@ class Recent(Rule):
         for place in coming:
             if place <= last:
                 return None
-        found: list[SourceMessage[Item]] = []
+        found: list[SourceMessage] = []
         for own in held:
             end = bisect_right(own, last, key=KEY)
             begin = max(0, end - self.count) if self.count else _before(own, (last[0] - self.span_ns + 1, 0))
             found += own[begin:end]
         return found
 
-    def needless(self, held: Sequence[SourceMessage[Item]], source: int, first: Key, end_ns: int) -> int:  # noqa: ARG002
+    def needless(self, held: Messages, source: int, first: Key, end_ns: int) -> int:  # noqa: ARG002
         """Return how many messages no scan needs; see `Rule.needless`."""
         if self.count:
             return max(0, bisect_right(held, first, key=KEY) - self.count) if len(held) > self.count else 0
@@ -271,27 +255,22 @@ class Recent(Rule):
 class Interval(Rule):
     """A scan has the messages of an interval that has a leading message; the last of these leads it."""
 
-    def members(
-        self,
-        leads: Sequence[SourceMessage[Item]],
-        held: Sequence[Sequence[SourceMessage[Item]]],
-        coming: Sequence[Key],
-    ) -> list[SourceMessage[Item]] | None:
+    def members(self, leads: Messages, held: Sequence[Messages], coming: Sequence[Key]) -> Messages | None:
         """Return the messages of the first scan; see `Rule.members`."""
         begin, end = (leads[0].end_ns - self.every_ns, 0), (leads[0].end_ns, 0)
         for place in coming:
             if place < end:
                 return None
-        found: list[SourceMessage[Item]] = []
+        found: list[SourceMessage] = []
         for own in held:
             found += own[bisect_left(own, begin, key=KEY) : bisect_left(own, end, key=KEY)]
         return found
 
-    def needless(self, held: Sequence[SourceMessage[Item]], source: int, first: Key, end_ns: int) -> int:  # noqa: ARG002
+    def needless(self, held: Messages, source: int, first: Key, end_ns: int) -> int:  # noqa: ARG002
         """Return how many messages no scan needs; see `Rule.needless`."""
         return _before(held, (end_ns - self.every_ns, 0))
 
 
-def _before(held: Sequence[SourceMessage[Item]], place: Key) -> int:
+def _before(held: Messages, place: Key) -> int:
     """Return how many messages are before a place; mostly none is."""
     return bisect_left(held, place, key=KEY) if held and held[0].key < place else 0
