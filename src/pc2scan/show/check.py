@@ -25,9 +25,9 @@ from pc2scan.transforms.placing import FrameOptions
 from pc2scan.transforms.reading import tf_connections
 from pc2scan.transforms.robot_model import NO_MODEL
 
+from .cloud_info import count_range
 from .scan_frames import Arrivals, ScanFrames, mounting_findings
 from .scan_topic import ConsumerCheck, Finding, ScanTopic
-from .spread import count_range
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence

@@ -11,9 +11,8 @@ from pc2scan.core.percentiles import percentiles
 from pc2scan.errors import DecodeError, TransformError, leading
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, decode_pointcloud2
+from pc2scan.tables import Table
 from pc2scan.text import counted
-
-from .spread import Spread, count_range, finite, spread_of, spread_table
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -26,9 +25,28 @@ if TYPE_CHECKING:
     from pc2scan.transforms.mounting import Mounting
     from pc2scan.transforms.placing import Placer
 
+#: Coordinates beyond this count as infinite: their differences are.
+_LARGEST = 1e300
+
 #: The width of the largest bar of the histogram of heights, and how many bars it has.
 _BAR = 40
 _BINS = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """The distribution of a quantity over the sampled points, metres; finite values only."""
+
+    min: float
+    p5: float
+    median: float
+    p95: float
+    max: float
+
+
+def count_range(least: int, most: int) -> str:
+    """Return the smallest and the largest of some counts as text; one number if they are equal."""
+    return f"{least:,}" if least == most else f"{least:,} to {most:,}"
 
 
 @dataclass(slots=True)
@@ -105,7 +123,8 @@ class CloudInfo:
         spreads = {name: spread for name in ("x", "y", "z", "range") if (spread := getattr(self, name)) is not None}
         if spreads:
             yield ""
-            yield spread_table(spreads)
+            rows = [(name, *(f"{v:.3f}" for v in (s.min, s.p5, s.median, s.p95, s.max))) for name, s in spreads.items()]
+            yield Table(("[m]", "min", "5%", "median", "95%", "max"), rows, left=("[m]",))
         if self.height_counts:
             yield ""
             yield "  heights (z)" + (f" in {self.target_frame}" if self.target_frame else "")
@@ -117,29 +136,28 @@ class CloudInfo:
 
 
 class CloudLook:
-    """Collects the properties of a topic's sampled clouds, from at most ``most`` points of each.
+    """Collects the properties of a topic's sampled clouds.
 
     Attributes
     ----------
     parts
-        These points once they are described, each (3, N), without those at (0, 0, 0) or with NaN.
+        Points of these once they are described, each (3, N), without those at (0, 0, 0) or with NaN.
     """
 
-    def __init__(self, topic: str, most: int) -> None:
+    def __init__(self, topic: str) -> None:
         self._topic = topic
-        self._most = most
         self.parts: list[NDArray[np.floating[Any]]] = []
         self._problems: dict[str, None] = {}
         self._sampled = 0
         self._clouds: list[_Sampled] = []
 
-    def take(self, message: RawMessage) -> _Sampled | str:
-        """Return what is kept of a cloud, or why it cannot be described."""
+    def take(self, most: int, message: RawMessage) -> _Sampled | str:
+        """Return what is kept of a cloud, so many points at most, or why it cannot be described."""
         try:
             cloud = CLOUDS[message.connection.ros_type](message.connection.serialization)(message.data)
             coordinates = cloud.xyz()
             count = coordinates[0].size
-            step = -(-count // self._most) or 1
+            step = -(-count // most) or 1
             with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
                 x, y, z = (_thinned(column, step) for column in coordinates)
                 # Points at the sensor are no returns, wherever the sensor is in the target frame.
@@ -248,28 +266,28 @@ def _measure(result: CloudInfo, parts: Sequence[NDArray[np.floating[Any]]], retu
     result.nan_share = (returns - count) / total
     result.zero_share = zeros / total
     result.above_zero_share = sum(int((part[2] > 0).sum()) for part in parts) / count if count else 0.0
-    # First, because it takes twice the memory of an axis, which these use again.
     with np.errstate(over="ignore"):
-        result.range = spread_of(_ranges(parts, count))
-    result.x, result.y = (spread_of(np.concatenate([part[axis] for part in parts])) for axis in range(2))
-    heights = finite(np.concatenate([part[2] for part in parts]))
-    result.z = spread_of(heights)
+        result.range = _spread_of(_finite([np.hypot(part[0], part[1]) for part in parts]))
+    result.x, result.y = (_spread_of(_finite([part[axis] for part in parts])) for axis in range(2))
+    heights = _finite([part[2] for part in parts])
+    result.z = _spread_of(heights)
     if heights.size:
         low, high = percentiles(heights, 0.5, 99.5, reorder=True)
         # Wide enough that the edges of the bars are different numbers.
         least = max(1e-9 * max(abs(low), abs(high)), 0.0 if high > low else 1.0)
         if high - low < least:
             low, high = low - least / 2, high + least / 2
-        # Cloud by cloud, because edges of float64 need heights of float64.
-        clipped = (np.clip(finite(part[2]).astype(np.float64), low, high) for part in parts)
-        counts, edges = zip(*(np.histogram(each, _BINS, (low, high)) for each in clipped), strict=True)
-        result.height_edges, result.height_counts = tuple(edges[0].tolist()), tuple(np.sum(counts, 0).tolist())
+        # Edges of float64 need heights of float64.
+        counts, edges = np.histogram(np.clip(heights, low, high, dtype=np.float64), _BINS, (low, high))
+        result.height_edges, result.height_counts = tuple(edges.tolist()), tuple(counts.tolist())
 
 
-def _ranges(parts: Sequence[NDArray[np.floating[Any]]], count: int) -> NDArray[np.float64]:
-    """Return hypot(x, y) of all points, so many; to join those of each cloud would take as much memory again."""
-    ranges = rest = np.empty(count)
-    for x, y, _ in parts:
-        np.hypot(x, y, out=rest[: x.size], dtype=np.float64)
-        rest = rest[x.size :]
-    return ranges
+def _finite(parts: Sequence[NDArray[np.floating[Any]]]) -> NDArray[np.floating[Any]]:
+    """Return all values that are finite, and whose differences are."""
+    values = np.concatenate(parts)
+    return values[np.abs(values, dtype=np.float64) < _LARGEST]
+
+
+def _spread_of(values: NDArray[np.floating[Any]]) -> Spread | None:
+    """Return the spread of values, which are reordered; None if there are none."""
+    return Spread(*percentiles(values, 0, 5, 50, 95, 100, reorder=True)) if values.size else None

@@ -8,7 +8,7 @@ from collections import Counter
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from pc2scan.advice.checks.request import Cut, log_times_of_centuries
 from pc2scan.advice.clocks import Clocks
@@ -46,7 +46,7 @@ from .recording import spread_over
 from .scan_info import ScanInfo, ScanLook
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.advice.clocks import ClockFinding
@@ -58,8 +58,6 @@ if TYPE_CHECKING:
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.imu import UpEstimate
     from pc2scan.transforms.mounting import Mounting
-
-_Value = TypeVar("_Value")
 
 #: How many of the first messages of an IMU are read.
 _MAX_IMU = 1_000
@@ -136,6 +134,14 @@ class ImuInfo:
     frame: str
     usable: bool
     text: str
+
+    @classmethod
+    def of(cls, topic: str, up: UpEstimate | UsageError) -> ImuInfo:
+        """Return the description of an IMU, given the direction of up, or why it is not known."""
+        if isinstance(up, UsageError):
+            return cls(topic, "", usable=False, text=up.message)
+        text = "; ".join((*up.notes, *up.warnings)).replace(f"{topic}: ", "")
+        return cls(topic, up.frame, usable=True, text=text)
 
     def body(self) -> Iterator[str]:
         """Yield the parts of `Info` about the IMU."""
@@ -348,7 +354,7 @@ def info_of(
         names = {each.topic for each in shown}
         connections = [each for each in reader.connections if each.topic in names and samples]
         survey = Survey(reader, others, asked, Span(None, None, start_ns or 0))
-        looks = _looks(survey, shown, samples if connections else 0, start_ns, end_ns)
+        of_clouds, of_scans = _looks(survey, shown, samples if connections else 0, start_ns, end_ns)
         found = _survey(
             survey,
             connections,
@@ -361,13 +367,12 @@ def info_of(
         topics = [_with_own_rate(topic, found.facts, start_ns, end_ns) for topic in topics]
         shown = [topic for topic in topics if topic.topic in names and topic.msgtype in (*CLOUDS, *SCANS)]
         mountings, rates = found.mountings(), {topic.topic: topic.rate_hz for topic in shown}
-        of_clouds = {topic: look for topic, look in looks.items() if isinstance(look, CloudLook)}
         clouds = tuple(look.described(found.places, mountings.get(topic)) for topic, look in of_clouds.items())
-        of_scans = {topic: look for topic, look in looks.items() if isinstance(look, ScanLook)}
         scans = tuple(look.described(rates[topic]) for topic, look in of_scans.items())
         warnings = [*log_times_of_centuries(Cut(None, None, reader.summary)), *found.warnings]
-        is_known = any(topic.msgtype in {*CLOUDS, *SCANS} for topic in topics)
-        if not is_known and (instead := instead_of_clouds(reader.connections)):
+        if not {topic.msgtype for topic in topics} & {*CLOUDS, *SCANS} and (
+            instead := instead_of_clouds(reader.connections)
+        ):
             warnings.append(f"the recording has no clouds, but {instead[0]}; {instead[1]}")
         warnings += (each.mounting.warning for each in clouds if each.mounting and each.mounting.warning)
         seconds = {each.topic: (each.messages - 1) / each.rate_hz if each.rate_hz else 0.0 for each in shown}
@@ -419,7 +424,7 @@ def info_of(
             tuple(topics),
             clouds,
             scans,
-            tuple(_imu(topic, up) for topic, up in found.ups.items()),
+            tuple(ImuInfo.of(topic, up) for topic, up in found.ups.items()),
             tuple(calls),
             tuple(reader.damage),
             tuple(warnings),
@@ -575,7 +580,7 @@ def _survey(
     for each in facts.values():
         ask_facts(each, end_ns)
     clocks = Clocks(survey, facts.values())
-    readings = {topic: _tried(partial(survey.imu, topic, _MAX_IMU)) for topic in imus}
+    readings = {topic: survey.imu(topic, _MAX_IMU) for topic in imus}
     if reads_all:
         survey.ask_transforms((places.target_frame,))
     elif has_clouds:
@@ -592,7 +597,12 @@ def _survey(
     warnings += filter(None, (each.unit_warning(moved=moved) for each in facts.values()))
     warnings += filter(None, (increment_warning(each) for each in flat.values()))
     warnings += (text for each in (*facts.values(), *flat.values()) for text in stamp_faults(each))
-    ups = {topic: of if isinstance(of, UsageError) else _tried(of.up) for topic, of in readings.items()}
+    ups: dict[str, UpEstimate | UsageError] = {}
+    for topic, reading in readings.items():
+        try:
+            ups[topic] = reading.up()
+        except UsageError as err:
+            ups[topic] = err
     places = places._replace(buffer=buffer if moved else None)
     return _Surveyed({**facts, **flat}, places, buffer, ups, wrong, warnings, knows_end)
 
@@ -642,22 +652,6 @@ def _topic_infos(
     return topics
 
 
-def _tried(call: Callable[[], _Value]) -> _Value | UsageError:
-    """Return the result of a call, or its error."""
-    try:
-        return call()
-    except UsageError as err:
-        return err
-
-
-def _imu(topic: str, found: UpEstimate | UsageError) -> ImuInfo:
-    """Return whether scans can be levelled by an IMU."""
-    if isinstance(found, UsageError):
-        return ImuInfo(topic, "", usable=False, text=found.message)
-    text = "; ".join((*found.notes, *found.warnings)).replace(f"{topic}: ", "")
-    return ImuInfo(topic, found.frame, usable=True, text=text)
-
-
 def _mark(topic: str) -> str:
     """Return what the name of a topic's scans ends with."""
     return "_" + re.sub(r"\W+", "_", topic.strip("/")) + "_scan"
@@ -684,31 +678,26 @@ def _described(topics: Sequence[TopicInfo], names: Sequence[str]) -> list[TopicI
 
 def _looks(
     survey: Survey, topics: Sequence[TopicInfo], samples: int, start_ns: int | None, end_ns: int | None
-) -> dict[str, CloudLook | ScanLook]:
+) -> tuple[dict[str, CloudLook], dict[str, ScanLook]]:
     """Ask for samples of each topic, spread over the recording; return what collects their properties.
 
     A topic with clouds and scans counts as one of clouds.
     """
-    clouds = {topic.topic for topic in topics if topic.msgtype in CLOUDS}
-    connections: dict[str, list[Connection]] = {topic.topic: [] for topic in topics}
-    if not connections or not samples or start_ns is None or end_ns is None:
-        return {}
-    for connection in survey.reader.connections:
-        kinds = CLOUDS if connection.topic in clouds else SCANS
-        if connection.topic in connections and connection.ros_type in kinds:
-            connections[connection.topic].append(connection)
+    clouds = {topic.topic: CloudLook(topic.topic) for topic in topics if topic.msgtype in CLOUDS}
+    scans = {topic.topic: ScanLook(topic.topic) for topic in topics if topic.topic not in clouds}
+    if not topics or not samples or start_ns is None or end_ns is None:
+        return {}, {}
     # The points are in memory until all topics have been read: of as many messages as there are, not as were asked for.
     taken = min(samples, max(topic.messages for topic in topics))
-    most = min(_MAX_POINTS, _MAX_POINTS_HELD // len(connections)) // taken + 1
-    looks: dict[str, CloudLook | ScanLook] = {}
-    for topic, own in connections.items():
+    most = min(_MAX_POINTS, _MAX_POINTS_HELD // (len(clouds) + len(scans))) // taken + 1
+    for topic in (*clouds, *scans):
+        kinds = CLOUDS if topic in clouds else SCANS
+        own = [each for each in survey.reader.connections if each.topic == topic and each.ros_type in kinds]
         observer: Observer[Any] = Observer(own, copied_message, start_ns=start_ns, stop_ns=end_ns + 1)
         observer.spread = spread_over(own, samples, start_ns, end_ns + 1)
         if topic in clouds:
-            cloud_look = looks[topic] = CloudLook(topic, most)
-            observer.take, observer.keep = cloud_look.take, cloud_look.add
+            observer.take, observer.keep = partial(clouds[topic].take, most), clouds[topic].add
         else:
-            looks[topic] = scan_look = ScanLook(topic, most)
-            observer.keep = scan_look.add
+            observer.keep = scans[topic].add
         survey.observers.append(observer)
-    return looks
+    return clouds, scans

@@ -6,21 +6,16 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from pc2scan.core.consumers import CONSUMERS, judge
-from pc2scan.core.verdicts import OUTCOMES, Outcome, are_returns
+from pc2scan.core.verdicts import Outcome, ScanTransforms
 from pc2scan.errors import DecodeError, leading
 from pc2scan.messages.clouds import SCANS
-from pc2scan.messages.laserscan import scan_for_consumers
 from pc2scan.text import counted
 
-from .spread import Spread, count_range, spread_of, spread_table
+from .cloud_info import count_range
+from .scan_topic import ScanTopic
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-
-    from numpy.typing import NDArray
 
     from pc2scan.core.verdicts import ConsumerScan
     from pc2scan.model import RawMessage
@@ -45,8 +40,6 @@ class ScanInfo:
         The first of these scans; None without any.
     return_share
         Share of the ranges that are returns.
-    range
-        Spread of the returns.
     consumers
         The worst outcome for each consumer, without considering transforms: see `pc2scan.core.consumers`.
     problems
@@ -60,7 +53,6 @@ class ScanInfo:
     beams: tuple[int, int]
     first: ConsumerScan | None
     return_share: float
-    range: Spread | None
     consumers: dict[str, Outcome]
     problems: tuple[str, ...]
 
@@ -82,9 +74,6 @@ class ScanInfo:
             f"time_increment {scan.time_increment:.4g} s"
         )
         yield f"  returns {self.return_share:.1%} of the beams; {'with' if scan.intensities else 'no'} intensities"
-        if self.range is not None:
-            yield ""
-            yield spread_table({"range": self.range})
         yield ""
         yield "  consumers"
         for outcome in dict.fromkeys(self.consumers.values()):
@@ -93,55 +82,35 @@ class ScanInfo:
 
 
 class ScanLook:
-    """Collects the properties of a topic's sampled scans.
+    """Collects the properties of a topic's sampled scans."""
 
-    Parameters
-    ----------
-    topic
-        The topic's name.
-    most
-        How many ranges of a scan are used; of longer scans every second, third, ... range is used.
-    """
-
-    def __init__(self, topic: str, most: int) -> None:
+    def __init__(self, topic: str) -> None:
         self._topic = topic
-        self._most = most
         self._sampled = 0
-        self._scans: list[ConsumerScan] = []
-        self._first_of: dict[str, ConsumerScan] = {}
-        self._worst: dict[str, Outcome] = {}
-        self._returns: list[NDArray[np.float32]] = [np.empty(0, np.float32)]
+        self._scans = ScanTopic()
         self._problems: dict[str, None] = {}
 
     def add(self, message: RawMessage) -> None:
         """Add a scan."""
         self._sampled += 1
         try:
-            decoded = SCANS[message.connection.ros_type](message.connection.serialization, "first")(message.data)
+            scan = SCANS[message.connection.ros_type](message.connection.serialization, "first")(message.data)
         except DecodeError as err:
             self._problems[err.message] = None
-            return
-        scan = scan_for_consumers(decoded)
-        self._scans.append(scan)
-        first = self._first_of.setdefault(decoded.frame_id, scan)
-        for consumer in CONSUMERS:
-            outcome = judge(consumer, scan, None if scan is first else first).outcome
-            self._worst[consumer] = max(outcome, self._worst.get(consumer, outcome), key=OUTCOMES.index)
-        ranges = decoded.ranges[:: -(-len(decoded.ranges) // self._most) or 1]
-        self._returns.append(ranges[are_returns(ranges, scan.range_min, scan.range_max)])
+        else:
+            self._scans.add(scan, message.log_time_ns, ScanTransforms())
 
     def described(self, rate_hz: float | None) -> ScanInfo:
         """Return the properties; ``rate_hz`` is the rate of the topic."""
-        beams = [scan.beams for scan in self._scans]
+        scans = self._scans
         return ScanInfo(
             topic=self._topic,
             sampled=self._sampled,
             rate_hz=rate_hz,
-            frames=tuple(self._first_of),
-            beams=(min(beams, default=0), max(beams, default=0)),
-            first=self._scans[0] if self._scans else None,
-            return_share=sum(scan.returns for scan in self._scans) / max(1, sum(beams)),
-            range=spread_of(np.concatenate(self._returns, dtype=np.float64)),
-            consumers=self._worst,
+            frames=tuple(scans.frames),
+            beams=(min(scans.beams, default=0), max(scans.beams, default=0)),
+            first=scans.first,
+            return_share=scans.ranges["returns"] / max(1, scans.ranges["beams"]),
+            consumers={each.consumer: each.outcome for each in scans.consumers()},
             problems=tuple(self._problems),
         )

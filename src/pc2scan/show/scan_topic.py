@@ -235,6 +235,8 @@ class ScanTopic:
         All ``frame_id``, with their numbers of scans.
     beams
         All lengths of ``ranges``, with their numbers of scans.
+    ranges
+        How many ranges there are, and how many of each kind.
     """
 
     def __init__(self) -> None:
@@ -249,7 +251,7 @@ class ScanTopic:
         self._first_of: dict[str, ConsumerScan] = {}
         self._kept_of: dict[tuple[str, str], ConsumerScan] = {}
         self._tallies = {kind: Counted() for kind in _EACH_SCAN}
-        self._ranges: Counter[str] = Counter()
+        self.ranges: Counter[str] = Counter()
         self._median = 0.0
         self._stamps = _Stamps()
         self._sectors = _Sectors()
@@ -271,8 +273,8 @@ class ScanTopic:
         self.frames[frame] += 1
         self.beams[scan.beams] += 1
         self._judge(scan, frame, stamp_ns, placed)
-        self._ranges += Counter(beams=scan.beams, short=scan.short, long=scan.long, nan=scan.nan)
-        self._ranges += Counter({"zero" if scan.range_min <= 0 else "zero short": scan.zero})
+        self.ranges += Counter(beams=scan.beams, returns=scan.returns, short=scan.short, long=scan.long, nan=scan.nan)
+        self.ranges += Counter({"zero" if scan.range_min <= 0 else "zero short": scan.zero})
         angles = has_angles(scan)
         wrong = {
             "no-frame": not frame,
@@ -375,9 +377,9 @@ class ScanTopic:
             hint = "ranges are metres; if the clouds are in millimetres: pc2scan convert `cloud_scale=0.001`"
             yield Finding("units", "notice", text, hint)
         for name, (problem, hint) in _EACH_RANGE.items():
-            if count := self._ranges[name]:
-                zeros = f" ({self._ranges['zero short']:,} are 0)" if name == "short" else ""
-                text = f"{count:,} of {self._ranges['beams']:,} ranges {problem}{zeros}"
+            if count := self.ranges[name]:
+                zeros = f" ({self.ranges['zero short']:,} are 0)" if name == "short" else ""
+                text = f"{count:,} of {self.ranges['beams']:,} ranges {problem}{zeros}"
                 yield Finding(f"ranges-{name}", "notice", text, hint)
 
 
