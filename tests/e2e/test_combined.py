@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import warnings
 from contextlib import closing
 from dataclasses import replace
 from functools import cache
@@ -234,39 +233,6 @@ def test_the_last_scan_was_logged_with_its_last_message(name: str, world: Callab
 
 
 # Other commands, and files
-
-
-@pytest.mark.parametrize("options", sampled([row for (row,) in rows(TABLES, "options of other commands")], 2))
-def test_scans_exports_and_maps_are_those_of_the_conversion(
-    options: dict[str, Any], world: Callable[..., Path], tmp_path: Path
-) -> None:
-    source = world(*(replace(each, columns=360) for each in (FRONT, REAR, FLAT)), seconds=1.0)
-    converted = tmp_path / "out.mcap"
-    report = pc2scan.convert(source, converted, **options)
-    topics = sorted({topic.target for topic in report.topics if topic.action == "converted" and topic.target})
-
-    def content(scans: Any) -> list[Any]:
-        return [
-            (s.topic, s.log_time_ns, s.stamp_ns, s.frame, s.ranges.tobytes(), s.intensities.tobytes()) for s in scans
-        ]
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        scans = pc2scan.scans(source, **options)
-        expected = content(pc2scan.scans(converted, topics))
-        assert content(scans) == content(scans) == expected
-        assert set(scans.topics) == set(topics)
-        assert len(expected) > 3
-        if len(topics) == 1:
-            pc2scan.export(source, tmp_path / "direct.npz", **options)
-            pc2scan.export(converted, tmp_path / "after.npz", topics=topics)
-            with np.load(tmp_path / "direct.npz") as direct, np.load(tmp_path / "after.npz") as after:
-                assert set(direct) == set(after)
-                assert all(direct[name].tobytes() == after[name].tobytes() for name in after)
-            direct_map = pc2scan.map(source, **options)
-            after_map = pc2scan.map(converted, topics=topics, tf_from=source)
-            assert direct_map.scans == after_map.scans
-            assert direct_map.cells.tobytes() == after_map.cells.tobytes()
 
 
 def test_a_file_of_several_outputs_may_join_sources(world: Callable[..., Path], tmp_path: Path) -> None:

@@ -71,8 +71,3 @@ def test_its_report_has_the_counts(folder: Path) -> None:
     counts = [[(t.topic, t.messages_in, t.messages_out) for t in report.topics] for report in (planned, written)]
     assert counts[0] == counts[1]
     assert "out.bag: ROS 1 bag, which can be written; from 366.4 kB" in str(planned)
-
-
-@pytest.mark.parametrize(("options", "status"), [((), 0), (("--topic", "/nothing"), 2), (("--angle-min", "x"), 2)])
-def test_its_report_is_not_written(options: tuple[str, ...], status: int, folder: Path) -> None:
-    dry(folder, "drive.bag", *HEIGHTS, *options, "--report", "report.json", status=status)

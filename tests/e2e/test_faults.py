@@ -19,15 +19,12 @@ from e2e.fault_driver import CASES
 from support import sampled
 from support.builders import CONTENT, write_mcap
 from support.command import environment
-from support.outputs import opened
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 _HERE = Path(__file__).parent
 _KINDS = [f"{name}{before}" for before in ("", "+over") for name in CASES]
-#: Of each way to write; a hundred in all.
-_TIMED_KILLS = 25
 
 
 @pytest.fixture(scope="module")
@@ -120,16 +117,6 @@ def test_each_call_may_be_the_last(kind: str, library: Path, source: Path, tmp_p
         assert_absent_or_complete(outcome, sound, kind)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", CASES)
-def test_killed_at_any_moment(kind: str, library: Path, source: Path, tmp_path: Path) -> None:
-    sound, others = outcomes(library, source, tmp_path, f"{kind}+over", [str(_TIMED_KILLS)])
-    assert len(others) == _TIMED_KILLS
-    for outcome in others:
-        assert_absent_or_complete(outcome, sound, kind)
-    assert any(outcome["status"] == -9 for outcome in others)
-
-
 @pytest.mark.parametrize("kind", sampled(_KINDS, 1))
 def test_data_are_on_the_disk_before_the_name(kind: str, library: Path, source: Path, tmp_path: Path) -> None:
     sound, _ = outcomes(library, source, tmp_path, kind, [])
@@ -147,16 +134,3 @@ def test_data_are_on_the_disk_before_the_name(kind: str, library: Path, source: 
     folder = calls.index(("fsync", "."), published)
     removed = [n for n, (call, path) in enumerate(calls) if call == "unlink" and ".pc2scan-old" in path]
     assert all(folder < n for n in removed)
-
-
-@pytest.mark.slow
-def test_what_the_driver_calls_complete_is(library: Path, source: Path, tmp_path: Path) -> None:
-    """Others' readers open each of the destinations that the faults are compared with."""
-    import pc2scan
-
-    assert library.exists()
-    for name, options in CASES.values():
-        shutil.rmtree(tmp_path / name, ignore_errors=True)
-        pc2scan.convert(source, tmp_path / name, keep_clouds=True, **options)
-        found = opened(tmp_path / name)
-        assert len(found.messages) == len(CONTENT.items) + len(found.of("/scan"))

@@ -6,7 +6,7 @@ import json
 import shutil
 from dataclasses import replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -16,7 +16,6 @@ import pc2scan
 from pc2scan.compare.golden.case import load_case
 from pc2scan.compare.rules import Rules
 from pc2scan.compare.scan_text import render_scans
-from pc2scan.core import kernel, plain
 from pc2scan.model import Connection, RawMessage
 from support import GOLDEN, ROOT, sampled
 from support.builders import (
@@ -34,7 +33,6 @@ from support.command import run
 from support.outputs import opened
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
     from support.outputs import Found
@@ -82,24 +80,6 @@ def is_reverse(name: str) -> bool:
 def test_equal_to_the_byte(name: str, tmp_path: Path) -> None:
     converted(name, tmp_path / "out.bag")
     assert opened(tmp_path / "out.bag").messages == expected(name)
-
-
-@pytest.mark.parametrize("name", sampled(CASES, 6))
-def test_equal_to_the_byte_without_compiled_loops(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    used = set()
-
-    def spied(loop: str) -> Callable[..., Any]:
-        def call(*args: Any) -> Any:
-            used.add(loop)
-            return getattr(plain, loop)(*args)
-
-        return call
-
-    for loop in ("angles", "gather", "project"):
-        monkeypatch.setattr(kernel, loop, spied(loop))
-    converted(name, tmp_path / "out.bag")
-    assert opened(tmp_path / "out.bag").messages == expected(name)
-    assert used == (set() if is_reverse(name) else {"project"})
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ import zstandard
 
 import pc2scan
 from pc2scan.bags.opening import open_recording
-from pc2scan.errors import Pc2ScanError, RecordingError
+from pc2scan.errors import Pc2ScanError
 from support import ROOT, sampled
 from support.batches import manifest_of
 from support.builders import (
@@ -302,32 +302,6 @@ def test_a_source_that_changes_while_it_is_read(change: str, many: Path, output:
     source = tmp_path / "drive.bag"
     shutil.copy(many, source)
     assert "drive.bag" in failed(source, output, lambda: CHANGES[change](source))
-
-
-@pytest.mark.parametrize(("compression", "jobs"), sampled(product([None, "zstd"], [1, 2]), 2))
-def test_a_source_that_is_cut_under_its_reader(
-    compression: Any, jobs: int, large: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """While its bytes are decompressed or projected."""
-    from pc2scan.conversion.cloud_to_scan import CloudToScan
-    from pc2scan.files import compression as codecs
-
-    source = tmp_path / ("drive.mcap" if compression else "drive.bag")
-    if compression:
-        pc2scan.convert(large, source, compression=compression, keep_clouds=True)
-    else:
-        shutil.copy(large, source)
-
-    def cut() -> None:
-        os.truncate(source, 5_000)
-
-    if compression:
-        monkeypatch.setitem(codecs._DECOMPRESS, compression, fifth(codecs._DECOMPRESS[compression], cut))
-    else:
-        monkeypatch.setattr(CloudToScan, "_make_scan", fifth(CloudToScan._make_scan, cut))
-    with pytest.raises(RecordingError, match=r"drive.*ended at byte \d+ while it was read; it had"):
-        pc2scan.convert(source, tmp_path / "out.mcap", jobs=jobs, only_scans=True, topics=["/points:=/again"])
-    assert list(tmp_path.iterdir()) == [source]
 
 
 def fifth(work: Callable[..., Any], happen: Callable[[], object]) -> Callable[..., Any]:

@@ -30,7 +30,6 @@ def few_open_files() -> Iterator[None]:
     ("write", "suffix", "is_folder"),
     [
         (write_rosbag1, ".bag", False),
-        (write_mcap, ".mcap", False),
         (write_mcap, ".mcap", True),
         (write_db3, ".db3", True),
     ],

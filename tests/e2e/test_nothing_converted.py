@@ -27,26 +27,16 @@ from support.builders import (
     fixed,
     item,
     points_of,
-    write_mcap,
     write_rosbag1,
-    write_rosbag2,
 )
 from support.command import run
 from support.tables import rows
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from support.command import Finished
 
 TABLES = Path(__file__).with_name("nothing_converted.txt")
 HEIGHTS = ("--min-height", "-2", "--max-height", "2")
-SOURCES = {"bag": "drive.bag", "mcap": "drive.mcap", "rosbag2": "drive"}
-WRITERS: dict[str, Callable[[Path, Recording], Path]] = {
-    "bag": write_rosbag1,
-    "mcap": write_mcap,
-    "rosbag2": write_rosbag2,
-}
 
 
 @pytest.fixture
@@ -66,11 +56,6 @@ def convert(folder: Path, *options: str | Path, status: int, source: str = "driv
     after = {path.name for path in folder.iterdir()} - {"report.json"}
     assert after == before | ({"out"} if status in (0, 3, 4) else set())
     return done, report
-
-
-def silent(*topics: str) -> Recording:
-    """The recording without the messages of some topics."""
-    return replace(CONTENT, items=tuple(entry for entry in CONTENT.items if entry.stream.topic not in topics))
 
 
 # --- What is known beforehand ---
@@ -115,16 +100,6 @@ def test_frames_that_nothing_connects(count: int, options: tuple[str, ...], fold
     dry = run_command(["convert", str(folder / "far.bag"), "--target-frame", "base_link", "--dry-run"])
     assert dry.status == 1
     assert "nothing can be converted" in dry.messages
-
-
-@pytest.mark.parametrize("kind", ["bag", "mcap", "rosbag2"])
-def test_a_topic_without_messages(kind: str, tmp_path: Path) -> None:
-    source = SOURCES[kind]
-    WRITERS[kind](tmp_path / source, silent("/points"))
-    for options in ((), ("--topic", "/points")):
-        done, report = convert(tmp_path, *options, status=2, source=source)
-        assert "there is nothing to convert" in done.stderr or "no PointCloud2 topic" in done.stderr
-        assert report["errors"][0]["kind"] == "TopicError"
 
 
 # --- What turns out in the end ---

@@ -5,14 +5,12 @@ from __future__ import annotations
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 from mcap.reader import make_reader
 from ruamel.yaml import YAML
 
-from pc2scan.bags.opening import open_recording
 from support import sampled
 from support.builders import (
     CONTENT,
@@ -23,21 +21,18 @@ from support.builders import (
     T0,
     Mcap,
     Recording,
-    Stream,
     fixed,
-    item,
     odometry,
     points,
-    string,
     write_mcap,
     write_rosbag1,
 )
 from support.command import run
-from support.npm import needs_npm, node
 from support.outputs import opened
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
 #: Two more nodes that publish odometry, one that publishes another mount, and one that publishes clouds.
 MORE = (
@@ -137,55 +132,3 @@ def test_elsewhere_publishers_stay_apart(source: str, destination: str, tmp_path
     names = [publisher.topic for publisher in opened(tmp_path / destination).publishers]
     expected = {"/tf": 3, "/tf_static": 3, "/points": 2, "/scan": 2, "/imu": 1}
     assert {name: names.count(name) for name in expected} == expected
-
-
-def large(folder: Path, *, shared: bool) -> Path:
-    """Chunks that would be copied whole; in the middle, with ``shared``, a second node publishes too."""
-    first, second, other = (Stream(name, "std_msgs/msg/String", node) for name, node in (
-        ("/notes", "/a"), ("/notes", "/b"), ("/points_of_interest", "/a")
-    ))  # fmt: skip
-    items = [
-        item(
-            second if shared and 40 <= number < 50 else (first, other)[number % 2],
-            T0 + number * 1000,
-            lambda g, s: string(f"{s} " * 10_000, g),
-            number,
-        )
-        for number in range(100)
-    ]
-    items.append(points(T0 + 200_000, T0, 0))
-    recording = Recording((first, second, other, POINTS), tuple(items))
-    return write_mcap(folder / "large.mcap", recording, Mcap(chunk_size=400_000))
-
-
-@pytest.mark.parametrize("shared", [False, True])
-def test_chunks_that_are_copied_carry_the_shared_channel(shared: bool, tmp_path: Path) -> None:
-    source = large(tmp_path, shared=shared)
-    done = run("convert", source, "-o", tmp_path / "out")
-    assert done.status == 0, done.stderr
-    before, after = opened(source), opened(tmp_path / "out")
-    assert after.of("/notes") == before.of("/notes")
-    assert after.of("/points_of_interest") == before.of("/points_of_interest")
-    (path,) = (tmp_path / "out").glob("*.mcap")
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    assert summary.statistics is not None
-    (channel,) = (own.id for own in summary.channels.values() if own.topic == "/notes")
-    assert summary.statistics.channel_message_counts[channel] == len(before.of("/notes"))
-    with closing(open_recording(tmp_path / "out", strict=True)) as reader:
-        assert len(list(reader.messages())) == len(after.messages)
-
-
-@needs_npm("@foxglove/rosbag2-web")
-@pytest.mark.parametrize("source", SOURCES)
-def test_the_npm_reader_of_rosbag2_finds_every_message(source: str, tmp_path: Path) -> None:
-    path = SOURCES[source](tmp_path)
-    done = run("convert", path, "-o", tmp_path / "out", "--storage", "sqlite3", "--keep-clouds", "--min-height", "-9")
-    assert done.status == 0, done.stderr
-    (database,) = (tmp_path / "out").glob("*.db3")
-    read = node(Path(__file__).with_name("rosbag2_reader.mjs"), database)
-    expected = opened(tmp_path / "out")
-    assert len(read["messages"]) == len(expected.messages)
-    assert sum(read["counts"].values()) == len(expected.messages)
-    assert read["counts"]["/tf"] == len(CROWDED.of("/tf"))

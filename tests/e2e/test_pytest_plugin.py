@@ -6,7 +6,6 @@ import re
 import shutil
 import subprocess
 import sys
-from importlib.metadata import entry_points
 from typing import TYPE_CHECKING
 
 import pytest
@@ -74,11 +73,6 @@ def pytest_run(folder: Path, *arguments: str) -> tuple[int, dict[str, str], str]
     return done.returncode, dict(re.findall(r"^(\S+) (PASSED|FAILED|SKIPPED|ERROR) ", text, re.MULTILINE)), text
 
 
-def test_the_entry_point_is_declared() -> None:
-    (declared,) = entry_points(group="pytest11", name="pc2scan")
-    assert declared.value == "pc2scan.pytest_plugin"
-
-
 @pytest.mark.parametrize(
     ("words", "status", "outcomes", "said"),
     sampled(
@@ -114,13 +108,3 @@ def test_cases_and_fixtures(
     assert all(each in text for each in said), text
     assert "Traceback" not in text
     assert "pytest_plugin" not in text.partition("FAILURES")[2]
-
-
-@pytest.mark.slow
-def test_a_case_is_updated_on_request(project: Path) -> None:
-    words = ["--pc2scan-golden", "golden", "-k", "changed", "-rP"]
-    assert pytest_run(project, *words)[0] == 1
-    status, found, text = pytest_run(project, *words, "--pc2scan-update")
-    assert (status, found) == (0, {"golden/changed": "PASSED"})
-    assert "updated" in text
-    assert pytest_run(project, *words)[0] == 0

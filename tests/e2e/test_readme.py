@@ -14,9 +14,6 @@ from typing import TYPE_CHECKING
 import pytest
 from ruamel.yaml import YAML
 
-from pc2scan import pytest_plugin
-from pc2scan.compare.golden.case import KEYS
-from pc2scan.compare.rules import GEOMETRY, IGNORABLE
 from pc2scan.core.presets import PRESETS
 from pc2scan.options.table import PARAMETERS, output_options
 from support import ROOT
@@ -127,15 +124,6 @@ def test_every_key_of_an_output_is_named() -> None:
     assert listed >= {name.replace("_", "-") for name in filters}
 
 
-def test_exit_statuses_are_told_alike() -> None:
-    report = PAGES["report"]
-    table = report[report.index("| status | `convert`") :].split("\n\n")[0]
-    told = re.findall(r"^\| (\d) \|", table, re.MULTILINE)
-    assert told == ["0", "1", "2", "3", "4", "5"]
-    said = run("--help").stdout.partition("Exit status")[2]
-    assert all(re.search(rf"\b{status}\b", said) for status in told)
-
-
 def test_the_report_has_the_keys_of_its_page(tmp_path: Path) -> None:
     done = run("convert", ROOT / "fixtures" / "hall.bag", "-o", "out.bag", "--report", "report.json", cwd=tmp_path)
     assert done.status == 0
@@ -160,22 +148,6 @@ def test_the_report_has_the_keys_of_its_page(tmp_path: Path) -> None:
     assert {topic["action"] for topic in found["topics"]} <= {"converted", "passed", "re-encoded", "skipped"}
     # No fixture has a message to skip: the keys of those are what the code says, and the page must name them.
     assert inner["skipped"] >= {"topic", "log_time_ns", "stamp_ns", "reason", "hint"}
-
-
-def row_of(page: str, name: str) -> str:
-    (row,) = [line for line in PAGES[page].splitlines() if line.startswith(f"| `{name}`")]
-    return row
-
-
-def test_what_is_said_of_diff_and_golden() -> None:
-    # Of the geometry one name stands for all.
-    assert quoted(row_of("diff", "--ignore NAME")) == IGNORABLE.keys() - {*GEOMETRY} | {"angle_max"}
-    assert quoted(row_of("golden", "case.yaml")) - {"convert", "diff"} == set(KEYS)
-    (block,) = code_blocks("python", PAGES["golden"])
-    compile(block, "golden.md", "exec")
-    asked = re.search(r"def test_\w+\((.*)\)", block)
-    assert asked is not None
-    assert set(asked[1].split(", ")) == set(pytest_plugin.__all__)
 
 
 # --- commands, in the order of a page, each with what the ones before it wrote ---
@@ -263,43 +235,6 @@ def test_the_shown_commands_run(page: str, recordings: Path, tmp_path: Path) -> 
         if "-o" not in words:
             for path in set(folder.iterdir()) - before:
                 path.unlink()
-
-
-@pytest.mark.parametrize("fixture", ["hall.bag", "hall.mcap", "hall"])
-def test_the_first_command_works_on_every_fixture(fixture: str, tmp_path: Path) -> None:
-    (line,) = [line for line in code_blocks("sh", README) if "fixtures/hall.bag" in line]
-    (words,) = commands_in(line)
-    words[words.index("fixtures/hall.bag")] = str(ROOT / "fixtures" / fixture)
-    done = run(*words, cwd=tmp_path)
-    assert (done.status, done.stderr) == (0, "")
-    assert (tmp_path / "scans.mcap").exists()
-
-
-def test_the_recipe_for_ci_works_from_start_to_finish(tmp_path: Path) -> None:
-    """Its commands, then pytest as the action runs it, then a change that it is there to find."""
-    shutil.copy(ROOT / "fixtures" / "hall.bag", tmp_path / "drive.bag")
-    params = "pointcloud_to_laserscan:\n  ros__parameters:\n    min_height: -0.3\n"
-    (tmp_path / "params.yaml").write_text(params)
-    block = PAGES["golden"].partition("<!-- golden commands -->")[2].split("```")[1].removeprefix("sh\n")
-    in_ci = "pytest --pc2scan-golden golden golden"
-    commands = [*block.splitlines(), in_ci]
-
-    def in_pytest(*words: str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "pytest", "-p", "pc2scan.pytest_plugin", *words]
-        env = {**environment(), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
-        return subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, check=False)
-
-    for command in commands:
-        program, *words = shlex.split(command)
-        if program == "pc2scan":
-            assert run(*words, cwd=tmp_path).status == 0, command
-        elif program == "pytest":
-            assert in_pytest(*words).returncode == 0, command
-        else:
-            subprocess.run([program, *words], cwd=tmp_path, check=True)
-    (tmp_path / "golden" / "drive" / "params.yaml").write_text(params.replace("-0.3", "-0.2"))
-    done = in_pytest(*shlex.split(in_ci)[1:])
-    assert (done.returncode, "worst scan" in done.stdout) == (1, True)
 
 
 # --- the library ---

@@ -64,43 +64,6 @@ def test_a_preset_is_accepted_by_its_consumer(consumer: str, tmp_path: Path) -> 
     assert checked.status == 0, checked.stdout
 
 
-def test_intensities_are_those_of_the_points_shown(tmp_path: Path) -> None:
-    destination = tmp_path / "out.mcap"
-    done = run(
-        "convert", HALL, "-o", destination, *HEIGHTS, "--keep-clouds", "--geometry", "centered", "--range-max", "50",
-        "--beams", "240", "--intensity-field", "ring",
-    )  # fmt: skip
-    assert done.status == 0, done.stderr
-    output = opened(destination)
-    shown = 0
-    for scan, cloud in zip(output.scans(), output.clouds("/points"), strict=True):
-        dtype = np.dtype(
-            {
-                "names": ["x", "y", "z", "ring"],
-                "formats": ["<f4"] * 3 + ["<u2"],
-                "offsets": [0, 4, 8, 16],
-                "itemsize": 22,
-            }
-        )
-        points = np.frombuffer(cloud.data.tobytes(), dtype)
-        points = points[
-            (points["z"] >= -0.3) & (points["z"] <= 1) & np.isfinite(points["x"]) & np.isfinite(points["y"])
-        ]
-        x, y = points["x"].astype(float), points["y"].astype(float)
-        reach = np.hypot(x, y).astype(np.float32)
-        beams = np.rint((np.arctan2(y, x) - scan.angle_min) / scan.angle_increment).astype(int) % 240
-        assert len(scan.intensities) == len(scan.ranges) == 240
-        for beam in range(240):
-            own = np.flatnonzero(beams == beam)
-            if own.size:
-                winner = own[np.argmin(reach[own])]
-                assert (scan.ranges[beam], scan.intensities[beam]) == (reach[winner], points["ring"][winner])
-                shown += 1
-            else:
-                assert (scan.ranges[beam], scan.intensities[beam]) == (math.inf, 0)
-    assert shown > 1000
-
-
 def test_beams_have_the_times_of_their_points(tmp_path: Path) -> None:
     # The lidar of the hall turns clockwise from x, ten times a second, and stamps the end of its turn.
     destination = tmp_path / "out.mcap"
@@ -120,38 +83,3 @@ def test_beams_have_the_times_of_their_points(tmp_path: Path) -> None:
         assert np.median(np.abs(times - scan.intensities[seen])) < 0.0003
         assert np.max(np.abs(times - scan.intensities[seen])[3:-3]) < 0.0006
         assert scan.time_increment == pytest.approx(-0.1 / 360, rel=2e-3)
-
-
-def test_the_closest_surface_is_read(tmp_path: Path) -> None:
-    readings = {}
-    for how in ("min", "surface"):
-        done = run("convert", HALL, "-o", tmp_path / f"{how}.mcap", *HEIGHTS, "--preset", "nav2", "--reduce", how)
-        assert (done.status, done.stderr) == (0, "")
-        readings[how] = opened(tmp_path / f"{how}.mcap").scans()[0].ranges
-    # The median of the closest surface is at most its depth behind the closest return.
-    seen = np.isfinite(readings["min"])
-    behind = readings["surface"][seen] - readings["min"][seen]
-    window = 0.05 + 3 * math.radians(1) * readings["min"][seen]
-    assert behind.min() == 0 < behind.max()
-    assert (behind <= window + 1e-5).all()
-
-
-def test_a_sector_at_the_lidars_resolution(tmp_path: Path) -> None:
-    for geometry, count in (("upstream", 120), ("centered", 121), ("symmetric", 121)):
-        out, sector = tmp_path / f"{geometry}.mcap", ("--angle-min", "-1.5707963", "--angle-max", "1.5707963")
-        done = run("convert", HALL, "-o", out, *HEIGHTS, "--beams", "auto", "--geometry", geometry, *sector)
-        assert done.status == 0, done.stderr
-        scan = opened(out).scans()[0]
-        assert len(scan.ranges) == count
-        assert scan.angle_increment == pytest.approx(math.radians(1.5), rel=1e-6)
-
-
-def test_a_resolution_that_cannot_be_measured(tmp_path: Path) -> None:
-    source = ROOT.parent / "shared" / "recordings" / "d435_depth.mcap"
-    if not source.exists():
-        pytest.skip(f"real recordings are not here: {source.parent}")
-    done = run("convert", source, "-o", tmp_path / "out.mcap", "--beams", "auto")
-    assert done.status == 2
-    assert "the azimuth resolution of the clouds on /point_cloud cannot be measured" in done.stderr
-    assert "hint: give a number of --beams, or an --angle-increment" in done.stderr
-    assert list(tmp_path.iterdir()) == []

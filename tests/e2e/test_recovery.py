@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 import json
-import shutil
-import sqlite3
 from contextlib import closing
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import pytest
-from mcap.reader import make_reader
-from mcap.writer import Writer as McapLibraryWriter
 
 from fuzz.mutants import at_each
 from fuzz.seeds import Seed
@@ -22,10 +17,13 @@ from pc2scan.conversion.run_files import OutputOptions
 from pc2scan.errors import RecordingError
 from pc2scan.request.options import ConvertOptions
 from support import sampled
-from support.builders import CONTENT, SOURCES, T0, Recording, write_db3
+from support.builders import CONTENT, SOURCES, T0, Recording
 from support.command import run
 from support.outputs import opened
 from support.rosbag1_files import ROS1, SCRIPT, ros1, ros1_missing
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 @pytest.fixture(scope="module")
@@ -108,57 +106,6 @@ def test_repair_of_a_sound_recording_is_a_copy(name: str, recording: Recording, 
     assert len(opened(destination).messages) == len(before)
 
 
-def test_repair_keeps_what_is_not_of_ros(tmp_path: Path) -> None:
-    source = tmp_path / "drive.mcap"
-    with source.open("wb") as file:
-        writer = McapLibraryWriter(file, chunk_size=200)
-        writer.start("fleet", "tests")
-        schema = writer.register_schema("Pose", "protobuf", b"\x0a\x00descriptor")
-        channels = [
-            writer.register_channel("/pose", "protobuf", schema, {"robot": "7"}),
-            writer.register_channel("/log", "json", 0, {}),
-        ]
-        writer.add_attachment(1, 2, "map.pgm", "image/x-portable-graymap", b"P5 1 1 255 x")
-        writer.add_metadata("robot", {"serial": "7"})
-        for number in range(40):
-            data = b'{"n": %d}' % number if number % 2 else bytes([number]) * 30
-            writer.add_message(channels[number % 2], 1000 + number, data, 2000 + number, number)
-        writer.finish()  # type: ignore[no-untyped-call]
-    sound = run("repair", source, "-o", tmp_path / "sound.mcap")
-    assert sound.status == 0, sound.stderr
-    assert everything(tmp_path / "sound.mcap") == everything(source)
-    whole = everything(source)
-    data = source.read_bytes()
-    source.write_bytes(data[: int(len(data) * 0.45)])
-    done = run("repair", source, "-o", tmp_path / "fixed.mcap")
-    assert done.status == 3, done.stderr
-    fixed = everything(tmp_path / "fixed.mcap")
-    assert fixed["profile"] == "fleet"
-    assert fixed["attachments"] == whole["attachments"]
-    assert fixed["metadata"] == whole["metadata"]
-    assert 10 < len(fixed["messages"]) < 40
-    assert fixed["messages"] == whole["messages"][: len(fixed["messages"])]
-
-
-def everything(path: Path) -> dict[str, Any]:
-    with path.open("rb") as file:
-        reader = make_reader(file, validate_crcs=True)
-        return {
-            "profile": reader.get_header().profile,
-            "messages": [
-                (
-                    channel.topic, channel.message_encoding, dict(channel.metadata), schema and schema.data,
-                    message.log_time, message.publish_time, message.sequence, message.data,
-                )
-                for schema, channel, message in reader.iter_messages()
-            ],
-            "attachments": [
-                (a.name, a.media_type, a.log_time, a.create_time, a.data) for a in reader.iter_attachments()
-            ],
-            "metadata": [(m.name, m.metadata) for m in reader.iter_metadata()],
-        }  # fmt: skip
-
-
 # --- Never fewer messages than others ---
 
 
@@ -210,30 +157,3 @@ def test_never_fewer_messages_than_rosbag_reindex(compression: str, tmp_path: Pa
 
 
 # --- What a recorder that died left beside a database ---
-
-
-@pytest.mark.parametrize("damage", ["cut off", "flipped"])
-def test_a_damaged_log_is_reported_by_every_command(damage: str, recording: Recording, tmp_path: Path) -> None:
-    """Half of the messages are in the log."""
-    live, source = write_db3(tmp_path / "live.db3", recording), tmp_path / "drive.db3"
-    with closing(sqlite3.connect(live, isolation_level=None)) as database:
-        database.execute("PRAGMA journal_mode = WAL")
-        database.execute("PRAGMA wal_autocheckpoint = 0")
-        rows = database.execute("SELECT topic_id, timestamp, data FROM messages").fetchall()
-        # A recorder's transactions hold many messages each.
-        for at in range(0, len(rows), 8):
-            database.execute("BEGIN")
-            database.executemany("INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)", rows[at : at + 8])
-            database.execute("COMMIT")
-        shutil.copyfile(live, source)
-        data = Path(f"{live}-wal").read_bytes()
-    log, middle = Path(f"{source}-wal"), len(data) // 2
-    log.write_bytes(data[:middle] if damage == "cut off" else data[:middle] + b"\x10" + data[middle + 1 :])
-    done = run("repair", source, "-o", tmp_path / "fixed")
-    assert done.status == 3, done.stderr
-    assert f"damaged: {log}, byte " in done.stderr
-    found = len(read_all(tmp_path / "fixed")[0])
-    assert len(rows) < found < 2 * len(rows)
-    assert "damaged: " in run("info", source).stderr
-    assert run("convert", source, "-o", tmp_path / "strict", "--strict").status == 1
-    assert not (tmp_path / "strict").exists()

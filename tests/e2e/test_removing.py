@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import pytest
 
-from pc2scan.cli.in_process import run_command
 from pc2scan.cli.render import as_typed
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.project import project
@@ -85,20 +84,6 @@ def test_shadows_remove_most_mixed_pixels(tmp_path: Path) -> None:
     assert true[0] < 0.005 * true[1]
 
 
-def test_laser_filters_values_remove_walls_with_a_warning(tmp_path: Path) -> None:
-    """The values of its example, all given or one of them."""
-    recording = written(tmp_path, veiled("empty corridor", "16 rings", noise=0.02))
-    text = "shadows min_angle=10 max_angle=170 window=1 neighbors=20 remove_shadow_start_point=false"
-    found = converted(recording, 720, "--remove", text)
-    number, returns = found.removed["shadows"], found.removed["returns"]
-    assert number > 0.1 * returns
-    (warning,) = found.warnings
-    share = f"/scan: {number:,} of {returns:,} beams ({number / returns:.0%}) were removed as shadows"
-    assert warning == f"{share}; --remove shadows without parameters keeps returns that continue a surface"
-    one = converted(recording, 720, "--remove", "shadows neighbors=20")
-    np.testing.assert_array_equal(one.scans, found.scans)
-
-
 @pytest.mark.parametrize(("plan", "lidar", "options", "said"), rows(TABLES, "filters that remove a tenth"))
 def test_filters_that_remove_a_tenth_are_warned_of(
     plan: str, lidar: str, options: tuple[str, ...], said: str, tmp_path: Path
@@ -116,18 +101,6 @@ def test_filters_that_remove_a_tenth_are_warned_of(
     }
 
 
-def test_scans_whose_every_beam_is_sparse_are_explained(tmp_path: Path) -> None:
-    """A ring of 1440 points has two in each of 720 beams."""
-    recording = written(tmp_path, veiled("empty room", "1 ring"))
-    output = str(tmp_path / "out.mcap")
-    ended = run_command(["convert", str(recording), "-o", output, "--beams", "720", "--min-points", "3"])
-    assert ended.status == 4
-    assert (
-        "1 of 1 scan on /scan has no return at all: all of the 720 beams with a return were removed" in ended.messages
-    )
-    assert "720 of 720 beams (100%) were removed as sparse; they have fewer returns than --min-points" in ended.messages
-
-
 @pytest.mark.parametrize(("lidar", "height"), sampled([("16 rings", 1.0), ("32 rings", 1.8), ("64 rings", 1.8)], 1))
 def test_beams_end_on_boxes_where_the_ground_is_removed(lidar: str, height: float, tmp_path: Path) -> None:
     cloud = labelled("boxes of 0.3 m", lidar, lidar=height)
@@ -139,9 +112,3 @@ def test_beams_end_on_boxes_where_the_ground_is_removed(lidar: str, height: floa
     # Nothing but boxes is in the scan, and at most one beam lost its box.
     assert np.count_nonzero(scan[seen] > nearest[seen] + 0.5) <= 1
     assert not np.isfinite(scan[~np.isfinite(boxes)]).any()
-
-
-@pytest.mark.parametrize("options", sampled([pytest.param(*row) for row in rows(TABLES, "what is asked for")], 2))
-def test_what_is_asked_for_draws_no_warning(options: tuple[str, ...], tmp_path: Path) -> None:
-    recording = written(tmp_path, veiled("room with posts", "16 rings", noise=0.02))
-    assert not converted(recording, 360, *options).warnings

@@ -89,11 +89,6 @@ def test_points_are_chosen_and_counted(
     assert not any("ground" in warning for warning in report.warnings)
 
 
-def test_a_condition_is_in_the_report(tmp_path: Path) -> None:
-    _, _, report = converted(tmp_path, where="ring in (3, 4, 5)")
-    assert report.as_dict()["scans"][0]["filters"] == [{"name": "where", "condition": "ring in (3, 4, 5)"}]
-
-
 def test_beams_are_removed_and_counted(tmp_path: Path) -> None:
     whole, topic, _ = converted(tmp_path, min_height=-0.5)
     assert topic["removed_beams"] == {}

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
-import pytest
+from typing import TYPE_CHECKING
 
 import pc2scan
-from pc2scan.errors import SeveralNodesError, UsageError
 from support import ROOT
 from support.command import run
 
@@ -28,28 +25,6 @@ def test_python_writes_what_the_command_writes(tmp_path: Path) -> None:
     assert [spec.place for spec in report.scans] == [f"{NODES}, {node}" for node in nodes]
     # Without sources a scan has the only topic.
     assert pc2scan.convert(HALL, tmp_path / "a.mcap", scans={"/a": {"min_height": -1}}).exit_status == 0
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"scans": SCANS, "preset": "gmapping", "deskew": True}, "`preset`, `deskew` cannot be combined with"),
-        ({"params_file": NODES, "topics": "/points"}, "`topics` does not name a node"),
-    ],
-)
-def test_what_contradicts_several_scans(options: dict[str, Any], message: str, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=message):
-        pc2scan.convert(HALL, tmp_path / "none.mcap", **options)
-
-
-def test_where_one_node_is_expected_one_has_to_be_named(tmp_path: Path) -> None:
-    with pytest.raises(SeveralNodesError, match="several nodes match"):
-        pc2scan.ProjectionParams.from_file(NODES)
-    both = tmp_path / "both.yaml"
-    sections = ("pointcloud_to_laserscan", "laserscan_to_pointcloud")
-    both.write_text("".join(f"{section}:\n  ros__parameters: {{}}\n" for section in sections))
-    with pytest.raises(UsageError, match="several nodes match"):
-        pc2scan.convert(HALL, tmp_path / "none.mcap", params_file=both)
 
 
 def test_the_report_has_each_scan(tmp_path: Path) -> None:

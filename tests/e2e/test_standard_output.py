@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shlex
 import shutil
@@ -12,12 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from pc2scan.compare.diff import diff
-from pc2scan.show.check import check
 from support import ROOT, sampled
-from support.builders import write_mcap
 from support.command import COMMAND, Finished, environment, run
-from support.scan_recordings import recording, scans
 from support.tables import rows
 from support.terminal import shown
 
@@ -104,13 +99,6 @@ def test_what_may_not_be_read_or_written(words: str, error: str, tmp_path: Path)
     assert done.stderr.startswith(error)
 
 
-def test_a_server_that_is_not_there_is_no_missing_file(tmp_path: Path) -> None:
-    pytest.importorskip("aiohttp")
-    done = run("convert", "https://127.0.0.1:1/drive.bag", "-o", tmp_path / "a.bag")
-    assert done.status == 1
-    assert "the host cannot be reached" in done.stderr
-
-
 # --- Terminals ---
 
 
@@ -130,24 +118,12 @@ def test_everything_fits_into_the_terminal(words: str, columns: int, tmp_path: P
     assert [line for line in lines if len(line) > columns and " " in line.removesuffix(" \\").strip()] == []
 
 
-def test_help_is_as_wide_as_one_reads() -> None:
-    assert 100 < max(map(len, shown("convert", "--help", columns=200, NO_COLOR="1").split("\n"))) <= 120
-
-
 def test_warnings_replace_the_progress_bar(tmp_path: Path) -> None:
     text = shown("convert", HALL, "-o", tmp_path / "o.bag", "--min-height=-1", columns=80)
     before, found, warning = text.partition("\x1b[1m\x1b[33mwarning:\x1b[0m /points: the floor is within the heights")
     assert found
     assert before.endswith("\r\x1b[2K")
     assert warning.startswith(": it is at z = -0.60 m in\n  'lidar'")
-
-
-@pytest.mark.slow
-def test_neither_pipes_nor_json_are_wrapped(tmp_path: Path) -> None:
-    text = shown("convert", HALL, "-o", tmp_path / "o.bag", "--angle-max", "90", COLUMNS="60")
-    assert len(text.splitlines()) == 2
-    assert "\x1b" not in text
-    assert json.loads(shown("tf", HALL, "--json", columns=40, NO_COLOR="1"))["trees"]
 
 
 @pytest.mark.parametrize(
@@ -195,32 +171,3 @@ def test_a_wrapped_command_is_still_one_for_the_shell(folder: str, options: str,
     words = shlex.split(command.replace("\\\n", ""))
     made = str(tmp_path / folder / "hall_scan")
     assert words == ["pc2scan", "check", made if options else f"{made}.bag"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("command", ["check", "diff"])
-def test_check_and_diff_have_the_progress_bar(command: str, tmp_path: Path) -> None:
-    assert run("convert", HALL, "-o", tmp_path / "scan.bag", "--min-height=-1").status == 0
-    sources = [tmp_path / "scan.bag"] * (2 if command == "diff" else 1)
-    text = shown(command, *sources, columns=120)
-    assert "messages" in text
-    assert "\x1b[?25l" in text
-    assert "\x1b[?25l" not in shown(command, *sources, "--json", columns=120)
-    assert "\x1b" not in shown(command, *sources)
-
-
-def test_how_far_a_comparison_is(tmp_path: Path) -> None:
-    many = write_mcap(tmp_path / "many.mcap", recording({"/scan": scans(200)}))
-    both = write_mcap(tmp_path / "both.mcap", recording({"/a": scans(96), "/b": scans(96)}))
-    told: list[tuple[int, int, int]] = []
-    for path, count in ((many, 200), (both, 192)):
-        told.clear()
-        assert diff(path, path, progress=lambda *step: told.append(step)).same
-        assert told == [(number, count, number) for number in (*range(count + 1), count)]
-    told.clear()
-    check([many], progress=lambda *step: told.append(step))
-    # The scans are 0 until the transforms, and the first scans' headers, are read. A chunk of 16 is done when the next
-    # one is due.
-    assert [messages for _, _, messages in told] == [0, 0, 0, 0, *range(0, 200, 16), 200]
-    assert [done for done, _, _ in told] == sorted(done for done, _, _ in told)
-    assert {total for _, total, _ in told[3:]} == {told[-1][0]}

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import json
-import shutil
-import sqlite3
 import sys
-from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-import zstandard
 
 import pc2scan
-from pc2scan.errors import Pc2ScanError, RecordingError
+from pc2scan.errors import Pc2ScanError
 from pc2scan.files import store
 from support import ROOT
-from support.builders import CONTENT, write_db3, write_rosbag1
 from support.command import run, run_process
 from support.stores import memory_store, s3_server, web_server
 from support.tables import rows
@@ -98,37 +93,6 @@ def words_of(text: str) -> list[str]:
     return [word for word in text.split() if word.strip("-0123456789.")]
 
 
-def test_all_kinds_of_recordings_are_read(bucket: Any, tmp_path: Path) -> None:
-    """Also those that are compressed as a whole, damaged, or have a log beside them."""
-    write_db3(tmp_path / "a.db3", CONTENT)
-    write_rosbag1(tmp_path / "b.bag", CONTENT)
-    data = (tmp_path / "b.bag").read_bytes()
-    (tmp_path / "cut.bag").write_bytes(data[: len(data) * 2 // 3])
-    (tmp_path / "cut.db3").write_bytes((tmp_path / "a.db3").read_bytes()[:-4096])
-    (tmp_path / "b.bag.zst").write_bytes(zstandard.compress(data))
-    shutil.copy(tmp_path / "a.db3", tmp_path / "hot.db3")
-    with closing(sqlite3.connect(tmp_path / "hot.db3", isolation_level=None)) as live:
-        live.execute("PRAGMA journal_mode = WAL")
-        live.execute("PRAGMA wal_autocheckpoint = 0")
-        live.execute("DELETE FROM messages WHERE id = 1")
-        for end in ("", "-wal"):
-            shutil.copy(tmp_path / f"hot.db3{end}", tmp_path / f"logged.db3{end}")
-    (tmp_path / "hot.db3").unlink()
-    bucket.put(f"{tmp_path}/", "/kinds/", recursive=True)
-    names = {path.name for path in tmp_path.iterdir() if path.is_file() and not path.name.endswith("-wal")}
-    assert len(names) == 6
-    for name in names:
-        found = [str(pc2scan.info(place).as_dict()) for place in (f"memory://kinds/{name}", tmp_path / name)]
-        assert found[0] == found[1].replace(str(tmp_path), "memory://kinds")
-
-
-def test_results_go_next_to_the_source_or_into_a_folder(bucket: Any) -> None:
-    assert pc2scan.convert(HALL, **HEIGHTS).destination == "memory://bucket/hall_scan.bag"
-    assert bucket.exists("/bucket/hall_scan.bag")
-    pc2scan.convert(HALL, "memory://out/", **HEIGHTS)
-    assert bucket.find("/out") == ["/out/hall_scan.bag"]
-
-
 @pytest.mark.parametrize(("words", "why"), rows(CASES, "refused"))
 def test_what_is_refused_changes_nothing(words: str, why: str, bucket: Any) -> None:
     hall = bucket.cat_file("/bucket/hall.bag")
@@ -157,15 +121,6 @@ def test_a_transfer_that_fails_leaves_nothing(
     with pytest.raises((Pc2ScanError, KeyboardInterrupt)):
         pc2scan.convert("memory://bucket/hall", "memory://out/x", **HEIGHTS)
     assert bucket.find("/out") == []
-
-
-def test_sources_are_counted_together_before_the_first_is_fetched(bucket: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    largest = max(bucket.size(f"/bucket/{name}") for name in NAMES[:2])
-    monkeypatch.setattr("shutil.disk_usage", lambda _: shutil._ntuple_diskusage(2 * largest, 0, largest))
-    assert pc2scan.info(HALL).topics
-    monkeypatch.setattr(type(bucket), "get_file", None)
-    with pytest.raises(RecordingError, match=r"hall\.bag: no space for local copies: .* are fetched, and .* has room"):
-        pc2scan.convert([HALL, "memory://bucket/hall.mcap"], "memory://out/x.bag", **HEIGHTS)
 
 
 def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
