@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 from contextlib import suppress
+from functools import cache
 from importlib import import_module
 from inspect import Parameter as Keyword
 from inspect import Signature
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 from typer.core import TyperCommand
+from typer.main import get_command
 
 from pc2scan.core.kernel import COMPILED
 from pc2scan.errors import OutputError, Pc2ScanError, name_list
@@ -96,20 +97,18 @@ def parse(words: Sequence[str]) -> Typed | int:
     UsageError
         If there is no such command or option, or if a value is missing.
     """
-    hook = sys.excepthook
     try:
-        typed: Typed | int = application(*words[:1])(_prepared(words), prog_name="pc2scan", standalone_mode=False)
+        command = words[0] if words and words[0] in COMMANDS else ""
+        typed: Typed | int = application(command)(_prepared(words), prog_name="pc2scan", standalone_mode=False)
     except typer.TyperException as err:
         raise in_our_words(err.format_message(), words) from err
-    finally:
-        # Typer sets one, and golden cases run in other programs.
-        sys.excepthook = hook
     return typed
 
 
-def application(command: str = "") -> typer.Typer:
+@cache
+def application(command: str) -> Any:
     """Make the parser, of all commands or only of the one that is going to run: to build its options takes a while."""
-    names = [command] if command in COMMANDS else [*COMMANDS]
+    names = [command] if command else [*COMMANDS]
     completes = len(names) > 1
     app = typer.Typer(
         name="pc2scan", help=ABOUT, add_help_option=False, rich_markup_mode=None, add_completion=completes
@@ -118,7 +117,7 @@ def application(command: str = "") -> typer.Typer:
     for name in names:
         text = COMMANDS[name].help.partition("\n")[0]
         app.command(name, help=text, add_help_option=False, no_args_is_help=False, cls=_Command)(_parser_of(name))
-    return app
+    return get_command(app)
 
 
 class _Command(TyperCommand):
@@ -137,7 +136,8 @@ class _Command(TyperCommand):
                 _show_help(self.name or "", every=key == "help_all")
         if rest:
             ctx.fail(f"Got unexpected extra argument(s) ({' '.join(rest)})")
-        ctx.params = values
+        # Those that are not typed, too: Typer would remember what an earlier call had.
+        ctx.params = {parameter.name: values.get(parameter.name) for parameter in self.params}
         return rest
 
 
