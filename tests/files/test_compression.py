@@ -36,11 +36,6 @@ def test_there_and_back(name: str, data: bytes) -> None:
     assert unpacked(name, bytes(packed), len(data)) == data
 
 
-def test_levels_of_zstd() -> None:
-    assert compress("zstd", DATA) == zstandard.ZstdCompressor().compress(DATA)
-    assert compress("zstd", DATA, 1) == zstandard.ZstdCompressor(level=1).compress(DATA)
-
-
 @pytest.mark.parametrize("name", ["bz2", "lz4", "zstd"])
 @pytest.mark.parametrize("size", [1, 1_000, len(DATA) - 1, len(DATA) + 1])
 def test_another_size_is_an_error(name: str, size: int) -> None:

@@ -1,18 +1,12 @@
 from __future__ import annotations
 
 import zlib
-from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING
 
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.files import compression as module
 from pc2scan.files.compression import crc32
-
-if TYPE_CHECKING:
-    import pytest
 
 NOISE = np.random.default_rng(1).bytes(1 << 20)
 
@@ -29,18 +23,3 @@ def test_lengths_and_beginnings_of_every_kind() -> None:
         for first in (0, 1, 7, 16):
             part = view[first : first + length]
             assert crc32(part) == zlib.crc32(part), (first, length)
-
-
-def test_parts_continue_each_other() -> None:
-    assert crc32(NOISE[1000:], crc32(NOISE[:1000])) == zlib.crc32(NOISE)
-
-
-def test_threads_do_not_disturb_each_other() -> None:
-    expected = zlib.crc32(NOISE)
-    with ThreadPoolExecutor(4) as pool:
-        assert set(pool.map(crc32, [NOISE] * 200)) == {expected}
-
-
-def test_where_there_is_no_library_zlib_does_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "_zlib", zlib)
-    assert crc32(NOISE) == zlib.crc32(NOISE)

@@ -38,32 +38,6 @@ def test_short_answers_of_the_system_are_completed(file: SourceFile, monkeypatch
     assert file.read(5, 90) == bytes(range(5, 95))
 
 
-def test_announcing_what_comes_changes_nothing(file: SourceFile, monkeypatch: pytest.MonkeyPatch) -> None:
-    file.expect(10, 1000)
-    assert file.read(10, 3) == b"\x0a\x0b\x0c"
-    file.close()
-    file.expect(10, 3)
-    for name in ("posix_fadvise", "RWF_NOWAIT"):
-        monkeypatch.delattr(os, name, raising=False)
-    file.expect(10, 3)
-
-
-@pytest.mark.skipif(not hasattr(os, "RWF_NOWAIT"), reason="this system cannot be asked what it has at hand")
-def test_what_is_at_hand_is_not_announced(file: SourceFile, monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[tuple[int, ...]] = []
-    monkeypatch.setattr(os, "posix_fadvise", lambda _, *args: told.append(args))
-    file.read(0, 100)
-    file.expect(10, 20)
-    assert told == []
-
-    def refuse(*_: object) -> int:
-        raise BlockingIOError
-
-    monkeypatch.setattr(os, "preadv", refuse)
-    file.expect(10, 20)
-    assert told == [(10, 20, os.POSIX_FADV_WILLNEED)]
-
-
 LARGE = random.Random(1).randbytes(3 << 20)
 
 
@@ -124,15 +98,6 @@ def test_what_is_not_there_is_an_error(file: SourceFile, path: Path, large: Path
         SourceFile(tmp_path / "none")
 
 
-def test_a_format_makes_its_own_error_of_damage(path: Path) -> None:
-    class Strict(SourceFile):
-        def damage(self, message: str) -> Exception:
-            return ValueError(message)
-
-    with closing(Strict(path)) as file, pytest.raises(ValueError, match="declared from byte 101"):
-        file.read(101, 1)
-
-
 def test_a_new_file_tells_where_everything_is(tmp_path: Path) -> None:
     file = NewFile(tmp_path / "new")
     assert file.put(b"head", memoryview(b"er")) == 0
@@ -147,8 +112,3 @@ def test_kept_ids_are_for_those_who_ask_for_them() -> None:
     ids = FreeIds(1)
     ids.keep([1, 2, 4, 900])
     assert [ids.take(wanted) for wanted in (-1, 2, 900, 7, 2, 1, 4, 0)] == [3, 2, 900, 5, 6, 1, 4, 7]
-
-
-def test_ids_are_handed_out_in_a_row_when_none_is_own() -> None:
-    ids = FreeIds(0)
-    assert [ids.take(wanted) for wanted in (5, 5, 0)] == [0, 1, 2]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-
 import pytest
 
 from pc2scan.files.yaml import dump_yaml, load_yaml
@@ -37,12 +35,3 @@ def test_each_caller_gets_objects_of_its_own() -> None:
     # Within a document an alias stays the same object.
     assert first == {"a": [1, 2], "b": [1, 2]}
     assert load_yaml(text) == {"a": [1], "b": [1]}
-
-
-def test_equal_documents_are_parsed_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    text = "- depth: 12345\n"
-    assert load_yaml(text) == [{"depth": 12345}]
-    monkeypatch.setitem(sys.modules, "ruamel.yaml", None)
-    assert load_yaml(text) == [{"depth": 12345}]
-    with pytest.raises(ImportError):
-        load_yaml("- depth: 54321\n")

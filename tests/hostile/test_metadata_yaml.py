@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
-from contextlib import closing
 from pathlib import Path
 
 import pytest
 
-from pc2scan.bags.opening import open_recording
 from support import sampled
 from support.bounded import run_bounded
-from support.builders import CONTENT, POINTS, Recording, write_mcap, write_rosbag2
+from support.builders import CONTENT, write_rosbag2
 from support.tables import rows
 
 TABLES = Path(__file__).with_name("metadata_yaml.txt")
@@ -53,15 +50,6 @@ def test_a_link_to_what_is_no_file_is_not_followed(target: str, drive: Path, tmp
     done = run_bounded("info", drive)
     assert done.status == 1
     assert "drive_0.db3" in done.stderr
-
-
-@pytest.mark.parametrize("metadata", [True, False])
-def test_a_link_within_the_directory_is_a_file_like_others(metadata: bool, drive: Path) -> None:
-    (drive / "drive_0.db3").rename(drive / "real.bin")
-    (drive / "drive_0.db3").symlink_to("real.bin")
-    if not metadata:
-        (drive / "metadata.yaml").unlink()
-    assert run_bounded("info", drive).status == 0
 
 
 @pytest.mark.parametrize("tag", [tag for (tag,) in rows(TABLES, "tags")])
@@ -110,37 +98,7 @@ def test_aliases_that_unfold_in_what_is_made_text(drive: Path) -> None:
     assert "its aliases multiply" in done.stderr
 
 
-@pytest.mark.parametrize(
-    "qos", ["- durability: " + "[" * 50_000, LAUGHS, "- depth: 1\n" * 5_900, "- a: !!python/name:os.system"]
-)
-def test_profiles_that_are_none_pass_as_they_are(qos: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("support.builders.qos_text", lambda *_, **__: qos)
-    recording = Recording((POINTS,), tuple(CONTENT.of("/points")))
-    source = write_mcap(tmp_path / "a.mcap", recording)
-    for storage in ("mcap", "sqlite3"):
-        done = run_bounded("convert", source, "-o", tmp_path / storage, "--storage", storage)
-        assert done.status == 0, done.stderr
-
-
-def test_profiles_too_long_to_be_any_are_written_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Writing 30 MB of them as YAML took half a minute, for a recording of 2 KB."""
-    qos = "[" * 700_000
-    monkeypatch.setattr("support.builders.qos_text", lambda *_, **__: qos)
-    source = write_mcap(tmp_path / "a.mcap", Recording((POINTS,), tuple(CONTENT.of("/points"))))
-    done = run_bounded("repair", source, "-o", tmp_path / "out")
-    assert done.status == 0, done.stderr
-    assert (tmp_path / "out" / "metadata.yaml").stat().st_size < 10_000
-    with closing(open_recording(tmp_path / "out")) as reader:
-        assert reader.connections[0].qos == qos
-
-
 @pytest.mark.parametrize(("old", "new"), rows(TABLES, "values of other kinds"))
 def test_values_of_other_kinds(old: str, new: str, drive: Path) -> None:
     with_text(drive, old, new)
     assert run_bounded("convert", drive, "--strict").status == 1
-
-
-def test_a_topic_that_only_metadata_knows_is_a_topic(drive: Path) -> None:
-    with_text(drive, "name: /chatter", 'name: "/chat\\e[2Jter"')
-    done = run_bounded("info", drive, "--json")
-    assert "/chat\x1b[2Jter" in {topic["topic"] for topic in json.loads(done.stdout)["topics"]}

@@ -9,7 +9,6 @@ import shlex
 import shutil
 import subprocess
 import sys
-import traceback
 import unicodedata
 import warnings
 from pathlib import Path
@@ -21,8 +20,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pc2scan
-from pc2scan.errors import leading, visible
-from support import rosbag1_files, sampled
+from pc2scan.errors import visible
+from support import sampled
 from support.bounded import run_bounded
 from support.builders import (
     CHATTER,
@@ -199,24 +198,6 @@ CHECKED: dict[str, Callable[[str], None]] = {
 }
 
 
-def test_json_has_names_as_they_are(evil: Path) -> None:
-    topics = {topic["topic"] for topic in json.loads(run("info", evil, "--json").stdout)["topics"]}
-    assert {CLOUDS, SCANS, TEXTS} <= topics
-
-
-def test_csv_of_scans_reads_back(evil: Path, tmp_path: Path) -> None:
-    done = run("export", evil, "-t", SCANS, "-o", tmp_path / "a.csv", "-f", "csv")
-    assert done.status == 0, done.stderr
-    with (tmp_path / "a.csv").open(newline="", encoding="utf-8") as file:
-        lines = list(csv.DictReader(file))
-    scans = list(pc2scan.scans(evil, topics=SCANS))
-    assert [int(line["stamp_ns"]) for line in lines] == [each.stamp_ns for each in scans]
-    assert [float(line["range_7"]) for line in lines] == pytest.approx(
-        [float(each.ranges[7]) for each in scans], rel=1e-6
-    )
-    assert {line["frame"] for line in lines} == {visible(f"\\x3d{LIDAR[1:]}", None)}
-
-
 def test_results_in_python_are_not_obeyed(folder: Path, evil: Path, tmp_path: Path) -> None:
     other = folder / "other.mcap"
     results: list[Any] = [
@@ -245,22 +226,6 @@ def test_results_in_python_are_not_obeyed(folder: Path, evil: Path, tmp_path: Pa
             assert_harmless(str(warning.message))
 
 
-def test_errors_in_python_are_not_obeyed(evil: Path, tmp_path: Path) -> None:
-    with pytest.raises(pc2scan.Pc2ScanError) as caught:
-        pc2scan.convert(evil, tmp_path / "a.mcap", target_frame=f"nowhere{EVIL}", strict=True)
-    shown = "".join(traceback.format_exception_only(caught.value))
-    assert_harmless(shown)
-    assert "hint: " in shown
-
-
-DESTINATIONS = {
-    "bag": ("out.bag",),
-    "mcap": ("out.mcap",),
-    "rosbag2": ("out",),
-    "sqlite3": ("out", "--storage", "sqlite3"),
-}
-
-
 @pytest.mark.parametrize("encoding", sampled(["ascii", "latin-1", "cp437"], 1))
 def test_what_an_encoding_cannot_show_is_escaped(encoding: str, tmp_path: Path) -> None:
     stream = Stream("/läser_点", POINTS.msgtype)
@@ -276,43 +241,6 @@ def test_what_an_encoding_cannot_show_is_escaped(encoding: str, tmp_path: Path) 
         )
         assert done.returncode == 0, done.stderr
         assert b"\\u70b9" in done.stdout
-
-
-@pytest.fixture
-def bytes_for_names(tmp_path: Path) -> Path:
-    """A bag whose topics, types, callers and definitions are bytes that are no text."""
-    inner = {"md5sum": b"*", "callerid": b"/\xff", "message_definition": b"# \xff\nuint8 a\n", "x": b"\xfe"}
-    kinds = {b"/cl\xff\xfe": b"sensor_msgs/PointCloud2", b"/s\xff": b"std_msgs/String", b"/t": b"st\xff_msgs/\xfe"}
-    connections = [
-        rosbag1_files.record(
-            rosbag1_files.header(topic=topic, type=kind, **inner)[4:],
-            op=b"\x07",
-            conn=rosbag1_files.uint32(number),
-            topic=topic,
-        )
-        for number, (topic, kind) in enumerate(kinds.items())
-    ]
-    payload = rosbag1_files.message(5, cloud(points_of(1), 1)) + rosbag1_files.message(6, string("a", 1), 1)
-    return rosbag1_files.simple_bag(tmp_path / "bytes.bag", payload, counts={0: 1, 1: 1, 2: 0}, connections=connections)
-
-
-@pytest.mark.parametrize("kind", DESTINATIONS)
-def test_bytes_that_are_no_text(kind: str, bytes_for_names: Path, tmp_path: Path) -> None:
-    name, *options = DESTINATIONS[kind]
-    done = run_bounded("convert", bytes_for_names, "-o", tmp_path / name, "--keep-clouds", *options)
-    # Between the ROS versions a type that is no name cannot be carried over, and with it its only cloud.
-    if kind not in ("bag", "mcap"):
-        assert (done.status, (tmp_path / name).exists()) == (1, False), done.stderr
-        assert "cannot be re-encoded" in done.stderr
-        return
-    assert done.status == 0, done.stderr
-    again = run_bounded("info", tmp_path / name, "--json")
-    assert again.status == 0, again.stderr
-    topics = {topic["topic"] for topic in json.loads(again.stdout)["topics"]}
-    assert "/scan" in topics
-    # A bag keeps the bytes; MCAP has replacement characters for them.
-    kept = {"bag": "/cl\udcff\udcfe", "mcap": "/cl\ufffd\ufffd"}
-    assert kept[kind] in topics
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="file names that are no text are Linux's")
@@ -346,9 +274,3 @@ def test_any_text_is_one_harmless_line(text: str) -> None:
     assert visible(text, 3) == (shown if len(text) <= 3 else f"{visible(text[:3], None)}... ({len(text)} chars)")
     if text.isprintable() and "[" not in text and not text.lstrip().startswith("::"):
         assert shown == text
-
-
-@given(_TEXTS)
-def test_a_line_that_begins_with_a_name_is_no_other(text: str) -> None:
-    line = f"{leading(text)}: 3 scans"
-    assert not line.startswith(("same: ", "error: ", "hint: ", "::")) or ": " not in text

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import bz2
 import io
-import sqlite3
 import struct
-from contextlib import closing
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -25,7 +23,6 @@ from support.bounded import run_bounded
 from support.builders import (
     CHATTER,
     CLOUD,
-    CONTENT,
     POINTS,
     T0,
     Item,
@@ -41,8 +38,6 @@ from support.builders import (
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-FILES = Path(__file__).with_name("files")
 
 #: More than the bounds allow, and of zeros: a few kilobytes when compressed.
 HUGE = 400_000_000
@@ -119,25 +114,6 @@ def test_a_chunk_that_unfolds_to_more_than_may_be(kind: str, command: str, tmp_p
     assert command != "repair" or done.status == 3
 
 
-@pytest.mark.parametrize("kind", sampled(KINDS[:3], 2))
-def test_a_chunk_as_large_as_may_be(kind: str, tmp_path: Path) -> None:
-    source = bomb(tmp_path, kind, 31_200_000)
-    # All points are at the sensor: no scan has a return.
-    keep = ("--keep-clouds", "-o", tmp_path / f"out{source.suffix}")
-    for status, command, options in ((0, "info", ()), (4, "convert", keep)):
-        done = run_bounded(command, source, *options)
-        assert done.status == status, done.stderr
-        assert "2,600,000" in done.stdout
-
-
-@pytest.mark.parametrize("destination", ["out.bag", "out.mcap"])
-def test_a_bag_of_three_kilobytes(destination: str, tmp_path: Path) -> None:
-    """Its chunk declares, and holds, four gigabytes; chunks that could be copied were decompressed to see that."""
-    done = run_bounded("repair", FILES / "bzbomb.bag", "-o", tmp_path / destination)
-    assert done.status == 3
-    assert "declares 4294967295 bytes, in a bag of 3262 at most" in done.stderr
-
-
 @pytest.mark.parametrize(("storage", "told"), sampled([("mcap", True), ("mcap", False), ("sqlite3", False)], 1))
 def test_a_message_that_unfolds_to_more_than_may_be(storage: str, told: bool, tmp_path: Path) -> None:
     packed = zstandard.ZstdCompressor(write_content_size=told).compress(zero_cloud(HUGE, 2))
@@ -195,61 +171,6 @@ def test_more_tiny_points_than_can_be(tmp_path: Path) -> None:
     done = run_bounded("convert", source, "--reduce", "median", "--min-height", "-9")
     assert done.status == 1
     assert "16,000,000 points of 1 bytes" in done.stderr + done.stdout
-
-
-def test_fields_without_number(tmp_path: Path) -> None:
-    """As many fields as fit into 20 MB, and all of them there."""
-    base = cloud(points_of(0), 2)
-    # Frame "lidar": the number of fields follows height and width.
-    at = 4 + 12 + len(b"lidar\0") + 2 + 8
-    assert struct.unpack_from("<I", base, at) == (3,)
-    field = struct.pack("<I2sxxIBxxxI", 2, b"x\0", 0, 7, 1)
-    data = base[:at] + struct.pack("<I", 1_000_000) + field * 1_000_000 + base[at + 4 + 3 * len(field) :]
-    source = write_mcap(tmp_path / "a.mcap", Recording((POINTS,), (Item(POINTS, T0, {2: data}),)))
-    done = run_bounded("convert", source)
-    assert done.status == 1
-    assert "declares 1000000 fields" in done.stderr
-
-
-@pytest.mark.parametrize("count", sampled([20_000, 200_000], 1))
-def test_connections_without_number_in_a_bag(count: int, tmp_path: Path) -> None:
-    records = b"".join(rosbag1_files.connection_record(number) for number in range(1_000))
-    head = rosbag1_files.bag_header(len(rosbag1_files.bag_header(0, 0, 0)), 1_000_000, 0)
-    (tmp_path / "a.bag").write_bytes(head + records * (count // 1_000))
-    done = run_bounded("info", tmp_path / "a.bag")
-    assert done.status == 0
-    assert "index cannot be read" in done.stderr
-
-
-def test_connections_without_number_in_a_database(tmp_path: Path) -> None:
-    source = write_rosbag2(tmp_path / "drive", CONTENT, metadata=False)
-    with closing(sqlite3.connect(source / "drive_0.db3")) as opened, opened:
-        opened.execute(
-            "INSERT INTO topics WITH RECURSIVE n(i) AS (SELECT 100 UNION ALL SELECT i + 1 FROM n WHERE i < 500000) "
-            "SELECT i, '', '', '', '', '' FROM n"
-        )
-    done = run_bounded("convert", source)
-    assert done.status == 1
-    assert "more than 65,536 connections" in done.stderr
-
-
-@pytest.mark.slow
-def test_all_the_channels_that_mcap_has_numbers_for(tmp_path: Path) -> None:
-    channels = b"".join(mcap_files.raw_channel(number, f"/{number}") for number in range(1, 65_536))
-    source = mcap_files.raw_file(tmp_path / "a.mcap", channels + mcap_files.raw_message(7))
-    done = run_bounded("info", source)
-    assert done.status == 0
-    assert done.stdout.count("\n") > 65_000
-
-
-def test_one_chunk_may_not_be_in_a_bag_many_times(tmp_path: Path) -> None:
-    payload = rosbag1_files.message(5, bytes(1_000)) * 20_000
-    body = rosbag1_files.chunk(payload, "bz2")
-    info = rosbag1_files.chunk_info(rosbag1_files.FIRST_CHUNK, 1, 9, {0: 20_000})
-    head = rosbag1_files.bag_header(rosbag1_files.FIRST_CHUNK + len(body), 1, 10_000)
-    connection = rosbag1_files.connection_record(type=b"sensor_msgs/PointCloud2")
-    (tmp_path / "a.bag").write_bytes(head + body + connection + info * 10_000)
-    run_bounded("info", tmp_path / "a.bag")
 
 
 def test_many_chunks_that_overlap_in_time(tmp_path: Path) -> None:

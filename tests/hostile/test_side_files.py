@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import shutil
-import sqlite3
 import struct
-from contextlib import closing
 from typing import TYPE_CHECKING
 
 import pytest
@@ -88,15 +85,6 @@ def test_a_journal_that_names_a_file_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "out.mcap").exists()
 
 
-@pytest.mark.parametrize("pages", [1, 1 << 20, (1 << 32) - 2])
-def test_a_journal_that_declares_a_huge_database(pages: int, tmp_path: Path) -> None:
-    source = recording(tmp_path)
-    header = bytearray(journal(source, names=tmp_path)[:512])
-    struct.pack_into(">I", header, 16, pages)
-    source.with_name("drive.db3-journal").write_bytes(header + bytes(600))
-    assert run(tmp_path, "convert", source) in (1, 3)
-
-
 SIDES = [
     (suffix, kind)
     for suffix in ("-journal", "-wal", "-shm")
@@ -128,20 +116,3 @@ def test_names_that_mean_something_to_sqlite(name: str, tmp_path: Path) -> None:
     source = recording(tmp_path)
     source = source.rename(source.with_name(name))
     assert run(tmp_path, "info", source) == 0
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_a_log_is_read_and_stays(command: str, tmp_path: Path) -> None:
-    source = recording(tmp_path)
-    live = tmp_path / "live.db3"
-    shutil.copyfile(source, live)
-    with closing(sqlite3.connect(live)) as database:
-        database.execute("PRAGMA journal_mode = WAL")
-        database.execute(
-            "INSERT INTO messages(topic_id, timestamp, data) SELECT topic_id, timestamp, data FROM messages"
-        )
-        database.commit()
-        shutil.copyfile(live, source)
-        shutil.copyfile(f"{live}-wal", f"{source}-wal")
-    # There are no scans to check.
-    assert run(tmp_path, command, source) == (2 if command == "check" else 0)

@@ -13,7 +13,6 @@ import pytest
 from support import sampled
 from support.bounded import run_bounded
 from support.builders import CONTENT, write_rosbag1, write_rosbag2
-from support.command import run
 from support.tables import rows
 
 if TYPE_CHECKING:
@@ -54,15 +53,6 @@ def test_in_place_of_a_part_of_a_recording(name: str, kind: str, folder: Path) -
         assert name != "metadata.yaml" or f"it is a {kind}, not a file" in done.stderr
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("log", ["-wal", "-journal"])
-def test_in_place_of_a_log(log: str, kind: str, folder: Path) -> None:
-    source = write_rosbag2(folder / "drive", CONTENT)
-    KINDS[kind](source / f"drive_0.db3{log}")
-    assert run_bounded("info", source).status in (0, 1)
-    assert run_bounded("info", source / "drive_0.db3").status in (0, 1)
-
-
 @pytest.mark.parametrize(
     ("kind", "line"), sampled([(kind, line) for (line,) in rows(TABLES, "in place of an input") for kind in KINDS], 11)
 )
@@ -73,20 +63,6 @@ def test_in_place_of_an_input(kind: str, line: str, folder: Path) -> None:
     assert done.status in (1, 2)
     assert "a file" in done.stderr
     assert not Path("out.bag").exists()
-
-
-CASE_FILES = ["case.yaml", "params.yaml", "expected.txt", "input.bag"]
-
-
-@pytest.mark.parametrize(("kind", "name"), sampled([(kind, name) for kind in KINDS for name in CASE_FILES], 5))
-def test_in_a_golden_case(kind: str, name: str, folder: Path) -> None:
-    case = folder / "case"
-    case.mkdir()
-    if name != "input.bag":
-        write_rosbag1(case / "input.bag", CONTENT)
-    KINDS[kind](case / name)
-    done = run("golden", folder)
-    assert (done.status in (1, 2), "Traceback" in done.stderr) == (True, False), done.stderr
 
 
 #: LONG is a name that no file can have.
@@ -106,13 +82,3 @@ def test_names_that_are_too_long_and_links_without_end(line: str, folder: Path) 
         assert set(folder.iterdir()) - before <= {Path("out.bag")}
     if words[0] == "convert" and words[-2] == "-o" and len(words[-1]) > 200 and "/" not in words[-1]:
         assert "File name too long" in done.stderr
-
-
-def test_a_part_with_a_name_that_is_too_long(folder: Path) -> None:
-    source = write_rosbag2(folder / "drive", CONTENT)
-    text = (source / "metadata.yaml").read_text()
-    (source / "metadata.yaml").write_text(text.replace("drive_0.db3", f"{LONG}.db3"))
-    done = run_bounded("info", source)
-    # The file that is there is read in its place.
-    assert done.status == 0
-    assert "drive_0.db3" in done.stdout + done.stderr

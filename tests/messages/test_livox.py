@@ -16,7 +16,7 @@ from pc2scan.messages.pointcloud2 import as_pointcloud2
 from support import builders
 from support.builders import CLOUD, SECOND, T0, Item, Mcap, Recording, Stream
 from support.clouds import LIVOX as KINDS
-from support.clouds import livox, livox_points, structured
+from support.clouds import livox, livox_points
 from support.outputs import opened
 
 if TYPE_CHECKING:
@@ -37,35 +37,6 @@ def returns(points: NDArray[Any]) -> NDArray[np.float32]:
     at_origin = (table[:, :3] == 0).all(axis=1)
     table[at_origin | np.isin(points["tag"], NOISE), 0] = np.nan
     return table
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(("ros_version", "serialization"), [(1, "ros1"), (2, "cdr")])
-@pytest.mark.parametrize("count", [0, 1, 2, 300])
-def test_points_are_those_of_the_message(kind: str, ros_version: int, serialization: str, count: int) -> None:
-    points = points_of(5, count)
-    found = decode_livox(livox(points, ros_version, kind, seq=9), serialization)
-    assert (found.stamp_ns, found.frame_id, found.sequence) == (T0, "livox_frame", 9 if ros_version == 1 else 0)
-    np.testing.assert_array_equal(found.field("x"), returns(points)[:, 0])
-    for name in ("y", "z", "offset_time", "reflectivity", "tag", "line"):
-        np.testing.assert_array_equal(found.field(name), points[name])
-        assert found.field(name).dtype.newbyteorder("<") == points.dtype[name]
-
-
-def test_the_layout_is_that_of_the_definition() -> None:
-    """By hand: a point of 19 bytes, in CDR at every twentieth, also big-endian."""
-    point = (7, 1.5, -2.5, 0.5, 200, 0, 3)
-    ros1 = struct.pack("<IIII", 1, 10, 20, 1) + b"f" + struct.pack("<QIB3xI", 5, 2, 1, 2)
-    ros1 += 2 * struct.pack("<IfffBBB", *point)
-    for order in "<>":
-        flag = b"\0\1\0\0" if order == "<" else b"\0\0\0\0"
-        cdr = struct.pack(f"{order}iII", 10, 20, 2) + b"f\0" + bytes(2) + struct.pack(f"{order}QIB3xI", 5, 2, 1, 2)
-        cdr += struct.pack(f"{order}IfffBBBx", *point) + struct.pack(f"{order}IfffBBB", *point)
-        for data, serialization in ((ros1, "ros1"), (flag + cdr, "cdr")):
-            found = decode_livox(data, serialization)
-            assert (found.stamp_ns, found.frame_id) == (10 * SECOND + 20, "f")
-            for name, value in zip(("offset_time", "x", "y", "z", "reflectivity", "tag", "line"), point, strict=True):
-                assert found.field(name).tolist() == [value] * 2
 
 
 @pytest.mark.parametrize(("ros_version", "serialization"), [(1, "ros1"), (2, "cdr")])
@@ -150,37 +121,3 @@ def test_as_pointcloud2_it_is_what_the_driver_publishes(count: int, ros_version:
         for offset, x, y, z, reflectivity, tag, line in points.tolist()
     )
     assert bytes(cloud.data) == expected
-
-
-def test_offset_time_deskews_like_the_times_of_a_pointcloud2(tmp_path: Path) -> None:
-    """A robot that drives: the scans of both are equal to the bit, and are not those without deskewing."""
-    at = [T0 + step * SECOND // 10 for step in range(3)]
-    driving = [
-        builders.odometry(T0 + step * SECOND // 50, T0 + step * SECOND // 50, 0.1 * step, step) for step in range(30)
-    ]
-    mount = builders.fixed(builders.MOUNT, T0, "livox_frame", 0.5)
-    steps = [points_of(step) for step in range(3)]
-    own = [
-        builders.Item(Stream("/lidar", KINDS[1]), t, {2: livox(p, 2, stamp_ns=t)})
-        for t, p in zip(at, steps, strict=True)
-    ]
-    usual = []
-    for t, points in zip(at, steps, strict=True):
-        table = np.zeros(len(points), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("reflectivity", "<f4"), ("t", "<u4")])
-        for place, name in enumerate(("x", "y", "z", "reflectivity")):
-            table[name] = returns(points)[:, place]
-        table["t"] = points["offset_time"]
-        data = structured(table, 2, stamp_ns=t, frame_id="livox_frame")
-        usual.append(builders.Item(Stream("/lidar", CLOUD), t, {2: data}))
-    scans = []
-    for folder, items, deskew in (("own", own, True), ("usual", usual, True), ("rigid", own, False)):
-        content = sorted([mount, *driving, *items], key=lambda item: item.log_time_ns)
-        streams = tuple({item.stream: None for item in content})
-        (tmp_path / folder).mkdir()
-        source = builders.write_mcap(tmp_path / folder / "a.mcap", Recording(streams, tuple(content)), Mcap())
-        motion: dict[str, Any] = {"deskew": True, "fixed_frame": "odom"} if deskew else {}
-        report = pc2scan.convert(source, target_frame="base_link", min_height=-9.0, range_min=0.1, **motion)
-        scans.append([each.data for each in opened(Path(report.destination)).of("/scan")])
-    assert len(scans[0]) == 3
-    assert scans[0] == scans[1]
-    assert scans[0] != scans[2]

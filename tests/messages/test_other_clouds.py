@@ -52,40 +52,11 @@ def test_no_more_topics_than_a_line_takes(types: dict[str, str], said: str, hint
     assert (error.message, error.hint) == (f"the recording has no PointCloud2 topic{said}", hint)
 
 
-@pytest.mark.parametrize("topic", ["/front/depth", "/front/image"])
-def test_images_are_depth_images_by_their_topic(topic: str, tmp_path: Path) -> None:
-    error = refused(recording(tmp_path / "a.mcap", {topic: "sensor_msgs/msg/Image"}))
-    assert ("but depth images" in error.message) is (topic == "/front/depth")
-
-
 def test_a_topic_that_is_named_is_explained(tmp_path: Path) -> None:
     path = recording(tmp_path / "a.mcap", {"/packets": "rslidar_msg/msg/RslidarPacket"})
     error = refused(path, topics="/packets")
     assert error.message == "topic /packets is rslidar_msg/msg/RslidarPacket, not sensor_msgs/msg/PointCloud2"
     assert (error.hint or "").startswith("these are RoboSense packets: play the recording into RoboSense's driver")
-
-
-COMMANDS = {
-    "convert": ("-n",),
-    "plot": ("-o", "a.png"),
-    "view": ("-o", "a.html"),
-    "check": (),
-    "map": ("-o", "a.yaml"),
-    "export": ("-o", "a.csv"),
-    "batch": ("-o", "out", "--jobs", "1"),
-}
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_says_it(command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    others = {f"/other{number}": "std_msgs/msg/String" for number in range(70)}
-    path = recording(tmp_path / "a.mcap", {"/camera/depth/image": "sensor_msgs/msg/Image", **others})
-    done = run(command, path.name, *COMMANDS[command])
-    assert done.status in ({0} if command == "batch" else {1, 2})
-    assert "topic, but depth images: /camera/depth/image" in done.stderr
-    assert "depthimage_to_laserscan" in done.stderr
-    assert "/other" not in done.stdout + done.stderr
 
 
 def test_info_says_it(tmp_path: Path) -> None:

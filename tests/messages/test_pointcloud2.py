@@ -1,8 +1,7 @@
 from __future__ import annotations
 
 import struct
-from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,15 +13,11 @@ from pc2scan.errors import DecodeError
 from pc2scan.messages.pointcloud2 import (
     DATATYPES,
     POINTCLOUD2,
-    CloudDecoder,
     PointCloud2,
     PointField,
     decode_pointcloud2,
     encode_pointcloud2,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 ROS1 = get_typestore(Stores.ROS1_NOETIC)
 ROS2 = get_typestore(Stores.ROS2_JAZZY)
@@ -139,39 +134,6 @@ def test_hostile_counts_are_refused_without_reading_on() -> None:
     raw[4 + 24 : 4 + 28] = struct.pack("<I", 2**32 - 1)
     with pytest.raises(DecodeError, match="4294967295 fields"):
         decode_pointcloud2(bytes(raw), "cdr")
-
-
-@st.composite
-def similar_messages(draw: st.DrawFn) -> list[tuple[bytes, str]]:
-    """Messages that differ in a byte of what is between the stamp and the points, or in what the bytes mean."""
-    made = []
-    for _ in range(draw(st.integers(1, 6))):
-        frame = draw(st.sampled_from(["", "map", "mbp"]))
-        fields = [PointField(draw(st.sampled_from(["x", "y"])), draw(st.sampled_from([0, 1])), 7)]
-        data = bytes(draw(st.sampled_from([12, 13])))
-        little = draw(st.booleans())
-        built = message(fields, data, width=draw(st.integers(0, 1)), frame=frame)
-        whole, serialization = bytes(ROS2.serialize_cdr(built, POINTCLOUD2, little_endian=little)), "cdr"
-        if draw(st.booleans()):
-            # Of the same bytes, ROS 1 reads something else.
-            whole, serialization = whole[4:], "ros1"
-        made.append((whole[: draw(st.sampled_from([len(whole), len(whole) - 1, len(whole) - 5]))], serialization))
-    return made
-
-
-@given(similar_messages())
-def test_what_was_decoded_before_makes_no_difference(messages: list[tuple[bytes, str]]) -> None:
-    decoders = {serialization: CloudDecoder(serialization) for serialization in ("ros1", "cdr")}
-
-    def outcome(decode: Callable[[bytes], PointCloud2], data: bytes) -> object:
-        try:
-            return decode(data)
-        except DecodeError as err:
-            return type(err), err.message, err.stamp_ns
-
-    for data, serialization in messages:
-        alone = outcome(partial(decode_pointcloud2, serialization=serialization), data)
-        assert outcome(decoders[serialization], data) == alone
 
 
 @pytest.mark.parametrize("serialization", ["ros1", "cdr"])

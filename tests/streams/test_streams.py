@@ -5,11 +5,8 @@ from __future__ import annotations
 import copy
 import gc
 import pickle
-import shutil
-import sys
 import tracemalloc
-from contextlib import closing, suppress
-from dataclasses import replace
+from contextlib import suppress
 from itertools import islice, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +15,7 @@ import numpy as np
 import pytest
 
 import pc2scan
-from benchmarks.clouds import FORMS, POINTS, write_recording
+from benchmarks.clouds import FORMS, write_recording
 from pc2scan.errors import (
     DamageError,
     DecodeError,
@@ -196,13 +193,6 @@ def test_files_are_closed_whatever_becomes_of_the_loop(recording: Path, tmp_path
         assert open_files(tmp_path) == 0, end
 
 
-def test_warnings_precede_the_error() -> None:
-    with pytest.warns(pc2scan.RecordingWarning) as warned, pytest.raises(MessageError, match="nothing can be conv"):
-        list(pc2scan.scans(HALL, angle_increment=1.0, target_frame="nowhere"))
-    assert "57.3 degrees" in str(warned[0].message)
-    assert {each.filename for each in warned} == {__file__}
-
-
 def broken(folder: Path) -> Path:
     """A recording whose third scan ends too early."""
     path = folder / "broken.mcap"
@@ -234,23 +224,6 @@ def test_doubtful_requests_draw_the_warning_of_convert(how: dict[str, Any], told
     with pytest.warns(pc2scan.RecordingWarning) as warned:
         assert len(list(islice(pc2scan.scans(HALL, **how), 4))) == 4
     assert [w.filename for w in warned if told in str(w.message)] == [__file__]
-
-
-def test_a_cut_outside_of_the_recording_is_an_error() -> None:
-    for name in ("hall.bag", "hall.mcap", "hall"):
-        with pytest.raises(UsageError, match="the cut is outside of the recording: `start`"):
-            pc2scan.clouds(FIXTURES / name, start=30)
-        with pytest.raises(UsageError, match="the cut is outside of the recording: `end`"):
-            pc2scan.scans(FIXTURES / name, end=1_600_000_000, min_height=-0.3)
-        assert list(pc2scan.clouds(FIXTURES / name, start=0.31, end=0.38)) == []
-
-
-def test_a_cloud_is_taken_wherever_a_mapping_of_fields_is() -> None:
-    cloud = next(iter(pc2scan.clouds(HALL)))
-    params = pc2scan.ProjectionParams(min_height=-0.3)
-    (first, *_) = pc2scan.scans(HALL, params=params)
-    assert pc2scan.project(cloud, params).ranges.tobytes() == first.ranges.tobytes()
-    assert list(dict(cloud)) == list(cloud.fields)
 
 
 @pytest.mark.parametrize("container", ["hall.bag", "hall.mcap"])
@@ -313,14 +286,6 @@ def test_memory_stays_bounded(form: str, tmp_path: Path) -> None:
     assert scans < 30_000_000
 
 
-def test_clouds_that_are_kept_stay_what_they_are(tmp_path: Path) -> None:
-    source = write_recording(tmp_path, FORMS["MCAP, none"], 8 << 20, points=32_768)
-    seen = [cloud.points().tobytes() for cloud in pc2scan.clouds(source, POINTS)]
-    clouds = list(pc2scan.clouds(source, POINTS))
-    assert (len(seen), len(set(seen))) == (8, 4)
-    assert [cloud.points().tobytes() for cloud in clouds] == seen
-
-
 @pytest.mark.parametrize("container", sampled(CONTAINERS, 1))
 def test_messages_and_streams_go_to_other_processes(container: str) -> None:
     clouds, scans = pc2scan.clouds(FIXTURES / container), pc2scan.scans(FIXTURES / container, min_height=-0.3)
@@ -366,13 +331,6 @@ def test_tables(recording: Path) -> None:
     assert points["stamp"].nunique() == 5
 
 
-def test_parameters_of_the_reverse_node_make_no_scans(tmp_path: Path) -> None:
-    file = tmp_path / "params.yaml"
-    file.write_text("laserscan_to_pointcloud:\n  ros__parameters:\n    queue_size: 5\n", "utf-8")
-    with pytest.raises(UsageError, match="laserscan_to_pointcloud, which does not make scans"):
-        pc2scan.scans(HALL, params_file=file)
-
-
 def test_scans_that_differ_make_no_dataset_but_a_table(tmp_path: Path) -> None:
     pytest.importorskip("pandas")
     pytest.importorskip("xarray")
@@ -388,35 +346,3 @@ def test_scans_that_differ_make_no_dataset_but_a_table(tmp_path: Path) -> None:
     assert len(empty.to_dataframe()) == 0
     with pytest.raises(UsageError, match="no scan"):
         empty.to_xarray()
-
-
-def test_a_package_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    stream = pc2scan.scans(HALL, min_height=-0.3)
-    for name, table in (("pandas", stream.to_dataframe), ("xarray", stream.to_xarray)):
-        # Python's way to say that a module is not there.
-        monkeypatch.setitem(sys.modules, name, None)
-        with pytest.raises(ImportError, match=f"needs the package {name}: pip install {name}"):
-            table()
-
-
-def test_contradicting_numbers_are_errors_of_the_scan(tmp_path: Path) -> None:
-    stream = Stream("/scan", SCAN)
-    scan = replace(scans(1)[0], angle_min=float("nan"))
-    path = write_mcap(
-        tmp_path / "odd.mcap", Recording((stream,), (Item(stream, 2**64 - 1, {2: encode_laserscan(scan, "cdr")}),))
-    )
-    (found,) = pc2scan.scans(path)
-    assert np.isnat(found.log_time)
-    with pytest.raises(DecodeError, match="angle_min"):
-        found.xy()
-
-
-def test_a_change_of_the_files_is_seen_by_the_next_loop(tmp_path: Path) -> None:
-    path = tmp_path / "a.bag"
-    shutil.copy(HALL, path)
-    stream = pc2scan.clouds(path)
-    with closing(iter(stream)) as items:
-        next(items)
-    path.unlink()
-    with pytest.raises(RecordingError, match="does not exist"):
-        iter(stream)
