@@ -59,17 +59,6 @@ def test_any_scan_survives_to_the_bit(
     assert (again.data, again.log_time_ns) == (data, T0)
 
 
-@pytest.mark.parametrize("ros_version", [1, 2])
-def test_several_topics_keep_their_order(ros_version: int, tmp_path: Path) -> None:
-    ranges = np.array([1.5, np.inf, np.nan, -0.0], np.float32)
-    messages = [
-        message(scan(ranges[: 4 - number], ros_version, seq=number), LASERSCAN, ros_version, topic)
-        for number, topic in enumerate(("/front scan", "/rear", "/front scan"))
-    ]
-    again = reread(tmp_path, *messages)
-    assert [(m.connection.topic, bytes(m.data)) for m in again] == [(m.connection.topic, m.data) for m in messages]
-
-
 def test_a_reader_sees_what_is_in_a_scan_and_which_beam_has_changed() -> None:
     ranges = np.linspace(1, 9, 400, dtype=np.float32)
     changed = ranges.copy()
@@ -113,12 +102,3 @@ def test_changes_by_hand_are_named_with_their_line(old: str, new: str, blamed: s
         open_scan_text(path)
     assert "`update=True`" in (caught.value.hint or "")
     assert len(lines) == 1 or not blamed
-
-
-def test_a_cut_is_by_log_time(tmp_path: Path) -> None:
-    path = tmp_path / "expected.txt"
-    scans = [message(scan(np.array([1], np.float32), 2))._replace(log_time_ns=t) for t in (5, 6, 7)]
-    path.write_text(render_scans(scans))
-    source = open_scan_text(path)
-    assert [m.log_time_ns for m in source.messages(source.connections, 6, 7)] == [6]
-    assert list(source.messages([])) == []

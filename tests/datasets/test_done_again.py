@@ -13,9 +13,8 @@ import pytest
 
 import pc2scan
 from pc2scan.datasets.jobs import convert_one
-from pc2scan.errors import OutputError
 from support import sampled
-from support.batches import KEYWORDS, batch, contents, manifest_of, place
+from support.batches import KEYWORDS, batch, contents, place
 from support.builders import CONTENT, write_mcap, write_rosbag1, write_rosbag2
 
 if TYPE_CHECKING:
@@ -196,41 +195,6 @@ def test_a_run_does_what_is_missing_changed_or_failed(seed: int, tmp_path: Path)
         for _ in range(world.random.choice((0, 1, 2, 4))):
             world.user_acts()
         world.run()
-
-
-def test_a_result_whose_beginning_nobody_heard_of_is_known(tmp_path: Path) -> None:
-    """The news from a cluster are late: the interruption comes first."""
-    drives, out = place(tmp_path / "drives", "a.bag", "b.bag"), tmp_path / "out"
-
-    def execute(jobs: Any, **_: object) -> Iterator[Any]:
-        assert convert_one(jobs[0]).error is None
-        raise KeyboardInterrupt
-        yield
-
-    with patch("pc2scan.datasets.run.run_jobs", execute), pytest.raises(KeyboardInterrupt):
-        pc2scan.batch(drives, out, **KEYWORDS)
-    assert manifest_of(out) == {}
-    assert len(list(out.glob("*_scan.bag"))) == 1
-    report = batch(drives, out)
-    assert (report.exit_status, {each.outcome for each in report.outcomes}) == (0, {"converted"})
-
-
-def test_a_result_whose_line_cannot_be_written_is_known(tmp_path: Path) -> None:
-    drives, out = place(tmp_path / "drives", "a.bag"), tmp_path / "out"
-
-    def execute(jobs: Any, **_: object) -> Iterator[Any]:
-        done = convert_one(jobs[0])
-        (out / "manifest.jsonl").mkdir()
-        yield done
-
-    with (
-        patch("pc2scan.datasets.run.run_jobs", execute),
-        pytest.raises(OutputError, match="the manifest cannot be written"),
-    ):
-        pc2scan.batch(drives, out, **KEYWORDS)
-    (out / "manifest.jsonl").rmdir()
-    assert (out / "a_scan.bag").exists()
-    assert [each.why for each in batch(drives, out).outcomes] == ["interrupted before"]
 
 
 def test_a_result_that_is_edited_between_plan_and_turn_stays(tmp_path: Path) -> None:

@@ -2,33 +2,23 @@
 
 from __future__ import annotations
 
-import errno
 import os
-import random
-import shutil
 import signal
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 import pc2scan
-from datasets.datasets import make_dataset
-from pc2scan.datasets.processes import available_bytes, workers_for
 from pc2scan.errors import DestinationError, Pc2ScanError
-from support import sampled
 from support.batches import HEIGHTS, KEYWORDS, batch, contents, manifest_of, place
 from support.command import COMMAND, INTERRUPTED, environment, run
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-
-NOTE = ".pc2scan-begun.json"
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals and locks of POSIX")
 
 
@@ -55,40 +45,22 @@ def test_processes_convert_as_this_process_does(tmp_path: Path) -> None:
     assert all(0 <= each.bytes_done <= each.bytes_total for each in seen)
 
 
-@pytest.mark.parametrize(("count", "kills"), sampled([(42, 1), (200, 5)], 1))
-def test_a_dataset_is_continued_after_kills(count: int, kills: int, tmp_path: Path) -> None:
+def test_a_dataset_is_continued_after_a_kill(tmp_path: Path) -> None:
     folder, clean, killed = tmp_path / "recordings", tmp_path / "clean", tmp_path / "killed"
-    expected = make_dataset(folder, count)
+    place(folder, *(f"robot{number % 3}/{number}{suffix}" for number in range(8) for suffix in (".bag", ".mcap", "")))
+    (folder / "empty.bag").touch()
     before = contents(folder)
     assert batch(folder, clean).exit_status == 1
-    assert {key: line["outcome"] for key, line in manifest_of(clean).items()} == expected
-    written = {line["output"]["path"] for line in manifest_of(clean).values() if line["report"]}
-    assert len(written) == sum(outcome in ("converted", "incomplete") for outcome in expected.values())
-    choice = random.Random(16)
-    missing = kills
-    while missing or len(manifest_of(killed)) == len(expected):
-        goal = len(manifest_of(killed)) + choice.randrange(1, 30 if count == 200 else 10)
-        process = start(folder, "-o", killed, *HEIGHTS, "--quiet", stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
-        while process.poll() is None and len(manifest_of(killed)) < goal:
-            time.sleep(0.003)
-        time.sleep(choice.uniform(0, 0.05))
-        if process.poll() is not None:
-            # The machine was too busy to see how far the run was: once more from the beginning.
-            assert process.returncode == 1
-            shutil.rmtree(killed)
-            missing = kills
-            continue
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-        missing = max(0, missing - 1)
-    assert 0 < len(manifest_of(killed)) < len(expected)
+    process = start(folder, "-o", killed, *HEIGHTS, "--quiet", stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+    while process.poll() is None and len(manifest_of(killed)) < 5:
+        time.sleep(0.003)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    # What is converted is kept; what failed is tried again.
     assert batch(folder, killed).exit_status == 1
-    assert {key: line["outcome"] for key, line in manifest_of(killed).items()} == expected
     assert contents(killed) == contents(clean)
     assert contents(folder) == before
-    # What failed is tried again; nothing else.
-    assert batch(folder, killed).unchanged == len(expected) - list(expected.values()).count("failed")
-    assert contents(killed) == contents(clean)
+    assert batch(folder, killed).unchanged == 24
 
 
 def test_nothing_is_opened_that_is_known(tmp_path: Path) -> None:
@@ -154,32 +126,14 @@ def wait_for_the_end(pids: Sequence[int]) -> None:
         time.sleep(0.02)
 
 
-@pytest.mark.parametrize("number", sampled([signal.SIGINT, signal.SIGTERM, signal.SIGHUP], 1))
-def test_an_interruption_leaves_nothing_half(running: tuple[subprocess.Popen[bytes], Path], number: int) -> None:
+def test_an_interruption_leaves_nothing_half(running: tuple[subprocess.Popen[bytes], Path]) -> None:
     process, out = running
     workers = workers_of(process)
-    process.send_signal(number)
-    _, stderr = process.communicate(timeout=60)
-    assert process.returncode == 128 + number
-    assert b"Traceback" not in stderr
-    assert (b"nothing was written" in stderr, b"the same command again" in stderr) == (True, number == signal.SIGINT)
-    wait_for_the_end(workers)
-    assert not out.exists()
-
-
-def test_an_interruption_removes_what_killed_workers_left(running: tuple[subprocess.Popen[bytes], Path]) -> None:
-    process, out = running
-    # It hears of both at once: of its workers' deaths, and of the interruption.
-    process.send_signal(signal.SIGSTOP)
-    workers = workers_of(process)
-    for pid in workers:
-        os.kill(pid, signal.SIGKILL)
-    wait_for_the_end(workers)
-    assert len(list(out.glob("*.pc2scan-partial"))) == 2
     process.send_signal(signal.SIGINT)
-    process.send_signal(signal.SIGCONT)
-    process.communicate(timeout=60)
+    _, stderr = process.communicate(timeout=60)
     assert process.returncode in INTERRUPTED
+    assert (b"nothing was written" in stderr, b"Traceback" in stderr) == (True, False)
+    wait_for_the_end(workers)
     assert not out.exists()
 
 
@@ -236,26 +190,11 @@ def test_a_worker_that_dies_is_replaced(tmp_path: Path, monkeypatch: pytest.Monk
 # --- Jobs and results ---
 
 
-@dataclass(frozen=True)
-class OfThisTest:
-    """A filter that no other process can import."""
-
-    name = "of_this_test"
-    explanation = "nothing"
-    fields = ()
-    frame = "odom"
-
-
-def test_filters_that_cannot_be_sent_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    place(tmp_path, "a.bag")
-    module = ModuleType("only_here")
-    module.OfThisTest = OfThisTest  # type: ignore[attr-defined]
-    monkeypatch.setattr(OfThisTest, "__module__", "only_here")
-    monkeypatch.setitem(sys.modules, "only_here", module)
-    for kind in (OfThisTest, type("Local", (OfThisTest,), {})):
-        with pytest.raises(Pc2ScanError, match="cannot be sent to another process") as raised:
-            pc2scan.batch(tmp_path / "a.bag", tmp_path / "out", jobs=1, filters=[kind()])
-        assert "that can be imported" in (raised.value.hint or "")
+def test_filters_that_cannot_be_sent_are_refused(tmp_path: Path) -> None:
+    parts = {"name": "local", "explanation": "nothing", "fields": (), "frame": "odom"}
+    with pytest.raises(Pc2ScanError, match="cannot be sent to another process") as raised:
+        pc2scan.batch(place(tmp_path / "in", "a.bag"), tmp_path / "out", jobs=1, filters=[type("Local", (), parts)()])
+    assert "that can be imported" in (raised.value.hint or "")
 
 
 def test_a_bug_is_the_result_of_its_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -266,35 +205,3 @@ def test_a_bug_is_the_result_of_its_recording(tmp_path: Path, monkeypatch: pytes
     (outcome,) = batch(place(tmp_path / "in", "a.bag"), tmp_path / "out").outcomes
     assert (outcome.outcome, outcome.exit_status, outcome.error) == ("failed", 1, "ZeroDivisionError: oh")
     assert "in fails" in manifest_of(tmp_path / "out")["a.bag"]["error"]["traceback"]
-
-
-def test_cores_and_memory_bound_the_number_of_workers() -> None:
-    for (jobs, memory), workers in {
-        (1000, 64_000_000_000): 8,
-        (3, 64_000_000_000): 3,
-        (1000, 1_000_000_000): 3,
-        (1000, 10): 1,
-        (1000, None): 8,
-        (0, None): 1,
-    }.items():
-        assert workers_for(jobs, 8, memory) == workers
-    found = available_bytes()
-    assert found is None or found > 1_000_000
-
-
-def test_a_note_that_cannot_be_removed_is_no_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    place(tmp_path / "in", "a.bag")
-    unlink = Path.unlink
-
-    def failing(path: Path, missing_ok: bool = False) -> None:
-        if path.name == NOTE:
-            raise OSError(errno.EIO, "Input/output error")
-        unlink(path, missing_ok)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(Path, "unlink", failing)
-        assert batch(tmp_path / "in", tmp_path / "out").exit_status == 0
-    assert (tmp_path / "out" / NOTE).exists()
-    # The next run finds everything in order, and removes it.
-    assert [each.action for each in batch(tmp_path / "in", tmp_path / "out").outcomes] == ["keep"]
-    assert not (tmp_path / "out" / NOTE).exists()

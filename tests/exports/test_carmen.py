@@ -12,7 +12,7 @@ import pytest
 
 import pc2scan
 from exports.driving import MOUNT, PATTERN, POSED, STAMPS, by_odometry, drive
-from pc2scan.errors import UsageError, stamp_text
+from pc2scan.errors import stamp_text
 from support.builders import write_mcap
 
 if TYPE_CHECKING:
@@ -116,29 +116,3 @@ def test_flaser_of_beams_that_its_readers_guess(count: int, degrees: float, tmp_
     assert float(parameters["laser_front_laser_resolution"]) == degrees
     assert float(parameters["robot_front_laser_max"]) == reading.maximum
     assert reading.laser == pytest.approx([2.0 * 0.5 + MOUNT[0], -1.0, 0.0])
-
-
-@pytest.mark.parametrize(
-    ("scan", "said"),
-    [
-        (replace(PATTERN, stamp_ns=STAMPS[2]), "FLASER has no directions of beams"),
-        (sick(401, math.radians(180 / 400)), "are 0.25 degrees apart"),
-        (
-            replace(sick(181, math.radians(1)), range_max=200.0, ranges=np.full(181, 90, np.float32)),
-            "a reading of 90 m",
-        ),
-    ],
-)
-def test_what_flaser_cannot_say_is_refused(scan: LaserScan, said: str, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=said):
-        written(tmp_path, scan, name="drive.clf")
-    assert not (tmp_path / "drive.clf").exists()
-
-
-def test_what_carmen_cannot_say_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="range_max is infinite"):
-        written(tmp_path, replace(PATTERN, stamp_ns=STAMPS[2], range_max=math.inf))
-    with pytest.raises(UsageError, match="upside down"):
-        written(tmp_path, static_tf="base_link laser 0 0 0 180deg 0 0")
-    with pytest.raises(UsageError, match="carmen needs poses"):
-        written(tmp_path, pose_frame="")

@@ -7,7 +7,6 @@
 //   C target source sec nsec x y z x y z ...                         -> the points as tf2_sensor_msgs transforms them
 //   S target deskew sec nsec seq angle_min angle_increment time_increment range_min range_max r r r ...
 //                                                                    -> seq sec nsec, then the cloud's bytes
-//   P angle_min angle_max angle_increment r r r ...                  -> the cloud's bytes, all by one LaserProjection
 //
 // Built by test_debian.py against Debian's ROS packages.
 
@@ -118,17 +117,6 @@ void project_scan(std::istream &from, tf2::BufferCore &buffer) {
     print_bytes(cloud.data);
 }
 
-void project_in_turn(std::istream &from) {
-    static laser_geometry::LaserProjection projection;
-    sensor_msgs::LaserScan scan;
-    for (float *part : {&scan.angle_min, &scan.angle_max, &scan.angle_increment}) *part = static_cast<float>(number(from));
-    for (std::string word; from >> word;) scan.ranges.push_back(std::strtof(word.c_str(), nullptr));
-    scan.range_max = 100;
-    sensor_msgs::PointCloud2 cloud;
-    projection.projectLaser(scan, cloud);
-    print_bytes(cloud.data);
-}
-
 }  // namespace
 
 int main() {
@@ -146,7 +134,6 @@ int main() {
             if (command == "F") show_transform(look_up_through(words, buffer));
             if (command == "C") transform_cloud(words, buffer);
             if (command == "S") project_scan(words, buffer);
-            if (command == "P") project_in_turn(words);
         } catch (const std::exception &error) {
             std::printf("! %s", error.what());
         }

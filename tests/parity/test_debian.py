@@ -5,7 +5,6 @@ Stamps are those of today, to the nanosecond; results are compared to the bit.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -14,7 +13,6 @@ import pytest
 
 from parity import debian, table
 from pc2scan.conversion.scan_to_cloud import ScanToCloud
-from pc2scan.core.unproject import unproject
 from pc2scan.errors import MessageError
 from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import decode_pointcloud2
@@ -106,47 +104,3 @@ def test_zeros_and_times_that_are_not_finite(up: bool, pose: tuple[float, ...], 
     rows: Rows = [(row(*frames, 0, pose), True)]
     assert assert_same_clouds(oracle, rows, target, False, odd_scans()) == 0
     assert assert_same_clouds(oracle, rows, target, True, odd_scans()) > 0
-
-
-def test_scans_stamped_0_and_those_that_end_before_time_begins(oracle: Path) -> None:
-    rng = np.random.default_rng(5000)
-    rows = debian.moving_laser(rng)
-    scans = [
-        replace(debian.random_scan(rng), stamp_ns=stamp_ns, time_increment=float(np.float32(time_increment)))
-        for stamp_ns in (0, 1, SECOND // 10)
-        for time_increment in (0.0, 1e-4, -1e-4, -0.5)
-    ]
-    assert sum(assert_same_clouds(oracle, rows, "odom", deskewed, scans) for deskewed in (False, True)) > 10
-
-
-def test_laser_geometry_keeps_directions_by_the_ends_alone(oracle: Path) -> None:
-    # docs/exactness.md: of scans that differ in their increments alone, the later ones get the directions of the first.
-    ranges = np.arange(1, 6, dtype=np.float32)
-    asked = [(-1.0, 1.0, 0.5), (-1.0, 1.0, 0.25), (-1.0, 1.5, 0.25), (-1.0, 1.0, 0.25)]
-    commands = [f"P {' '.join(value.hex() for value in numbers)} {debian.hexadecimal(ranges)}" for numbers in asked]
-    ours = [
-        unproject(ranges, ranges[:0], angle_min=low, angle_increment=step, range_min=0.0, range_max=100.0)
-        for low, _, step in asked
-    ]
-    theirs = [bytes.fromhex(answer) for answer in debian.ask(oracle, [], commands)]
-    assert theirs == [ours[k].points.tobytes() for k in (0, 0, 2, 3)]
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_signs_of_zeros_in_lookups(seed: int, oracle: Path) -> None:
-    rng = np.random.default_rng(9000 + seed)
-    zeros, found = [0.0, -0.0], 0
-    for _ in range(60):
-        rows: Rows = []
-        frames = [f"f{number}" for number in range(int(rng.integers(2, 6)))]
-        for number, child in enumerate(frames[1:], 1):
-            static = bool(rng.random() < 0.5)
-            for stamp_ns in [0] if static else sorted({EPOCH + int(s) * SECOND for s in rng.integers(0, 6, 3)}):
-                pose = (*rng.choice([*zeros, 1.0, -0.3], 3, p=[0.4, 0.4, 0.1, 0.1]), *rng.choice(zeros, 3))
-                entry = row(frames[rng.integers(0, number)], child, stamp_ns, (*pose, rng.choice([1.0, -1.0])))
-                rows.append((entry, static))
-        questions = [(a, b, s) for a in frames for b in frames for s in (0, EPOCH + SECOND, EPOCH + 5 * SECOND // 2)]
-        known, differing = table.lookups(oracle, rows, questions)
-        assert not differing
-        found += known
-    assert found > 500

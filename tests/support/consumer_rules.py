@@ -1,7 +1,7 @@
 """The consumers' rules one scan at a time, in the words and types of their C++: what `judge` has to agree with.
 
 ``f`` is a float, Python's own numbers are doubles. A rule returns what happens to the scan; ``first`` is None for the
-first one. MRPT's rule is compared with MRPT itself (``tests/parity/test_mrpt.py``).
+first one.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from pc2scan.errors import TopicError, UsageError
+from pc2scan.errors import UsageError
 from pc2scan.model import Connection
 from pc2scan.transforms.imu import ImuRequest, read_up
 from support import sampled
@@ -90,13 +90,6 @@ def test_without_them_gyroscope_and_accelerometer_are(further: dict[str, Any], w
     assert found.notes == (f"/imu: up is estimated from gyroscope and accelerometer of 2,000 messages: {why}",)
 
 
-def test_accelerations_in_g() -> None:
-    world = simulated(20)
-    found = read(recording(*of(world._replace(acceleration=world.acceleration / 9.81))))
-    assert errors(found.directions, world.ups).max() < 0.8
-    assert "accelerometer (in units of g)" in found.notes[0]
-
-
 def test_messages_out_of_order_repeated_and_damaged() -> None:
     world = simulated(5)
     messages = of(world)
@@ -106,17 +99,6 @@ def test_messages_out_of_order_repeated_and_damaged() -> None:
     assert found.directions.tobytes() == whole.directions.tobytes()
     assert any("1 message cannot be decoded" in warning for warning in found.warnings)
     assert any("1 message ignored: the stamp of another one" in warning for warning in found.warnings)
-
-
-def test_messages_without_an_orientation_are_counted() -> None:
-    world = simulated(2)
-    messages = [
-        each | {"orientation": turned, "first": (-1.0 if place % 10 == 0 else 0.0, 0.0, 0.0)}
-        for place, (each, turned) in enumerate(zip(of(world), orientations(world.ups), strict=True))
-    ]
-    found = read(recording(*messages))
-    assert len(found.stamps_ns) == 180
-    assert found.warnings == ("/imu: 20 of 200 messages ignored: no valid orientation",)
 
 
 def test_an_orientation_in_a_world_whose_z_is_down_is_reported() -> None:
@@ -167,21 +149,6 @@ def test_garbage_is_a_direction_or_an_error(seed: int) -> None:
     assert len(found.directions) == len(found.stamps_ns)
 
 
-def test_stamps_of_0() -> None:
-    with pytest.raises(UsageError, match="have no stamps"):
-        read(recording(*of(simulated(1), stamp_ns=0)))
-
-
-def test_a_topic_that_is_not_there_or_empty() -> None:
-    with pytest.raises(TopicError, match="no topic /imu/data") as refused:
-        read(recording(*of(simulated(0.1))), "/imu/data")
-    assert "/imu" in (refused.value.hint or "")
-    with pytest.raises(TopicError, match="there are no messages on /imu"):
-        read(recording())
-    with pytest.raises(TopicError, match="1 message cannot be decoded"):
-        read(recording({"raw": b""}))
-
-
 def test_frames() -> None:
     messages = of(simulated(1))
     with pytest.raises(UsageError, match="have no frame_id") as refused:
@@ -190,9 +157,3 @@ def test_frames() -> None:
     assert read(recording(*(each | {"frame_id": ""} for each in messages)), "/imu:body").frame == "body"
     with pytest.raises(UsageError, match="have several frames: a, imu_link"):
         read(recording(messages[0] | {"frame_id": "a"}, *messages[1:]))
-
-
-@pytest.mark.parametrize("text", ["", ":a", "/imu:"])
-def test_what_is_no_topic(text: str) -> None:
-    with pytest.raises(UsageError, match="it must be a topic, or a topic and a frame"):
-        ImuRequest.parse(text)

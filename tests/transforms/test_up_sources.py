@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -54,15 +53,6 @@ def test_points_are_in_the_level_frame_of_the_target_frame(frame: str) -> None:
     assert place.level.tilt == pytest.approx(math.acos(math.cos(0.2) * math.cos(0.1)))
 
 
-def test_without_a_target_frame_it_is_the_frame_of_the_message() -> None:
-    known = frames()._replace(target_frame="")
-    place = known.place("lidar", EPOCH + SECOND)
-    assert place.frame_id == "lidar_stabilized"
-    assert place.level is not None
-    assert place.level.frame == "lidar"
-    assert known._replace(source_frame="base").place("lidar", EPOCH).frame_id == "base_stabilized"
-
-
 def test_up_by_an_imu_is_turned_to_the_frame_and_interpolated() -> None:
     up = by_imu()
     # The IMU is mounted upside down.
@@ -84,8 +74,3 @@ def test_outside_of_the_imu_and_in_its_gaps_nothing_is_known() -> None:
     assert "another clock" in (other.value.hint or "")
     with pytest.raises(TransformError, match="no messages between"):
         up("imu", EPOCH + 500_000_000)
-
-
-def test_between_two_opposite_directions_is_the_older_one() -> None:
-    up = replace(by_imu(), directions=np.array([(0.0, 0.0, 1.0), (0.0, 0.0, -1.0)] * 2))
-    assert up("imu", EPOCH + 50_000_000) == (0, 0, 1)
