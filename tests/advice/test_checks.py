@@ -36,14 +36,11 @@ TABLE = Path(__file__).with_name("checks.txt")
 #: Checks with cases elsewhere: of cuts, clouds that move and stamps, in `tests/transcripts`; of rebinned scans, in
 #: `tests/e2e/test_combined.py`; of whole results, in `test_report.py` and `tests/e2e`.
 ELSEWHERE = {
-    "cut_without_effect",
-    "log_times_of_centuries",
     "target_that_moves",
     "clouds_in_fixed_frame",
     "returns_at_sensor",
     "clouds_in_another_unit",
     "ceiling_within_heights",
-    "fixed_frame_of_rebinned",
     "unordered_stamps",
     "filters_without_effect",
 }

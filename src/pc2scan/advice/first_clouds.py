@@ -49,7 +49,10 @@ def are_enough(topic: str, spec: ScanSpec, clouds: Sequence[FirstCloud], known: 
     if clouds and len(clouds[0].sample.points) < WHOLE_POINTS:
         return len(clouds) >= PARTS
     with np.errstate(all="ignore"):
-        return len(clouds) >= JUDGED_CLOUDS or (len(clouds) == 1 and _facts(topic, spec, clouds, known).are_fine)
+        if len(clouds) != 1:
+            return len(clouds) >= JUDGED_CLOUDS
+        facts = _facts(topic, spec, clouds, known)
+        return facts.are_fine and not found_by(FIRST_CLOUDS, facts)
 
 
 def judge(topic: str, spec: ScanSpec, clouds: Sequence[FirstCloud], known: KnownTransforms) -> Judgement:
@@ -61,9 +64,10 @@ def judge(topic: str, spec: ScanSpec, clouds: Sequence[FirstCloud], known: Known
     with np.errstate(all="ignore"):
         if any(cloud.sample.zeros for cloud in clouds):
             no_returns = facts.no_returns / max(facts.total.total, 1)
-        if facts.are_fine:
+        found = found_by(FIRST_CLOUDS, facts, label)
+        if facts.are_fine and not found:
             return Judgement(warnings, no_returns=no_returns)
-        warnings += (*found_by(FRAME, facts), *found_by(FIRST_CLOUDS, facts, label))
+        warnings += (*found_by(FRAME, facts), *found)
         return Judgement(warnings, found_by(FIRST_CLOUDS_NOTES, facts, label), facts.advice, no_returns)
 
 

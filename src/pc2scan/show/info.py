@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
-from pc2scan.advice.checks.request import Cut, log_times_of_centuries
+from pc2scan.advice.checks.request import log_times_of_centuries
 from pc2scan.advice.clocks import Clocks
 from pc2scan.advice.point_times import increment_warning, time_warnings
 from pc2scan.advice.survey import Span, Survey
@@ -369,7 +369,7 @@ def info_of(
         mountings, rates = found.mountings(), {topic.topic: topic.rate_hz for topic in shown}
         clouds = tuple(look.described(found.places, mountings.get(topic)) for topic, look in of_clouds.items())
         scans = tuple(look.described(rates[topic]) for topic, look in of_scans.items())
-        warnings = [*log_times_of_centuries(Cut(None, None, reader.summary)), *found.warnings]
+        warnings = [*log_times_of_centuries(reader.summary), *found.warnings]
         if not {topic.msgtype for topic in topics} & {*CLOUDS, *SCANS} and (
             instead := instead_of_clouds(reader.connections)
         ):

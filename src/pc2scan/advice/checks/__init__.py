@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 from . import clouds, request
-from .request import Cut, OutputRequest
+from .request import OutputRequest
 
 if TYPE_CHECKING:
     from pc2scan.model import Summary
@@ -23,23 +23,14 @@ Checks: TypeAlias = tuple[Callable[[Facts], Iterable[str]], ...]
 
 #: What the request of an output says, before anything is read.
 REQUEST: Checks[OutputRequest] = (
-    request.fixed_frame_beside_imu,
-    request.equal_frames,
     request.unused_transforms,
-    request.accumulated_without_effect,
-    request.fixed_frame_of_rebinned,
-    request.zeros_as_obstacles,
-    request.unused_no_return,
+    request.accumulated_without_motion,
     request.returns_without_object,
     request.times_in_another_unit,
-    request.range_in_millimetres,
     request.increment_in_degrees,
     request.sector_in_degrees,
     request.beams_beyond_half_turn,
 )
-
-#: What a cut leaves of the recording.
-CUT: Checks[Cut] = (request.cut_without_effect, request.log_times_of_centuries)
 
 #: What each of the first clouds of a topic shows, at once.
 EACH_CLOUD: Checks[CloudFacts] = (
@@ -56,7 +47,6 @@ FIRST_CLOUDS: Checks[CloudFacts] = (
     clouds.lossy_clouds,
     clouds.swapped_transform,
     clouds.clouds_in_another_unit,
-    clouds.heights_in_millimetres,
     clouds.nearly_empty_scans,
     clouds.floor_within_heights,
     clouds.ceiling_within_heights,
@@ -70,6 +60,6 @@ def found_by(checks: Checks[Facts], facts: Facts, label: str = "") -> list[str]:
 
 
 def request_warnings(options: ConvertOptions, recorded: Summary) -> list[str]:
-    """Return the warnings about a request, of each output, and about the cut of the recording."""
+    """Return the warnings about a request, of each output, and about the recording's extent."""
     found = [text for spec in options.scans for text in found_by(REQUEST, OutputRequest(options, spec), spec.label)]
-    return found + found_by(CUT, Cut(options.start, options.end, recorded))
+    return [*found, *request.cut_in_another_unit(options, recorded), *request.log_times_of_centuries(recorded)]

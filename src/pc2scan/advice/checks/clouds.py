@@ -16,15 +16,13 @@ import numpy as np
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import percentiles
 from pc2scan.core.rule import PointCounts
-from pc2scan.core.scene import FARTHEST_MEDIAN, FEWEST_POINTS, cells_of, outermost, tolerances
+from pc2scan.core.scene import FEWEST_POINTS, cells_of, outermost, tolerances
 from pc2scan.request.parameters import preset_of
 from pc2scan.text import agreeing, counted, height_text
 from pc2scan.transforms.mounting import is_upside_down, mounting, sensor_exclusion, unit_warning
 from pc2scan.transforms.static import static_text
 from pc2scan.transforms.summary import BODIES
 from pc2scan.transforms.world_frames import find_body_motion
-
-from .request import says_unlimited
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -67,11 +65,6 @@ _PLACE_FILTERS = {"exclude_box", "exclude_polygon", "where"}
 #: Frames that do not move with the robot: those of REP 105, and the one that LOAM and its successors register
 #: clouds in.
 _FIXED = {"odom", "map", "world", "earth", "camera_init"}
-
-#: A height limit from here on, metres, is taken for centimetres if the clouds are ten times lower, and from the second
-#: on for millimetres.
-_TALL = 50.0
-_MILLIMETRES = 400.0
 
 
 @dataclass(slots=True)
@@ -122,30 +115,20 @@ class CloudFacts:
         """The points of all clouds."""
         return sum(self.counts, PointCounts())
 
-    @property
-    def are_fine(self) -> bool:
-        """Whether nothing is doubtful.
-
-        The points are those that were measured, scans have some, heights need no advice, and the first cloud is level
-        or too small to be judged.
-        """
-        total, height = self.total.total, self.total.height
-        if self.samples[0].zeros:
-            total, height = total - self.no_returns, height - self.no_returns
-        cut = height >= notable_share(self.spec) * max(total, 1)
-        needs_heights = (cut and self.is_default("min_height")) or self.lack_heights
-        if self.samples[0].lossy or self.are_nearly_empty or needs_heights or any(heights_in_millimetres(self)):
-            return False
+    @cached_property
+    def is_level(self) -> bool:
+        """Whether the first cloud has a level floor below it, which the transforms leave level."""
         first = self.samples[0]
-        if len(first.points) < FEWEST_POINTS:
-            return True
-        if first.distance > FARTHEST_MEDIAN:
-            return False
-        if first.floor is None or self.floor_share >= _MOST_FLOOR or self.ceiling or any(swapped_transform(self)):
-            return False
-        if 0 < first.floor.above < first.floor.height and self.are_upside_down:
+        if first.floor is None or (0 < first.floor.above < first.floor.height and self.are_upside_down):
             return False
         return self.spec.level or first.floor_tilted_by_transform is None
+
+    @property
+    def are_fine(self) -> bool:
+        """Whether the first cloud is level, or too small to be judged, and the heights need no advice."""
+        total, height = self.total.total - self.no_returns, self.total.height - self.no_returns
+        cut = height >= notable_share(self.spec) * max(total, 1) and self.is_default("min_height")
+        return (self.is_level or len(self.samples[0].points) < FEWEST_POINTS) and not (cut or self.lack_heights)
 
     @property
     def are_upside_down(self) -> bool:
@@ -390,54 +373,36 @@ def clouds_in_another_unit(clouds: CloudFacts) -> Iterator[str]:
         yield text
 
 
-def heights_in_millimetres(clouds: CloudFacts) -> Iterator[str]:
-    """Yield a warning if heights seem to be centimetres or millimetres, with the clouds' own heights."""
-    params = clouds.spec.params
-    wrong = [name for name in ("min_height", "max_height") if _is_tall(clouds, name)]
-    if not wrong:
-        return
-    z = np.concatenate([sample.placed[:, 2] for sample in clouds.samples])
-    given = " and ".join(f"{name} is {_limit(getattr(params, name), 'm')}" for name in wrong)
-    is_small = max(abs(getattr(params, name)) for name in wrong) < _MILLIMETRES
-    unit, factor = ("centimetres", 100) if is_small else ("millimetres", 1000)
-    named = [name for name in ("min_height", "max_height") if not clouds.is_default(name)]
-    metres = " ".join(f"`{name}={getattr(params, name) / factor:g}`" for name in named)
-    yield (
-        f"{given}, but z on {clouds.topic} is {_percentiles(z, 'm')}: heights are metres; if these are {unit}, {metres}"
-    )
-
-
 def nearly_empty_scans(clouds: CloudFacts) -> Iterator[str]:
     """Yield a warning of the limits that reject all points, with the clouds' own values."""
     if not clouds.are_nearly_empty:
         return
     params, counts = clouds.spec.params, clouds.total
     placed = np.concatenate([sample.placed for sample in clouds.samples])
-    share = f"{counts.used:,} of the {counts.total:,} points of the first {_clouds(len(clouds.samples))} are used"
-    frame = clouds.samples[0].judged_in
-    ranges, angles = np.hypot(placed[:, 0], placed[:, 1]), np.arctan2(placed[:, 1], placed[:, 0])
     observed = (
-        ("height", placed[:, 2], f"z in {frame!r}", "m", "min_height", "max_height"),
-        ("range", ranges, "the range", "m", "range_min", "range_max"),
-        ("angle", angles, "the angle", "rad", "angle_min", "angle_max"),
+        ("height", placed[:, 2], f"z in {clouds.samples[0].judged_in!r}", "m"),
+        ("range", np.hypot(placed[:, 0], placed[:, 1]), "the range", "m"),
+        ("angle", np.arctan2(placed[:, 1], placed[:, 0]), "the angle", "rad"),
     )
+    found, alone = {}, []
+    for reason, values, name, unit in observed if len(placed) else ():
+        names = ("min_height", "max_height") if reason == "height" else (f"{reason}_min", f"{reason}_max")
+        low, high = (getattr(params, each) for each in names)
+        found[reason] = (
+            f"{names[0]} is {_limit(low, unit)} and {names[1]} {_limit(high, unit)}, but {name} is "
+            f"{_percentiles(values, unit)}"
+        )
+        if not ((values >= low) & (values <= high)).any():
+            alone.append(reason)
     # A limit that alone rejects every point is the cause, whatever is rejected before it.
-    alone = [
-        reason
-        for reason, values, _, _, low, high in observed
-        if len(values) and not ((values >= getattr(params, low)) & (values <= getattr(params, high))).any()
-    ]
-    reasons = alone or [each[0] for each in observed if counts.rejected[each[0]] >= NOTABLE_SHARE * counts.total]
-    parts = [
-        f"{low} is {_limit(getattr(params, low), unit)} and {high} {_limit(getattr(params, high), unit)}, "
-        f"but {name} is {_percentiles(values, unit)}"
-        for reason, values, name, unit, low, high in observed
-        if len(values) and reason in reasons
-    ]
-    if parts and clouds.advice and reasons[0] == "height":
+    reasons = alone or [reason for reason in found if counts.rejected[reason] >= NOTABLE_SHARE * counts.total]
+    parts = [found[reason] for reason in reasons]
+    if reasons[:1] == ["height"] and clouds.advice:
         parts[0] += f": {clouds.advice}"
     # Without any, the reason is a filter, or NaN: the report has it at the end.
     if parts:
+        first = f"the first {counted(len(clouds.samples), 'cloud')}" if clouds.samples[1:] else "the first cloud"
+        share = f"{counts.used:,} of the {counts.total:,} points of {first} are used"
         yield f"{clouds.topic}: {share}; {'; '.join(parts)}"
 
 
@@ -446,8 +411,6 @@ def floor_within_heights(clouds: CloudFacts) -> Iterator[str]:
     sample, params = clouds.samples[0], clouds.spec.params
     floor = sample.floor
     if floor is None or clouds.floor_share < _MOST_FLOOR or any(nearly_empty_scans(clouds)):
-        return
-    if any(heights_in_millimetres(clouds)):
         return
     below = f"min_height is {_limit(params.min_height, 'm')}"
     at = height_text(sample.origin[2] - floor.height)
@@ -479,20 +442,6 @@ def heights_left_to_user(clouds: CloudFacts) -> Iterator[str]:
             f"{clouds.topic}: no heights are given, presets leave them to you, and the default "
             f"min_height drops everything at z <= 0; these suit the clouds: {clouds.advice}"
         )
-
-
-def _is_tall(clouds: CloudFacts, name: str) -> bool:
-    value = abs(float(getattr(clouds.spec.params, name)))
-    if clouds.is_default(name) or not _TALL <= value < 1e5:
-        return False
-    if says_unlimited(value):
-        return False
-    z = np.concatenate([sample.placed[:, 2] for sample in clouds.samples])
-    return len(z) > 0 and 10 * max(map(abs, percentiles(z, 1, 99))) < value
-
-
-def _clouds(count: int) -> str:
-    return "cloud" if count == 1 else counted(count, "cloud")
 
 
 def _without_sensor(frame: str, target: str) -> str:

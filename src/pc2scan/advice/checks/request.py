@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from pc2scan.model import Summary
-    from pc2scan.options.moment import TimeBound
     from pc2scan.request.options import ConvertOptions, ScanSpec
 
 #: An angle_increment of this many radians (11 degrees) or more is nearly always meant in degrees.
@@ -25,9 +24,6 @@ _COARSE = 0.2
 
 #: A warning is worth it if this share of the beams is out of reach.
 _NOTABLE_SHARE = 0.01
-
-#: A range_max from here on, metres, is taken for millimetres.
-_FARTHEST = 1500.0
 
 #: A tolerance of this many seconds or more, or a scan that takes so long, is nearly always meant in milliseconds.
 _LONG = 5.0
@@ -50,29 +46,6 @@ class OutputRequest(NamedTuple):
     def given(self) -> set[str]:
         """The parameters that are given as options."""
         return {name for name, origin in self.spec.origins.items() if is_given(origin)}
-
-
-class Cut(NamedTuple):
-    """The cut of a conversion, and the extent of the recording."""
-
-    start: TimeBound | None
-    end: TimeBound | None
-    recorded: Summary
-
-
-def fixed_frame_beside_imu(request: OutputRequest) -> Iterator[str]:
-    """Yield a warning if scans are made level by an IMU and by a frame."""
-    spec = request.spec
-    if spec.level and spec.imu and spec.fixed_frame and not (spec.deskew or spec.may_combine):
-        yield "`fixed_frame` has no effect: roll and pitch come from `imu`"
-
-
-def equal_frames(request: OutputRequest) -> Iterator[str]:
-    """Yield a warning if clouds are transformed to the frame that they are in."""
-    spec = request.spec
-    source = request.options.frames.source_frame.removeprefix("/")
-    if spec.needs_transforms and source and source == spec.params.target_frame.removeprefix("/"):
-        yield f"`source_frame` and `target_frame` are both {source}: nothing is transformed"
 
 
 def unused_transforms(request: OutputRequest) -> Iterator[str]:
@@ -99,46 +72,19 @@ def unused_transforms(request: OutputRequest) -> Iterator[str]:
         )
 
 
-def accumulated_without_effect(request: OutputRequest) -> Iterator[str]:
-    """Yield a warning if clouds are accumulated one by one, or without regard to the robot's motion."""
-    spec, combining = request.spec, request.spec.combining
-    if combining.count == 1:
-        yield "`accumulate=1clouds` has no effect: every scan is made of one cloud"
-    elif combining.accumulates and not spec.fixed_frame and not 0 < combining.every_ns < _TURN_NS:
+def accumulated_without_motion(request: OutputRequest) -> Iterator[str]:
+    """Yield a warning if clouds are accumulated without regard to the robot's motion."""
+    combining = request.spec.combining
+    if (
+        combining.accumulates
+        and combining.count != 1
+        and not request.spec.fixed_frame
+        and not 0 < combining.every_ns < _TURN_NS
+    ):
         yield (
             "`accumulate` and `every` without `fixed_frame` combine messages as if the robot had not moved; "
             "with odometry: `fixed_frame=odom`"
         )
-
-
-def fixed_frame_of_rebinned(request: OutputRequest) -> Iterator[str]:
-    """Yield a warning if each scan becomes one, and nothing needs the robot's motion."""
-    spec, combining = request.spec, request.spec.combining
-    needed = spec.deskew or spec.level or combining.accumulates or spec.may_share
-    if spec.fixed_frame and combining.rebin and not needed:
-        yield "`fixed_frame` has no effect: each scan becomes one; `deskew` places each beam at its own time"
-
-
-def zeros_as_obstacles(request: OutputRequest) -> Iterator[str]:
-    """Yield a warning if beams without a return look like obstacles at the sensor."""
-    params = request.spec.params
-    if not request.spec.reverse and params.no_return == "zero" and params.range_min <= 0:
-        yield (
-            "beams without a return are 0, and range_min is 0 m, so that SLAM and navigation take them for obstacles "
-            "at the sensor; with them beyond the limits: `range_min=0.1`"
-        )
-
-
-def unused_no_return(request: OutputRequest) -> Iterator[str]:
-    """Yield a warning if the value of beams without a return does not depend on the options about it."""
-    params, given = request.spec.params, request.given
-    is_sum = (params.no_return or ("inf" if params.use_inf else "range-max-plus")) == "range-max-plus"
-    if request.spec.reverse:
-        return
-    if "inf_epsilon" in given and not is_sum:
-        yield "`inf_epsilon` has no effect: it is used only with `no_return=range-max-plus`, or use_inf off"
-    elif is_sum and {"use_inf", "inf_epsilon"} & given and math.isinf(params.empty_range):
-        yield "beams without a return are inf anyway: range_max is infinite; give a `range_max`"
 
 
 def returns_without_object(request: OutputRequest) -> Iterator[str]:
@@ -168,24 +114,7 @@ def times_in_another_unit(request: OutputRequest) -> Iterator[str]:
             # Of a sector, however narrow it is.
             circle = abs(value) * (FULL_TURN / params.layout.angle_increment if name == "time_increment" else 1)
             if is_brief(circle, math.inf):
-                took = f"a whole turn takes {circle:.3g} s" if name == "time_increment" else "no lidar is so fast"
-                yield f"{name} is {value:g} s, and {took}: it is in seconds; `{name}=auto` measures it"
-
-
-def range_in_millimetres(request: OutputRequest) -> Iterator[str]:
-    """Yield a warning if range_max is so large that millimetres were probably meant."""
-    value = request.spec.params.range_max
-    if "range_max" in request.given and _FARTHEST <= value < 1e6 and not says_unlimited(value):
-        yield f"range_max is {value:g} m, and no lidar measures as far; millimetres are written `range_max={value:g}mm`"
-
-
-def says_unlimited(value: float) -> bool:
-    """Return whether a limit is a way to say that there is none: 100, 1000, 999.
-
-    >>> [value for value in (150.0, 999.0, 1000.0, 30000.0) if says_unlimited(value)]
-    [999.0, 1000.0]
-    """
-    return math.log10(value).is_integer() or set(f"{value:g}") == {"9"}
+                yield f"{name} is {value:g} s: a turn would take {circle:.3g} s; `{name}=auto` measures it"
 
 
 def increment_in_degrees(request: OutputRequest) -> Iterator[str]:
@@ -228,9 +157,9 @@ def beams_beyond_half_turn(request: OutputRequest) -> Iterator[str]:
         )
 
 
-def log_times_of_centuries(cut: Cut) -> Iterator[str]:
+def log_times_of_centuries(recorded: Summary) -> Iterator[str]:
     """Yield a warning if log times are so far apart that some of them are wrong."""
-    first_ns, last_ns = cut.recorded.start_ns, cut.recorded.end_ns
+    first_ns, last_ns = recorded.start_ns, recorded.end_ns
     if first_ns is not None and last_ns is not None and last_ns - first_ns > _CENTURY_NS:
         yield (
             f"its log times are from {stamp(first_ns)} to {stamp(last_ns)}, {(last_ns - first_ns) / _CENTURY_NS:.1f} "
@@ -238,33 +167,15 @@ def log_times_of_centuries(cut: Cut) -> Iterator[str]:
         )
 
 
-def cut_without_effect(cut: Cut) -> Iterator[str]:
-    """Yield a warning if times of day are given as a cut, and the whole recording is within it.
-
-    Times that count from the beginning draw none: the same cut may be used for recordings of many lengths.
-    """
-    first_ns, last_ns = cut.recorded.start_ns, cut.recorded.end_ns
-    if first_ns is None or last_ns is None or not cut.recorded.message_count:
-        return
-    bounds = {
-        name: bound.resolve(first_ns)
-        for name, bound in (("start", cut.start), ("end", cut.end))
-        if bound is not None and (bound.absolute or bound.nanoseconds)
-    }
-    absolute = [
-        name for name, bound in (("start", cut.start), ("end", cut.end)) if bound is not None and bound.absolute
-    ]
-    if not absolute or bounds.get("start", first_ns) > first_ns or bounds.get("end", last_ns + 1) <= last_ns:
-        return
-    # The first message may be at the start itself.
-    if bounds.get("start") == first_ns or bounds.get("end") == last_ns + 1:
-        return
-    shown = " and ".join(f"`{name}` is {stamp(bounds[name])}" for name in absolute)
-    meant = next(filter(None, (in_another_unit(name, bounds[name], first_ns, last_ns) for name in absolute)), "")
-    yield (
-        f"the cut has no effect: {shown}, the recording is from {stamp(first_ns)} to {stamp(last_ns)}"
-        + (f"; {meant}" if meant else "")
-    )
+def cut_in_another_unit(options: ConvertOptions, recorded: Summary) -> Iterator[str]:
+    """Yield a warning if a cut is outside of the recording, and inside of it in another unit of time."""
+    first_ns, last_ns = recorded.start_ns, recorded.end_ns
+    for name, bound in (("start", options.start), ("end", options.end)):
+        if bound is None or not bound.absolute or first_ns is None or last_ns is None:
+            continue
+        if meant := in_another_unit(name, bound.resolve(first_ns), first_ns, last_ns):
+            extent = f"from {stamp(first_ns)} to {stamp(last_ns)}"
+            yield f"`{name}` is {stamp(bound.resolve(first_ns))}, the recording is {extent}; {meant}"
 
 
 def in_another_unit(name: str, time_ns: int, first_ns: int, last_ns: int) -> str:
