@@ -44,17 +44,12 @@ def test_what_is_measured(tmp_path: Path) -> None:
     assert cloud.zero_share == 3 / 8
     # Of the four that are returns, three are above the sensor.
     assert cloud.above_zero_share == 3 / 4
-    assert cloud.range is not None
-    assert (cloud.range.min, cloud.range.max) == (1, 5)
-    assert cloud.z is not None
-    assert (cloud.z.min, cloud.z.max) == (-1, 3)
-    assert sum(cloud.height_counts) == 4
-    assert len(cloud.height_edges) == len(cloud.height_counts) + 1
+    assert cloud.limits == {"x": (0, 3), "y": (0, 4), "z": (-1, 3), "range": (1, 5)}
 
 
 def test_clouds_that_are_empty_or_cannot_be_decoded(tmp_path: Path) -> None:
     (empty,) = info(write(tmp_path / "a.mcap", np.zeros((0, 3)))).clouds
-    assert (empty.points_max, empty.x, empty.height_counts) == (0, None, ())
+    assert (empty.points_max, empty.limits) == (0, {})
     (odd,) = info(write(tmp_path / "b.mcap", [[1, 2]], names="xy")).clouds
     assert "no field 'z'" in odd.problems[0]
     assert odd.fields == ()

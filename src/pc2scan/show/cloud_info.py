@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from pc2scan.core.percentiles import percentiles
 from pc2scan.errors import DecodeError, TransformError, leading
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, decode_pointcloud2
-from pc2scan.tables import Table
 from pc2scan.text import counted
 
 if TYPE_CHECKING:
@@ -24,24 +23,6 @@ if TYPE_CHECKING:
     from pc2scan.result import Part
     from pc2scan.transforms.mounting import Mounting
     from pc2scan.transforms.placing import Placer
-
-#: Coordinates beyond this count as infinite: their differences are.
-_LARGEST = 1e300
-
-#: The width of the largest bar of the histogram of heights, and how many bars it has.
-_BAR = 40
-_BINS = 12
-
-
-@dataclass(frozen=True, slots=True)
-class Spread:
-    """The distribution of a quantity over the sampled points, metres; finite values only."""
-
-    min: float
-    p5: float
-    median: float
-    p95: float
-    max: float
 
 
 def count_range(least: int, most: int) -> str:
@@ -71,14 +52,12 @@ class CloudInfo:
         Share of points with a NaN coordinate.
     zero_share
         Share of points at exactly (0, 0, 0), which some drivers write for no return.
-    x, y, z, range
-        Spreads; ``range`` is hypot(x, y), which the projection compares with range_min and range_max.
-    height_edges, height_counts
-        Histogram of z between its first and last half percent; the outermost bars include all points beyond.
+    limits
+        The least and the largest finite x, y, z and range, which is hypot(x, y); empty if there are none.
     above_zero_share
         Share of points with z > 0, which upstream's default min_height keeps.
     target_frame
-        The frame of x, y, z and heights; empty for the clouds' own.
+        The frame of x, y and z; empty for the clouds' own.
     mounting
         How the clouds are mounted, and which options suit that; None if no cloud could be decoded.
     problems
@@ -95,12 +74,7 @@ class CloudInfo:
     points_max: int = 0
     nan_share: float = 0.0
     zero_share: float = 0.0
-    x: Spread | None = None
-    y: Spread | None = None
-    z: Spread | None = None
-    range: Spread | None = None
-    height_edges: tuple[float, ...] = ()
-    height_counts: tuple[int, ...] = ()
+    limits: dict[str, tuple[float, float]] = field(default_factory=dict)
     above_zero_share: float = 0.0
     target_frame: str = ""
     mounting: Mounting | None = None
@@ -120,19 +94,9 @@ class CloudInfo:
         fields = [f"{name} {kind}" + f" @{offset}" * is_laid_out for name, kind, offset in self.fields]
         yield f"  fields  {', '.join(fields)}"
         yield f"  NaN {self.nan_share:.1%}, (0, 0, 0) {self.zero_share:.1%}, z > 0 {self.above_zero_share:.1%}"
-        spreads = {name: spread for name in ("x", "y", "z", "range") if (spread := getattr(self, name)) is not None}
-        if spreads:
-            yield ""
-            rows = [(name, *(f"{v:.3f}" for v in (s.min, s.p5, s.median, s.p95, s.max))) for name, s in spreads.items()]
-            yield Table(("[m]", "min", "5%", "median", "95%", "max"), rows, left=("[m]",))
-        if self.height_counts:
-            yield ""
-            yield "  heights (z)" + (f" in {self.target_frame}" if self.target_frame else "")
-            most, total = max(self.height_counts), sum(self.height_counts)
-            edges = zip(self.height_edges, self.height_edges[1:], self.height_counts, strict=False)
-            for low, high, number in reversed(list(edges)):
-                bar = "#" * round(_BAR * number / most)
-                yield f"  {low:9.2f} to {high:8.2f} m {number / total:6.1%} {bar}"
+        if self.limits:
+            limits = ", ".join(f"{name} {low:.2f} to {high:.2f}" for name, (low, high) in self.limits.items())
+            yield f"  metres  {limits}" + (f" in {self.target_frame}" if self.target_frame else "")
 
 
 class CloudLook:
@@ -204,7 +168,11 @@ class CloudLook:
             result.points_min = min(each.size for each in placed)
             result.points_max = max(each.size for each in placed)
             self.parts = [each.points for each in placed]
-            _measure(result, self.parts, sum(each.returns for each in placed), sum(each.zeros for each in placed))
+            returns, zeros = (sum(getattr(each, name) for each in placed) for name in ("returns", "zeros"))
+            count, total = sum(part.shape[1] for part in self.parts), max(1, returns + zeros)
+            result.nan_share, result.zero_share = (returns - count) / total, zeros / total
+            result.above_zero_share = sum(int((part[2] > 0).sum()) for part in self.parts) / max(1, count)
+            result.limits = _limits(self.parts)
             result.mounting = mounting
         return result
 
@@ -255,39 +223,13 @@ def _layout(points: Points, message: RawMessage) -> tuple[tuple[int, int], int, 
     return (cloud.height, cloud.width), cloud.point_step, fields
 
 
-def _measure(result: CloudInfo, parts: Sequence[NDArray[np.floating[Any]]], returns: int, zeros: int) -> None:
-    """Describe points, (3, N) of each cloud without NaN, of so many with NaN, and so many more at (0, 0, 0).
-
-    One axis is joined at a time, because all of them take as much memory as everything else.
-    """
-    count, total = sum(part.shape[1] for part in parts), returns + zeros
-    if not total:
-        return
-    result.nan_share = (returns - count) / total
-    result.zero_share = zeros / total
-    result.above_zero_share = sum(int((part[2] > 0).sum()) for part in parts) / count if count else 0.0
-    with np.errstate(over="ignore"):
-        result.range = _spread_of(_finite([np.hypot(part[0], part[1]) for part in parts]))
-    result.x, result.y = (_spread_of(_finite([part[axis] for part in parts])) for axis in range(2))
-    heights = _finite([part[2] for part in parts])
-    result.z = _spread_of(heights)
-    if heights.size:
-        low, high = percentiles(heights, 0.5, 99.5, reorder=True)
-        # Wide enough that the edges of the bars are different numbers.
-        least = max(1e-9 * max(abs(low), abs(high)), 0.0 if high > low else 1.0)
-        if high - low < least:
-            low, high = low - least / 2, high + least / 2
-        # Edges of float64 need heights of float64.
-        counts, edges = np.histogram(np.clip(heights, low, high, dtype=np.float64), _BINS, (low, high))
-        result.height_edges, result.height_counts = tuple(edges.tolist()), tuple(counts.tolist())
-
-
-def _finite(parts: Sequence[NDArray[np.floating[Any]]]) -> NDArray[np.floating[Any]]:
-    """Return all values that are finite, and whose differences are."""
-    values = np.concatenate(parts)
-    return values[np.abs(values, dtype=np.float64) < _LARGEST]
-
-
-def _spread_of(values: NDArray[np.floating[Any]]) -> Spread | None:
-    """Return the spread of values, which are reordered; None if there are none."""
-    return Spread(*percentiles(values, 0, 5, 50, 95, 100, reorder=True)) if values.size else None
+def _limits(parts: Sequence[NDArray[np.floating[Any]]]) -> dict[str, tuple[float, float]]:
+    """Return the least and the largest finite x, y, z and range of points, (3, N) of each cloud."""
+    limits: dict[str, tuple[float, float]] = {}
+    for x, y, z in parts:
+        for name, values in (("x", x), ("y", y), ("z", z), ("range", np.hypot(x, y, dtype=np.float64))):
+            finite = values[np.isfinite(values)]
+            if finite.size:
+                low, high = limits.get(name, (math.inf, -math.inf))
+                limits[name] = min(low, float(finite.min())), max(high, float(finite.max()))
+    return limits

@@ -207,7 +207,7 @@ class Info(Result):
     @property
     def exit_status(self) -> int:
         """The exit status of the command: 1 if no cloud can be moved into the target frame, else 0."""
-        return int(bool(self.clouds) and all(c.target_frame and c.problems and c.x is None for c in self.clouds))
+        return int(bool(self.clouds) and all(c.target_frame and c.problems and not c.limits for c in self.clouds))
 
     def body(self, *, verbose: bool = False) -> Iterator[Part]:
         """Yield files, times and topics, the clouds and scans of each topic, and conversions that suit them."""
