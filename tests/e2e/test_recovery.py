@@ -141,6 +141,7 @@ def reindexed(paths: list[Path]) -> list[int]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compression", sampled(["none", "lz4", "bz2"], 1))
 def test_never_fewer_messages_than_rosbag_reindex(compression: str, tmp_path: Path) -> None:
     # Its own recorder's bags: of those that rosbags writes, its reindex finds nothing even where they are sound.

@@ -25,6 +25,7 @@ LEVEL = f"{DESKEW} --level --target-frame base_link"
 needs_matplotlib = pytest.mark.skipif(find_spec("matplotlib") is None, reason="needs matplotlib")
 
 
+@pytest.mark.slow
 @needs_matplotlib
 @pytest.mark.parametrize("suffix", sampled(["svg", "png", "PDF"], 1))
 def test_a_figure_is_the_same_every_time(tmp_path: Path, suffix: str) -> None:
@@ -44,7 +45,7 @@ OPTIONS = {
 
 
 @needs_matplotlib
-@pytest.mark.parametrize("options", sampled(OPTIONS, 3))
+@pytest.mark.parametrize("options", sampled(OPTIONS, 1))
 def test_what_is_drawn_depends_on_the_options(options: str, tmp_path: Path) -> None:
     for name, words in (("a", OPTIONS[options]), ("b", options)):
         assert run("plot", HALL, "-o", tmp_path / f"{name}.png", *words.split()).status == 0
@@ -60,7 +61,7 @@ REJECTED = {
 
 
 @needs_matplotlib
-@pytest.mark.parametrize("kept", REJECTED)
+@pytest.mark.parametrize("kept", sampled(REJECTED, 1))
 def test_points_are_coloured_by_why_they_are_rejected(kept: str, tmp_path: Path) -> None:
     words = ("--where", kept, "--min-height=-0.5", "--max-height=0.5")
     assert run("plot", HALL, "-o", tmp_path / "figure.svg", *words).status == 0

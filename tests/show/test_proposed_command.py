@@ -16,7 +16,7 @@ from pc2scan.bags.opening import open_recording
 from pc2scan.core.rigid import Rigid
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
 from pc2scan.show.proposals import body_of
-from support import RECORDINGS, ROOT, needs_shared
+from support import RECORDINGS, ROOT, needs_shared, sampled
 from support.command import run
 from support.situations import hall
 from support.worlds.moving import Drive, Lidar, off_the_walls, returns_in_odom, write_imu, write_world
@@ -109,7 +109,7 @@ def write(world: World, folder: Path) -> Path:
     return whole
 
 
-@pytest.mark.parametrize("name", WORLDS)
+@pytest.mark.parametrize("name", sampled(WORLDS, 6))
 def test_in_a_simulated_world_the_returns_are_on_the_walls(name: str, tmp_path: Path) -> None:
     world = WORLDS[name]
     path = write(world, tmp_path)

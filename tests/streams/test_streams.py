@@ -303,6 +303,7 @@ def test_messages_and_streams_go_to_other_processes(container: str) -> None:
             assert [item.stamp_ns for item in other] == [item.stamp_ns for item in stream]
 
 
+@pytest.mark.slow
 def test_tables(recording: Path) -> None:
     pytest.importorskip("pandas")
     pytest.importorskip("xarray")

@@ -245,6 +245,7 @@ def assert_agreement(case: Case, answers: list[Answer]) -> None:
     assert all(kinds.get(kind, 0) >= count for kind, count in case.least.items()), kinds
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_tf2_answers_alike(name: str) -> None:
     if why_not():
