@@ -204,6 +204,7 @@ def test_more_than_a_robot_has_is_refused(rows: Iterator[TransformRow], static: 
         TransformBuilder().add(rows, static=static)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("depth", "norm"),
     [(18_000, 1.0049), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((80_000, 1.0049), (80_000, 0.9951)))],
