@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from .arguments import refuse_unknown
 from .conversion.run import report_failure, run
@@ -15,16 +15,15 @@ from .core.unproject import UnprojectParams
 from .errors import Pc2ScanError, SeveralNodesError, UsageError, name_list
 from .files.urls import path_of, path_or_url, path_text
 from .options.call import CALL, Options
-from .options.conversion import ConversionFrames, StampCorrection
+from .options.conversion import ConversionFrames
 from .options.effects import refuse_idle
 from .options.table import PARAMETERS, options_about_scans
-from .request.nodes import options_of_nodes, read_remaps, refuse_topics, remaps_of_node
+from .request.nodes import name_outputs, read_remaps, refuse_topics, remaps_of_node
 from .request.options import TRAJECTORY, ConvertOptions, ScanSpec, StampOptions, TopicRequest
-from .request.param_sources import resolve_sources
+from .request.param_sources import parse_params, resolve_sources
 from .request.parameters import ResolvedParams, Setting, refuse_degrees
 from .request.scans_file import load_scans, refuse_beside
-from .request.yaml_nodes import parse_params
-from .result import Failure
+from .result import Failure, tell_early
 from .transforms.placing import FrameOptions
 from .transforms.robot_model import model_in_file
 from .transforms.sources import PoseTopic
@@ -32,7 +31,7 @@ from .transforms.static import added_transforms
 from .transforms.trajectory import frames_of_trajectory, load_trajectory
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from typing import Any, TypeAlias
 
     from .conversion.report import Report
@@ -93,7 +92,7 @@ def first_output(options: ConvertOptions, verb: str, warn: Warn | None) -> Conve
     if not options.scans[1:]:
         return options
     only = f"only the first of {len(options.scans)} outputs is {verb}: {options.scan.name}"
-    _pass_on([only], warn)
+    tell_early([], warn, only)
     return replace(options.with_scan(), notes=(*options.notes, only))
 
 
@@ -105,7 +104,7 @@ def conversion_of(options: Options, warn: Warn | None = None) -> ConvertOptions:
     options
         Missing ones have the defaults of `pc2scan.convert`.
     warn
-        Called with each of the notes as soon as it is known, also if an error follows.
+        Called with each of the notes.
 
     Raises
     ------
@@ -116,14 +115,25 @@ def conversion_of(options: Options, warn: Warn | None = None) -> ConvertOptions:
         _refuse_scans(options)
     given = options.among(PARAMETERS)
     settings = [Setting(name, value, options.origins.get(name, CALL)) for name, value in given.items()]
+    moved: tuple[str, ...] = ()
     if options.scans is not None:
-        return _several_scans(options, settings, warn)
-    try:
-        return _of_node(options, settings, options.node, warn)
-    except SeveralNodesError as err:
-        if options.reverse or options.params_file is None or options.command == "export":
-            raise
-        return _of_nodes(options, settings, err.nodes, options.params_file, warn)
+        refuse_beside(options.of_one_output)
+        found, where = load_scans(options.scans, [*settings, *parse_params(options.param)]), "scans"
+        specs, ignored, paths = found.specs, found.ignored, found.files
+    else:
+        outputs, where = _outputs(options, settings), "params_file"
+        specs = tuple(output.spec for output in outputs)
+        ignored = tuple(place for output in outputs for place in output.resolved.ignored)
+        paths = tuple(path for output in outputs for path in output.resolved.files)
+        moved = tuple(dict.fromkeys(topic for output in outputs for topic in output.tf_topics))
+    notes: list[str] = []
+    tell_early(notes, warn, *(f"ignored, because it is no parameter of the projection: {place}" for place in ignored))
+    frames = frames_of(options)
+    if moved and not frames.tf_topics:
+        frames = replace(frames, tf_topics=moved)
+    files = named_files(options) | {f"{path.name} (from `{where}`)": path for path in paths}
+    how = {"frames": frames, "clock": clock_of(options), **options.among(_OF_ALL)}
+    return ConvertOptions(scans=specs, **how, files=files, notes=tuple(notes))
 
 
 def _refuse_scans(options: Options) -> None:
@@ -136,50 +146,36 @@ def _refuse_scans(options: Options) -> None:
         )
 
 
-def _of_nodes(
-    options: Options, settings: list[Setting], nodes: Sequence[str], file: Path, warn: Warn | None
-) -> ConvertOptions:
-    """Read the options of a conversion with an output for each node of a parameter file."""
+class _Output(NamedTuple):
+    """An output, its parameters, and the topics of transforms that its remappings name."""
+
+    spec: ScanSpec
+    resolved: ResolvedParams
+    tf_topics: tuple[str, ...]
+
+
+def _outputs(options: Options, settings: list[Setting]) -> list[_Output]:
+    """Return the output of a call, or one for each node of its parameter file."""
+    file = options.params_file
+    try:
+        return [_output(options, settings, options.node)]
+    except SeveralNodesError as err:
+        if options.reverse or file is None or options.command == "export":
+            raise
+        nodes = err.nodes
     refuse_topics(options.topics, nodes, file)
-    each: list[ConvertOptions] = []
-    for node in nodes:
-        each.append(_of_node(options, settings, node, warn, beside=tuple(each)))
-    return options_of_nodes(nodes, each, file)
+    outputs = [_output(options, settings, node, is_one_of_several=True) for node in nodes]
+    named = name_outputs(nodes, [output.spec for output in outputs], file)
+    return [output._replace(spec=spec) for output, spec in zip(outputs, named, strict=True)]
 
 
-def _pass_on(notes: Iterable[str], warn: Warn | None) -> None:
-    if warn is not None:
-        for note in notes:
-            warn(note)
-
-
-def _several_scans(options: Options, settings: list[Setting], warn: Warn | None) -> ConvertOptions:
-    """Read the options of a conversion with several outputs; parameters besides ``scans`` apply to all of them."""
-    refuse_beside(options.of_one_output)
-    settings = [*settings, *parse_params(options.param)]
-    found = load_scans(options.scans, settings)
-    notes = tuple(_IGNORED + place for place in found.ignored)
-    _pass_on(notes, warn)
-    files = {f"{path.name} (from `scans`)": path for path in found.files}
-    how = {"frames": frames_of(options), "clock": clock_of(options), **options.among(_OF_ALL)}
-    return ConvertOptions(scans=found.specs, **how, files=named_files(options) | files, notes=notes)
-
-
-def _of_node(
-    options: Options,
-    settings: list[Setting],
-    node: str | None,
-    warn: Warn | None,
-    *,
-    beside: Sequence[ConvertOptions] | None = None,
-) -> ConvertOptions:
-    """Read the options of a conversion with one output; a parameter file is read for one of its nodes.
-
-    Parameters
-    ----------
-    beside
-        The conversions of other nodes in the same file, whose notes are not repeated; None if there is only one node.
-    """
+def _output(options: Options, settings: list[Setting], node: str | None, *, is_one_of_several: bool = False) -> _Output:
+    """Return an output; a parameter file is read for one of its nodes."""
+    topics, typed = options.topics, list(options.remap)
+    if typed and topics:
+        raise UsageError(
+            "`topics` and `remap` both name the topics; give only one of them", hint="such as `topics=/points:=/scan`"
+        )
     if options.params is not None:
         resolved = _changed_params(options)
     else:
@@ -191,34 +187,18 @@ def _of_node(
             launch_args=options.launch_args,
             preset=options.preset,
             reverse=options.reverse,
-            remapped=_remapped(options) if options.params_file is not None else (),
+            remapped=_remapped(options),
         )
-    known = {note for other in beside or () for note in other.notes}
-    notes = tuple(dict.fromkeys(_IGNORED + place for place in resolved.ignored if _IGNORED + place not in known))
-    if notes:
-        _pass_on(notes, warn)
-    frames = frames_of(options)
-    topics, typed = options.topics, list(options.remap)
-    if typed and topics:
-        raise UsageError(
-            "`topics` and `remap` both name the topics; give only one of them", hint="such as `topics=/points:=/scan`"
-        )
+    tf_topics: tuple[str, ...] = ()
     if typed or resolved.remaps:
-        if beside is not None and node is not None:
+        if is_one_of_several and node is not None:
             typed = remaps_of_node(typed, node)
         typed = [text for text in typed if not text.startswith("__")]
         moved = read_remaps((*resolved.remaps, *typed), reverse=resolved.reverse)
-        topics = topics or moved.topics
-        if moved.tf_topics and not frames.tf_topics:
-            frames = replace(frames, tf_topics=moved.tf_topics)
-    more = {}
-    if options.channels:
-        more["channels"] = _channels(options.channels)
-    scan = ScanSpec.of(options.given, resolved, topics=tuple(map(TopicRequest.parse, topics)), **more)
-    files = named_files(options) | {f"{path.name} (from `params_file`)": path for path in resolved.files}
-    clock = clock_of(options) if options.given.keys() & StampCorrection.__annotations__.keys() else None
-    how = {"frames": frames, "clock": clock, **options.among(_OF_ALL)}
-    return ConvertOptions(scans=(scan,), **how, files=files, notes=notes)
+        topics, tf_topics = topics or moved.topics, moved.tf_topics
+    more = {"channels": _channels(options.channels)} if options.channels else {}
+    spec = ScanSpec.of(options.given, resolved, topics=tuple(map(TopicRequest.parse, topics)), **more)
+    return _Output(spec, resolved, tf_topics)
 
 
 def _remapped(options: Options) -> set[str]:
@@ -226,10 +206,6 @@ def _remapped(options: Options) -> set[str]:
     if options.topics:
         return {"cloud_in", "scan", "scan_in", "cloud"}
     return {text.partition(":=")[0].rpartition(":")[2].strip("~/ ") for text in options.remap}
-
-
-#: The beginning of the note about an entry of a file.
-_IGNORED = "ignored, because it is not a parameter of the projection: "
 
 
 def named_files(options: Options) -> dict[str, Path]:

@@ -8,9 +8,8 @@ import pytest
 
 from pc2scan.core.params import ProjectionParams
 from pc2scan.options.moment import TimeBound
-from pc2scan.request.param_sources import resolve_sources
+from pc2scan.request.param_sources import parse_param, resolve_sources
 from pc2scan.request.parameters import Setting, resolve
-from pc2scan.request.yaml_nodes import parse_param
 from support.tables import rows
 
 VALUES = Path(__file__).parent / "values.txt"

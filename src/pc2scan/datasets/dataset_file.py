@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.errors import UsageError
 from pc2scan.options.table import dataset_options
 from pc2scan.options.values import Flag, Texts
-from pc2scan.request.entries import entries_in, naming_place
+from pc2scan.request.entries import entries_in, naming_place, read_text
 from pc2scan.request.parameters import RIVALS
 from pc2scan.request.redaction import not_quoting
 from pc2scan.requests import NAMED_FILES
@@ -78,7 +78,9 @@ def load_dataset_file(path: Path) -> DatasetFile:
     UsageError
         If it cannot be read, is not YAML, or has an unknown key or a wrong value; the message names the line.
     """
-    sections = entries_in(path, _EXAMPLE).mapping("the file", ("defaults", "recordings"), _EXAMPLE)
+    sections = entries_in(read_text(path, _EXAMPLE), path, _EXAMPLE).mapping(
+        "the file", ("defaults", "recordings"), _EXAMPLE
+    )
     entries = [_entry(sections["defaults"], path.parent)] if "defaults" in sections else []
     if (recordings := sections.get("recordings")) and recordings.value is not None:
         if not isinstance(recordings.value, list):

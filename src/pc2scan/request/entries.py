@@ -1,32 +1,136 @@
-"""Reads scans files and dataset files, or the same of Python's dicts and lists: values with their places."""
+"""Reads YAML as values with their places: parameter, scans and dataset files, or the same of Python's dicts and lists.
+
+Scalars are read as ROS does.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from pc2scan.core.quantities import ANGLE, angle_value, written_angle
 from pc2scan.errors import ParameterError, UsageError
+from pc2scan.files.places import missing_hint
+from pc2scan.files.source import open_bytes, refuse_pointer
 from pc2scan.files.urls import is_url, local_path
 from pc2scan.options.table import PARAMETERS
 from pc2scan.text import did_you_mean
 
-from .parameters import value_text
-from .params_file import read_text
-from .yaml_nodes import compose, is_empty, is_mapping, is_scalar, scalar_value
+from .parameters import expected_message, plain_scalar, value_text
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Generator
+    from collections.abc import Callable, Collection, Generator
 
     from pc2scan.options.values import Value
 
-#: Maximum number of levels of nesting.
+#: Maximum size of a file. A larger one was given by mistake.
+MAX_FILE_BYTES = 1_000_000
+
+#: Maximum number of levels of nesting. It also stops an alias that contains itself.
 _MAX_DEPTH = 20
+
+_YAML_TAG = "tag:yaml.org,2002:"
+
+#: Tags that YAML gives to plain text; any other tag was written by the user.
+_PLAIN_TAGS = frozenset(
+    _YAML_TAG + kind for kind in ("str", "int", "float", "bool", "null", "timestamp", "merge", "value")
+)
+
+_ROS1_ANGLE_TAGS = {"!degrees": "deg", "!radians": "rad"}
+
+
+def compose(text: str, place: str) -> Any:
+    """Parse YAML to ruamel's nodes, which have their lines; None for an empty document.
+
+    Nodes are used instead of values, so that aliases are not expanded, tags construct nothing, and scalars
+    are read by ROS's rules.
+    """
+    from ruamel.yaml import YAML  # noqa: PLC0415  # see `pc2scan.files.yaml`
+    from ruamel.yaml.error import YAMLError  # noqa: PLC0415
+
+    # ROS 2's parser accepts tabs between tokens, ruamel does not. Both reject tabs as indentation.
+    spaced = re.sub(r"(?m)(?<=[^ \t\n])[ \t]*\t[ \t]*", lambda tabs: " " * len(tabs.group()), text)
+    yaml = YAML(typ="safe", pure=True)
+    # An anchor that is defined twice is legal, so ruamel's warning is ignored.
+    yaml.composer.warn_double_anchors = False
+    try:
+        return yaml.compose(spaced)
+    except YAMLError as err:
+        problem = getattr(err, "problem", None) or getattr(err, "reason", None) or "a syntax error"
+        hint = "indent with spaces, not with tabs" if r"'\t'" in str(problem) else None
+        message = f"{place}, {_yaml_position(err, spaced)}: not valid YAML: {problem}"
+        raise ParameterError(message, hint=hint) from err
+    except RecursionError as err:
+        raise ParameterError(f"{place}: nested too deeply") from err
+
+
+def _yaml_position(err: Exception, text: str) -> str:
+    """Return `line 3, column 5` of a YAML error: most have a mark, unreadable characters have an index."""
+    mark = getattr(err, "problem_mark", None)
+    if mark is not None:
+        return f"line {mark.line + 1}, column {mark.column + 1}"
+    before = text[: getattr(err, "position", 0)]
+    return f"line {before.count(chr(10)) + 1}, column {len(before) - before.rfind(chr(10))}"
+
+
+def scalar_value(node: Any, name: str, origin: str, *, ros1: bool = False) -> object:
+    """Return the value of a scalar node of YAML; ``name`` and ``origin`` are for errors.
+
+    Raises
+    ------
+    ParameterError
+        If it has a tag that is not one of plain text.
+    """
+    if ros1 and node.tag in _ROS1_ANGLE_TAGS:
+        unit = _ROS1_ANGLE_TAGS[node.tag]
+        inner = ANGLE.fullmatch(node.value.strip())
+        try:
+            return angle_value(unit, inner[2] if inner else node.value)
+        except ValueError as err:
+            shown = f"{node.tag} {node.value}"
+            raise ParameterError(expected_message(name, shown, origin), name=name) from err
+    if node.tag not in _PLAIN_TAGS:
+        tag = node.tag.replace(_YAML_TAG, "!!")
+        raise ParameterError(f"{name}: the YAML tag {tag} is not supported (from {origin})", name=name)
+    if node.style:  # quoted, or a block of text
+        return node.value
+    angle = written_angle(node.value) if ros1 else None
+    return plain_scalar(node.value) if angle is None else angle
+
+
+def read_text(path: Path, example: str) -> str:
+    """Return the text of a file; ``example`` is the hint if there is none."""
+    try:
+        with open_bytes(path) as file:
+            data = file.read(MAX_FILE_BYTES + 1)
+    except FileNotFoundError as err:
+        hint = missing_hint(path, (".yaml", ".yml")) or example
+        raise ParameterError(f"{path}: does not exist", hint=hint) from err
+    except IsADirectoryError as err:
+        raise ParameterError(f"{path}: this is a directory, not a parameter file") from err
+    except OSError as err:
+        raise ParameterError(f"{path}: cannot be read: {err.strerror or err}") from err
+    if len(data) > MAX_FILE_BYTES:
+        raise ParameterError(
+            f"{path}: larger than {MAX_FILE_BYTES:,} bytes, the maximum for such files",
+            hint="was a recording given in its place?",
+        )
+    refuse_pointer(data, path)
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as err:
+        line = data.count(b"\n", 0, err.start) + 1
+        raise ParameterError(
+            f"{path}, line {line}: byte 0x{data[err.start]:02x} is not UTF-8 text",
+            hint="save the file as UTF-8",
+        ) from err
 
 
 class Entry(NamedTuple):
-    """A value of a file (a dict or a list of entries, or a scalar), its place, and the text of a scalar in a file."""
+    """A value (a dict or a list of entries, or a scalar), its place, and the text of a scalar in a file; None: null."""
 
     value: Any
     place: str
@@ -72,18 +176,26 @@ class Entry(NamedTuple):
         return "a mapping" if isinstance(self.value, dict) else value_text(self.value)
 
 
-def entries_in(path: Path, example: str) -> Entry:
-    """Read a YAML or JSON file.
+def entries_in(text: str, path: Path | str, example: str, scalar: Callable[..., object] = scalar_value) -> Entry:
+    """Read the text of a YAML or JSON file.
+
+    Parameters
+    ----------
+    text, path
+        The text, and the file for errors.
+    example
+        The hint if it is empty.
+    scalar
+        Makes the value of a scalar node, by its name and its place.
 
     Raises
     ------
-    UsageError
-        If it cannot be read; ``example`` is the hint if it is missing or empty.
+    ParameterError
+        If it cannot be read.
     """
-    text = read_text(path, example)
     root = compose(text, str(path))
-    if root is None or is_empty(root):
-        raise UsageError(f"{path}: the file is empty", hint=example)
+    if root is None or not (root.value or getattr(root, "style", None)):
+        raise ParameterError(f"{path}: the file is empty", hint=example)
     left = len(text)
 
     def entry(node: Any, name: str, depth: int, line: int) -> Entry:
@@ -91,22 +203,25 @@ def entries_in(path: Path, example: str) -> Entry:
         place = f"{path}, line {line}"
         left -= 1
         if left < 0:
-            raise UsageError(f"{path}: its aliases multiply to more values than the file has characters")
+            raise ParameterError(f"{path}: its aliases multiply to more values than the file has characters")
         if depth > _MAX_DEPTH:
-            raise UsageError(f"{place}: nested more than {_MAX_DEPTH} levels deep")
-        if is_scalar(node):
-            text = None if is_empty(node) else str(node.value)
-            return Entry(scalar_value(node, name, place, ros1=False), place, text)
-        if not is_mapping(node):
+            raise ParameterError(f"{place}: nested more than {_MAX_DEPTH} levels deep")
+        if node.id == "scalar":
+            return Entry(scalar(node, name, place), place, str(node.value) if node.style or node.value else None)
+        if node.id == "sequence":
             return Entry([entry(each, name, depth + 1, each.start_mark.line + 1) for each in node.value], place)
         found: dict[str, Entry] = {}
         for key, value in node.value:
             at = key.start_mark.line + 1
-            if not is_scalar(key):
-                raise UsageError(f"{path}, line {at}: a key must be plain text")
+            if key.id != "scalar":
+                raise ParameterError(f"{path}, line {at}: a key must be plain text")
             text = str(key.value)
+            if text == "<<":
+                raise ParameterError(
+                    f"{path}, line {at}: YAML's merge key (<<) is not supported", hint="write its values out"
+                )
             if text in found:
-                raise UsageError(f"{path}, line {at}: {text!r} is given twice, first in {found[text].place}")
+                raise ParameterError(f"{path}, line {at}: {text!r} is given twice, first in {found[text].place}")
             found[text] = entry(value, text, depth + 1, at)
         return Entry(found, place)
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
 
-    from .options import ConvertOptions, ScanSpec
+    from .options import ScanSpec
 
 #: The nodes' names for the topic that they read and the topic that they write, by whether scans become clouds.
 _NAMES = {False: ("cloud_in", "scan"), True: ("scan_in", "cloud")}
@@ -113,19 +113,17 @@ def refuse_topics(topics: object, nodes: Sequence[str], file: Path) -> None:
         )
 
 
-def options_of_nodes(nodes: Sequence[str], options: Sequence[ConvertOptions], file: Path) -> ConvertOptions:
-    """Return the options of one conversion with the outputs of all nodes.
+def name_outputs(nodes: Sequence[str], specs: Sequence[ScanSpec], file: Path) -> list[ScanSpec]:
+    """Return the outputs of several nodes of a file, each with its own topic.
 
     Parameters
     ----------
-    nodes
-        Fully qualified names of the nodes.
-    options
-        The options of each node on its own.
+    nodes, specs
+        Fully qualified names of the nodes, and the output of each.
 
     Returns
     -------
-    ConvertOptions
+    list of ScanSpec
         A node without a topic for its scans publishes ``scan`` in its namespace; if several nodes would do this, below
         its own name. A node without a source reads the only topic with clouds.
 
@@ -134,31 +132,19 @@ def options_of_nodes(nodes: Sequence[str], options: Sequence[ConvertOptions], fi
     UsageError
         If two nodes write one topic.
     """
-    requests = [next(iter(each.scan.topics), TopicRequest("*")) for each in options]
     usual = [f"{node.rpartition('/')[0]}/scan" for node in nodes]
-    targets = [
-        request.target or (own if usual.count(own) == 1 else f"{node}/scan")
-        for node, request, own in zip(nodes, requests, usual, strict=True)
-    ]
-    twice = next((target for number, target in enumerate(targets) if target in targets[:number]), None)
-    if twice is not None:
-        one, *_, other = [node for node, target in zip(nodes, targets, strict=True) if target == twice]
-        raise UsageError(
-            f"{one} and {other} would both write {twice}",
-            path=file,
-            hint=f"`remap={other.lstrip('/')}:scan:={twice}_2` gives one of them another topic; "
-            f"`node={one}` converts only one",
-        )
-    specs = [
-        _rename_output(each.scan, target, f"{file}, {node}", request.source)
-        for node, each, target, request in zip(nodes, options, targets, requests, strict=True)
-    ]
-    moved = dict.fromkeys(topic for each in options for topic in each.frames.tf_topics)
-    frames = replace(options[0].frames, tf_topics=tuple(moved))
-    notes = tuple(note for each in options for note in each.notes)
-    return replace(options[0], scans=tuple(specs), frames=frames, notes=notes)
-
-
-def _rename_output(spec: ScanSpec, target: str, place: str, source: str) -> ScanSpec:
-    topics = () if source == "*" else (TopicRequest(source, target),)
-    return replace(spec, name=target, place=place, topics=topics)
+    named: dict[str, ScanSpec] = {}
+    for node, spec, own in zip(nodes, specs, usual, strict=True):
+        source, target = next(iter(spec.topics), TopicRequest("*"))
+        target = target or (own if usual.count(own) == 1 else f"{node}/scan")
+        if target in named:
+            one = nodes[list(named).index(target)]
+            raise UsageError(
+                f"{one} and {node} would both write {target}",
+                path=file,
+                hint=f"`remap={node.lstrip('/')}:scan:={target}_2` gives one of them another topic; "
+                f"`node={one}` converts only one",
+            )
+        topics = () if source == "*" else (TopicRequest(source, target),)
+        named[target] = replace(spec, name=target, place=f"{file}, {node}", topics=topics)
+    return list(named.values())

@@ -1,20 +1,20 @@
-"""Collects the parameters of a conversion from every place where a user can give them."""
+"""Collects the parameters of a conversion from every place where a user can give them; reads ``name:=value``."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import UsageError
+from pc2scan.errors import ParameterError, UsageError
 
-from .parameters import ALIASES, preset_settings, resolve
+from .entries import compose, scalar_value
+from .parameters import ALIASES, Setting, expected_message, is_every_nodes, preset_settings, resolve
 from .params_file import load_params_file
-from .yaml_nodes import parse_params
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
     from pathlib import Path
 
-    from .parameters import Direction, ResolvedParams, Setting
+    from .parameters import Direction, ResolvedParams
 
 
 def resolve_sources(
@@ -35,7 +35,7 @@ def resolve_sources(
     settings
         Parameters that are given as options or keywords.
     assignments
-        Texts for `pc2scan.request.yaml_nodes.parse_params`; a later one overrides an earlier one.
+        Texts for `parse_params`; a later one overrides an earlier one.
     file, node
         A parameter file or a launch file, and the node whose section of it is read.
     launch_args
@@ -52,7 +52,6 @@ def resolve_sources(
     UsageError
         If a parameter, the file or the preset is not valid, or the file is for the other direction.
     """
-    # Modules are imported only if needed: a conversion of a small recording spends most of its time on imports.
     found = list(settings)
     ignored: tuple[str, ...] = ()
     remaps: tuple[str, ...] = ()
@@ -84,3 +83,50 @@ def _launch_arguments(texts: Sequence[str]) -> dict[str, str]:
             raise UsageError(f"`launch_args`: {text!r} is not an argument", hint="write `launch_args=name:=value`")
         arguments[name] = value
     return arguments
+
+
+def parse_params(texts: Sequence[str]) -> list[Setting]:
+    """Read parameters as `parse_param` does, the last one first, but for those that every node has."""
+    found = [parse_param(text) for text in reversed(texts)]
+    return [setting for setting in found if not is_every_nodes(setting.name)]
+
+
+def parse_param(text: str) -> Setting:
+    """Read ROS's notation for one parameter, ``name:=value``.
+
+    Parameters
+    ----------
+    text
+        ROS 2's form after ``--ros-args -p``, which may begin with a node's name (``node:name:=value``; the name is
+        ignored), or ROS 1's form (``_name:=value``). The value is a YAML
+        scalar: ``1``, ``1.0``, ``.inf``, ``true``, ``"text"``; also ROS 1's ``deg(90)`` and
+        ``rad(pi/2)``. No text after ``:=`` means the empty text.
+
+    Returns
+    -------
+    Setting
+        Its value is not checked here; `resolve` does.
+
+    Raises
+    ------
+    ParameterError
+        If there is no ``:=`` or no name, or the value is not a YAML scalar.
+    """
+    rule, assigned, written = text.partition(":=")
+    name = rule.rpartition(":")[2].strip().lstrip("_~")
+    if not assigned:
+        raise ParameterError(f"`param` {text!r} has no ':='", hint="write `param=range_min:=0.5`")
+    if not name:
+        raise ParameterError(f"`param` {text!r} has no name before ':='", hint="write `param=range_min:=0.5`")
+    origin = f"--param {text}"
+    if not written.strip():
+        return Setting(name, "", origin, "param")
+    try:
+        node = compose(written, origin)
+    except ParameterError as err:
+        err.name = name
+        raise
+    if node is not None and node.id != "scalar":
+        raise ParameterError(expected_message(name, f"a {node.id.replace('sequence', 'list')}", origin), name=name)
+    value = None if node is None else scalar_value(node, name, origin, ros1=True)
+    return Setting(name, value, origin, "param")

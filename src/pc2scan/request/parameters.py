@@ -121,8 +121,6 @@ def unknown_parameter(name: str, origin: str, direction: Direction | None) -> Pa
     hint = f"the parameters are {', '.join(known)}"
     if name in TOPICS:
         hint = "topics are not parameters here; `topics` chooses them"
-    elif "<<" in re.split(r"[./]", name):
-        hint = "YAML's merge key (<<) is not supported; write the parameters out"
     if name in PARAMETERS:
         message = f"{direction} has no parameter {name!r} (from {origin})"
     else:

@@ -5,14 +5,13 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, NamedTuple, get_args
 
 from pc2scan.errors import ParameterError, SeveralNodesError
-from pc2scan.files.places import missing_hint
-from pc2scan.files.source import open_bytes, refuse_pointer
 from pc2scan.options.table import PARAMETERS
 from pc2scan.text import did_you_mean, nearest
 
+from .entries import Entry, entries_in, read_text, scalar_value
 from .launch_file import is_launch_xml, launch_node
 from .launch_node import ELSEWHERE, UnreadError, qualified
 from .parameters import (
@@ -20,6 +19,7 @@ from .parameters import (
     TOPICS,
     Direction,
     Setting,
+    expected_message,
     is_every_nodes,
     names_of,
     plain_scalar,
@@ -27,18 +27,11 @@ from .parameters import (
     unknown_parameter,
 )
 from .redaction import not_quoting
-from .yaml_nodes import compose, is_empty, is_mapping, is_scalar, place_of, scalar_value
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping
 
     from .launch_node import LaunchNode, LaunchValue
-
-#: Maximum size of a parameter file. A larger file was given by mistake.
-MAX_FILE_BYTES = 1_000_000
-
-#: Maximum number of levels of nesting. It also stops an alias that contains itself.
-MAX_DEPTH = 50
 
 #: The hint where no parameter file is found.
 _EXAMPLE = "name a ROS parameter file or a launch file; each parameter is an option, too, such as `min_height=-0.3`"
@@ -125,7 +118,7 @@ def load_params_file(
         If the file cannot be read or is not YAML (with line and column), a key appears twice, no section or several
         match, the node has no such parameter, or a value is not a scalar.
     """
-    text = read_text(path)
+    text = read_text(path, _EXAMPLE)
     if path.suffix == ".py" or is_launch_xml(text):
         return _from_launch(text, path, node, arguments or {}, overridden)
     if arguments:
@@ -159,7 +152,7 @@ def _from_launch(
             ignored += [re.sub(r"(, line \d+), .*", r"\1", origin) for origin in loaded.ignored]
             settings |= {setting.name: setting for setting in loaded.settings}
         else:
-            for written, value in _launch_values(param, param.value, path, place):
+            for written, value in _launch_values(param, param.value, place):
                 name, origin = ALIASES.get(written, written), f"{place}, {written}"
                 if name in names_of(found.direction):
                     settings[name] = Setting(name, _as_bool(name, value), origin, "file")
@@ -184,7 +177,7 @@ def _unread(param: LaunchValue, name: str, err: UnreadError, path: Path) -> Para
 def _named_file(file: Path, place: str, node: LaunchNode) -> ParamsFile:
     """Read a parameter file that a launch file names. Errors do not quote it, because it may be any file."""
     with not_quoting([(file, place, "params_file")]):
-        text = read_text(file)
+        text = read_text(file, _EXAMPLE)
         if not is_launch_xml(text):
             try:
                 found = _from_yaml(text, file, node.name)
@@ -195,16 +188,10 @@ def _named_file(file: Path, place: str, node: LaunchNode) -> ParamsFile:
     raise ParameterError(f"{file}: is a launch file, where parameters are expected (from {place})")
 
 
-def _launch_values(param: LaunchValue, text: str, path: Path, place: str) -> list[tuple[str, object]]:
+def _launch_values(param: LaunchValue, text: str, place: str) -> list[tuple[str, object]]:
     """Return the names and values of a parameter of a launch file."""
     if param.kind == "yaml":
-        root = compose(text, place)
-        if root is None or not is_mapping(root):
-            raise ParameterError(f"{place}: expected parameters as 'name: value' in <rosparam>")
-        return [
-            (".".join(leaf.path), scalar_value(leaf.node, leaf.path[-1], f"{place}, {'.'.join(leaf.path)}", ros1=True))
-            for leaf in _leaves(root, path, ())
-        ]
+        return [(".".join(leaf.path), leaf.read(leaf.path[-1], ros1=True)) for leaf in _leaves_in(text, place)]
     plain = text.strip()
     parameter = PARAMETERS.get(ALIASES.get(param.name, param.name))
     if quoted := re.fullmatch(r"(['\"])(.*)\1", plain):
@@ -220,44 +207,29 @@ def _as_bool(name: str, value: object) -> object:
     return value
 
 
-def read_text(path: Path, example: str = _EXAMPLE) -> str:
-    """Return the text of a parameter file; ``example`` is the hint if there is none."""
-    try:
-        with open_bytes(path) as file:
-            data = file.read(MAX_FILE_BYTES + 1)
-    except FileNotFoundError as err:
-        hint = missing_hint(path, (".yaml", ".yml")) or example
-        raise ParameterError(f"{path}: does not exist", hint=hint) from err
-    except IsADirectoryError as err:
-        raise ParameterError(f"{path}: this is a directory, not a parameter file") from err
-    except OSError as err:
-        raise ParameterError(f"{path}: cannot be read: {err.strerror or err}") from err
-    if len(data) > MAX_FILE_BYTES:
-        raise ParameterError(
-            f"{path}: larger than {MAX_FILE_BYTES:,} bytes, the maximum for such files",
-            hint="was a recording given in its place?",
-        )
-    refuse_pointer(data, path)
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as err:
-        line = data.count(b"\n", 0, err.start) + 1
-        raise ParameterError(
-            f"{path}, line {line}: byte 0x{data[err.start]:02x} is not UTF-8 text",
-            hint="save the file as UTF-8",
-        ) from err
-
-
 _MARK = "ros__parameters"
 
 
-@dataclass(frozen=True, slots=True)
-class _Leaf:
-    """A value in the file: the keys above it, its YAML node, and its place as text."""
+class _Leaf(NamedTuple):
+    """A value in the file: the keys above it, the value, and its place as text."""
 
     path: tuple[str, ...]
-    node: Any
+    entry: Entry
     origin: str
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether it is null or an empty mapping."""
+        value = self.entry.value
+        return not value if isinstance(value, dict) else not isinstance(value, list) and self.entry.text is None
+
+    def read(self, name: str, *, ros1: bool) -> object:
+        """Return its value as that of a parameter."""
+        value = self.entry.value
+        if isinstance(value, dict | list):
+            found = "a mapping" if isinstance(value, dict) else "a list"
+            raise ParameterError(expected_message(name, found, self.origin), name=name)
+        return scalar_value(value, name, self.origin, ros1=ros1)
 
 
 #: For each node, by its fully qualified name or pattern: its parameters by name.
@@ -265,48 +237,34 @@ _Sections = dict[str, dict[str, _Leaf]]
 
 
 def _from_yaml(text: str, path: Path, node: str | None) -> ParamsFile:
-    root = compose(text, str(path))
-    if root is None or is_empty(root):
-        raise ParameterError(f"{path}: the file is empty")
-    if not is_mapping(root):
-        found = "a list" if root.id == "sequence" else "only a text"
-        raise ParameterError(f"{path}: expected parameters as 'name: value', got {found}")
-    leaves = []
-    for leaf in _leaves(root, path, ()):
-        leaves.append(leaf)
-        if len(leaves) > len(text):  # only aliases of aliases can do this
-            raise ParameterError(f"{path}: its aliases multiply to more values than the file has characters")
+    leaves = list(_leaves_in(text, path))
     ros1 = not any(_MARK in leaf.path for leaf in leaves)
     sections: _Sections = {}
     for leaf in leaves:
-        full, name = _ros1_name(leaf) if ros1 else _ros2_name(leaf, path)
+        full, name = _ros1_name(leaf) if ros1 else _ros2_name(leaf)
         sections.setdefault(full, {})
         if name:
             sections[full][name] = leaf
     return _merge_sections(sections, _node_to_read(sections, node, path), ros1=ros1)
 
 
-def _leaves(mapping: Any, file: Path, above: tuple[str, ...]) -> Iterator[_Leaf]:
+def _leaves_in(text: str, path: Path | str) -> Iterator[_Leaf]:
+    """Return every value of a file."""
+    root = entries_in(text, path, _EXAMPLE, scalar=lambda node, *_: node)
+    if not isinstance(root.value, dict):
+        found = "a list" if isinstance(root.value, list) else "only a text"
+        raise ParameterError(f"{path}: expected parameters as 'name: value', got {found}")
+    return _leaves(root, ())
+
+
+def _leaves(mapping: Entry, above: tuple[str, ...]) -> Iterator[_Leaf]:
     """Yield every value below a mapping. Empty mappings and the values of parameters are not divided further."""
-    if len(above) > MAX_DEPTH:
-        raise ParameterError(f"{file}, {place_of(mapping)}: nested more than {MAX_DEPTH} levels deep")
-    first_lines: dict[str, int] = {}
-    for key, value in mapping.value:
-        if not is_scalar(key):
-            raise ParameterError(f"{file}, {place_of(key)}: a name must be plain text")
-        name, line = str(key.value), key.start_mark.line + 1
-        if name in first_lines:
-            message = f"{file}, {place_of(key)}: {name!r} is given twice, first in line {first_lines[name]}"
-            raise ParameterError(message, name=name)
-        if name == "<<":
-            message = f"{file}, {place_of(key)}: YAML's merge key (<<) is not supported"
-            raise ParameterError(message, hint="write the parameters out")
-        first_lines[name] = line
+    for name, entry in mapping.value.items():
         keys = (*above, name)
-        if is_mapping(value) and value.value and name not in _OF_UPSTREAM:
-            yield from _leaves(value, file, keys)
+        if isinstance(entry.value, dict) and entry.value and name not in _OF_UPSTREAM:
+            yield from _leaves(entry, keys)
         else:
-            yield _Leaf(keys, value, f"{file}, line {line}, {'.'.join(keys)}")
+            yield _Leaf(keys, entry, f"{entry.place}, {'.'.join(keys)}")
 
 
 def _full_name(parts: tuple[str, ...]) -> str:
@@ -318,12 +276,12 @@ def _ros1_name(leaf: _Leaf) -> tuple[str, str]:
     """Return a node and its parameter; in ROS 1, ``a: {b: 1}`` equals ``a/b: 1``."""
     full = _full_name(leaf.path)
     above, _, name = full.rpartition("/")
-    return (full, "") if is_empty(leaf.node) and name not in _OF_UPSTREAM else (above or "/", name)
+    return (full, "") if leaf.is_empty and name not in _OF_UPSTREAM else (above or "/", name)
 
 
-def _ros2_name(leaf: _Leaf, file: Path) -> tuple[str, str]:
+def _ros2_name(leaf: _Leaf) -> tuple[str, str]:
     """Return a node and its parameter."""
-    if _MARK not in leaf.path and not is_empty(leaf.node):
+    if _MARK not in leaf.path and not leaf.is_empty:
         raise ParameterError(
             f"{leaf.path[-1]!r} is outside of any ros__parameters (from {leaf.origin})",
             name=leaf.path[-1],
@@ -331,9 +289,8 @@ def _ros2_name(leaf: _Leaf, file: Path) -> tuple[str, str]:
         )
     mark = leaf.path.index(_MARK) if _MARK in leaf.path else len(leaf.path)
     name = ".".join(leaf.path[mark + 1 :])
-    if not name and not is_empty(leaf.node):
-        message = f"{file}, {place_of(leaf.node)}: expected parameters below ros__parameters, got a single value"
-        raise ParameterError(message)
+    if not name and not leaf.is_empty:
+        raise ParameterError(f"{leaf.entry.place}: expected parameters below ros__parameters, got a single value")
     return _full_name(leaf.path[:mark]), name
 
 
@@ -406,7 +363,7 @@ def _merge_sections(sections: _Sections, target: str, *, ros1: bool) -> ParamsFi
             name = ALIASES.get(written, written)
             is_ours = name in known and (is_own or PARAMETERS[name].upstreams)
             if is_ours and (name == written or name not in parameters):
-                value = scalar_value(leaf.node, name, leaf.origin, ros1=ros1)
+                value = leaf.read(name, ros1=ros1)
                 # roscpp reads 0 and 1 as a bool, rclcpp does not.
                 settings[name] = Setting(name, _as_bool(name, value) if ros1 else value, leaf.origin, "file")
             elif written in TOPICS or name in known or not is_own:

@@ -10,7 +10,7 @@ from pc2scan.options.call import Options
 from pc2scan.options.table import PARAMETERS, output_options
 from pc2scan.options.values import Texts
 
-from .entries import Entry, entries_in, entries_of, naming_place
+from .entries import Entry, entries_in, entries_of, naming_place, read_text
 from .nodes import read_remaps
 from .options import ScanSpec, TopicRequest
 from .param_sources import resolve_sources
@@ -66,7 +66,7 @@ def load_scans(asked: Path | Mapping[str, Any] | Sequence[Any], overriding: Sequ
         If something is not valid; the error has its place.
     """
     if isinstance(asked, Path):
-        root, folder, files = entries_in(asked, _EXAMPLE), asked.parent, [asked]
+        root, folder, files = entries_in(read_text(asked, _EXAMPLE), asked, _EXAMPLE), asked.parent, [asked]
     else:
         root, folder, files = entries_of(asked, "scans"), Path(), []
         if isinstance(root.value, list) or (isinstance(root.value, dict) and not root.value.keys() & set(_TOP)):
