@@ -127,7 +127,10 @@ def conversion_of(options: Options, warn: Warn | None = None) -> ConvertOptions:
         paths = tuple(path for output in outputs for path in output.resolved.files)
         moved = tuple(dict.fromkeys(topic for output in outputs for topic in output.tf_topics))
     notes: list[str] = []
-    tell_early(notes, warn, *(f"ignored, because it is no parameter of the projection: {place}" for place in ignored))
+    if ignored:
+        tell_early(
+            notes, warn, *(f"ignored, because it is no parameter of the projection: {place}" for place in ignored)
+        )
     frames = frames_of(options)
     if moved and not frames.tf_topics:
         frames = replace(frames, tf_topics=moved)
@@ -187,7 +190,7 @@ def _output(options: Options, settings: list[Setting], node: str | None, *, is_o
             launch_args=options.launch_args,
             preset=options.preset,
             reverse=options.reverse,
-            remapped=_remapped(options),
+            remapped=_remapped(options) if options.params_file is not None else (),
         )
     tf_topics: tuple[str, ...] = ()
     if typed or resolved.remaps:

@@ -154,7 +154,9 @@ class Option:
         self.scope = how.scope or scope
         self.short, self.command_only, self.makes = how.short, how.command_only, how.makes
         self.default, self._default_text = how.default, how.default_text
-        if self.default is None:
+        if isinstance(self, Parameter):
+            self.default = ProjectionParams.__dataclass_fields__[name].default
+        elif self.default is None:
             # A flag is off, a text is empty, and a word is the first one.
             usual = {bool: False, str: ""}.get(kind, words[0] if get_origin(kind) is Literal else None)
             self.default = () if self.value.repeats else usual
@@ -177,10 +179,6 @@ class Option:
 
 class Parameter(Option):
     """A parameter of the projection, upstream's or pc2scan's own; its default is that of `ProjectionParams`."""
-
-    def __init__(self, name: str, declared: Any, panel: str, scope: str) -> None:
-        super().__init__(name, declared, panel, scope)
-        self.default = ProjectionParams.__dataclass_fields__[name].default
 
     @property
     def upstreams(self) -> bool:
