@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from pc2scan.advice.measurements import SHAPES, ShapeRequest, regular_step, shapes_of
+from pc2scan.advice.measurements import ShapeRequest, regular_step, shapes_of
 from pc2scan.advice.point_times import time_warnings, times_of
 from pc2scan.advice.survey import Fact
 from pc2scan.conversion.report import StampCounts
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 #: shape of their rings, and the largest of a pattern that is sparse, points.
 HEADERS = 21
 _LAST_HEADERS = 400
-_SHAPES = SHAPES
+_SHAPES = 3
 _SPARSE = 60_000
 
 #: Rings are level if the cosine between the z axes of lidar and scans is larger: half a degree.
