@@ -8,33 +8,30 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from pc2scan.core.layout import TURN
 from pc2scan.core.percentiles import median, median_low
-from pc2scan.core.points import Points
 from pc2scan.core.resolution import RING_FIELDS, azimuth_step
 from pc2scan.core.timing import TIME_FIELDS, beam_times, fit_sweep, is_brief, median_interval_ns, time_field
-from pc2scan.errors import MessageError, ParameterError, stamp_text
+from pc2scan.errors import MessageError, ParameterError, TransformError, stamp_text
 from pc2scan.request.point_time import PointTime
-from pc2scan.request.turn import Turn
 from pc2scan.text import did_you_mean
-from pc2scan.transforms.placing import Placer
 
 from .survey import Fact
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterable, Sequence
 
-    from numpy.typing import NDArray
-
     from pc2scan.core.layout import BeamLayout
     from pc2scan.core.params import ProjectionParams
+    from pc2scan.core.points import Points
     from pc2scan.core.timing import Sweep
     from pc2scan.model import RawMessage
     from pc2scan.request.options import ScanSpec
+    from pc2scan.transforms.placing import Placer
 
     from .survey import TopicFacts
 
@@ -42,7 +39,8 @@ if TYPE_CHECKING:
 STAMPS = 51
 SHAPES = 11
 
-_OWN_FRAME = Placer()
+#: A lidar turns about the z axis of the scans' frame if the cosine between its own and this one is larger.
+_UPRIGHT = 0.9
 
 
 class Measurements(NamedTuple):
@@ -70,73 +68,79 @@ class Measurements(NamedTuple):
         return params.at_resolution(self.azimuth_step) if self.azimuth_step else replace(params, beams=0)
 
 
-class ShapeRequest(NamedTuple):
-    """What is measured in the points of a cloud.
-
-    Attributes
-    ----------
-    step, sweep
-        See `CloudShape`.
-    is_placed
-        Whether it is measured along the axes of another frame, whose transforms are known later.
-    most
-        In how many clouds.
-    """
-
-    step: bool
-    sweep: bool
-    is_placed: bool = False
-    most: int = SHAPES
-
-    @property
-    def fact(self) -> Fact[Any]:
-        """What is taken of clouds: a `CloudShape`, or the columns that it is measured in later."""
-        return Fact(_columns if self.is_placed else _own_shape, self.most, (self,))
-
-    @classmethod
-    def of(cls, spec: ScanSpec) -> ShapeRequest | None:
-        """Return what an output needs; None for nothing."""
-        step, sweep = spec.params.beams == "auto", spec.params.time_increment == "auto"
-        return cls(step, sweep, spec.needs_transforms) if step or sweep else None
-
-
 class CloudShape(NamedTuple):
-    """What the points of a cloud show of the lidar.
+    """What the points of a cloud show of the lidar, in its own frame.
 
     Attributes
     ----------
+    frame_id, stamp_ns
+        Of the cloud.
     step
         The azimuth step, radians; None if the points are in no regular rings, or it is not measured.
     sweep
         The motion of a turning lidar; None if the times are not of one, or it is not measured.
     time_field
-        The field with the times; None if it has none, or they are not wanted.
-    is_readable
-        Whether the coordinates can be read and transformed.
+        The field with the times; empty if it has none, or they are not wanted.
     """
 
+    frame_id: str
+    stamp_ns: int
     step: float | None = None
     sweep: Sweep | None = None
-    time_field: str | None = None
-    is_readable: bool = True
+    time_field: str = ""
+
+
+@np.errstate(all="ignore")  # coordinates and times may be any numbers: signalling NaN, the largest numbers
+def _shape(cloud: Points, _: RawMessage, needs_step: bool, needs_sweep: bool) -> CloudShape:
+    x, y, z = cloud.xyz()
+    step = sweep = None
+    if needs_step:
+        name = next((name for name in RING_FIELDS if name in cloud.fields), None)
+        rings = None if name is None else np.ravel(cloud.field(name))
+        if rings is not None and rings.dtype.kind not in "iu":
+            rings = np.unique(rings, return_inverse=True)[1]
+        step = azimuth_step(x, y, z, rings)
+    times = time_field(cloud.fields) if needs_sweep else ""
+    if times:
+        ahead, left, up = (np.ravel(part).astype(np.float64) for part in (x, y, z))
+        angles = np.arctan2(left, ahead)
+        angles[~np.isfinite(ahead + left + up) | ((ahead == 0) & (left == 0) & (up == 0))] = np.nan
+        with suppress(MessageError):
+            sweep = fit_sweep(angles, np.ravel(PointTime().read(cloud).at()))
+    return CloudShape(cloud.frame_id, cloud.stamp_ns, step, sweep, times or "")
+
+
+def shapes_of(*, step: bool, sweep: bool, most: int = SHAPES) -> Fact[CloudShape]:
+    """Return the fact: what the points of the first clouds show of the lidar."""
+    return Fact(_shape, most, (step, sweep))
+
+
+def _wanted_shapes(spec: ScanSpec) -> Fact[CloudShape] | None:
+    step, sweep = spec.params.beams == "auto", spec.params.time_increment == "auto"
+    return shapes_of(step=step, sweep=sweep) if step or sweep else None
 
 
 def ask_measurements(facts: TopicFacts, spec: ScanSpec) -> None:
     """Ask for what `measure` reads of a topic."""
-    request = ShapeRequest.of(spec)
-    if request is not None:
-        facts.ask(request.fact)
-    facts.ask_headers(STAMPS if spec.params.scan_time == "auto" else SHAPES if request is not None else 1)
+    shapes = _wanted_shapes(spec)
+    if shapes is not None:
+        facts.ask(shapes)
+    facts.ask_headers(STAMPS if spec.params.scan_time == "auto" else SHAPES if shapes is not None else 1)
 
 
-def shapes_of(facts: TopicFacts, request: ShapeRequest, placer: Placer = _OWN_FRAME) -> list[CloudShape]:
-    """Return what the points of the first clouds show of the lidar, along the axes of the scans' frame.
-
-    Clouds whose coordinates cannot be read are left out.
-    """
-    found = facts.found(request.fact)
-    shapes = [_shape(each, request, placer) for each in found] if request.is_placed else found
-    return [each for each in shapes if each.is_readable]
+def _turned(shape: CloudShape, placer: Placer) -> Sweep | None:
+    """Return the motion of a lidar around the z axis of the scans' frame."""
+    if shape.sweep is None:
+        return None
+    with suppress(TransformError):
+        transform = placer.place(shape.frame_id, shape.stamp_ns).target_from_source
+        if transform is None:
+            return shape.sweep
+        matrix = transform.matrix
+        yaw, way = math.atan2(matrix[1, 0], matrix[0, 0]), math.copysign(1.0, matrix[2, 2])
+        if abs(matrix[2, 2]) > _UPRIGHT:
+            return replace(shape.sweep, angle=yaw + way * shape.sweep.angle, rate=way * shape.sweep.rate)
+    return None
 
 
 def measure(topics: Iterable[TopicFacts], spec: ScanSpec, placer: Placer) -> tuple[dict[str, Measurements], list[str]]:
@@ -166,77 +170,8 @@ def measure(topics: Iterable[TopicFacts], spec: ScanSpec, placer: Placer) -> tup
     notes: list[str] = []
     for facts in topics:
         _require_fields(facts, spec)
-        if spec.point_time.partition(":")[0] == "azimuth":
-            # A time that is not given is measured later, with a note of its own.
-            turn = Turn.parse(spec.point_time)
-            if turn.period:
-                notes.append(f"{facts.topic}: the times of points are computed from their azimuth: {turn}")
         found[facts.topic] = _timing(facts, spec, placer, notes)
     return found, notes
-
-
-def _columns(cloud: Points, _: RawMessage, request: ShapeRequest) -> Points:
-    """Return copies of the columns that show the shape of a cloud; without coordinates that cannot be read."""
-    rings = [name for name in RING_FIELDS if name in cloud.fields][: request.step]
-    time = time_field(cloud.fields) if request.sweep else ""
-    columns: dict[str, NDArray[Any]] = {}
-    with suppress(MessageError):
-        columns |= {name: cloud.field(name).copy() for name in (*rings, "x", "y", "z")}
-    if time:
-        with suppress(MessageError):
-            columns[time] = cloud.field(time).copy()
-    return Points(cloud.sequence, cloud.stamp_ns, cloud.frame_id, columns)
-
-
-def _own_shape(cloud: Points, _: RawMessage, request: ShapeRequest) -> CloudShape:
-    return _shape(cloud, request)
-
-
-@np.errstate(all="ignore")  # coordinates and times may be any numbers: signalling NaN, the largest numbers
-def _shape(cloud: Points, request: ShapeRequest, placer: Placer = _OWN_FRAME) -> CloudShape:
-    """Return what a cloud's points show, as far as it is to be measured."""
-    step = None
-    if request.step:
-        try:
-            step = _step(cloud, placer)
-        except MessageError:
-            # An error of decoding or transforming is reported when this message is converted.
-            return CloudShape(is_readable=False)
-    name = time_field(cloud.fields) if request.sweep else ""
-    sweep = None
-    if name:
-        with suppress(MessageError):
-            sweep = fit_sweep(_angles(cloud, placer), np.ravel(PointTime().read(cloud).at()))
-    return CloudShape(step, sweep, name or None)
-
-
-def _step(cloud: Points, placer: Placer) -> float | None:
-    """Return the azimuth step of a cloud around the sensor, with the axes of the scan's frame."""
-    x, y, z = cloud.xyz()
-    transform = placer.place(cloud.frame_id, cloud.stamp_ns).target_from_source
-    if transform is not None:
-        shape = x.shape
-        points = np.stack([np.ravel(part).astype(np.float64) for part in (x, y, z)])
-        x, y, z = (part.reshape(shape) for part in transform.matrix @ points)
-    name = next((name for name in RING_FIELDS if name in cloud.fields), None)
-    if name is None:
-        return azimuth_step(x, y, z)
-    rings = np.ravel(cloud.field(name))
-    if rings.dtype.kind not in "iu":
-        rings = np.unique(rings, return_inverse=True)[1]
-    return azimuth_step(x, y, z, rings)
-
-
-def _angles(cloud: Points, placer: Placer) -> NDArray[np.float64]:
-    """Return the azimuth of each point in the scan's frame; NaN for points without a direction."""
-    points = np.stack([np.ravel(part).astype(np.float64) for part in cloud.xyz()], axis=1)
-    nowhere = ~points.any(axis=1) | ~np.isfinite(points).all(axis=1)
-    transform = placer.place(cloud.frame_id, cloud.stamp_ns).target_from_source
-    if transform is not None:
-        points = transform.apply(points)
-    angles: NDArray[np.float64] = np.arctan2(points[:, 1], points[:, 0])
-    angles[nowhere] = np.nan
-    return angles
 
 
 def require_fields(
@@ -300,8 +235,8 @@ def _require_fields(facts: TopicFacts, spec: ScanSpec) -> None:
 def _timing(facts: TopicFacts, spec: ScanSpec, placer: Placer, notes: list[str]) -> Measurements:
     """Return the times to write into the scans, and add notes about them."""
     params, topic = spec.params, facts.topic
-    request = ShapeRequest.of(spec)
-    shapes = [] if request is None else shapes_of(facts, request, placer)
+    wanted = _wanted_shapes(spec)
+    shapes = [] if wanted is None else facts.found(wanted)
     step = _resolution(topic, shapes, params, notes) if params.beams == "auto" and facts.headers else 0.0
     layout = (params.at_resolution(step) if step else params).layout
     scan_time, time_increment, first_beam_ns = params.scan_time, params.time_increment, 0
@@ -316,7 +251,7 @@ def _timing(facts: TopicFacts, spec: ScanSpec, placer: Placer, notes: list[str])
             f"{'its' if len(stamps) < STAMPS else 'the first'} {len(stamps)} stamps"
         )
     if time_increment == "auto":
-        time_increment, first_beam_ns, found = _beams(shapes, layout, [each.stamp_ns for each in facts.headers])
+        time_increment, first_beam_ns, found = _beams(shapes, layout, [each.stamp_ns for each in facts.headers], placer)
         notes.append(f"{topic}: {found}")
     return Measurements(scan_time, time_increment, first_beam_ns, step)
 
@@ -344,13 +279,15 @@ def _resolution(topic: str, shapes: Sequence[CloudShape], params: ProjectionPara
     return step
 
 
-def _beams(shapes: Sequence[CloudShape], layout: BeamLayout, stamps_ns: Sequence[int]) -> tuple[float, int, str]:
+def _beams(
+    shapes: Sequence[CloudShape], layout: BeamLayout, stamps_ns: Sequence[int], placer: Placer
+) -> tuple[float, int, str]:
     """Return the time between beams in seconds, from the stamp to the first beam in nanoseconds, and a note."""
-    timed = dict.fromkeys(each.time_field for each in shapes if each.time_field is not None)
+    timed = dict.fromkeys(each.time_field for each in shapes if each.time_field)
     if not timed:
         return 0.0, 0, f"time_increment is 0, because the clouds have no field {', '.join(TIME_FIELDS)}"
     field = ", ".join(timed)
-    sweeps = [each.sweep for each in shapes if each.sweep is not None]
+    sweeps = [sweep for each in shapes if (sweep := _turned(each, placer)) is not None]
     if not sweeps:
         return 0.0, 0, f"time_increment is 0, because the times of points ({field}) are not of a turning lidar"
     period, takes = (median_interval_ns(stamps_ns) or 0) / 1e9, median([sweep.end - sweep.begin for sweep in sweeps])

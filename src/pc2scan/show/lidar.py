@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from pc2scan.advice.measurements import ShapeRequest, regular_step, shapes_of
+from pc2scan.advice.measurements import regular_step, shapes_of
 from pc2scan.advice.point_times import time_warnings, times_of
 from pc2scan.advice.survey import Fact
 from pc2scan.conversion.report import StampCounts
@@ -74,7 +74,7 @@ def ask_facts(facts: TopicFacts, end_ns: int | None) -> None:
     end_ns
         The log time of the recording's last message; None without messages.
     """
-    for fact in (_DIRECTIONS, _PATTERN, _TIMES, _SHAPE.fact):
+    for fact in (_DIRECTIONS, _PATTERN, _TIMES, _SHAPE):
         facts.ask(fact)
     if end_ns is not None:
         facts.ask_last_headers(end_ns - EDGE_NS, _LAST_HEADERS)
@@ -109,7 +109,7 @@ def _are_whole(found: Sequence[int]) -> bool:
 _DIRECTIONS = Fact(_directions, HEADERS, are_enough=_are_whole)
 _PATTERN = Fact(_sparse_points, HEADERS)
 _TIMES = times_of(PointTime())
-_SHAPE = ShapeRequest(step=True, sweep=True, most=_SHAPES)
+_SHAPE = shapes_of(step=True, sweep=True, most=_SHAPES)
 
 
 class Directions(NamedTuple):
@@ -214,7 +214,7 @@ class Lidar:
     @cached_property
     def step(self) -> float | None:
         """How finely a turning lidar samples azimuth, radians; None for others."""
-        shapes = shapes_of(self.facts, _SHAPE)
+        shapes = self.facts.found(_SHAPE)
         turns = any(each.sweep is not None for each in shapes) or self.covered > 0.5
         return regular_step(shapes) if turns else None
 
