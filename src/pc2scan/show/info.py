@@ -8,7 +8,7 @@ from collections import Counter
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from pc2scan.advice.checks.request import log_times_of_centuries
 from pc2scan.advice.clocks import Clocks
@@ -49,7 +49,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from pc2scan.advice.clocks import ClockFinding
     from pc2scan.advice.survey import TopicFacts
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
@@ -352,27 +351,20 @@ def info_of(
         has_clouds = start_ns is not None and any(topic.msgtype in CLOUDS for topic in shown)
         imus = [topic.topic for topic in topics if has_clouds and topic.msgtype == IMU and topic.messages]
         names = {each.topic for each in shown}
-        connections = [each for each in reader.connections if each.topic in names and samples]
+        connections = [each for each in reader.connections if each.topic in names]
         survey = Survey(reader, others, asked, Span(None, None, start_ns or 0))
-        of_clouds, of_scans = _looks(survey, shown, samples if connections else 0, start_ns, end_ns)
-        found = _survey(
-            survey,
-            connections,
-            imus,
-            end_ns,
-            places=Placer(target_frame, asked.source_frame, None, ProjectionParams().tolerance_ns),
-            has_clouds=any(topic.msgtype in CLOUDS for topic in topics),
-            reads_all=bool(target_frame or others or asked.adds_poses),
-        )
+        of_clouds, of_scans = _looks(survey, shown, samples, start_ns, end_ns)
+        places = Placer(target_frame, asked.source_frame, None, ProjectionParams().tolerance_ns)
+        reads_all = bool(target_frame or others or asked.adds_poses)
+        found = _Surveyed(survey, connections, imus, end_ns, places, reads_all=reads_all)
         topics = [_with_own_rate(topic, found.facts, start_ns, end_ns) for topic in topics]
         shown = [topic for topic in topics if topic.topic in names and topic.msgtype in (*CLOUDS, *SCANS)]
         mountings, rates = found.mountings(), {topic.topic: topic.rate_hz for topic in shown}
         clouds = tuple(look.described(found.places, mountings.get(topic)) for topic, look in of_clouds.items())
         scans = tuple(look.described(rates[topic]) for topic, look in of_scans.items())
         warnings = [*log_times_of_centuries(reader.summary), *found.warnings]
-        if not {topic.msgtype for topic in topics} & {*CLOUDS, *SCANS} and (
-            instead := instead_of_clouds(reader.connections)
-        ):
+        is_known = any(topic.msgtype in {*CLOUDS, *SCANS} for topic in topics)
+        if not is_known and (instead := instead_of_clouds(reader.connections)):
             warnings.append(f"the recording has no clouds, but {instead[0]}; {instead[1]}")
         warnings += (each.mounting.warning for each in clouds if each.mounting and each.mounting.warning)
         seconds = {each.topic: (each.messages - 1) / each.rate_hz if each.rate_hz else 0.0 for each in shown}
@@ -464,8 +456,23 @@ def _lacking(connections: Sequence[Connection]) -> str:
     )
 
 
-class _Surveyed(NamedTuple):
-    """What the survey of a recording found.
+class _Surveyed:
+    """What a survey finds that the description and the proposals depend on.
+
+    Parameters
+    ----------
+    survey
+        The survey, which is read here.
+    connections
+        Those to describe.
+    imus
+        The topics of the IMUs.
+    end_ns
+        The end of the recording; None without messages.
+    places
+        The frames in which clouds are described, without transforms.
+    reads_all
+        Whether all transforms are read, not only those of the robot at some times.
 
     Attributes
     ----------
@@ -485,13 +492,52 @@ class _Surveyed(NamedTuple):
         Whether all transforms at the end of the recording are known.
     """
 
-    facts: Mapping[str, TopicFacts]
-    places: Placer
-    buffer: TransformBuffer | None
-    ups: Mapping[str, UpEstimate | UsageError]
-    clocks: Mapping[str, ClockFinding]
-    warnings: Sequence[str]
-    knows_end: bool
+    def __init__(
+        self,
+        survey: Survey,
+        connections: Sequence[Connection],
+        imus: Sequence[str],
+        end_ns: int | None,
+        places: Placer,
+        *,
+        reads_all: bool,
+    ) -> None:
+        moved = bool(places.target_frame)
+        clouds = survey.topics(each for each in connections if each.ros_type in CLOUDS)
+        flat = survey.topics(each for each in connections if each.ros_type in SCANS and each.topic not in clouds)
+        self.facts: Mapping[str, TopicFacts] = {**clouds, **flat}
+        for each in self.facts.values():
+            each.ask_headers(HEADERS)
+            each.ask_samples(moved=moved)  # of LaserScans there are none
+        for each in clouds.values():
+            ask_facts(each, end_ns)
+        clocks = Clocks(survey, clouds.values())
+        readings = {topic: survey.imu(topic, _MAX_IMU) for topic in imus}
+        if reads_all:
+            survey.ask_transforms((places.target_frame,))
+        elif any(each.ros_type in CLOUDS for each in survey.reader.connections):
+            survey.ask_robot(_moments(survey.span.first_ns, end_ns) if clouds else ())
+        survey.read()
+        self.buffer: TransformBuffer | None = None
+        self.warnings: list[str] = []
+        self.knows_end = True
+        if survey.transforms is not None:
+            found = survey.transforms.finish()
+            self.buffer, self.warnings = found.buffer, [*found.warnings, *found.notes]
+        elif survey.robot is not None:
+            self.buffer, self.knows_end = survey.robot.finish(), not survey.robot.is_cut
+        self.clocks = clocks.findings()
+        self.warnings += (each.warning for each in self.clocks.values())
+        self.warnings += filter(None, (each.unit_warning(moved=moved) for each in clouds.values()))
+        self.warnings += filter(None, (increment_warning(each) for each in flat.values()))
+        self.warnings += (text for each in self.facts.values() for text in stamp_faults(each))
+        self.ups: dict[str, UpEstimate | UsageError] = {}
+        for topic, reading in readings.items():
+            try:
+                self.ups[topic] = reading.up()
+            except UsageError as err:
+                self.ups[topic] = err
+        self.places = places._replace(buffer=self.buffer if moved else None)
 
     def mountings(self) -> dict[str, Mounting | None]:
         """Return how the clouds of each topic are mounted."""
@@ -542,69 +588,6 @@ class _Surveyed(NamedTuple):
             self.places._replace(target_frame=body, buffer=self.buffer), self.buffer, moved=False
         )
         return own if there is None or not there.fault else there
-
-
-def _survey(
-    survey: Survey,
-    connections: Sequence[Connection],
-    imus: Sequence[str],
-    end_ns: int | None,
-    *,
-    places: Placer,
-    has_clouds: bool,
-    reads_all: bool,
-) -> _Surveyed:
-    """Read what the description and the proposals depend on.
-
-    Parameters
-    ----------
-    connections
-        Those to describe.
-    imus
-        The topics of the IMUs.
-    end_ns
-        The end of the recording; None without messages.
-    places
-        The frames in which clouds are described, without transforms.
-    has_clouds
-        Whether the recording has clouds.
-    reads_all
-        Whether all transforms are read.
-    """
-    moved = bool(places.target_frame)
-    facts = survey.topics(each for each in connections if each.ros_type in CLOUDS)
-    flat = survey.topics(each for each in connections if each.ros_type in SCANS and each.topic not in facts)
-    for each in (*facts.values(), *flat.values()):
-        each.ask_headers(HEADERS)
-        each.ask_samples(moved=moved)  # of LaserScans there are none
-    for each in facts.values():
-        ask_facts(each, end_ns)
-    clocks = Clocks(survey, facts.values())
-    readings = {topic: survey.imu(topic, _MAX_IMU) for topic in imus}
-    if reads_all:
-        survey.ask_transforms((places.target_frame,))
-    elif has_clouds:
-        survey.ask_robot(_moments(survey.span.first_ns, end_ns) if facts else ())
-    survey.read()
-    buffer, warnings, knows_end = None, list[str](), True
-    if survey.transforms is not None:
-        found = survey.transforms.finish()
-        buffer, warnings = found.buffer, [*found.warnings, *found.notes]
-    elif survey.robot is not None:
-        buffer, knows_end = survey.robot.finish(), not survey.robot.is_cut
-    wrong = clocks.findings()
-    warnings += (each.warning for each in wrong.values())
-    warnings += filter(None, (each.unit_warning(moved=moved) for each in facts.values()))
-    warnings += filter(None, (increment_warning(each) for each in flat.values()))
-    warnings += (text for each in (*facts.values(), *flat.values()) for text in stamp_faults(each))
-    ups: dict[str, UpEstimate | UsageError] = {}
-    for topic, reading in readings.items():
-        try:
-            ups[topic] = reading.up()
-        except UsageError as err:
-            ups[topic] = err
-    places = places._replace(buffer=buffer if moved else None)
-    return _Surveyed({**facts, **flat}, places, buffer, ups, wrong, warnings, knows_end)
 
 
 def _with_own_rate(
@@ -685,7 +668,7 @@ def _looks(
     """
     clouds = {topic.topic: CloudLook(topic.topic) for topic in topics if topic.msgtype in CLOUDS}
     scans = {topic.topic: ScanLook(topic.topic) for topic in topics if topic.topic not in clouds}
-    if not topics or not samples or start_ns is None or end_ns is None:
+    if not topics or start_ns is None or end_ns is None:
         return {}, {}
     # The points are in memory until all topics have been read: of as many messages as there are, not as were asked for.
     taken = min(samples, max(topic.messages for topic in topics))
