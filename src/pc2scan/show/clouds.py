@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from pc2scan.request.options import ConvertOptions
     from pc2scan.transforms.buffer import TransformBuffer
 
-    from .opening import Opening
     from .shots import Shot, Shots
 
 #: Maximum size of all compressed clouds of a page, in bytes. As text in the page they take a third more.
@@ -87,7 +86,13 @@ class Packing:
 
 
 def clouds_page(
-    sources: Sequence[Path], taken: Shots, packed: Packing, opened: Opening, *, preset: str
+    sources: Sequence[Path],
+    taken: Shots,
+    packed: Packing,
+    options: ConvertOptions,
+    heights: Mapping[str, Mapping[str, float]],
+    *,
+    preset: str,
 ) -> tuple[dict[str, Any], dict[str, bytes]]:
     """Describe a page of clouds.
 
@@ -99,8 +104,10 @@ def clouds_page(
         The clouds, without their points.
     packed
         The points.
-    opened
-        The options of the conversion, and the heights of each topic.
+    options
+        The options of the conversion.
+    heights
+        Those that are proposed for each topic; empty for none.
     preset
         The preset that the parameters come from; empty for none.
 
@@ -109,8 +116,12 @@ def clouds_page(
     description, blobs
         As `pc2scan.show.html.html` takes them.
     """
-    options = opened.options
-    notes = [*opened.notes, *taken.notes]
+    notes = list(taken.notes)
+    if heights:
+        params = options.scan.params
+        where = f"in frame {params.target_frame!r}" if params.target_frame else "in the frame of the clouds"
+        text = f"{params.min_height:g} to {params.max_height:g} m {where}"
+        notes = [f"The page opens with the heights that pc2scan info proposes: {text}.", *notes]
     if options.scan.deskew:
         notes.append("Clouds are deskewed, as if all points had been measured at the scan's time.")
     if options.scan.level:
@@ -148,8 +159,7 @@ def clouds_page(
         "command": call_words(_conversion(sources, options)),
         "targetFrame": options.scan.params.target_frame,
         "topics": [
-            {"topic": topic, "heights": opened.heights.get(topic, {}), "clouds": clouds}
-            for topic, clouds in topics.items()
+            {"topic": topic, "heights": heights.get(topic, {}), "clouds": clouds} for topic, clouds in topics.items()
         ],
     }
     return description, packed.blobs

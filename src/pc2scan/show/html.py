@@ -48,9 +48,7 @@ def check_page_name(path: Path) -> None:
         If the suffix is not that of HTML.
     """
     if path.suffix.lower() not in (".html", ".htm"):
-        figure = "; pc2scan plot draws figures" if path.suffix.lower() in (".png", ".pdf", ".svg") else ""
-        page = path.with_suffix(".html").name if path.name else "page.html"
-        raise UsageError("is not the name of a page", path=path, hint=f"pages are HTML: {page}{figure}")
+        raise UsageError("is not the name of a page", path=path, hint="pages are *.html; pc2scan plot draws figures")
 
 
 def html(description: Mapping[str, Any], blobs: dict[str, bytes]) -> str:

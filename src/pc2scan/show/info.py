@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections import Counter
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -115,43 +115,6 @@ class TopicInfo:
     latched: bool
 
 
-@dataclass(frozen=True, slots=True)
-class ImuInfo:
-    """Whether scans can be levelled by an IMU, from its first messages.
-
-    Attributes
-    ----------
-    frame
-        Their frame; empty if they have none, or several.
-    usable
-        Whether the IMU can be used.
-    text
-        How well, or why not.
-    """
-
-    topic: str
-    frame: str
-    usable: bool
-    text: str
-
-    @classmethod
-    def of(cls, topic: str, up: UpEstimate | UsageError) -> ImuInfo:
-        """Return the description of an IMU, given the direction of up, or why it is not known."""
-        if isinstance(up, UsageError):
-            return cls(topic, "", usable=False, text=up.message)
-        text = "; ".join((*up.notes, *up.warnings)).replace(f"{topic}: ", "")
-        return cls(topic, up.frame, usable=True, text=text)
-
-    def body(self) -> Iterator[str]:
-        """Yield the parts of `Info` about the IMU."""
-        if self.usable:
-            yield f"{leading(self.topic)}: `imu={self.topic}` makes scans level"
-            yield f"  frame   {self.frame!r}"
-        else:
-            yield f"{leading(self.topic)}: cannot make scans level"
-        yield f"  up      {self.text}"
-
-
 @dataclass(frozen=True, slots=True, repr=False)
 class Info(Result):
     """The content of a recording of one or several sources.
@@ -164,8 +127,8 @@ class Info(Result):
         The log times of the first and the last message; None without messages.
     messages
         How many there are, of all topics.
-    topics, clouds, scans, imus
-        The topics, and what is known about those with clouds, scans, and an IMU's messages.
+    topics, clouds, scans
+        The topics, and what is known about those with clouds and scans.
     proposals
         Conversions that suit the clouds.
     lacking
@@ -178,7 +141,7 @@ class Info(Result):
 
     kind: ClassVar[str] = "info"
     json_names: ClassVar[tuple[str, ...]] = (
-        *("files", "start_ns", "end_ns", "duration_ns", "messages", "topics", "clouds", "scans", "imus", "proposals"),
+        *("files", "start_ns", "end_ns", "duration_ns", "messages", "topics", "clouds", "scans", "proposals"),
     )
 
     files: tuple[FileInfo, ...]
@@ -188,7 +151,6 @@ class Info(Result):
     topics: tuple[TopicInfo, ...]
     clouds: tuple[CloudInfo, ...] = field(default=())
     scans: tuple[ScanInfo, ...] = field(default=())
-    imus: tuple[ImuInfo, ...] = field(default=())
     proposals: tuple[Call, ...] = field(default=())
     damage: tuple[Damage, ...] = field(default=())
     warnings: tuple[str, ...] = field(default=())
@@ -235,7 +197,7 @@ class Info(Result):
             ],
             left=("topic", "type", ""),
         )
-        described: list[CloudInfo | ScanInfo | ImuInfo] = [*self.clouds, *self.scans, *self.imus]
+        described: list[CloudInfo | ScanInfo] = [*self.clouds, *self.scans]
         for each in described:
             yield ""
             yield from each.body()
@@ -400,7 +362,7 @@ def info_of(
             [each for each in lidars if described or each.topic in usual],
             [str(each.path) for each in readers],
             given or {},
-            {topic: up for topic, up in found.ups.items() if not isinstance(up, UsageError)},
+            found.ups,
             found.clocks,
             lambda topic: str(default_destination(readers[0].path, readers[0].summary.container, _mark(topic))),
             reader.summary,
@@ -416,7 +378,6 @@ def info_of(
             tuple(topics),
             clouds,
             scans,
-            tuple(ImuInfo.of(topic, up) for topic, up in found.ups.items()),
             tuple(calls),
             tuple(reader.damage),
             tuple(warnings),
@@ -483,7 +444,7 @@ class _Surveyed:
     buffer
         The transforms; None if there are none.
     ups
-        The direction of up by each IMU, or why it is not known.
+        The direction of up by each IMU that knows it.
     clocks
         What is wrong with the clocks of topics.
     warnings
@@ -531,12 +492,10 @@ class _Surveyed:
         self.warnings += filter(None, (each.unit_warning(moved=moved) for each in clouds.values()))
         self.warnings += filter(None, (increment_warning(each) for each in flat.values()))
         self.warnings += (text for each in self.facts.values() for text in stamp_faults(each))
-        self.ups: dict[str, UpEstimate | UsageError] = {}
+        self.ups: dict[str, UpEstimate] = {}
         for topic, reading in readings.items():
-            try:
+            with suppress(UsageError):
                 self.ups[topic] = reading.up()
-            except UsageError as err:
-                self.ups[topic] = err
         self.places = places._replace(buffer=self.buffer if moved else None)
 
     def mountings(self) -> dict[str, Mounting | None]:

@@ -7,7 +7,8 @@ from html import escape
 from typing import TYPE_CHECKING, ClassVar
 
 from pc2scan.conversion.stamps import corrected
-from pc2scan.errors import UsageError, leading
+from pc2scan.core.params import ProjectionParams
+from pc2scan.errors import Pc2ScanError, UsageError, leading
 from pc2scan.files.outputs import file_output
 from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.urls import path_of
@@ -15,11 +16,12 @@ from pc2scan.messages.clouds import CLOUDS
 from pc2scan.requests import conversion_of, first_output
 from pc2scan.result import Part, Result
 from pc2scan.text import size
+from pc2scan.transforms.static import added_transforms
 
 from .check import check, scan_connections
 from .clouds import Packing, clouds_page
 from .html import BEGINNING, check_page_name, html
-from .opening import Opening, opening
+from .info import info_of
 from .recording import moment_text, open_recording, title_of
 from .scans import findings, scans_page
 from .shots import take_shots
@@ -127,16 +129,16 @@ def _page(sources: Sequence[Path], options: ConvertOptions, asked: Options, warn
         if any(connection.ros_type in CLOUDS for connection in reader.connections) and not options.scan.reverse:
             # The node's heights are part of its parameters, also where a file of these does not have them.
             is_given = bool(asked.given.keys() & {"params", "params_file", "param", "scans"})
-            opened = Opening(options, {}, ()) if is_given else opening(reader, options)
+            shown, heights = (options, {}) if is_given else _as_proposed(reader, options)
             packed = Packing()
-            taken = take_shots(recording, opened.options, count=asked.clouds, at_ns=at_ns, level=False, keep=packed.add)
-            described, blobs = clouds_page(sources, taken, packed, opened, preset=asked.preset or "")
+            taken = take_shots(recording, shown, count=asked.clouds, at_ns=at_ns, level=False, keep=packed.add)
+            described, blobs = clouds_page(sources, taken, packed, shown, heights, preset=asked.preset or "")
         else:
             names = [each.source for each in options.scan.topics]
             topics, buffer = scan_connections(reader, names), _transforms(recording)
             if options.clock:
-                shown = [each for connections in topics.values() for each in connections]
-                reader, _ = corrected(reader, shown, options.clock, options.frames.tf_topics)
+                own = [each for connections in topics.values() for each in connections]
+                reader, _ = corrected(reader, own, options.clock, options.frames.tf_topics)
             described, blobs = scans_page(reader, topics, buffer, options, count=asked.clouds, at_ns=at_ns)
             frames = replace(options.frames, static=(), source_frame="", write_static=False)
             described["findings"] = findings(check(sources, topics=names, frames=frames))
@@ -145,6 +147,47 @@ def _page(sources: Sequence[Path], options: ConvertOptions, asked: Options, warn
         described["notes"] = [*notes, *warnings]
         described |= {"title": title_of(sources), "subtitle": _subtitle(reader)}
         return Page(html(described, blobs), tuple(notes), tuple(warnings), recording.damage)
+
+
+def _as_proposed(reader: Reader, options: ConvertOptions) -> tuple[ConvertOptions, dict[str, dict[str, float]]]:
+    """Return options with the frame and the heights that info proposes, and the heights of each topic in this frame.
+
+    They are as they were, without heights, if heights are given, or if nothing can be proposed in the given frame.
+    """
+    params, defaults = options.scan.params, ProjectionParams()
+    if (params.min_height, params.max_height) != (defaults.min_height, defaults.max_height):
+        return options, {}
+    try:
+        # Heights are of the first clouds, however many are sampled.
+        found = info_of(
+            [reader],
+            samples=1,
+            described=[request.source for request in options.scan.topics],
+            target_frame=params.target_frame,
+            frames=options.frames,
+        )
+        calls = [each.options for each in found.proposals]
+        first = next((each for each in calls if params.target_frame in ("", each.get("target_frame", ""))), {})
+        if "min_height" not in first:
+            return options, {}
+        static = added_transforms(_texts(first.get("static_tf", ())))
+    except Pc2ScanError:
+        # What is wrong may matter for the page, too, which says so then.
+        return options, {}
+    heights: dict[str, dict[str, float]] = {}
+    for each in calls:
+        if all(each.get(name) == first.get(name) for name in ("target_frame", "static_tf")):
+            topics = [text.partition(":=")[0] for text in _texts(each.get("topics", ()))]
+            own = {name: each[name] for name in ("min_height", "max_height") if name in each}
+            heights |= dict.fromkeys(topics or [cloud.topic for cloud in found.clouds], own)
+    chosen = {name: first[name] for name in ("target_frame", "min_height", "max_height") if name in first}
+    frames = replace(options.frames, static=(*options.frames.static, *static))
+    return replace(options.with_scan(params=replace(params, **chosen)), frames=frames), heights
+
+
+def _texts(value: str | tuple[str, ...]) -> tuple[str, ...]:
+    """Return the values of an option that may be given once or several times."""
+    return (value,) if isinstance(value, str) else tuple(value)
 
 
 def _transforms(recording: ShownRecording) -> TransformBuffer | None:
