@@ -128,7 +128,7 @@ def test_a_web_server_has_single_files(tmp_path: Path, drives: Path) -> None:
     with web_server(drives) as where:
         sources = [f"http://me:secret@{where}/{name}?token=geheim" for name in ("a.bag", "cuts/b.bag")]
         done = run_batch(*sources, "-o", tmp_path / "out", "-v")
-    assert (done.status, "failed: cuts/b.bag: the download was cut off" in done.stderr) == (1, True), done
+    assert (done.status, "failed: cuts/b.bag: the download " in done.stderr) == (1, True), done
     manifest = (tmp_path / "out" / "manifest.jsonl").read_text()
     assert f"http://{where}/a.bag" in manifest
     for secret in ("secret", "geheim"):

@@ -5,11 +5,10 @@ from __future__ import annotations
 import pytest
 import zstandard
 
-from pc2scan.files import compression as codecs
 from pc2scan.files.compression import (
     CompressionError,
+    Decoder,
     compress,
-    decoder,
     decompress,
     zstd_content_size,
 )
@@ -25,8 +24,9 @@ def unpacked(name: str, packed: bytes | memoryview, size: int) -> bytes:
 
 
 def test_every_compression_that_can_be_asked_for_is_known() -> None:
-    words = set(options_of("convert")["compression"].value.words)
-    assert words == codecs._COMPRESS.keys() == codecs._DECOMPRESS.keys() | {"none"}
+    for name in options_of("convert")["compression"].value.words:
+        if name != "none":
+            assert unpacked(name, compress(name, DATA), len(DATA)) == DATA
 
 
 @pytest.mark.parametrize("name", ["bz2", "lz4", "zstd"])
@@ -56,4 +56,4 @@ def test_zstd_without_its_size() -> None:
 
 
 def test_a_decoder_of_bz2_keeps_to_its_bound() -> None:
-    assert len(decoder("bz2").feed(compress("bz2", DATA), 1_000)) == 1_000
+    assert len(Decoder("bz2").feed(compress("bz2", DATA), 1_000)) == 1_000

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pc2scan.errors import RecordingError
-from pc2scan.files import source as files
 from pc2scan.files.new_file import FreeIds, NewFile
 from pc2scan.files.source import SourceFile
 
@@ -66,16 +65,6 @@ def test_what_is_borrowed_is_what_would_be_read(
             data = file.borrow(offset, length)
             assert (data.readonly, bytes(data)) == (True, LARGE[offset : offset + length])
             assert data == file.read(offset, length)
-
-
-@pytest.mark.skipif(not hasattr(os, "preadv"), reason="this system cannot read into a buffer")
-def test_a_buffer_that_does_not_fit_into_memory_is_an_error(large: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> None:
-        raise MemoryError
-
-    monkeypatch.setattr(files, "lend", refuse)
-    with closing(SourceFile(large)) as file, pytest.raises(RecordingError, match="do not fit into memory"):
-        file.borrow(0, 1 << 20)
 
 
 def test_what_is_not_there_is_an_error(file: SourceFile, path: Path, large: Path, tmp_path: Path) -> None:

@@ -95,7 +95,7 @@ def _decompress_pieces(path: Path, target: Path) -> tuple[int, str] | None:
     offset = 0
     with open_bytes(path) as packed, target.open("wb") as out:
         complete = True
-        decoder = compression.decoder("zstd")
+        decoder = compression.Decoder("zstd")
         allowed = MAX_UNPACKED + MAX_RATIO * path.stat().st_size
         while piece := packed.read(_PIECE):
             begin, offset = offset, offset + len(piece)
@@ -111,7 +111,7 @@ def _decompress_pieces(path: Path, target: Path) -> tuple[int, str] | None:
                 complete, piece = decoder.eof, decoder.unused_data
                 if complete:
                     # Another frame may follow: pzstd writes many.
-                    decoder = compression.decoder("zstd")
+                    decoder = compression.Decoder("zstd")
     return None if complete else (offset, "it is cut off")
 
 

@@ -102,7 +102,7 @@ def decompress_within(compression: str, data: Buffer, limit: int) -> Buffer:
     CompressionError
         If the data have another format, are damaged or cut off, or the result is larger.
     """
-    found = _DECOMPRESS_WITHIN[compression](data, limit)
+    found = _zlib_within(data, limit) if compression == "zlib" else _zstd_within(data, limit)
     if len(found) > limit:
         raise CompressionError(f"the data are larger than {limit:,} bytes, which is the limit for {len(data):,} bytes")
     return found
@@ -110,19 +110,35 @@ def decompress_within(compression: str, data: Buffer, limit: int) -> Buffer:
 
 def compress(compression: str, data: Buffer, level: int | None = None) -> Buffer:
     """Compress with ``none``, ``bz2``, ``lz4`` or ``zstd``; only zstd has a level. Default: the libraries' settings."""
-    return _COMPRESS[compression](data, level)
+    match compression:
+        case "none":
+            return data
+        case "bz2":
+            return bz2.compress(data)
+        case "lz4":
+            return bytes(import_module("lz4.frame").compress(data))
+    try:
+        return zstandard.ZstdCompressor(level=_ZSTD_LEVEL if level is None else level).compress(data)
+    except zstandard.ZstdError as err:
+        # Any data can be compressed.
+        raise MemoryError(str(err)) from err
 
 
 class Decoder:
-    """Decompresses piece by piece; made by `decoder`.
+    """Decompresses ``bz2``, ``lz4`` or ``zstd`` piece by piece.
 
     A piece that fails is lost as a whole, so small pieces lose less.
     """
 
-    def __init__(self, codec: Any, feed: Callable[[Buffer, int], bytes], failure: type[Exception]) -> None:
-        self._codec = codec
-        self._feed = feed
-        self._failures = (failure, EOFError)
+    def __init__(self, compression: str) -> None:
+        self._takes_limit = compression != "zstd"
+        self._codec: Any
+        if compression == "bz2":
+            self._codec = bz2.BZ2Decompressor()
+        elif compression == "lz4":
+            self._codec = import_module("lz4.frame").LZ4FrameDecompressor()
+        else:
+            self._codec = zstandard.ZstdDecompressor().decompressobj()
 
     @property
     def eof(self) -> bool:
@@ -132,7 +148,7 @@ class Decoder:
     @property
     def unused_data(self) -> bytes:
         """The input after that end."""
-        return bytes(self._codec.unused_data)
+        return bytes(self._codec.unused_data or b"")
 
     def feed(self, piece: Buffer, limit: int = -1) -> bytes:
         """Decompress a piece.
@@ -146,18 +162,9 @@ class Decoder:
             If it cannot be decompressed.
         """
         try:
-            return self._feed(piece, limit)
-        except self._failures as err:
+            return bytes(self._codec.decompress(piece, limit) if self._takes_limit else self._codec.decompress(piece))
+        except (OSError, EOFError, RuntimeError, zstandard.ZstdError) as err:
             raise CompressionError(str(err)) from err
-
-
-def decoder(compression: str) -> Decoder:
-    """Return a decoder for ``bz2`` or ``zstd``."""
-    if compression == "bz2":
-        bunzip2 = bz2.BZ2Decompressor()
-        return Decoder(bunzip2, bunzip2.decompress, OSError)
-    unzstd = zstandard.ZstdDecompressor().decompressobj()
-    return Decoder(unzstd, lambda piece, _: unzstd.decompress(piece), zstandard.ZstdError)
 
 
 def zstd_content_size(data: Buffer) -> int:
@@ -235,7 +242,7 @@ def _zstd_within(data: Buffer, limit: int) -> Buffer:
         decompress("zstd", data, found)
         return found
     # Frames without their size, which streaming compressors write.
-    pieces, total, unzstd = list[bytes](), 0, decoder("zstd")
+    pieces, total, unzstd = list[bytes](), 0, Decoder("zstd")
     for start in range(0, len(data), _PIECE):
         pieces.append(unzstd.feed(data[start : start + _PIECE]))
         total += len(pieces[-1])
@@ -246,41 +253,11 @@ def _zstd_within(data: Buffer, limit: int) -> Buffer:
     return b"".join(pieces)
 
 
-def _not_compressed(data: Buffer, _level: int | None) -> Buffer:
-    return data
-
-
-def _to_bz2(data: Buffer, _level: int | None) -> Buffer:
-    return bz2.compress(data)
-
-
-def _to_lz4(data: Buffer, _level: int | None) -> Buffer:
-    return bytes(import_module("lz4.frame").compress(data))
-
-
-def _to_zstd(data: Buffer, level: int | None) -> Buffer:
-    try:
-        return zstandard.ZstdCompressor(level=_ZSTD_LEVEL if level is None else level).compress(data)
-    except zstandard.ZstdError as err:
-        # Any data can be compressed.
-        raise MemoryError(str(err)) from err
-
-
 _DECOMPRESS: dict[str, Callable[[Buffer, memoryview], int]] = {
     "bz2": _from_bz2,
     "lz4": _from_lz4,
     "zstd": _from_zstd,
 }
-
-_DECOMPRESS_WITHIN: dict[str, Callable[[Buffer, int], Buffer]] = {"zlib": _zlib_within, "zstd": _zstd_within}
-
-_COMPRESS: dict[str, Callable[[Buffer, int | None], Buffer]] = {
-    "none": _not_compressed,
-    "bz2": _to_bz2,
-    "lz4": _to_lz4,
-    "zstd": _to_zstd,
-}
-
 
 # --- CRC-32 ---
 

@@ -48,8 +48,6 @@ def check_place(dst: Path) -> None:
         return
     if dst.name in {"", ".."}:
         raise DestinationError("is not a name that a recording can have", path=dst)
-    if reason := system.unusable_name(dst.name):
-        raise DestinationError(f"cannot be written: the name {reason}", path=dst, hint="choose another name")
     parent = dst.parent
     if not os.path.lexists(parent):
         hint = f"create it: mkdir -p {quote(str(parent))}"

@@ -247,10 +247,6 @@ class SourceFile:
     def expect(self, offset: int, length: int) -> None:
         """Tell the system to read these bytes ahead, if it can."""
         descriptor = self._file().number
-        # If the last byte is cached already, the call is skipped: it would look up each page.
-        with suppress(OSError, AttributeError):
-            if os.preadv(descriptor, [bytearray(1)], offset + length - 1, os.RWF_NOWAIT):
-                return
         with suppress(OSError, AttributeError):
             os.posix_fadvise(descriptor, offset, length, os.POSIX_FADV_WILLNEED)
 
@@ -281,8 +277,6 @@ class SourceFile:
                 data += more
         except OSError as err:
             raise self._unreadable(offset, err) from err
-        except MemoryError as err:
-            raise self._too_large(offset, length) from err
         if len(data) < length:
             raise self._truncation_error(offset + len(data))
         return data
@@ -293,10 +287,7 @@ class SourceFile:
             return memoryview(self.read(offset, length))
         if offset + length > self.size:
             raise self._outside(offset, length)
-        try:
-            view = lend(length, STORED)
-        except MemoryError as err:
-            raise self._too_large(offset, length) from err
+        view = lend(length, STORED)
         file, done = self._file(), 0
         try:
             while done < length and (more := os.preadv(file.number, [view[done:]], offset + done)):
@@ -312,9 +303,6 @@ class SourceFile:
 
     def _unreadable(self, offset: int, err: OSError) -> RecordingError:
         return self.error(f"cannot be read at byte {offset}: {err.strerror}")
-
-    def _too_large(self, offset: int, length: int) -> RecordingError:
-        return self.error(f"{length} bytes from byte {offset} on do not fit into memory")
 
     def _truncation_error(self, offset: int) -> RecordingError:
         return self.error(

@@ -171,10 +171,10 @@ def _commit(partial: Path, dst: Path, record_in: FolderRecord | None, *, overwri
         _renamed.append((dst, file_ids(partial)[:1]))
         if overwrite and os.path.lexists(dst):
             _replace(partial, dst, record_in)
-        elif partial.is_dir():
-            _rename_directory(partial, dst)
+        elif os.path.lexists(dst):
+            raise existing_error(dst)
         else:
-            _rename_file(partial, dst)
+            partial.rename(dst)
         sync_directory(dst.parent)
     except OSError as err:
         raise OutputError(f"cannot be renamed to its final name: {err.strerror}", path=dst) from err
@@ -190,31 +190,6 @@ def sync(path: Path) -> None:
         # Not read-only: Windows flushes only files that are open for writing.
         with path.open("rb+") as file:
             os.fsync(file.fileno())
-
-
-def _rename_file(partial: Path, dst: Path) -> None:
-    """Rename a file by a link, which unlike renaming fails if another file has appeared under the name meanwhile."""
-    try:
-        os.link(partial, dst)
-    except OSError as err:
-        # FAT and some network file systems have no links.
-        if os.path.lexists(dst):
-            raise existing_error(dst) from err
-        partial.replace(dst)
-    else:
-        partial.unlink()
-
-
-def _rename_directory(partial: Path, dst: Path) -> None:
-    """Rename a directory; the system refuses if the name exists and is not an empty directory."""
-    try:
-        if not os.path.lexists(dst):
-            partial.rename(dst)
-            return
-    except OSError:
-        if not os.path.lexists(dst):
-            raise
-    raise existing_error(dst)
 
 
 def _replace(partial: Path, dst: Path, record_in: FolderRecord | None) -> None:

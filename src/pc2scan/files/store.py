@@ -34,18 +34,14 @@ _VERSION = (
 
 _DENIED = (401, 403)
 _NOT_FOUND = 404
-_SERVER_ERROR = 500
 
-#: Names of the stores' libraries' errors for transfers that have ended too early.
-_CUT = ("ClientPayloadError", "IncompleteRead", "ResponseStreamingError", "ServerDisconnected", "ConnectionClosedError")
-#: Names of their errors for hosts that do not answer.
+#: Names of the stores' libraries' errors for hosts that do not answer.
 _UNREACHABLE = ("ClientConnector", "EndpointConnectionError", "ConnectTimeout", "ConnectionRefused", "gaierror")
 
 _NO_RIGHTS = (
     "check the permissions, and the credentials that the store's own tools use (environment, configuration files)"
 )
 _AGAIN = "try again; if it fails again, check the network and the store"
-_NO_ANSWER = "check the network, the host's name and, for your own store, its endpoint"
 NO_SPACE = "set the environment variable TMPDIR to a folder with enough space, or give one as `scratch`"
 
 
@@ -96,22 +92,16 @@ class RemotePath:
         scheme = url.partition(":")[0]
         try:
             import fsspec  # noqa: PLC0415  # only an extra
-        except ImportError as err:
-            raise UsageError(
-                "a URL needs the library fsspec, which is not installed",
-                path=shown,
-                hint=f'pip install "pc2scan[remote]"{f" {library}" * bool(library)}',
-            ) from err
-        try:
+
             with self._translated_errors():
                 # A listing that is cached by one thread lacks what another one writes meanwhile.
-                options = _patience(scheme, fsspec.config.conf)
+                options = _patience(scheme, fsspec.config.conf.get(scheme, {}))
                 self._fs, self.key = fsspec.url_to_fs(url, use_listings_cache=False, **options)
         except ImportError as err:
             raise UsageError(
-                f"{scheme}:// needs the library {library}, which is not installed",
+                f"{scheme}:// needs a library that is not installed",
                 path=shown,
-                hint=f"pip install {library}",
+                hint=f'pip install "pc2scan[remote]" {library}'.rstrip(),
             ) from err
 
     def entry(self) -> StoredObject:
@@ -128,29 +118,20 @@ class RemotePath:
             raise RecordingError("the server does not report its size", path=self.shown, hint=hint)
         return found
 
-    def children(self) -> dict[str, StoredObject]:
-        """Return the files and folders in a folder, by name."""
-        found = {str(each["name"]).rstrip("/").rpartition("/")[2]: _object(each) for each in self._listed("ls")}
-        own = self.key.strip("/").rpartition("/")[2]
-        # Some stores list the folder itself, as an empty file.
-        return {name: found[name] for name in sorted(found) if name and (found[name].size or name != own)}
+    def listed(self, method: str, folder: str = "") -> dict[str, StoredObject]:
+        """Return what ``ls``, ``find`` or ``glob`` of fsspec lists, by paths relative to a folder; default: this one.
 
-    def below(self) -> dict[str, StoredObject]:
-        """Return all files below a folder, by their paths relative to it; empty if there are none."""
-        found = {}
-        with suppress(MissingError):
-            found = _relative(self._listed("find"), self.key)
-        return {name: each for name, each in found.items() if name and not each.is_folder}
-
-    def matches(self, folder: str) -> dict[str, StoredObject]:
-        """Return what the key matches as a pattern, by paths relative to a folder; without hidden names."""
-        found = _relative(self._listed("glob"), folder)
-        return {name: each for name, each in found.items() if not any(part.startswith(".") for part in name.split("/"))}
-
-    def _listed(self, method: str) -> Any:
-        # Long listings take long: only silence ends them.
+        Long listings take long: only silence ends them.
+        """
         with self._translated_errors():
-            return getattr(self._fs, method)(self.key, detail=True)
+            found = getattr(self._fs, method)(self.key, detail=True)
+        start = (folder or self.key).strip("/")
+        objects = {
+            str(each["name"]).strip("/").removeprefix(start).lstrip("/"): _object(each)
+            for each in (found.values() if isinstance(found, dict) else found)
+        }
+        # Some stores list the folder itself, as an empty file.
+        return {name: objects[name] for name in sorted(objects) if name}
 
     def read(self, end: int | None = None) -> bytes:
         """Return the content of a small file, or its first bytes."""
@@ -219,11 +200,6 @@ class RemotePath:
             raise kind(message, path=self.shown, hint=hint) from None
 
 
-def _relative(found: dict[str, Any], folder: str) -> dict[str, StoredObject]:
-    start = folder.strip("/")
-    return {str(key).strip("/").removeprefix(start).lstrip("/"): _object(each) for key, each in found.items()}
-
-
 def _object(found: dict[str, Any]) -> StoredObject:
     version = next((str(found[name]) for name in _VERSION if found.get(name) is not None), "")
     is_folder = found.get("type") == "directory"
@@ -232,20 +208,19 @@ def _object(found: dict[str, Any]) -> StoredObject:
 
 
 def _patience(scheme: str, configured: dict[str, Any]) -> dict[str, Any]:
-    """Return options with timeouts for a store, unless the user has configured them.
+    """Return options with timeouts for a store; what the user has configured wins.
 
     By default S3 takes minutes to give up, and a web server's file may not take longer than five minutes.
     """
     if scheme in {"http", "https"}:
-        return {
-            "client_kwargs": _web_client(_CONNECT_SECONDS, _READ_SECONDS)
-            | configured.get(scheme, {}).get("client_kwargs", {})
-        }
-    if scheme in {"s3", "s3a"} and not configured.get(scheme):
+        name, ours = "client_kwargs", _web_client(_CONNECT_SECONDS, _READ_SECONDS)
+    elif scheme in {"s3", "s3a"}:
         # No retries of the S3 library: s3fs itself tries five times.
-        config = {"connect_timeout": _CONNECT_SECONDS, "read_timeout": _READ_SECONDS, "retries": {"max_attempts": 0}}
-        return {"config_kwargs": config}
-    return {}
+        ours = {"connect_timeout": _CONNECT_SECONDS, "read_timeout": _READ_SECONDS, "retries": {"max_attempts": 0}}
+        name = "config_kwargs"
+    else:
+        return {}
+    return {name: ours | configured.get(name, {})}
 
 
 @cache
@@ -277,7 +252,7 @@ def _meaning(err: BaseException, *, writes: bool) -> tuple[type[Pc2ScanError], s
     if isinstance(err, FileNotFoundError) and is_web and getattr(cause, "status", 0) != _NOT_FOUND:
         err = cause or err
     kind: type[Pc2ScanError] = OutputError if writes else RecordingError
-    name, status, does = type(err).__name__, _status(err), "upload" if writes else "download"
+    name, status = type(err).__name__, _status(err)
     if isinstance(err, FileNotFoundError) or "NoSuchBucket" in name:
         if writes:
             return kind, "there is no such bucket or folder", _NO_RIGHTS
@@ -289,18 +264,15 @@ def _meaning(err: BaseException, *, writes: bool) -> tuple[type[Pc2ScanError], s
         return kind, f"access is refused ({status or 403}, or no credentials)", _NO_RIGHTS
     if isinstance(err, OSError) and err.errno == errno.ENOSPC:
         return kind, "no space for its local copy", NO_SPACE
-    if name.startswith(_UNREACHABLE):
-        return kind, f"the host cannot be reached ({name})", _NO_ANSWER
     if isinstance(err, TooSlowError):
         least = f"fewer than {LEAST_BYTES:,} bytes arrived in {SLOWEST_SECONDS:g} seconds"
         return kind, f"the transfer is too slow to finish: {least}", _AGAIN
+    if name.startswith(_UNREACHABLE):
+        return kind, f"the host cannot be reached ({name})", _AGAIN
     if "Timeout" in name:
-        return kind, f"the store does not answer in time ({name})", _NO_ANSWER
-    if name.startswith(_CUT):
-        return kind, f"the {does} was cut off ({name})", _AGAIN
-    if status is not None and status >= _SERVER_ERROR:
-        return kind, f"the store reports an internal error (status {status})", _AGAIN
-    return kind, f"the {does} failed: {f'status {status}' if status else name}", _NO_ANSWER
+        return kind, f"the store does not answer in time ({name})", _AGAIN
+    what = f"status {status}" if status else name
+    return kind, f"the {'upload' if writes else 'download'} failed ({what})", _AGAIN
 
 
 def _status(err: BaseException) -> int | None:

@@ -24,10 +24,6 @@ REFUSES_LINKS = getattr(os, "O_NOFOLLOW", 0)
 #: Maximum number of bytes per call: Linux returns at most 2 GiB, and macOS refuses to return more.
 _MOST_AT_ONCE = 1 << 30
 
-#: Names that are devices on Windows, with any suffix.
-#: Source: https://learn.microsoft.com/windows/win32/fileio/naming-a-file
-_DEVICES = {"con", "prn", "aux", "nul", *(f"{kind}{n}" for kind in ("com", "lpt") for n in range(1, 10))}
-
 #: The error numbers of a disk, or a quota, that has no room; and SQLite's text, the same in all of its versions.
 _FULL = {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)}
 _FULL_IN_SQLITE = "database or disk is full"
@@ -93,18 +89,6 @@ def _lock_on_windows(descriptor: int) -> None:
         if err.errno in {errno.EACCES, errno.EDEADLK}:
             raise BlockingIOError(err.errno, "is locked") from err
         raise
-
-
-def unusable_name(name: str) -> str:
-    """Return why Windows cannot have a file of this name; empty elsewhere, and if it can."""
-    if os.name != "nt":
-        return ""
-    if name.partition(".")[0].rstrip(" ").lower() in _DEVICES:
-        return "is the name of a device on Windows"
-    if name[-1:] in {".", " "}:
-        return "ends with a character that Windows drops"
-    forbidden = sorted(set(name) & set('<>:"|?*'))
-    return f"has {' '.join(forbidden)}, which names on Windows cannot have" if forbidden else ""
 
 
 def sync_directory(path: Path) -> None:

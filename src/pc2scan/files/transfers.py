@@ -9,8 +9,7 @@ import shutil
 import tempfile
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from threading import Lock
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, MissingError, RecordingError, name_list
 from pc2scan.text import size
@@ -24,20 +23,6 @@ from .urls import CopyPath, UrlPath
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator
-    from tempfile import TemporaryDirectory
-
-
-class _Copy(NamedTuple):
-    """A local copy: its path, its folder, and the URL, once for each that uses it."""
-
-    path: Path
-    folder: TemporaryDirectory[str]
-    users: list[UrlPath]
-
-
-#: The copies that are in use, by URL: a recording that is opened twice at a time is fetched once.
-_copies: dict[str, _Copy] = {}
-_lock = Lock()
 
 
 @contextmanager
@@ -52,39 +37,22 @@ def fetched(paths: Iterable[Path]) -> Iterator[list[Path]]:
         If it cannot be fetched, or there is no room: the sizes of all are counted before the first is fetched.
     """
     paths = list(paths)
-    sources = {path: _files_of(path) for path in paths if isinstance(path, UrlPath) and path.url not in _copies}
+    sources = {path: _files_of(path) for path in paths if isinstance(path, UrlPath)}
     for first in sources:
         refuse_without_room(sum(file.known().size for files in sources.values() for file in files), first)
         break
     with ExitStack() as stack:
-        yield [
-            stack.enter_context(_copy_of(path, sources.get(path))) if isinstance(path, UrlPath) else path
-            for path in paths
-        ]
-
-
-@contextmanager
-def _copy_of(path: UrlPath, files: list[UrlPath] | None) -> Iterator[Path]:
-    """Yield the local copy of a source; the last that uses it removes it."""
-    with _lock:
-        copy = _copies.get(path.url)
-        if copy is not None:
-            copy.users.append(path)
-    try:
-        if copy is None:
-            folder = private_folder(path)
-            copy = _Copy(CopyPath.of(path, folder.name), folder, [path])
-            _fetch(_files_of(path) if files is None else files, copy)
-            _copies[path.url] = copy
-        yield copy.path
-    finally:
-        with _lock:
-            if copy is not None:
-                copy.users.pop()
-                if not copy.users:
-                    if _copies.get(path.url) is copy:
-                        del _copies[path.url]
-                    copy.folder.cleanup()
+        copies: dict[Path, Path] = {}
+        for path, files in sources.items():
+            folder = stack.enter_context(private_folder(path))
+            copies[path] = copy = CopyPath.of(path, folder)
+            place = Path(folder)
+            if path.is_dir():
+                place /= copy.name
+                place.mkdir()
+            for file in files:
+                file.remote.download(place / file.name, file.known().size)
+        yield [copies.get(path, path) for path in paths]
 
 
 def _files_of(path: UrlPath) -> list[UrlPath]:
@@ -94,15 +62,6 @@ def _files_of(path: UrlPath) -> list[UrlPath]:
         return [file for file in path.iterdir() if file.is_file()]
     logs = [path.with_name(path.name + suffix) for suffix in ("-wal", "-journal") if path.suffix == ".db3"]
     return [path, *(log for log in logs if not path.is_read_only and log.exists())]
-
-
-def _fetch(files: Iterable[UrlPath], copy: _Copy) -> None:
-    folder = Path(copy.folder.name)
-    if copy.users[0].is_dir():
-        folder /= copy.path.name
-        folder.mkdir()
-    for file in files:
-        file.remote.download(folder / file.name, file.known().size)
 
 
 def refuse_without_room(needed: int, path: Path, hint: str = "") -> None:

@@ -10,11 +10,12 @@ from __future__ import annotations
 import os
 import posixpath
 from collections.abc import Iterable
+from contextlib import suppress
 from os import PathLike
 from pathlib import Path
 from socket import gethostname
 from typing import TYPE_CHECKING, Any, ClassVar
-from urllib.parse import unquote_to_bytes
+from urllib.parse import unquote_to_bytes, urlsplit
 
 from pc2scan.arguments import value_and_type
 from pc2scan.errors import MissingError, UsageError
@@ -127,36 +128,17 @@ def local_path(text: str, name: str = "a source") -> str:
     scheme, _, rest = text.partition(":")
     if scheme.lower() != "file" or not rest.startswith("/"):
         return text
-    if rest.startswith("//"):
-        host, slash, path = rest[2:].partition("/")
-        _refuse_other_host(text, host)
-        rest = slash + path
-    if not rest:
-        raise UsageError("is a URL without a path", path=text, hint="with three slashes: file:///data/drive.bag")
-    if odd := next((sign for sign in "?#" if sign in rest), None):
-        raise UsageError(
-            f"is a URL with a {odd}, which begins no part of a file's name",
-            path=text,
-            hint=f"write %{ord(odd):02X} if it belongs to the name",
-        )
-    if odd := next((code for code in ("%00", "%2F") if code in rest.upper()), None):
-        raise UsageError(f"is a URL with {odd}, which no file's name can have", path=text)
-    found = "/" + os.fsdecode(unquote_to_bytes(os.fsencode(rest))).lstrip("/")
+    url = urlsplit(text)
+    if url.netloc.lower() not in {"", "localhost", gethostname().lower()}:
+        hint = "a path of this machine has three slashes: file:///data/drive.bag"
+        raise UsageError(f"is a file of another machine, {url.netloc}", path=text, hint=hint)
+    if not url.path or set("?#") & set(rest) or any(code in rest.upper() for code in ("%00", "%2F")):
+        hint = "it has three slashes, %3F for ? and %23 for #: file:///data/drive.bag"
+        raise UsageError("is a URL that names no file", path=text, hint=hint)
+    found = "/" + os.fsdecode(unquote_to_bytes(os.fsencode(url.path))).lstrip("/")
     # On Windows a drive follows the slash: file:///C:/data, or file:///C|/data.
     has_drive = os.name == "nt" and found[2:3] in {":", "|"}
     return f"{found[1]}:{found[3:]}" if has_drive else found
-
-
-def _refuse_other_host(url: str, host: str) -> None:
-    """Raise if the host of a ``file:`` URL is not this machine."""
-    if host.lower() in {"", "localhost"}:
-        return
-    if host.lower() != gethostname().lower():
-        raise UsageError(
-            f"is a file of another machine, {host}",
-            path=url,
-            hint="a path of this machine has three slashes: file:///data/drive.bag",
-        )
 
 
 def paths_in(name: str, values: PathText | Iterable[PathText]) -> list[Path]:
@@ -315,16 +297,21 @@ class UrlPath(_LocalPath):
 
     def iterdir(self) -> Generator[Self]:
         """Yield what is in a folder."""
-        yield from self._children(self.remote.children())
+        yield from self._children(self.remote.listed("ls"))
 
     def below(self) -> Iterator[Self]:
         """Yield all files in a folder and the folders in it."""
-        return self._children(self.remote.below())
+        found: dict[str, StoredObject] = {}
+        with suppress(MissingError):
+            found = self.remote.listed("find")
+        return self._children({name: each for name, each in found.items() if not each.is_folder})
 
     def matches(self, root: Path) -> Iterator[UrlPath]:
         """Yield what this path matches as a pattern (``*``, ``**``, ``?``, ``[abc]``), below a folder without signs."""
         assert isinstance(root, UrlPath)
-        return root._children(self.remote.matches(root.remote.key))  # noqa: SLF001
+        found = self.remote.listed("glob", root.remote.key).items()
+        # Hidden files are not matched, as on a disk.
+        return root._children({name: each for name, each in found if "/." not in f"/{name}"})  # noqa: SLF001
 
     def _children(self, found: dict[str, StoredObject]) -> Iterator[Self]:
         for name, entry in found.items():
