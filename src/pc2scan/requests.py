@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from .arguments import refuse_unknown
-from .conversion.run import report_failure, run
-from .conversion.run_files import OutputOptions
+from .conversion.run import OutputOptions, report_failure, run
 from .core.params import ProjectionParams
 from .core.unproject import UnprojectParams
 from .errors import Pc2ScanError, SeveralNodesError, UsageError, name_list

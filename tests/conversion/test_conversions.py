@@ -25,7 +25,7 @@ from support.tables import rows
 if TYPE_CHECKING:
     from pc2scan.conversion.steps import Conversion, ConvertedMessage
 
-TABLES = Path(__file__).parent / "stages/times.txt"
+TABLES = Path(__file__).parent / "times.txt"
 SECOND = 1_000_000_000
 BAND = ProjectionParams(min_height=-1.0, max_height=1.0)
 

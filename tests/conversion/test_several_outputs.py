@@ -10,7 +10,7 @@ import pytest
 
 import pc2scan
 from pc2scan.bags.opening import open_recording
-from pc2scan.conversion.stages.deskew import Deskew
+from pc2scan.conversion.deskew import Deskew
 from pc2scan.errors import TransformError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.pointcloud2 import POINTCLOUD2

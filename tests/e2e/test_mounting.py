@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from pc2scan.conversion.run import OutputOptions
 from pc2scan.conversion.run import run as convert
-from pc2scan.conversion.run_files import OutputOptions
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.rigid import Rigid
 from pc2scan.request.options import ConvertOptions, ScanSpec

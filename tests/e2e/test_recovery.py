@@ -12,8 +12,8 @@ import pytest
 from fuzz.mutants import at_each
 from fuzz.seeds import Seed
 from pc2scan.bags.opening import open_recording
+from pc2scan.conversion.run import OutputOptions
 from pc2scan.conversion.run import run as repaired
-from pc2scan.conversion.run_files import OutputOptions
 from pc2scan.errors import RecordingError
 from pc2scan.request.options import ConvertOptions
 from support import sampled

@@ -29,7 +29,6 @@ HARM = {
     "bags": 1.5,
     "files": 2.0,
     "conversion/combine": 3.0,
-    "conversion/stages": 2.0,
     "datasets": 1.5,
     "cli": 0.5,
     "show": 0.7,

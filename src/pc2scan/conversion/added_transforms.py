@@ -8,7 +8,7 @@ one parent. Added static transforms go to ``/tf_static``, if the user wants that
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, cast
 
@@ -16,13 +16,13 @@ import numpy as np
 
 from pc2scan.core.rule import NO_POINTS
 from pc2scan.errors import MessageError
+from pc2scan.messages.definitions import definition
 from pc2scan.messages.poses import decode_pose
 from pc2scan.messages.tfmessage import decode_transforms, encode_transforms
 from pc2scan.model import MAX_ROSBAG2_NS as LAST_NS
-from pc2scan.model import StoredChunk
+from pc2scan.model import NEW_ID, TF_QOS, Connection, StoredChunk
 from pc2scan.transforms.reading import tf_connections
 
-from .levelling import TFMESSAGE, tf_connection
 from .plan import Output
 from .report import TopicReport
 from .steps import ConvertedMessage, Steps, as_it_is
@@ -31,10 +31,11 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
 
     from pc2scan.advice.survey import Span
+    from pc2scan.bags.destinations import Destination
     from pc2scan.bags.reader import Reader
     from pc2scan.core.rigid import Pose, TransformRow
-    from pc2scan.model import Buffer, Connection, Writer
-    from pc2scan.transforms.placing import FrameOptions
+    from pc2scan.model import Buffer, Writer
+    from pc2scan.transforms.placing import FrameOptions, LevelTransform
     from pc2scan.transforms.sources import AddedPoses, Attachment, PoseReading
 
     from .declarations import RecordingTopics
@@ -200,3 +201,63 @@ def _rows_in(added: AddedPoses, span: Span, end_ns: int | None) -> tuple[Iterato
         return added.attachments[each.parent, each.child].row(int(stamps_ns[place]), pose)
 
     return map(row, places), len(places)
+
+
+TFMESSAGE = "tf2_msgs/msg/TFMessage"
+
+
+def tf_connection(reader: Reader, frames: FrameOptions, target: Destination) -> Connection:
+    """Return the connection of new transforms: one more publisher of the topic that has the moving ones."""
+    moving = [c for c in tf_connections(reader.connections, frames.tf_topics) if not c.is_static]
+    first = moving[0] if moving else None
+    if first is not None and first.ros_version == target.ros_version and first.definition.data:
+        # ROS 1 has two types with the same layout; all publishers of a topic have the same type.
+        msgtype, text, digest = first.msgtype, first.definition, first.digest
+    else:
+        msgtype = TFMESSAGE
+        text, digest = definition(msgtype, target.ros_version)
+    return Connection(
+        id=NEW_ID,
+        topic="/tf" if first is None else first.topic,
+        msgtype=msgtype,
+        serialization=target.serialization,
+        definition=text,
+        digest=digest,
+        callerid="/pc2scan" if target.ros_version == 1 else None,
+        qos=TF_QOS if target.ros_version == 2 else "",
+    )
+
+
+@dataclass(slots=True)
+class LevelFrames:
+    """Writes the transforms of the level frames.
+
+    Attributes
+    ----------
+    serialization
+        The serialisation of the destination.
+    report
+        The report's entry that counts them.
+    handle
+        The writer's handle of `tf_connection`.
+    """
+
+    serialization: str
+    report: TopicReport
+    handle: int = -1
+    _written: set[tuple[str, int]] = field(default_factory=set)
+
+    def write(self, level: LevelTransform, log_time_ns: int, publish_time_ns: int, writer: Writer) -> None:
+        """Write the transform of a scan, unless it was written for another scan of the same frame and stamp.
+
+        Raises
+        ------
+        UnwritableError
+            If the destination cannot store it.
+        """
+        _, name, stamp_ns, *_ = level.row
+        if (name, stamp_ns) not in self._written:
+            data = encode_transforms([level.row], self.serialization)
+            writer.write(self.handle, log_time_ns, data, publish_time_ns)
+            self._written.add((name, stamp_ns))
+            self.report.messages_out += 1

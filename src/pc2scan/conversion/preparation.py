@@ -18,14 +18,13 @@ from pc2scan.messages.tfmessage import TF_TYPES
 from pc2scan.request.point_time import PointTime
 from pc2scan.transforms.placing import Placer
 from pc2scan.transforms.reading import read_robot_transforms
+from pc2scan.transforms.up_sources import UpByFrame, UpByImu
 
 from .cloud_to_scan import CloudToScan
-from .combine.conversion import MessagesToScan
-from .combine.measurements import SourceFacts, measure_sources
-from .frame_checks import check_fixed_frame, check_given_frames
-from .levelling import up_source
+from .combine.conversion import MessagesToScan, SourceFacts, measure_sources
+from .deskew import Deskew
 from .scan_to_cloud import ScanToCloud
-from .stages.deskew import Deskew
+from .source_checks import check_fixed_frame, check_given_frames
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
@@ -36,7 +35,9 @@ if TYPE_CHECKING:
     from pc2scan.progress import Meter
     from pc2scan.request.options import ConvertOptions, ScanSpec
     from pc2scan.transforms.buffer import TransformBuffer
+    from pc2scan.transforms.imu import UpEstimate
     from pc2scan.transforms.reading import FoundTransforms
+    from pc2scan.transforms.up_sources import UpSource
 
     from .plan import Plan
     from .steps import Conversion
@@ -167,6 +168,21 @@ def prepare(
         else:
             conversions |= outputs[spec].conversions(placer, tell, notes, surroundings)
     return Preparation(conversions, span, known, surroundings, survey.others, notes, found)
+
+
+def up_source(spec: ScanSpec, buffer: TransformBuffer, survey: Survey) -> tuple[UpSource, UpEstimate | None]:
+    """Return the source of the direction of up for a level output, and the estimate by its IMU; None without one.
+
+    Raises
+    ------
+    UsageError
+        If the messages of an IMU do not show the direction of up.
+    """
+    tolerance_ns, request = spec.params.tolerance_ns, spec.imu_request
+    if request is None:
+        return UpByFrame(spec.fixed_frame, buffer, tolerance_ns), None
+    up = survey.imu(request.topic).up(request.frame)
+    return UpByImu(up.topic, up.frame, up.stamps_ns, up.directions, buffer, tolerance_ns), up
 
 
 class _OutputFacts:

@@ -12,12 +12,11 @@ from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.messages.tfmessage import encode_transforms
 from pc2scan.model import LATCHED_QOS, NEW_ID, ChunkRule, Connection, StoredChunk
 
-from .added_transforms import AddedTopic, add_poses, between
+from .added_transforms import TFMESSAGE, AddedTopic, LevelFrames, add_poses, between, tf_connection
 from .combine.combiner import Combiner
 from .combine.conversion import MessagesToScan
 from .declarations import RecordingTopics
 from .items import NOTHING_REFUSED
-from .levelling import TFMESSAGE, LevelFrames, tf_connection
 from .report import TopicReport
 from .steps import ConvertedMessage
 

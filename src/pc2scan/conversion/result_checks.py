@@ -7,22 +7,25 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from pc2scan.advice.checks.clouds import NOTABLE_SHARE, notable_share
+from pc2scan.bags.damage import RECOVER, Damage, count_details
 from pc2scan.core.consumers import CONSUMERS, judge
 from pc2scan.core.params import ProjectionParams
-from pc2scan.errors import name_list, stamp_text
+from pc2scan.errors import DamageError, ResultError, name_list, stamp_text
 from pc2scan.messages.laserscan import decode_laserscan, scan_for_consumers
 from pc2scan.request.parameters import preset_of
 from pc2scan.text import agreeing, counted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
+    from pc2scan.bags.reader import Reader
     from pc2scan.core.rule import Rejection
     from pc2scan.core.verdicts import Outcome, Verdict
     from pc2scan.model import Buffer
-    from pc2scan.request.options import ScanSpec
+    from pc2scan.request.options import ConvertOptions, ScanSpec
 
     from .combine.grouping import SourceCounts
+    from .plan import Route
     from .report import Report, TopicReport
 
 #: How many topics the warning about skipped ones lists.
@@ -436,3 +439,122 @@ def result_findings(
         warnings += (text for check in WARNINGS for text in check(topic, report))
         notes.update(dict.fromkeys(text for note in NOTES for text in note(topic, report)))
     return warnings, [*notes]
+
+
+def compare_counts(
+    reader: Reader, routes: Collection[Route], options: ConvertOptions, report: Report
+) -> tuple[int | None, list[Damage]]:
+    """Compare how many messages were read with how many the sources declare, for each connection.
+
+    Parameters
+    ----------
+    reader, routes
+        The source, and its connections; all their messages have been read.
+    report
+        How many messages were read, and the damage that explains a difference.
+
+    Returns
+    -------
+    How many messages the sources declare (None: they do not, or only a part was read), and the damage of a difference
+    that nothing else explains; empty without one.
+
+    Raises
+    ------
+    DamageError
+        With ``strict``, instead of returning damage.
+    """
+    if options.start is not None or options.end is not None:
+        return None, []
+    written = [route for route in routes if route.writes]
+    declared_counts = ((route.connection, route.connection.message_count, route.messages) for route in written)
+    counts = [(connection.topic, known, read) for connection, known, read in declared_counts if known is not None]
+    # MCAP's writers may omit the counts by channel, and store the sum.
+    declared = reader.summary.message_count if len(written) == len(reader.connections) else None
+    if declared is None and len(counts) == len(written):
+        declared = sum(count for _, count, _ in counts)
+    if declared is None:
+        return None, []
+    found = report.messages_read
+    lost = max(declared - found, sum(max(0, count - read) for _, count, read in counts))
+    details = count_details(counts)
+    if (declared == found and not details) or any(damage.loses for damage in report.damage):
+        return declared, []
+    missing = f"declares {counted(declared, 'message')}, {found:,} {agreeing(found, 'were')} found{details}"
+    if options.strict:
+        raise DamageError(missing, path=reader.path, hint=RECOVER)
+    return declared, [Damage(missing, reader.path, messages_lost=max(0, lost))]
+
+
+def refuse_nothing(report: Report) -> None:
+    """Raise if no message was converted.
+
+    Raises
+    ------
+    ResultError
+        The error names the most frequent reason.
+    """
+    converted = report.converted
+    if any(topic.messages_out for topic in converted):
+        return
+    read = sum(topic.messages_in for topic in converted)
+    if not read and report.damage:
+        place = report.damage[0]
+        error = f"no message was converted: there was none to convert in a damaged recording: {place.what}"
+        raise ResultError(error, path=place.path)
+    joined = [topic for topic in report.topics if topic.action == "joined" and topic.messages_in]
+    if not read and joined:
+        raise ResultError(
+            f"no message was converted: the leading topic has none, so those of "
+            f"{name_list([topic.topic for topic in joined])} are in no scan",
+            hint="name another topic first in `topics`; or check `start` and `end`",
+        )
+    if not read:
+        raise ResultError(
+            "no message was converted: there was none to convert", hint="check `topics`, `start` and `end`"
+        )
+    if not report.skipped:
+        raise ResultError("no message was converted")
+    reasons = Counter("" if entry.gap_ns else entry.reason for entry in report.skipped)
+    ((common, count),) = reasons.most_common(1)
+    # Of stamps without transforms the farthest: what helps it helps the others, too.
+    shown = max(report.skipped, key=lambda entry: entry.gap_ns if not common else entry.reason == common)
+    which = "" if count == len(report.skipped) else f", {count:,} of {read:,}"
+    raise ResultError(f"no message was converted: all were skipped{which}: {shown.reason}", hint=shown.hint or None)
+
+
+def refuse_unsatisfied(report: Report, options: ConvertOptions) -> None:
+    """Raise if the result does not satisfy `fail_on` or `min_used`.
+
+    Raises
+    ------
+    ResultError
+        The error has the numbers and the option.
+    """
+    for topic in report.converted:
+        if options.fail_on and topic.empty_scans:
+            raise ResultError(
+                f"{topic.empty_scans:,} of {counted(topic.messages_out, 'scan')} on {topic.target} "
+                f"{agreeing(topic.empty_scans, 'have')} no return "
+                f"(`fail_on={options.fail_on}`)",
+                hint=_reason_in(report.warnings, f"on {topic.target} {agreeing(topic.empty_scans, 'have')} no return"),
+            )
+        share = topic.points.used / topic.points.total if topic.points.total else 0.0
+        if share < options.min_used:
+            raise ResultError(
+                f"{share:.3%} of the points of {topic.topic} are in the scans on {topic.target}, less than "
+                f"{options.min_used:.3%} (`min_used`)"
+            )
+    if options.fail_on != "warning":
+        return
+    if report.damage:
+        raise ResultError("a source is damaged (`fail_on=warning`)", path=report.damage[0].path)
+    if report.skipped_count:
+        raise ResultError(f"{counted(report.skipped_count, 'message', 'were')} skipped (`fail_on=warning`)")
+    if report.warnings:
+        raise ResultError(f"{report.warnings[0]} (`fail_on=warning`)")
+
+
+def _reason_in(warnings: Sequence[str], part: str) -> str | None:
+    """Return the text after the first colon of the first warning that contains ``part``."""
+    found = next((warning for warning in warnings if part in warning), "")
+    return found.partition(": ")[2] or None

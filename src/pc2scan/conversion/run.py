@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import shlex
-from contextlib import ExitStack, closing, contextmanager
+import time
+from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.advice.checks import request_warnings
 from pc2scan.advice.clocks import Clocks
@@ -23,13 +24,24 @@ from pc2scan.bags.destinations import (
 from pc2scan.bags.folders import overlap_warnings
 from pc2scan.bags.formats import destinations
 from pc2scan.bags.opening import as_one, open_recordings
-from pc2scan.errors import DamageError, MissingError, OutputError, TopicError, UsageError
+from pc2scan.errors import (
+    DamageError,
+    DestinationError,
+    MissingError,
+    OutputError,
+    Pc2ScanError,
+    TopicError,
+    UsageError,
+)
+from pc2scan.files.outputs import check_file_output, file_output
+from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.places import output_folder
+from pc2scan.files.source import changed_while_read, state_of
 from pc2scan.files.staging import check_destination, staged_output
 from pc2scan.files.system import copying_to
 from pc2scan.files.urls import UrlPath, exists
 from pc2scan.progress import Meter
-from pc2scan.result import tell_early
+from pc2scan.result import BEGINNING, Result, tell_early
 from pc2scan.threads import Threads, cores
 from pc2scan.transforms.placing import FrameOptions
 
@@ -40,10 +52,9 @@ from .items import Tally
 from .plan import make_plan
 from .preparation import prepare, span_of
 from .recording import open_output, write_items
-from .refusals import compare_counts, refuse_no_messages, refuse_nothing, refuse_unsatisfied, refuse_unusable
 from .report import Report
-from .result_checks import result_findings
-from .run_files import OutputOptions, RunFiles
+from .result_checks import compare_counts, refuse_nothing, refuse_unsatisfied, result_findings
+from .source_checks import refuse_no_messages
 from .stamps import corrected_for
 
 if TYPE_CHECKING:
@@ -147,7 +158,6 @@ def _open(
         check_destination(files.destination, overwrite=output.overwrite, owned=output.owned, record_in=recorded_in)
     if len(files.sources) > 1 and files.destination is None and output.folder is None:
         _refuse_missing_destination(files.sources)
-    refuse_unusable(options)
     readers = open_recordings(files.sources, stack, strict=options.strict)
     reader = as_one(readers)
     if options.cloud_scale != 1:
@@ -298,3 +308,137 @@ def _size_on_disk(path: Path) -> int:
         return path.stat().st_size
     except OSError as err:
         raise OutputError(f"cannot be read after it was written: {err.strerror}", path=path) from err
+
+
+class OutputOptions(NamedTuple):
+    """Options of the destination; None means the container's default.
+
+    Attributes
+    ----------
+    storage
+        The storage of a rosbag2 directory: ``mcap`` or ``sqlite3``.
+    compression
+        ``none``, ``lz4``, ``zstd`` or ``bz2``, as the container allows. With None, chunks that are copied
+        whole keep their compression.
+    profile
+        The profile of an ``.mcap`` file: ``ros1`` or ``ros2``.
+    overwrite
+        Whether an existing destination, and an existing file at the report's path, are replaced.
+    owned
+        The files of the destination that a batch has recorded: it is replaced without ``overwrite``, too.
+    report
+        Path of the report as JSON; None for no file.
+    folder
+        Folder of a destination that is named after the source; None: next to the source. It is created if it does not
+        exist.
+    to
+        Format of the destination: ``bag``, ``mcap`` or ``rosbag2``; None: by its name, or the source's.
+    dry_run
+        Whether nothing is written, not even the report.
+    like_source
+        Whether a named destination has the storage of the source, like a destination that is named after the source.
+    scratch
+        Folder of the local copies of what is at URLs; None: the system's folder for temporary files.
+    """
+
+    storage: str | None = None
+    compression: str | None = None
+    profile: str | None = None
+    overwrite: bool = False
+    owned: frozenset[str] | None = None
+    report: Path | None = None
+    folder: Path | None = None
+    to: str | None = None
+    dry_run: bool = False
+    like_source: bool = False
+    scratch: Path | None = None
+
+
+class RunFiles:
+    """The files that a run reads and writes, and its report.
+
+    Attributes
+    ----------
+    sources, destination
+        Paths; ``destination`` is None until it is known.
+    """
+
+    def __init__(
+        self,
+        sources: Sequence[Path],
+        destination: Path | None,
+        frames: FrameOptions,
+        also_read: Mapping[str, Path],
+        output: OutputOptions,
+    ) -> None:
+        self.sources = sources
+        self.destination = destination
+        self.read = (*sources, *frames.tf_from)
+        self._inputs = inputs_of(sources, frames.tf_from, also_read)
+        self._states = [state_of(path) for path in self.read]
+        self._output = output
+        self._write_report: Callable[[str], None] | None = None
+
+    def open_report(self, stack: ExitStack) -> None:
+        """Open the report's file; raise if that cannot be done, or if an input would be overwritten.
+
+        In a dry run, it is only checked that the file can be written.
+        """
+        output, path = self._output, self._output.report
+        report = [] if path is None else [OutputPath(path, "`report`")]
+        destination = [] if self.destination is None else [OutputPath(self.destination)]
+        refuse_overlap(self._inputs, [*destination, *report])
+        if path is None:
+            return
+        try:
+            if output.dry_run:
+                check_file_output(path, beginning=BEGINNING, overwrite=output.overwrite)
+            else:
+                written = file_output(path, beginning=BEGINNING, overwrite=output.overwrite)
+                self._write_report = stack.enter_context(written)
+        except (DestinationError, OutputError) as err:
+            err.message = f"the report cannot be written there: {err.message}"
+            raise
+
+    def deliver(self, report: Report) -> None:
+        """Write the report. If that fails, the recording stays, and the exit status and a warning say so."""
+        if self._write_report is None:
+            return
+        try:
+            self._write_report(report.as_json())
+        except (DestinationError, OutputError) as err:
+            report.undelivered = True
+            report.warnings.append(f"{err.path}: the report is not written: {err.message}; {report.destination} is")
+
+    def deliver_failure(self, report: Result) -> None:
+        """Write the report of a run that failed, if possible; the error itself is raised in any case."""
+        if self._output.report is None or self._output.dry_run:
+            return
+        if any(error.path == self._output.report for error in report.errors):
+            # The error may be that this file cannot be written.
+            return
+        with suppress(DestinationError, OutputError), ExitStack() as stack:
+            if self._write_report is None:
+                self.open_report(stack)
+            if self._write_report is not None:
+                self._write_report(report.as_json())
+
+    @contextmanager
+    def reporting(self, report: Report) -> Generator[None]:
+        """Write the report at the end, also after an error."""
+        began = time.monotonic()
+        try:
+            yield
+        except Exception as err:
+            report.errors = [err if isinstance(err, Pc2ScanError) else Pc2ScanError(f"{type(err).__name__}: {err}")]
+            report.seconds = round(time.monotonic() - began, 3)
+            self.deliver_failure(report)
+            raise
+        report.seconds = round(time.monotonic() - began, 3)
+        self.deliver(report)
+
+    def refuse_changed(self) -> None:
+        """Raise if a source changed during the run: the result may mix its old and new bytes."""
+        for source, state in zip(self.read, self._states, strict=True):
+            if state_of(source) != state:
+                raise changed_while_read(source)

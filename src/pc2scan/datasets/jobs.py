@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.damage import Damage
     from pc2scan.conversion.report import Report
-    from pc2scan.conversion.run_files import OutputOptions
+    from pc2scan.conversion.run import OutputOptions
     from pc2scan.request.options import ConvertOptions
 
 #: Outcomes by the exit status of `pc2scan convert`; that of all others is ``failed``.

@@ -26,7 +26,7 @@ import numpy as np
 
 from pc2scan.advice.odometry import odometry_of
 from pc2scan.bags.topics import find_topics, matches
-from pc2scan.conversion.frame_checks import frame_that_stays
+from pc2scan.conversion.source_checks import frame_that_stays
 from pc2scan.core.occupancy import FREE, LONGEST, OCCUPIED, OccupancyGrid, observing_beams, place_beams
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.rigid import Rigid

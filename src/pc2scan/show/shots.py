@@ -14,8 +14,7 @@ from pc2scan.advice.checks import found_by
 from pc2scan.advice.measurements import Measurements
 from pc2scan.conversion.cloud_to_scan import CloudToScan
 from pc2scan.conversion.plan import make_plan
-from pc2scan.conversion.stages.placement import PlaceStage
-from pc2scan.conversion.stages.selection import SelectStage
+from pc2scan.conversion.stages import PlaceStage, SelectStage
 from pc2scan.conversion.stamps import corrected_for
 from pc2scan.core.points import NUMBER
 from pc2scan.core.rule import PointCounts
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pc2scan.advice.checks.clouds import KnownTransforms
-    from pc2scan.conversion.stages.placement import PlacedCloud
+    from pc2scan.conversion.stages import PlacedCloud
     from pc2scan.core.params import ProjectionParams
     from pc2scan.core.points import Points
     from pc2scan.model import Connection, RawMessage

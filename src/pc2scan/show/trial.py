@@ -12,7 +12,7 @@ from pc2scan.advice.checks.clouds import KnownTransforms
 from pc2scan.advice.first_clouds import FirstCloud, judge
 from pc2scan.advice.measurements import Measurements
 from pc2scan.conversion.cloud_to_scan import CloudToScan
-from pc2scan.conversion.stages.placement import PlaceStage
+from pc2scan.conversion.stages import PlaceStage
 from pc2scan.core.percentiles import percentiles
 from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid

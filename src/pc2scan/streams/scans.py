@@ -13,7 +13,6 @@ from pc2scan.conversion.first_clouds import judge_first
 from pc2scan.conversion.plan import make_plan
 from pc2scan.conversion.preparation import prepare, span_of
 from pc2scan.conversion.recording import open_routes
-from pc2scan.conversion.refusals import refuse_unusable
 from pc2scan.conversion.report import Report
 from pc2scan.conversion.result_checks import result_findings
 from pc2scan.conversion.stamps import corrected_for
@@ -211,7 +210,6 @@ class Scans(Stream[Scan]):
         if not options.scan.topics and not self._all_topics:
             # Raises if there are several.
             self._choose(reader, options.scan.source_types, _HINT_SCANS)
-        refuse_unusable(options)
         plan = make_plan(reader.connections, options)
         if options.clock:
             reader, notes = corrected_for(reader, plan, options)

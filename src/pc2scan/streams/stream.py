@@ -19,8 +19,8 @@ from pc2scan.conversion.engine import items_of
 from pc2scan.conversion.items import Tally
 from pc2scan.conversion.plan import Output, Route
 from pc2scan.conversion.preparation import span_of
-from pc2scan.conversion.refusals import refuse_no_messages
 from pc2scan.conversion.report import TopicReport
+from pc2scan.conversion.source_checks import refuse_no_messages
 from pc2scan.conversion.stamps import corrected
 from pc2scan.conversion.steps import ConvertedMessage, Steps, as_it_is
 from pc2scan.core.rule import NO_POINTS

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from pc2scan.bags.opening import open_recordings
 from pc2scan.bags.topics import find_topics
-from pc2scan.conversion.run import run
-from pc2scan.conversion.run_files import OutputOptions
+from pc2scan.conversion.run import OutputOptions, run
 from pc2scan.errors import DestinationError, OutputError, ResultError
 from pc2scan.files.places import output_folder
 from pc2scan.files.staging import staged_output

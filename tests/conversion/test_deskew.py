@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pc2scan.conversion.stages.deskew import Deskew, MovingCloud
+from pc2scan.conversion.deskew import Deskew, MovingCloud
 from pc2scan.core.points import TIME, Points
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import DecodeError, TransformError
@@ -177,7 +177,7 @@ def test_a_unit_that_cannot_be_has_the_one_that_fits(asked: str, times: list[int
 
 def test_what_is_fixed_to_the_robot_stays_where_it_is() -> None:
     """A box around a point of the robot rejects it whenever it was measured."""
-    from pc2scan.conversion.stages.selection import SelectStage
+    from pc2scan.conversion.stages import SelectStage
 
     known = frames("base_link")
     assert known.buffer is not None

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from pc2scan.conversion.steps import Motion
 from pc2scan.core import kernel
 from pc2scan.core.moving import MovingTransform
 from pc2scan.core.points import TIME, Points
@@ -23,6 +22,8 @@ from pc2scan.core.rule import NO_TIME, NO_TRANSFORM
 from pc2scan.core.timing import AZIMUTH, IN_SECONDS, LONGEST, TIME_FIELDS, TIME_UNITS
 from pc2scan.errors import DecodeError, TransformError
 from pc2scan.request.point_time import BY_AZIMUTH, PointTime
+
+from .steps import Motion
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

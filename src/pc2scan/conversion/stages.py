@@ -1,4 +1,4 @@
-"""Selects points: filters are applied one after the other, and rejected points are counted by filter."""
+"""The stages between decoding and projecting: clouds are placed, and filters select their points, in order."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from pc2scan.errors import UnconnectedError
 from pc2scan.request.filters import Frame
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
     from pc2scan.core.moving import MovingTransform
@@ -21,8 +23,76 @@ if TYPE_CHECKING:
     from pc2scan.request.filters import Filter
     from pc2scan.transforms.placing import Placement, Placer
 
-    from .deskew import MovingCloud
-    from .placement import PlacedCloud
+    from .deskew import Deskew, MovingCloud
+
+
+_NOTHING: Mapping[str, int] = {}
+
+
+# Instances are never changed. They are neither frozen nor named tuples, because creating those takes two to three times
+# as long, for every message.
+@dataclass(slots=True, eq=False)
+class PlacedCloud:
+    """A cloud between its decoder and the projection.
+
+    Attributes
+    ----------
+    points
+        The points that were not rejected.
+    stamp_ns
+        The scan's stamp.
+    place
+        The frame that the cloud is converted in, and the transform to it.
+    moving
+        The motion of its sensor; None if it is not deskewed.
+    transform
+        The transform that is still to be applied to ``points``; of a deskewed cloud, to each at its own time.
+    rejected
+        How many points were rejected so far, by reason.
+    whole
+        All points of the message, as decoded.
+    """
+
+    points: Points
+    stamp_ns: int
+    place: Placement
+    moving: MovingCloud | None
+    transform: Rigid | MovingTransform | None
+    rejected: Mapping[str, int]
+    whole: Points
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceStage:
+    """Places clouds: looks up the frame and the transform of each. Instances with equal attributes are equal.
+
+    Attributes
+    ----------
+    placer
+        The recording's transforms.
+    deskew
+        Places points at their own times; None: all points of a cloud are placed at its stamp.
+    """
+
+    placer: Placer
+    deskew: Deskew | None = None
+
+    def __call__(self, points: Points) -> PlacedCloud:
+        """Place a cloud.
+
+        Raises
+        ------
+        DecodeError
+            If it is deskewed, and its points have no times.
+        TransformError
+            If there is no transform.
+        """
+        moving = None if self.deskew is None else self.deskew(points)
+        if moving is None:
+            place = self.placer.place(points.frame_id, points.stamp_ns)
+            return PlacedCloud(points, points.stamp_ns, place, None, place.target_from_source, _NOTHING, points)
+        place = self.placer.place(points.frame_id, moving.stamp_ns)
+        return PlacedCloud(moving.points, moving.stamp_ns, place, moving, moving.transform, _NOTHING, points)
 
 
 class SelectedPoints(NamedTuple):
