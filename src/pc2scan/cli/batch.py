@@ -46,15 +46,15 @@ def _show_plan(plan: BatchPlan, *, quiet: bool) -> None:
     """Show what will be done, in one line."""
     if quiet:
         return
-    convert, keep, skip = plan.of("convert"), plan.of("keep"), plan.of("skip")
+    convert, keep, skip = plan.of("convert"), plan.of("keep"), plan.skipped
     reasons: dict[str, int] = {}
-    for step in convert:
-        why = step.why.partition(":")[0]
+    for job in convert:
+        why = job.why.partition(":")[0]
         reasons[why] = reasons.get(why, 0) + 1
     told = ", ".join(f"{number:,} {why}" for why, number in reasons.items())
     parts = [
-        counted(len(plan.steps), "recording"),
-        f"{len(convert):,} to convert ({size(sum(step.found.identity.size_bytes for step in convert))}"
+        counted(len(plan.jobs) + len(skip), "recording"),
+        f"{len(convert):,} to convert ({size(sum(job.size_bytes for job in convert))}"
         + (f"; {told})" if told else ")"),
         *([f"{len(keep):,} unchanged"] if keep else []),
         *([f"{len(skip):,} skipped by the dataset file"] if skip else []),

@@ -135,7 +135,7 @@ def find(
                 found += _search_candidate(candidate, search)
         for files in named.values():
             found += _join_parts(files, search)
-    return sorted(_make_keys_unique(found), key=lambda each: _natural_key(each.key))
+    return sorted(_make_keys_unique(found), key=lambda each: natural_key(each.key))
 
 
 def _candidates(sources: Sequence[str], out: Path) -> Iterator[Iterable[_Candidate]]:
@@ -441,5 +441,6 @@ def _key_of(path: Path, root: Path) -> str:
     return os.path.relpath(str(path), str(root)).replace(os.sep, "/").removeprefix("./")
 
 
-def _natural_key(key: str) -> list[list[int | str]]:
+def natural_key(key: str) -> list[list[int | str]]:
+    """Return the sorting key of a recording's name, by which ``2`` comes before ``10``."""
     return [natural_order(Path(part)) for part in key.split("/")]

@@ -37,12 +37,8 @@ if TYPE_CHECKING:
 
     from .manifest import ManifestRecord
 
-#: The name of the workers' lock is derived from this.
-_WORKERS = "manifest.jsonl.workers"
-
-#: Seconds that a run waits for a killed run to end, and for its workers.
-_ENDING_SECONDS = 0.5
-_WAIT_SECONDS = 15.0
+#: Seconds that a run waits for the workers of a killed run.
+_WAIT_SECONDS = 5.0
 
 #: The name of the note of unfinished outputs, and its beginning.
 _UNFINISHED = ".pc2scan-begun.json"
@@ -324,45 +320,31 @@ def open_folder(out: Path, *, dry_run: bool) -> Iterator[BatchFolder]:
         If it cannot be written.
     """
     with ExitStack() as stack:
-        lock = None
         if isinstance(out, UrlPath) or not dry_run:
             stack.enter_context(output_folder(out))
         elif not out.is_dir():
             check_new_folder(out)
         if isinstance(out, UrlPath):
             yield BatchFolder(out)
-            return
-        if not dry_run:
-            lock = stack.enter_context(_lock_folder(out))
-        yield BatchFolder(Path(os.path.realpath(out)), lock)
+        else:
+            lock = None if dry_run else _hold(out, stack)
+            yield BatchFolder(Path(os.path.realpath(out)), lock)
 
 
-@contextmanager
-def _lock_folder(out: Path) -> Iterator[int]:
-    """Hold two locks of the folder: one for this process, and one that its workers inherit, which is yielded.
+def _hold(out: Path, stack: ExitStack) -> int:
+    """Return the lock of a folder, which is held until the stack is closed, and until the workers end that inherit it.
 
-    The second one shows that workers of a killed run are still alive. They may take some seconds to end.
+    Those of a killed run may take some seconds.
     """
-    with ExitStack() as stack:
-        try:
-            _hold(stack, out / MANIFEST, _ENDING_SECONDS)
-            lock = _hold(stack, out / _WORKERS, _WAIT_SECONDS)
-        except DestinationError as err:
-            if "another run" in err.message:
-                err.message, err.path = "another batch is writing into this folder", out
-            raise
-        yield lock
-
-
-def _hold(stack: ExitStack, path: Path, seconds: float) -> int:
-    """Hold a lock until the stack is closed; wait for it as long as this if another process has it."""
-    deadline = time.monotonic() + seconds
+    deadline = time.monotonic() + _WAIT_SECONDS
     while True:
         try:
-            return stack.enter_context(only_run(path))
+            return stack.enter_context(only_run(out / MANIFEST))
         except DestinationError as err:
-            if "another run" not in err.message or time.monotonic() > deadline:
+            if "another run" not in err.message:
                 raise
+            if time.monotonic() > deadline:
+                raise DestinationError("another batch is writing into this folder", path=out) from err
             time.sleep(0.05)
 
 

@@ -8,7 +8,7 @@ import time
 import traceback
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from datetime import datetime, timezone
 from enum import Enum
 from pathlib import Path
@@ -23,7 +23,7 @@ from pc2scan.exports.report import ExportReport
 from pc2scan.exports.run import ExportOptions
 from pc2scan.exports.run import run as export
 from pc2scan.files.system import copying_to, is_full
-from pc2scan.files.urls import UrlPath, absolute, path_or_url
+from pc2scan.files.urls import UrlPath, absolute
 from pc2scan.options.call import Options
 from pc2scan.options.table import conversion_options, options_of
 from pc2scan.requests import conversion_of, output_of
@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from pc2scan.conversion.report import Report
     from pc2scan.conversion.run import OutputOptions
     from pc2scan.request.options import ConvertOptions
+
+    from .find import Recording
 
 #: Outcomes by the exit status of `pc2scan convert`; that of all others is ``failed``.
 _OUTCOMES = {0: "converted", 3: "incomplete", 4: "empty"}
@@ -79,18 +81,13 @@ def request_of(keywords: Mapping[str, Any], origins: Mapping[str, str] | None = 
     Raises
     ------
     UsageError
-        If an option is unknown, has a wrong value, or contradicts another one.
+        If an option has a wrong value, or contradicts another one.
     """
-    known = conversion_options()
-    if unknown := keywords.keys() - known.keys():
-        raise UsageError(f"`{min(unknown)}` is not an option of a conversion")
-    options = Options("batch", keywords, origins, known=known)
+    options = Options("batch", keywords, origins, known=conversion_options())
     _check_export(options)
     output = output_of(options, like_source=True)
     conversion = conversion_of(options)
-    export = None
-    if options.format is not None:
-        export = ExportOptions.of(options, conversion)
+    export = None if options.format is None else ExportOptions.of(options, conversion)
     # Absolute: another process may have another current folder.
     frames = replace(conversion.frames, tf_from=tuple(map(absolute, conversion.frames.tf_from)))
     files = {name: absolute(path) for name, path in conversion.files.items()}
@@ -133,11 +130,8 @@ def _canonical(value: Any) -> Any:
         # The queue's size bounds what is held in memory. It does not affect the output.
         value = replace(value, queue_size=0)
     if is_dataclass(value) and not isinstance(value, type):
-        # Only attributes that are not the default, so that an option that is added later changes no earlier digest.
-        shown = [each for each in fields(value) if each.repr and each.name not in _PLACES]
-        given = {each.name: _canonical(getattr(value, each.name)) for each in shown}
-        given = {each.name: given[each.name] for each in shown if given[each.name] != _canonical(_default_of(each))}
-        return {"": type(value).__name__, **given}
+        shown = [each.name for each in fields(value) if each.repr and each.name not in _PLACES]
+        return {"": type(value).__name__, **{name: _canonical(getattr(value, name)) for name in shown}}
     if isinstance(value, Enum):
         return value.value
     if isinstance(value, Mapping):
@@ -149,10 +143,6 @@ def _canonical(value: Any) -> Any:
     if value is None or isinstance(value, bool | int | float | str):
         return value
     return str(value) if isinstance(value, Path) else repr(value)
-
-
-def _default_of(attribute: Field[Any]) -> Any:
-    return attribute.default if attribute.default_factory is MISSING else attribute.default_factory()
 
 
 # --- Jobs ---
@@ -181,22 +171,25 @@ class Executor(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Job:
-    """A recording to be converted, with everything that another process needs for it.
+    """What is done with a recording, with everything that another process needs for it.
 
     Attributes
     ----------
-    key
-        Its name in the dataset.
-    sources, destination
-        Absolute paths, or URLs.
-    container
-        The name of the source's format.
-    output
-        The path of the result, relative to the folder of the batch.
+    recording
+        The recording, with absolute paths.
     request
         The conversion that is requested.
-    size_bytes
-        The size of all sources together.
+    destination
+        The absolute path of the result.
+    output
+        The same, relative to the folder of the batch; empty for none.
+    action
+        ``convert``; ``keep``: the result is up to date; ``refuse``: it cannot be converted; ``skip``: the dataset file
+        excludes it.
+    why
+        The reason, for people.
+    error
+        Why it is refused.
     owned
         The recorded files of the output: it is replaced without ``overwrite``, too. None if there are none.
     there
@@ -211,90 +204,79 @@ class Job:
         The folder for local copies of what is at URLs; None: the system's folder for temporary files.
     """
 
-    key: str
-    # Not in the repr: URLs may contain secrets, and a cluster writes jobs into its logs.
-    sources: tuple[str, ...] = field(repr=False)
-    destination: str = field(repr=False)
-    container: str = ""
-    output: str
+    recording: Recording
     request: Request
-    size_bytes: int = 0
+    destination: Path
+    output: str
+    action: str = "convert"
+    why: str = ""
+    error: Pc2ScanError | None = None
     owned: frozenset[str] | None = None
     there: Identity | None = None
     threads: int = 1
     dry_run: bool = False
     shown: bool = False
-    scratch: str | None = None
+    scratch: Path | None = None
 
     @property
-    def is_new(self) -> bool:
-        """Whether the plan found no output."""
-        return self.there is not None and not self.there.files
+    def key(self) -> str:
+        """The recording's name in the dataset."""
+        return self.recording.key
+
+    @property
+    def size_bytes(self) -> int:
+        """The size of all sources together."""
+        return self.recording.identity.size_bytes
 
     def retried(self) -> Job:
         """Return the job for another attempt: one that died may have completed the output, which may be replaced."""
         return replace(self, owned=self.owned or frozenset(), there=None)
 
     def record(self, **found: Any) -> ManifestRecord:
-        """Return the line of the manifest, with what was found by the conversion."""
-        sources = tuple(str(path_or_url(source)) for source in self.sources)
-        known = {"container": self.container, "options": self.request.digest, "output": self.output}
-        return ManifestRecord(key=self.key, sources=sources, **(known | found))
+        """Return the line of the manifest, with what the conversion says."""
+        known: dict[str, Any] = {
+            "identity": self.recording.identity,
+            "container": self.recording.container,
+            "options": self.request.digest,
+            "output": self.output,
+        }
+        return ManifestRecord(key=self.key, sources=tuple(map(str, self.recording.paths)), **(known | found))
 
     def failure(self, error: Pc2ScanError, /, **found: Any) -> ManifestRecord:
         """Return the line of a recording that cannot be converted, with what is known of it."""
         known = {"outcome": "failed", "exit_status": error.exit_status, "error": error.as_dict()}
         return self.record(**(known | found))
 
-    def death(self, why: str, *, attempts: int, seconds: float) -> ManifestRecord:
+    def death(self, why: str) -> ManifestRecord:
         """Return the line of a recording whose process died."""
         error = Pc2ScanError(why)
-        try:
-            identity = identity_of(map(path_or_url, self.sources))
-        except Pc2ScanError:
-            identity = Identity()
-        return self.failure(
-            error,
-            identity=identity,
-            outcome="died",
-            error=error.as_dict() | {"kind": "ProcessDied"},
-            started=_utc_now(),
-            seconds=seconds,
-            attempts=attempts,
-        )
-
-
-def _utc_now() -> str:
-    """Return the time as the manifest has it: in UTC, with milliseconds."""
-    return datetime.now(timezone.utc).isoformat(timespec="milliseconds")
+        return self.failure(error, outcome="died", error=error.as_dict() | {"kind": "ProcessDied"})
 
 
 def convert_one(job: Job) -> ManifestRecord:
     """Convert a recording, and return its line of the manifest. Errors do not raise; they are part of the line."""
     began = time.monotonic()
-    sources, destination = [path_or_url(path) for path in job.sources], path_or_url(job.destination)
-    known: dict[str, Any] = {"identity": Identity(), "started": _utc_now()}
+    known: dict[str, Any] = {"started": datetime.now(timezone.utc).isoformat(timespec="milliseconds")}
     try:
-        known["identity"] = identity_of(sources)
-        with copying_to(Path(job.scratch) if job.scratch else None):
-            done = _run_job(job, sources, destination)
-        report, status = done.as_dict(), done.exit_status
+        known["identity"] = identity_of(job.recording.paths)
+        with copying_to(job.scratch):
+            report = _run_job(job)
         record = job.record(
-            outcome=_OUTCOMES.get(status, "failed"),
-            exit_status=status,
-            output_identity=Identity() if job.dry_run else identity_of([destination]),
-            report=report,
-            text=str(done) if job.shown else "",
+            outcome=_OUTCOMES.get(report.exit_status, "failed"),
+            exit_status=report.exit_status,
+            output_identity=Identity() if job.dry_run else identity_of([job.destination]),
+            report=report.as_dict(),
+            text=str(report) if job.shown else "",
             **known,
         )
     except NothingToConvertError as err:
         # Datasets have recordings of other kinds, too. A damaged one may have lost its clouds.
-        if not _damage_of(job, sources):
+        if not _damage_of(job):
             known |= {"outcome": NO_CLOUDS, "exit_status": 0}
         record = job.failure(err, **known)
     except Pc2ScanError as err:
         # What is uploaded stays on no disk of this machine; and the next recording may fit where this one did not.
-        full = isinstance(err, OutputError) and not isinstance(destination, UrlPath) and is_full(err)
+        full = isinstance(err, OutputError) and not isinstance(job.destination, UrlPath) and is_full(err)
         record = job.failure(err, disk_is_full=full, **known)
     except Exception as err:  # noqa: BLE001  # one recording must not end the others; the manifest has the traceback
         kind, text = type(err).__name__, "".join(traceback.format_exception(err))
@@ -303,17 +285,18 @@ def convert_one(job: Job) -> ManifestRecord:
     return replace(record, seconds=round(time.monotonic() - began, 3))
 
 
-def _run_job(job: Job, sources: list[Path], destination: Path) -> Report | ExportReport:
+def _run_job(job: Job) -> Report | ExportReport:
     """Convert or export; raises the errors of that."""
-    request = job.request
-    if job.there and job.there.files and not request.output.overwrite and not isinstance(destination, UrlPath):
+    request, sources, destination = job.request, job.recording.paths, job.destination
+    if job.there is not None and not request.output.overwrite and not isinstance(destination, UrlPath):
         now = identity_of([destination])
         if now.files and now != job.there:
             hint = "move it away, or `overwrite=True` replaces it"
             raise DestinationError("was edited since the batch began", path=destination, hint=hint)
     options = replace(request.options, jobs=job.threads)
     if job.dry_run and request.export is not None and not request.export.converting:
-        return _inspect_export(job, sources)
+        # Opened, and not read.
+        return ExportReport([*map(str, sources)], str(destination), str(request.export.format), damage=_damage_of(job))
     if request.export is None or job.dry_run:
         # An export that converts clouds would do what the conversion would.
         output = request.output._replace(owned=job.owned, dry_run=job.dry_run)
@@ -324,16 +307,8 @@ def _run_job(job: Job, sources: list[Path], destination: Path) -> Report | Expor
     return export(sources, destination, options, form, in_folder=True)
 
 
-def _inspect_export(job: Job, sources: list[Path]) -> ExportReport:
-    """Open a recording whose scans or clouds would be exported without conversion, and report what would be read."""
-    assert job.request.export is not None
-    form = str(job.request.export.format)
-    return ExportReport(list(job.sources), job.destination, form, damage=_damage_of(job, sources))
-
-
-def _damage_of(job: Job, sources: list[Path]) -> tuple[Damage, ...]:
+def _damage_of(job: Job) -> tuple[Damage, ...]:
     """Open a recording, and return the damage that is found by that."""
-    options = job.request.options
     with ExitStack() as stack:
-        readers = open_recordings(sources, stack, strict=options.strict)
+        readers = open_recordings(job.recording.paths, stack, strict=job.request.options.strict)
         return tuple(place for reader in readers for place in reader.damage)

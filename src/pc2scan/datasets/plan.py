@@ -5,21 +5,27 @@ Nothing is written, and of the results only what they are is looked at.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import os
+from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.destinations import default_destination
 from pc2scan.errors import DestinationError, name_list
-from pc2scan.files.ownership import name_key
+from pc2scan.files.ownership import Inputs, OutputPath, first_link, name_key
 from pc2scan.files.places import working_names
+from pc2scan.files.urls import absolute
 from pc2scan.text import size
 from pc2scan.version import __version__
 
+from .jobs import Job
+
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from pc2scan.errors import Pc2ScanError
+    from pc2scan.files.ownership import InputPath
 
     from .find import Recording
     from .folder import BatchFolder
@@ -27,57 +33,19 @@ if TYPE_CHECKING:
     from .manifest import Identity, ManifestRecord
 
 
-@dataclass(frozen=True, slots=True)
-class Step:
-    """What is done with one recording.
+class BatchPlan(NamedTuple):
+    """What is done with every recording, in the order of their keys; ``skipped``: those that the dataset file skips."""
 
-    Attributes
-    ----------
-    found
-        The recording.
-    action
-        ``convert``; ``keep``: its result is up to date; ``refuse``: it cannot be converted; ``skip``: the dataset file
-        excludes it.
-    why
-        The reason, for people.
-    request
-        Its options; None if it is skipped.
-    output
-        The path of the result, relative to the folder of the batch; empty for none.
-    owned
-        The files of the output that are recorded; None if it was never written.
-    there
-        The output as it is now.
-    record
-        Its last line in the manifest.
-    error
-        Why it is refused.
-    """
+    jobs: list[Job]
+    skipped: list[Recording]
+    warnings: list[str]
 
-    found: Recording
-    action: str
-    why: str
-    request: Request | None
-    output: str = ""
-    owned: frozenset[str] | None = None
-    there: Identity | None = None
-    record: ManifestRecord | None = None
-    error: Pc2ScanError | None = None
+    def of(self, action: str) -> list[Job]:
+        """Return the jobs with one action."""
+        return [job for job in self.jobs if job.action == action]
 
 
-@dataclass(frozen=True, slots=True)
-class BatchPlan:
-    """What is done with every recording, in the order of their keys."""
-
-    steps: tuple[Step, ...]
-    warnings: tuple[str, ...] = ()
-
-    def of(self, action: str) -> list[Step]:
-        """Return the steps with one action."""
-        return [step for step in self.steps if step.action == action]
-
-
-def destinations(found: Sequence[Recording], requests: Mapping[str, Request | None]) -> dict[str, str]:
+def _outputs(requests: Mapping[Recording, Request]) -> dict[str, str]:
     """Return the paths of the results, by key: the folders of the sources, with the names that `convert` gives.
 
     Exported files go into a folder with the name of the recording.
@@ -86,9 +54,7 @@ def destinations(found: Sequence[Recording], requests: Mapping[str, Request | No
     source becomes a part of its name: ``drive_bag_scan.mcap``. So it does if a result would be a folder with another
     result in it (``drive.bag`` and ``drive/x.bag`` with ``--format npz``): ``drive_bag`` and ``drive/x``.
     """
-    wanted = {
-        each.key: (each, request) for each in found if each.container and (request := requests[each.key]) is not None
-    }
+    wanted = {each.key: (each, request) for each, request in requests.items() if each.container}
     named = {key: _result_name(*each) for key, each in wanted.items()}
     for key in {other for others in _clashes(named).values() for other in others}:
         named[key] = _result_name(*wanted[key], distinct=True)
@@ -116,77 +82,91 @@ def _clashes(outputs: Mapping[str, str]) -> dict[str, list[str]]:
     }
 
 
-def _result_name(found: Recording, request: Request, *, distinct: bool = False) -> str:
-    source = Path(found.key)
+def _result_name(recording: Recording, request: Request, *, distinct: bool = False) -> str:
+    source = Path(recording.key)
     suffix = f"_{source.suffix[1:] or 'folder'}" if distinct else ""
     mark, to = ("", "rosbag2") if request.export is not None else ("_scan", request.output.to)
-    return default_destination(source, found.container, f"{suffix}{mark}", folder=source.parent, to=to).as_posix()
+    return default_destination(source, recording.container, f"{suffix}{mark}", folder=source.parent, to=to).as_posix()
 
 
 def make_plan(
-    found: Sequence[Recording],
+    recordings: Sequence[Recording],
     requests: Mapping[str, Request | None],
     folder: BatchFolder,
+    inputs: Sequence[InputPath],
     *,
-    forbidden: Callable[[str], Pc2ScanError | None] = lambda _: None,
     again: bool = False,
 ) -> BatchPlan:
     """Decide what is done with each recording.
 
     Parameters
     ----------
-    found
+    recordings
         The recordings.
     requests
         Their options, by key; None for those that are skipped.
     folder
         The folder of the batch, with what earlier runs have recorded.
-    forbidden
-        Returns why an output may not be written, whatever is there: it is a source, or behind a link.
+    inputs
+        Everything that is read. No result is written there.
     again
         Whether everything is converted again.
     """
-    outputs = destinations(found, requests)
+    wanted = {each: request for each in recordings if (request := requests[each.key]) is not None}
+    outputs = _outputs(wanted)
     clashes = _clashes(outputs)
-    steps = []
-    left: dict[str, str] = {}
-    for each in found:
-        request = requests[each.key]
-        record = folder.records.get(each.key)
-        output = outputs.get(each.key, "")
-        step = Step(each, "convert", "", request, output, record=record)
-        if request is None:
-            steps.append(replace(step, action="skip", why="the dataset file skips it"))
-            continue
-        if each.error is not None:
-            steps.append(replace(step, action="refuse", why=each.error.message, error=each.error))
-            continue
-        there = folder.present(output)
-        step = replace(step, owned=folder.owned(output), there=there)
-        why = "asked for" if again else _reason(each, request, output, folder, there)
-        error = None
+    forbidden = partial(_forbidden, folder.path, cache(partial(Inputs, inputs)))
+    jobs: list[Job] = []
+    left: list[str] = []
+    for each, request in wanted.items():
+        record, output = folder.records.get(each.key), outputs.get(each.key, "")
+        at = replace(each, paths=tuple(map(absolute, each.paths)))
+        job = Job(recording=at, request=request, destination=absolute(folder.path / output), output=output)
+        why, error = "", each.error
+        if error is None:
+            there = folder.present(output)
+            job = replace(job, owned=folder.owned(output), there=there)
+            why = "asked for" if again else _reason(job, record, folder, there)
         if why:
-            others = clashes.get(each.key)
-            error = _clash(each.key, others[0], outputs, folder.path) if others else forbidden(output)
+            error = _clash(each.key, clashes[each.key], outputs) if each.key in clashes else forbidden(output)
             if error is None and not request.output.overwrite and not folder.may_replace(output, there):
-                error = _ownership_error(folder.path / output, there, folder.left.get(output))
+                error = _ownership_error(job.destination, there, folder.left.get(output))
         if error is not None:
-            steps.append(replace(step, action="refuse", why=error.message, error=error))
+            jobs.append(replace(job, action="refuse", why=error.message, error=error))
             continue
-        steps.append(replace(step, action="convert" if why else "keep", why=why or "unchanged"))
-        if record is not None and record.output and record.output != output and folder.present(record.output).files:
-            left[record.output] = output
-    return BatchPlan(tuple(steps), tuple(_left_warning(left)))
+        jobs.append(replace(job, action="convert" if why else "keep", why=why or "unchanged"))
+        if record is not None and record.output not in ("", output) and folder.present(record.output).files:
+            left.append(record.output)
+    warnings = [f"earlier results have other names now, and stay: {name_list(left, 3)}"] if left else []
+    return BatchPlan(jobs, [each for each in recordings if each not in wanted], warnings)
 
 
-def _clash(key: str, other: str, outputs: Mapping[str, str], out: Path) -> Pc2ScanError:
+def _forbidden(out: Path, read: Callable[[], Inputs], output: str) -> DestinationError | None:
+    """Return why an output may not be written into a folder, whatever is there; None if it may."""
+    path = out / output
+    try:
+        read().refuse(OutputPath(path))
+    except DestinationError as err:
+        return err
+    link = first_link(out, output)
+    if link is None:
+        return None
+    return DestinationError(
+        f"would be written through the link {link}, and a batch writes only into its own folder",
+        path=path,
+        hint="remove the link; or convert what belongs there in a batch of its own, "
+        f"`destination={os.path.realpath(link)}`",
+    )
+
+
+def _clash(key: str, others: Sequence[str], outputs: Mapping[str, str]) -> Pc2ScanError:
     """Return the error of a recording whose result would have the name of another one, or be in it."""
+    other = others[0]
     is_in = name_key(outputs[key]).startswith(f"{name_key(outputs[other])}/")
     return DestinationError(
         f"would be in {outputs[other]}, the result of {other}"
         if is_in
         else f"would be the output of both {key} and {other}",
-        path=out / outputs[key],
         hint="rename one of them, or write their outputs to different folders, in two batches",
     )
 
@@ -205,54 +185,33 @@ def _ownership_error(path: Path, there: Identity, left: Identity | None) -> Pc2S
     )
 
 
-def _left_warning(left: Mapping[str, str]) -> Iterator[str]:
-    """Warn of earlier results whose recordings have another output now. They are not changed."""
-    for old, new in list(left.items())[:1]:
-        more = f" (and {len(left) - 1:,} more outputs of earlier runs)" if len(left) > 1 else ""
-        yield f"{old} is out of date: its recording is written to {new} now{more}; the old file is not changed"
-
-
-def _reason(
-    found: Recording,
-    request: Request,
-    output: str,
-    folder: BatchFolder,
-    there: Identity,
-) -> str:
+def _reason(job: Job, record: ManifestRecord | None, folder: BatchFolder, there: Identity) -> str:
     """Return why a recording is converted; empty if its result is up to date."""
-    record = folder.records.get(found.key)
     if record is None:
-        return "interrupted before" if output in folder.unfinished else "new"
+        return "interrupted before" if job.output in folder.unfinished else "new"
     if record.version != __version__:
         return f"converted by pc2scan {record.version}"
-    if record.options != request.digest:
+    if record.options != job.request.digest:
         return "other options"
-    if changed := _change_of(found, record):
+    if changed := _change_of(job.recording, record):
         return changed
     if record.has_nothing:
         return ""
     if not record.is_written:
         message = str((record.error or {}).get("message", ""))
         return f"{record.outcome} before{f': {message}' if message else ''}"
-    if record.output != output:
+    if record.output != job.output:
         return f"written to {record.output} before"
     if not there.files:
         return "its output is missing"
-    if there != record.output_identity:
-        return f"its output was changed: it has {size(there.size_bytes)}, it was written with " + size(
-            record.output_identity.size_bytes
-        )
-    return ""
+    return "" if there == record.output_identity else "its output was changed"
 
 
-def _change_of(found: Recording, record: ManifestRecord) -> str:
-    before, now = record.identity, found.identity
+def _change_of(recording: Recording, record: ManifestRecord) -> str:
+    before, now = record.identity, recording.identity
     if not now.has_sizes_of(before):
         return f"the source was changed: it has {size(now.size_bytes)}, it had {size(before.size_bytes)}"
-    if now == before:
-        return ""
-    of_store = any(isinstance(version, str) for _, _, version in now.files)
-    return f"the source was changed: another {'version' if of_store else 'time of modification'}"
+    return "" if now == before else "the source was changed"
 
 
 def have_same_outcome(record: ManifestRecord, other: ManifestRecord) -> bool:

@@ -6,30 +6,28 @@ import os
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.errors import DestinationError, DiskFullError, OutputError, UsageError
 from pc2scan.files.outputs import check_file_output, file_output
-from pc2scan.files.ownership import InputPath, Inputs, OutputPath, first_link, inputs_of
+from pc2scan.files.ownership import InputPath, first_link, inputs_of
 from pc2scan.files.staging import clean_up, note_written
-from pc2scan.files.system import copying_to, is_full
-from pc2scan.files.transfers import refuse_without_room
-from pc2scan.files.urls import UrlPath, absolute, is_url
+from pc2scan.files.system import is_full
+from pc2scan.files.urls import UrlPath, absolute
 from pc2scan.result import BEGINNING
 from pc2scan.text import counted
 from pc2scan.threads import cores
 
 from .cluster import check_dask, run_jobs_on_dask
 from .dataset_file import Choices, DatasetFile, load_dataset_file
-from .find import find
+from .find import find, natural_key
 from .folder import open_folder
-from .jobs import Job
 from .manifest import MANIFEST
 from .plan import have_same_outcome, make_plan
-from .processes import available_bytes, run_jobs, workers_for
+from .processes import run_jobs
 from .summary import BatchReport, Outcome
 
 if TYPE_CHECKING:
@@ -39,9 +37,9 @@ if TYPE_CHECKING:
     from pc2scan.options.call import Options
 
     from .folder import BatchFolder
-    from .jobs import Executor
+    from .jobs import Executor, Job
     from .manifest import ManifestRecord
-    from .plan import BatchPlan, Step
+    from .plan import BatchPlan
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +51,7 @@ class BatchOptions:
     dataset
         The dataset file; None for none.
     jobs
-        How many recordings are converted at a time; 0: one for each core, as far as the memory is enough.
+        How many recordings are converted at a time; 0: one for each core.
     again
         Whether recordings are converted again whose results are up to date.
     dry_run
@@ -168,14 +166,14 @@ def run_batch(
             batch.try_out()
         else:
             batch.convert()
-        keys = [step.found.key for step in plan.steps]
+        outcomes = [*batch.outcomes.values(), *(Outcome.skipped_by_file(each.key) for each in plan.skipped)]
         report = BatchReport(
             out,
-            outcomes=[batch.outcomes.get(step.found.key) or Outcome.of(step, None) for step in plan.steps],
+            outcomes=sorted(outcomes, key=lambda each: natural_key(each.key)),
             dry_run=options.dry_run,
             seconds=round(time.monotonic() - began, 3),
             workers=0 if isinstance(options.dask, str) else batch.workers,
-            warnings=[*choices.warnings(keys), *plan.warnings],
+            warnings=[*choices.warnings(each.key for each in outcomes), *plan.warnings],
         )
         if write_report is not None:
             write_report(report.as_json())
@@ -206,44 +204,19 @@ def _open_report(options: BatchOptions, folder: BatchFolder, stack: ExitStack) -
 def _plan(sources: Sequence[str], folder: BatchFolder, choices: Choices, options: BatchOptions) -> BatchPlan:
     """Find the recordings, and decide what is done with each."""
     outputs = [folder.path / output for output in folder.outputs]
-    found = find(sources, folder.path, known=folder.container_of, outputs=outputs)
-    if not found:
+    recordings = find(sources, folder.path, known=folder.container_of, outputs=outputs)
+    if not recordings:
         raise UsageError(f"no recording found in {', '.join(sources)}")
-    requests = choices.of(each.key for each in found)
-    inputs = [InputPath(path) for each in found for path in each.paths]
+    requests = choices.of(each.key for each in recordings)
+    inputs = [InputPath(path) for each in recordings for path in each.paths]
     if options.dataset is not None:
         inputs.append(InputPath(options.dataset, "file of `dataset`"))
     for request in {id(request): request for request in requests.values() if request is not None}.values():
         inputs += inputs_of((), request.options.frames.tf_from, request.options.files)
-    plan = make_plan(
-        found,
-        requests,
-        folder,
-        forbidden=partial(_forbidden, folder.path, cache(partial(Inputs, inputs))),
-        again=options.again,
-    )
-    at_url = isinstance(folder.path, UrlPath) or any(isinstance(path, UrlPath) for each in found for path in each.paths)
-    if options.scratch is not None and not at_url:
+    paths = (folder.path, *(path for each in recordings for path in each.paths))
+    if options.scratch is not None and not any(isinstance(path, UrlPath) for path in paths):
         raise UsageError("`scratch` has no effect: no source and no destination is a URL")
-    return plan
-
-
-def _forbidden(out: Path, read: Callable[[], Inputs], output: str) -> DestinationError | None:
-    """Return why an output may not be written into a folder, whatever is there; None if it may."""
-    path = out / output
-    try:
-        read().refuse(OutputPath(path))
-    except DestinationError as err:
-        return err
-    link = first_link(out, output)
-    if link is None:
-        return None
-    return DestinationError(
-        f"would be written through the link {link}, and a batch writes only into its own folder",
-        path=path,
-        hint="remove the link; or convert what belongs there in a batch of its own, "
-        f"`destination={os.path.realpath(link)}`",
-    )
+    return make_plan(recordings, requests, folder, inputs, again=options.again)
 
 
 # --- Converting ---
@@ -270,24 +243,24 @@ class _Batch:
     ) -> None:
         self.watch = watch
         self._folder = folder
-        self._plan = plan
         self._options = options
         self._executor = executor
-        self._steps = {step.found.key: step for step in plan.steps}
-        self._jobs = [self._job(step) for step in plan.of("convert")]
+        self._by_key = {job.key: job for job in plan.jobs}
+        self._refused = plan.of("refuse")
+        scratch = None if options.scratch is None else absolute(options.scratch)
+        how: dict[str, Any] = {"dry_run": options.dry_run, "shown": watch.shown is not None, "scratch": scratch}
         # The largest first, so that at the end no worker is busy with a long recording while the others are idle.
-        self._jobs.sort(key=lambda job: (-job.size_bytes, job.key))
-        count = len(self._jobs)
-        self.workers = min(options.jobs or workers_for(count, cores(), available_bytes()), max(1, count))
-        self.outcomes = {step.found.key: Outcome.of(step, step.record) for step in plan.of("keep")}
+        self._jobs = sorted((replace(job, **how) for job in plan.of("convert")), key=lambda job: -job.size_bytes)
+        self.workers = max(1, min(options.jobs or cores(), len(self._jobs)))
+        self.outcomes = {job.key: Outcome.of(job, folder.records[job.key]) for job in plan.of("keep")}
 
     def try_out(self) -> None:
         """Say what would be done, and write nothing."""
-        for record in self._refusals():
-            self._show(record)
+        for job in self._refused:
+            self._show(self._refusal(job))
         with TemporaryDirectory(prefix="pc2scan-") as folder:
             # Nothing is written there either. It is needed because the folders of the outputs may not exist yet.
-            self._run([replace(job, destination=str(Path(folder, Path(job.destination).name))) for job in self._jobs])
+            self._run([replace(job, destination=Path(folder, job.destination.name)) for job in self._jobs])
 
     def convert(self) -> None:
         """Convert the recordings, and write the manifest.
@@ -299,111 +272,69 @@ class _Batch:
         """
         self._clean_up()
         try:
-            self._convert()
+            with self._folder.writing({job.output for job in self._jobs}):
+                for record in map(self._refusal, self._refused):
+                    earlier = self._folder.records.get(record.key)
+                    if earlier is None or not have_same_outcome(earlier, record):
+                        self._folder.append(record)
+                    self._show(record)
+                if self._jobs:
+                    self._run(self._jobs)
         except OutputError as err:
             if is_full(err):
                 raise self._disk_is_full(err.message, err.path) from err
             raise
 
-    def _convert(self) -> None:
-        refusals = self._refusals()
-        with self._folder.writing({job.output for job in self._jobs}):
-            for record in refusals:
-                earlier = self._steps[record.key].record
-                if earlier is None or not have_same_outcome(earlier, record):
-                    self._folder.append(record)
-                self._show(record)
-            if self._jobs:
-                self._run(self._jobs)
-
     def _clean_up(self) -> None:
         """Remove the temporary files that killed runs have left beside the outputs in this folder."""
         out = self._folder.path
-        if isinstance(out, UrlPath):
-            # Nothing is beside them: see `pc2scan.files.transfers`.
-            return
-        planned = [step.output for action in ("convert", "keep") for step in self._plan.of(action)]
-        for output in {*self._folder.outputs, *planned}:
+        for output in {*self._folder.outputs, *(job.output for job in self._by_key.values() if job.action != "refuse")}:
             if first_link(out, output) is None:
                 clean_up(out / output)
 
-    def _refusals(self) -> list[ManifestRecord]:
-        """Return the lines of the recordings that are refused."""
-        return [
-            self._job(step).failure(
-                step.error, identity=step.found.identity, output=step.record.output if step.record else ""
-            )
-            for step in self._plan.of("refuse")
-            if step.error is not None
-        ]
-
-    def _job(self, step: Step) -> Job:
-        assert step.request is not None
-        destination = self._folder.path / step.output
-        at_url = any(isinstance(path, UrlPath) for path in (*step.found.paths, destination))
-        scratch = self._options.scratch if at_url else None
-        return Job(
-            key=step.found.key,
-            sources=tuple(os.fspath(absolute(path)) for path in step.found.paths),
-            destination=os.fspath(absolute(destination)),
-            container=step.found.container,
-            output=step.output,
-            request=step.request,
-            size_bytes=step.found.identity.size_bytes,
-            owned=step.owned,
-            there=step.there,
-            dry_run=self._options.dry_run,
-            shown=self.watch.shown is not None,
-            scratch=None if scratch is None else str(absolute(scratch)),
-        )
+    def _refusal(self, job: Job) -> ManifestRecord:
+        """Return the line of a recording that is refused; it keeps the place of an earlier result."""
+        assert job.error is not None
+        earlier = self._folder.records.get(job.key)
+        return job.failure(job.error, output=earlier.output if earlier else "")
 
     def _run(self, jobs: Sequence[Job]) -> None:
         """Run jobs, and record and show each as it ends."""
-        if self._executor is run_jobs:
-            # The largest are first. On a cluster, each worker has a folder of its own.
-            fetched = sum(job.size_bytes for job in jobs[: self.workers] if any(map(is_url, job.sources)))
-            with copying_to(self._options.scratch):
-                refuse_without_room(
-                    fetched, self._folder.path, "give fewer `jobs`, or another disk's folder as `scratch`"
-                )
-        sizes = {job.key: job.size_bytes for job in jobs}
-        done, total = 0, sum(sizes.values())
-        self.watch.progress(BatchProgress(0, total, 0, len(sizes)))
+        done, total = 0, sum(job.size_bytes for job in jobs)
+        self.watch.progress(BatchProgress(0, total, 0, len(jobs)))
         records = self._executor(jobs, workers=self.workers, lock=self._folder.lock)
         try:
             for number, record in enumerate(records, start=1):
                 if record.disk_is_full:
                     assert record.error is not None  # that of the disk
                     raise self._disk_is_full(record.error["message"], record.error["path"])
-                self._end(record)
-                done += sizes[record.key]
-                self.watch.progress(BatchProgress(done, total, number, len(sizes)))
+                if not self._options.dry_run:
+                    self._record(record)
+                self._show(record)
+                done += self._by_key[record.key].size_bytes
+                self.watch.progress(BatchProgress(done, total, number, len(jobs)))
         finally:
             # Also if the manifest cannot be written: the workers must end.
             records.close()
 
     def _disk_is_full(self, message: str, path: str | PathLike[str] | None) -> DiskFullError:
         """Return the error that ends the batch, given that of a result or of the manifest."""
-        planned = self._plan.of("convert")
-        left = sum(step.found.key not in self.outcomes for step in planned)
+        left = sum(job.key not in self.outcomes for job in self._jobs)
         return DiskFullError(
             message,
             path=path,
             hint="make room on that disk, and run the same command again: "
-            f"of {counted(len(planned), 'recording')}, {left:,} {'are' if left > 1 else 'is'} left to convert",
+            f"of {counted(len(self._jobs), 'recording')}, {left:,} {'are' if left > 1 else 'is'} left to convert",
         )
 
-    def _end(self, record: ManifestRecord) -> None:
-        """Record and show the result of a recording."""
+    def _record(self, record: ManifestRecord) -> None:
         path = self._folder.path / record.output
-        if record.is_written and not self._options.dry_run and not isinstance(path, UrlPath):
+        if record.is_written and not isinstance(path, UrlPath):
             note_written(path)
-        if not self._options.dry_run:
-            self._folder.append(record)
-        self._show(record)
-        if record.text and self.watch.shown is not None:
-            self.watch.shown(record.text)
+        self._folder.append(record)
 
     def _show(self, record: ManifestRecord) -> None:
-        outcome = self.outcomes[record.key] = Outcome.of(self._steps[record.key], record)
+        outcome = self.outcomes[record.key] = Outcome.of(self._by_key[record.key], record)
         self.watch.done(outcome)
+        if record.text and self.watch.shown is not None:
+            self.watch.shown(record.text)

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
+    from .jobs import Job
     from .manifest import ManifestRecord
-    from .plan import Step
 
 #: Outcomes from bad to good. Recordings are shown in this order.
 _ORDER = ("died", "failed", "empty", "incomplete", NO_CLOUDS, "converted", "skipped")
@@ -128,11 +128,13 @@ class Outcome:
     hint: str = ""
 
     @classmethod
-    def of(cls, step: Step, record: ManifestRecord | None) -> Outcome:
-        """Return the outcome of a step of the plan, given its line of the manifest."""
-        if step.action == "skip":
-            return cls(key=step.found.key, action="skip", why=step.why, outcome="skipped")
-        assert record is not None  # all others have ended
+    def skipped_by_file(cls, key: str) -> Outcome:
+        """Return the outcome of a recording that the dataset file skips."""
+        return cls(key=key, action="skip", why="the dataset file skips it", outcome="skipped")
+
+    @classmethod
+    def of(cls, job: Job, record: ManifestRecord) -> Outcome:
+        """Return the outcome of a job, given its line of the manifest."""
         report: Mapping[str, Any] = record.report or {}
         error: Mapping[str, Any] = record.error or {}
         topics = report.get("topics", ())
@@ -142,9 +144,9 @@ class Outcome:
             converted = [topic for topic in topics if topic["action"] == "converted"]
             scans, empty = (sum(topic[name] for topic in converted) for name in ("messages_out", "empty_scans"))
         return cls(
-            key=step.found.key,
-            action=step.action,
-            why=step.why,
+            key=job.key,
+            action=job.action,
+            why=job.why,
             outcome=record.outcome,
             exit_status=record.exit_status,
             output=record.output if record.report is not None else "",

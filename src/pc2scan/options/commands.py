@@ -82,7 +82,7 @@ class BatchRun(TypedDict, total=False):
         Count(0, MAX_JOBS),
         f"Number of recordings at a time, up to {MAX_JOBS:,}, each in its own process; the output does not depend "
         "on it.",
-        How(default=0, default_text="number of cores, as memory allows", short="-j"),
+        How(default=0, default_text="number of cores", short="-j"),
     ]
     dask: Annotated[
         bool | str,
