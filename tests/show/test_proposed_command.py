@@ -171,7 +171,8 @@ def test_clouds_without_transforms_are_left_out(
 
 @pytest.mark.parametrize("degrees", [0.5, 2.0, 8.0])
 def test_a_recorded_mount_that_is_off_is_said_and_corrected(degrees: float, tmp_path: Path) -> None:
-    path = hall(mount=(0.2, 0.0, 0.6), turned=math.radians(degrees))(tmp_path)
+    path = tmp_path / "drive.mcap"
+    hall(path, mount=(0.2, 0.0, 0.6), turned=math.radians(degrees))
     found = pc2scan.info(path)
     (call,) = found.proposals
     is_off = degrees > 1.0

@@ -30,6 +30,7 @@ from support.builders import (
     write_mcap,
     write_rosbag1,
 )
+from support.situations import MISTAKES
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -143,6 +144,7 @@ def write_json(path: Path, form: str = "counted", *, messages: int = 40, text: s
 
 #: What makes a recording at a path, by its name.
 MADE: dict[str, Callable[[Path], object]] = {
+    **MISTAKES,
     "content.bag": lambda path: write_rosbag1(path, CONTENT),
     "content_of_ros1.mcap": _built("mcap-ros1"),
     "content.mcap": _built("mcap-lz4"),
