@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from contextlib import closing, nullcontext
-from dataclasses import replace
+from contextlib import nullcontext
 from operator import attrgetter, itemgetter
 from threading import get_ident
 from typing import TYPE_CHECKING, Any
@@ -15,17 +14,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan.bags.chunks import MIN_WHOLE_BYTES, Segment, Segments, segment_chunks, whole_chunks
-from pc2scan.bags.loading import AHEAD_BYTES, LARGEST_AHEAD, Chunk, LazyItems, merge_by_time
-from pc2scan.bags.opening import open_recording
+from pc2scan.bags.loading import AHEAD_BYTES, LARGEST_AHEAD, Chunk, merge_by_time
 from pc2scan.errors import RecordingError
 from pc2scan.model import ChunkRule, Connection, RawMessage, StoredChunk
 from pc2scan.threads import Threads
-from support import mcap_files, rosbag1_files
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
     from contextlib import AbstractContextManager
-    from pathlib import Path
 
 TOPIC = Connection(1, "/a", "a/msg/A", "cdr")
 
@@ -169,49 +165,3 @@ def test_messages_of_a_large_chunk_are_the_work_of_all_threads(jobs: int | None)
         items = merge_by_time([chunk(2), chunk(3, range(30, 38), size=LARGEST_AHEAD + 8), chunk(4)], work, threads)
         assert [item.log_time_ns for item in items] == [20, *range(30, 38), 40]  # type: ignore[union-attr]
     assert len(workers) == (jobs or 1)
-
-
-# --- Chunks of very many messages: the same messages in the same order, with next to none of them in memory ---
-
-#: Of two topics, not in order, some at the same time.
-ROWS = [
-    (number % 2, 1000 + 10 * (number // 2) + (number * 7) % 40, bytes([0, 1, 0, 0, number])) for number in range(99)
-]
-BAG = [replace(rosbag1_files.connection(f"/topic{number}"), id=number) for number in range(2)]
-WRITERS: dict[str, Callable[[Path, str], Path]] = {
-    "a.mcap": lambda path, compression: mcap_files.write(path, ROWS, compression=compression),
-    "a.bag": lambda path, compression: rosbag1_files.write(path, BAG, ROWS, compression),
-}
-
-
-def read(path: Path, start_ns: int | None, stop_ns: int | None) -> tuple[list[tuple[str, int, bytes]], list[str]]:
-    with closing(open_recording(path)) as reader:
-        rows = [(m.connection.topic, m.log_time_ns, bytes(m.data)) for m in reader.messages(None, start_ns, stop_ns)]
-        return rows, [place.what for place in reader.damage]
-
-
-@pytest.mark.parametrize("cut", [(None, None), (1100, 1300)])
-@pytest.mark.parametrize("kind", ["none", "lz4", "damaged"])
-@pytest.mark.parametrize("name", WRITERS)
-def test_the_messages_of_very_many_are_the_same(
-    name: str, kind: str, cut: tuple[int | None, int | None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = WRITERS[name](tmp_path / name, "none" if kind == "damaged" else kind)
-    if kind == "damaged":
-        # A length.
-        data = bytearray(path.read_bytes())
-        data[data.index(ROWS[30][2]) - (30 if name == "a.mcap" else 3)] ^= 0x40
-        path.write_bytes(data)
-    expected = read(path, *cut)
-    for module in (
-        "pc2scan.bags.loading",
-        "pc2scan.bags.mcap.records",
-        "pc2scan.bags.mcap.chunks",
-        "pc2scan.bags.rosbag1.read",
-    ):
-        monkeypatch.setattr(f"{module}.MAX_LISTED_ITEMS", 7)
-    assert read(path, *cut) == expected
-    assert expected[0]
-    with closing(open_recording(path)) as reader:
-        loaded = [each.load(lambda message: message) for each in reader.chunks(None, *cut)]
-    assert any(isinstance(each, LazyItems) and len(each) > 7 for each in loaded)

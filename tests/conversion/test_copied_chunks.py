@@ -117,9 +117,7 @@ def stored_chunks(path: Path) -> list[tuple[frozenset[int] | None, str, bytes]]:
     """Connections, compression and stored bytes of every chunk."""
     reader: Any = Rosbag1Reader(path) if path.suffix == ".bag" else McapReader(path)
     with closing(reader):
-        return [
-            (s.connection_ids, s.compression, reader._file.read(s.offset, s.length)) for s in reader._index.segments
-        ]
+        return [(s.connection_ids, s.compression, reader._file.read(s.offset, s.length)) for s in reader._segments]
 
 
 def images_only(path: Path, images: frozenset[int] = frozenset({3, 5})) -> list[bytes]:

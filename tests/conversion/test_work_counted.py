@@ -96,7 +96,7 @@ def segments(path: Path) -> dict[str, list[Segment]]:
     reader: Any = Rosbag1Reader(path) if path.suffix == ".bag" else McapReader(path)
     topics = {connection.id: connection.topic for connection in reader.connections}
     found: dict[str, list[Segment]] = {topic: [] for topic in topics.values()}
-    for segment in reader._index.segments:
+    for segment in reader._segments:
         (identity,) = segment.connection_ids
         found[topics[identity]].append(segment)
     reader.close()

@@ -39,10 +39,17 @@ def test_thousands_of_equal_messages_are_no_attack(tmp_path: Path) -> None:
     assert (done.status, "9,000" in done.stdout) == (0, True), done.stderr
 
 
+def test_a_chunk_of_more_messages_than_any_has(tmp_path: Path) -> None:
+    source = mcap(tmp_path / "a.mcap", chunk((5, b"") for _ in range(600_000)))
+    done = run_bounded("repair", source, "-o", tmp_path / "out.mcap", margin=300_000_000)
+    assert done.status == 1, done.stderr
+    assert "a chunk has more than 524,288 messages" in done.stderr
+
+
 def test_messages_packed_one_by_one_that_unfold(tmp_path: Path) -> None:
     """Each is within what a message may unpack to; all of one chunk were unpacked at once."""
     packed = zstandard.compress(EMPTY[:4] + bytes(30_000_000))
     source = mcap(tmp_path / "a.mcap", chunk((1 + number, packed) for number in range(12)))
     done = run_bounded("repair", source, "-o", tmp_path / "out.mcap")
-    assert done.status == 0, done.stderr
-    assert "12" in done.stdout
+    assert done.status == 1
+    assert "unpack to more than" in done.stderr

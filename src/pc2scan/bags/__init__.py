@@ -13,7 +13,7 @@ module             contents
 ``damage``         the damage of a recording, noted by its reader
 ``zstd``           reads recordings and messages that are compressed as a whole
 ``qos``            QoS profiles
-``chunks``         common parts of containers with chunks; ``salvage``: of their damaged chunks
+``chunks``         common parts of containers with chunks
 ``rosbag1``        ROS 1 bags (``.bag``)
 ``mcap``           MCAP files
 ``rosbag2``        rosbag2 directories: metadata.yaml, and the sqlite3 storage (``.db3``)

@@ -1,4 +1,4 @@
-"""Common parts of containers with chunks: segments, which of them are read, and which may be copied as a whole."""
+"""Common parts of containers with chunks: segments, which are read, copied as a whole, or salvaged."""
 
 from __future__ import annotations
 
@@ -7,27 +7,26 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from functools import partial
 from operator import attrgetter
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from pc2scan.errors import stamp_text
-from pc2scan.model import declared_counts
+from pc2scan.errors import DamageError
+from pc2scan.model import StoredChunk, declared_counts
 
-from .loading import Chunk
+from .loading import Chunk, check_number
 from .reader import Reader
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator
+    from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from pc2scan.files.source import SourceFile
-    from pc2scan.model import ChunkRule, Connection
+    from pc2scan.model import Buffer, ChunkRule, Connection, RawMessage
 
     from .loading import Loaded
 
-    Span = tuple[int, int]
     Bools = NDArray[np.bool_]
     Numbers = NDArray[np.uint64]
 
@@ -85,11 +84,15 @@ class Segment:
     connection_ids: frozenset[int] | None = None
     message_count: int | None = None
 
+    @property
+    def stop(self) -> int:
+        """Offset of the record after it."""
+        return self.offset + self.length + self.padding
+
 
 class Kind(NamedTuple):
-    """What a segment has in common with many others: its class, its compression, and its connections."""
+    """What a segment has in common with many others: its compression and its connections."""
 
-    made_as: type[Segment]
     compression: str
     connection_ids: frozenset[int] | None
 
@@ -131,7 +134,7 @@ class Segments:
 
     def append(self, segment: Segment) -> None:
         """Add a segment."""
-        kind = Kind(type(segment), segment.compression, segment.connection_ids)
+        kind = Kind(segment.compression, segment.connection_ids)
         number = self._numbers.setdefault(kind, len(self.kinds))
         if number == len(self.kinds):
             self.kinds.append(kind)
@@ -149,8 +152,9 @@ class Segments:
 
     def __getitem__(self, place: int) -> Segment:
         *numbers, kind, count = _PACKED.unpack_from(self._packed, place * _PACKED.size)
-        made_as, compression, connection_ids = self.kinds[kind]
-        segment: Segment = made_as(*numbers, compression, connection_ids, count - 1 if count else None)
+        segment = Segment(*numbers)
+        segment.compression, segment.connection_ids = self.kinds[kind]
+        segment.message_count = count - 1 if count else None
         return segment
 
     def __iter__(self) -> Iterator[Segment]:
@@ -209,7 +213,7 @@ def whole_chunks(
     if rule is None:
         return np.zeros(len(rows), bool), starts
     known, (first, last) = rule.connection_ids, _limits(start_ns, stop_ns)
-    whole = np.array([ids is not None and ids <= known for _, _, ids in segments.kinds], bool)[rows["kind"]]
+    whole = np.array([ids is not None and ids <= known for _, ids in segments.kinds], bool)[rows["kind"]]
     whole &= (rows["uncompressed_size"] >= MIN_WHOLE_BYTES) & (starts >= first) & (ends <= last)
     if rule.last_ns is not None:
         whole &= ends <= np.uint64(rule.last_ns)
@@ -272,93 +276,233 @@ def segment_chunks(
         )
 
 
-class ChunkedReader(Reader):
-    """Reads a file with chunks. The log times that its index has for them are corrected where they would hide messages.
+class Salvage(NamedTuple):
+    """How the records of a container's chunk are read, each at its place.
 
-    A cut reads only chunks within its times. Comparing all chunks would take longer than the cut itself, so only some
-    are compared: the first and the last chunk, from which ``start`` and ``end`` count, the chunks next to a cut, and
-    those with impossible times. The index records after a chunk repeat the times of its messages. If these differ from
-    the index, the chunk itself is read, and is right.
+    Attributes
+    ----------
+    end_of
+        Returns where the record that begins at a place ends; None if none begins there, or it reaches beyond the data.
+    head_of
+        Returns the connection's id and the log time of the message at a place; None if none is there.
+    message_at
+        Returns the message between two places; None if its connection is unknown.
     """
 
+    end_of: Callable[[int], int | None]
+    head_of: Callable[[int], tuple[int, int] | None]
+    message_at: Callable[[int, int], RawMessage]
+
+    def records(self, data: Buffer, places: Sequence[int], *, complete: bool) -> Iterator[tuple[int, int]]:
+        """Yield where records begin and end: one behind the other; behind damage, from the next place on.
+
+        A message with a wrong length ends where the next one begins; the last one ends with the data, if these are
+        ``complete``.
+
+        Parameters
+        ----------
+        data
+            The records of a chunk.
+        places
+            Where messages begin by the chunk's index, sorted.
+        complete
+            Whether these are all of its bytes.
+        """
+        position = number = 0
+        while position < len(data):
+            while number < len(places) and places[number] <= position:
+                number += 1
+            following = places[number] if number < len(places) else len(data)
+            stop = self.end_of(position)
+            if stop is None or stop > following:
+                stop = following
+                if self.head_of(position) is None or (stop == len(data) and not complete):
+                    position = stop
+                    continue
+            yield position, stop
+            position = stop
+
+    def messages(
+        self, data: Buffer, segment: Segment, known: Container[int], entries: Sequence[tuple[int, int]]
+    ) -> tuple[list[RawMessage], dict[str, int | None]]:
+        """Return the messages of a damaged chunk, and what is lost: bytes, messages, and between which log times.
+
+        A log time outside of the chunk's is replaced by that in the index, if the index is right about others.
+
+        Parameters
+        ----------
+        data
+            Its records, as far as they could be decompressed.
+        segment
+            The chunk.
+        known
+            The connections by id.
+        entries
+            The log times and the places of its messages in its index, if it has one.
+        """
+        expected = {place: time_ns for time_ns, place in entries}
+        # If the records are sound, their content is right, whatever the index says.
+        places = [] if self._are_sound(data) else sorted(place for place in expected if self.head_of(place))
+        messages: list[RawMessage] = []
+        replaced: dict[int, int] = {}
+        covered = unknown = confirmed = last = 0
+        for start, stop in self.records(data, places, complete=len(data) >= segment.uncompressed_size):
+            covered += stop - start
+            head = self.head_of(start)
+            if head is None:
+                continue
+            if head[0] not in known:
+                unknown += 1
+                continue
+            if start in expected and not segment.start_ns <= head[1] <= segment.end_ns:
+                replaced[len(messages)] = expected[start]
+            confirmed += expected.get(start) == head[1]
+            messages.append(self.message_at(start, stop))
+            last = stop
+            check_number(messages)
+        replaced = replaced if len(replaced) <= max(confirmed, 1) else {}
+        for number, time_ns in replaced.items():
+            messages[number] = messages[number]._replace(log_time_ns=time_ns)
+        # Of a chunk that is cut off, what is lost came behind its last message.
+        is_front = len(data) < segment.uncompressed_size and covered == last > 0
+        return messages, {
+            "bytes_lost": max(segment.uncompressed_size, len(data)) - covered,
+            "messages_lost": len(entries) - confirmed - len(replaced) if entries else unknown or None,
+            "first_ns": max(each.log_time_ns for each in messages) if is_front else segment.start_ns,
+            "last_ns": segment.end_ns,
+        }
+
+    def _are_sound(self, data: Buffer) -> bool:
+        """Whether records follow each other up to the end."""
+        position: int | None = 0
+        while position is not None and position < len(data):
+            position = self.end_of(position)
+        return position is not None
+
+
+class Selection(NamedTuple):
+    """What is wanted of the segments of a file.
+
+    Attributes
+    ----------
+    wanted
+        The connections by id.
+    start_ns, stop_ns
+        Only messages with ``start_ns <= log_time_ns < stop_ns``.
+    rule
+        Which chunks may be copied as a whole; None: none.
+    needed
+        The connections that chunks have to describe to be copied, by the chunk's offset.
+    """
+
+    wanted: Mapping[int, Connection]
+    start_ns: int
+    stop_ns: int
+    rule: ChunkRule | None = None
+    needed: Mapping[int, frozenset[int]] = {}
+
+
+class ChunkedReader(Reader):
+    """Reads a file with chunks."""
+
     has_chunks = True
+    #: The container whose chunks are copied as a whole.
+    _container: str
     _file: SourceFile
-    #: The segments of the index, in the order of the file; wrong times of them are corrected.
+    #: The segments of the index, in the order of the file.
     _segments: Segments
-    #: Whether a checksum verifies the times in the index. Only impossible ones are compared then.
-    _are_times_verified = False
-    #: Returns the log times of a chunk's messages by connection, for connections with these ids (None: all), from the
-    #: index records after it; None if these do not have all, or are malformed.
-    _indexed_times: Callable[[Segment, frozenset[int] | None], dict[int, list[int]] | None]
+    #: The connections by id.
+    _known: Mapping[int, Connection]
 
     @abstractmethod
-    def _contained_span(self, segment: Segment) -> Span | None:
-        """Read a chunk and return the times of its messages; None if there are none, or if it is damaged."""
+    def _read(self, selection: Selection, segment: Segment, *, whole: bool) -> StoredChunk | list[RawMessage]:
+        """Return the wanted messages of a segment in the order of the file; or a chunk to be copied as a whole.
 
-    def _repeated_span(self, segment: Segment) -> Span | None:
-        """Return the times in the index records after a chunk; None if there are none, or if they are malformed."""
-        stamps = [stamp for found in (self._indexed_times(segment, None) or {}).values() for stamp in found]
-        return (min(stamps), max(stamps)) if stamps else None
+        Raises
+        ------
+        DamageError
+            If it is damaged.
+        """
 
-    def _confirm_ends(self) -> None:
-        """Compare impossible times, and those of the first and the last chunk; subclasses call it when they open."""
-        self._compared: set[int] = set()
+    @abstractmethod
+    def _prefix(self, segment: Segment, problem: DamageError) -> tuple[Segment, memoryview, DamageError]:
+        """Return a damaged segment where it is, its records as far as they can be decompressed, and what is wrong."""
+
+    @abstractmethod
+    def _salvage_of(self, data: memoryview) -> Salvage:
+        """Return how the records of a damaged segment are read."""
+
+    @abstractmethod
+    def _entries(self, segment: Segment) -> Iterator[tuple[int, Iterable[tuple[int, int]]]]:
+        """Yield the connections, and the log times and places of their messages, of the index records after a chunk."""
+
+    def chunks(
+        self,
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+        rule: ChunkRule | None = None,
+    ) -> Iterator[Chunk]:
+        """Return chunks, and segments of records outside chunks, by start; see `pc2scan.bags.reader.Reader`."""
+        wanted = self._known
+        if connections is not None:
+            wanted = {own.id: wanted[own.id] for own in connections if own.id in wanted}
+            if not wanted:
+                return iter(())
+        # An index that is damaged may have wrong ids.
+        ids = None if len(wanted) == len(self._known) else frozenset(wanted)
+        rule = rule if rule and rule.container == self._container else None
+        segments = self._segments_with(ids, start_ns, stop_ns)
+        whole, due = whole_chunks(segments, rule, start_ns, stop_ns)
+        needed = self._needed(segments, due, start_ns) if whole.any() else {}
+        cut = (0 if start_ns is None else start_ns, _LATEST_NS + 1 if stop_ns is None else stop_ns)
+        load = partial(self._load, Selection(wanted, *cut, rule, needed))
+        return segment_chunks(segments, load, self._file, whole, due)
+
+    def _needed(self, segments: Segments, due: Numbers, start_ns: int | None) -> dict[int, frozenset[int]]:  # noqa: ARG002
+        """Return the connections that chunks have to describe to be copied, by the chunk's offset."""
+        return {}
+
+    def _load(
+        self, selection: Selection, segment: Segment, callback: Callable[[RawMessage], Any], *, whole: bool
+    ) -> Loaded:
+        """Load a segment; see `pc2scan.bags.loading.Chunk`. What is sound of a damaged one is read once more."""
+        try:
+            found = self._read(selection, segment, whole=whole)
+        except DamageError as err:
+            problem = err
+        else:
+            return found if isinstance(found, StoredChunk) else list(map(callback, found))
+        if self._log.strict:
+            raise problem
+        actual, data, problem = self._prefix(segment, problem)
+        entries = [entry for _, more in self._entries(actual) for entry in more]
+        messages, lost = self._salvage_of(data).messages(data, actual, self._known, entries)
+        self._log.note(problem, offset=segment.record_offset or segment.offset, **lost)
+        return [callback(each) for each in self._unpacked(segment, messages) if selection_has(selection, each)]
+
+    def _unpacked(self, segment: Segment, messages: list[RawMessage]) -> list[RawMessage]:  # noqa: ARG002
+        """Return messages decompressed, where a container has them compressed one by one."""
+        return messages
+
+    def _mend_times(self, times_in: Callable[[Segment], Collection[int]]) -> None:
+        """Read the chunks with impossible times: some recorders write zeros for unknown ones.
+
+        ``times_in`` returns the log times of the messages in a chunk.
+        """
         rows = self._segments.rows
         for place in np.flatnonzero((rows["start_ns"] > rows["end_ns"]) | (rows["end_ns"] == 0)):
-            self._confirm(int(place))
-        if self._are_times_verified:
-            return
-        for order in (np.argsort(rows["start_ns"], kind="stable"), np.argsort(rows["end_ns"], kind="stable")[::-1]):
-            # The first or the last one; if its times are wrong, the next one.
-            for place in order:
-                if self._confirm(int(place), unless_repeated=True):
-                    break
+            times = times_in(self._segments[int(place)])
+            # The end is zero of chunks without messages.
+            rows["start_ns"][place], rows["end_ns"][place] = (min(times), max(*times, 1)) if times else (0, 0)
 
     def _segments_with(self, ids: frozenset[int] | None, start_ns: int | None, stop_ns: int | None) -> Segments:
         """Return the segments that may have messages of these connections (None: of any) in a cut."""
         segments, (first, last) = self._segments, _limits(start_ns, stop_ns)
         rows = segments.rows
-        are_wanted = [ids is None or own is None or not ids.isdisjoint(own) for _, _, own in segments.kinds]
-        may_have = np.array(are_wanted, bool)[rows["kind"]]
-        if not self._are_times_verified and (start_ns, stop_ns) != (None, None):
-            for place in np.flatnonzero(may_have & beside_cut(rows, first, last)):
-                self._confirm(int(place))
-        chosen = may_have & (rows["end_ns"] >= first) & (rows["start_ns"] <= last)
+        are_wanted = [ids is None or own is None or not ids.isdisjoint(own) for _, own in segments.kinds]
+        chosen = np.array(are_wanted, bool)[rows["kind"]] & (rows["end_ns"] >= first) & (rows["start_ns"] <= last)
         return segments if chosen.all() else segments.select(chosen)
-
-    def _confirm(self, place: int, *, unless_repeated: bool = False) -> bool:
-        """Compare a segment's times once; return whether they are right.
-
-        With ``unless_repeated``, the times of a chunk are right if nothing repeats them; else it is read.
-        """
-        if place in self._compared:
-            return True
-        segment = self._segments[place]
-        declared = first_ns, last_ns = (segment.start_ns, segment.end_ns)
-        repeated = self._repeated_span(segment)
-        if repeated is None and unless_repeated:
-            return True
-        self._compared.add(place)
-        if repeated == declared:
-            return True
-        actual = self._contained_span(segment)
-        if actual is None:
-            actual = (min(declared), max(declared))
-        hides = actual[0] < first_ns or last_ns < actual[1]
-        # A span that is too large hides no messages, and some writers do not compute it exactly.
-        if actual == declared or not (hides or repeated == actual):
-            return True
-        # Some writers write zeros for unknown times.
-        if last_ns:
-            wrong, right = (f"{stamp_text(first)} to {stamp_text(last)}" for first, last in (declared, actual))
-            self._log.note_index(
-                self._file,
-                segment.offset,
-                f"it has log times {wrong} for the chunk with data at byte {segment.offset}, its messages have {right}",
-            )
-        rows = self._segments.rows
-        rows["start_ns"][place], rows["end_ns"][place] = actual
-        return False
 
     def counts(
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
@@ -366,19 +510,22 @@ class ChunkedReader(Reader):
         """Count by the declared counts, or by the index records after chunks if there are none, or for a cut."""
         declared = declared_counts(connections) if start_ns is None and stop_ns is None else {}
         ids = frozenset(connection.id for connection in connections) - declared.keys()
-        if not ids:
-            return declared
         counts = dict.fromkeys(ids, 0)
         entries = 0
-        for segment in self._segments_with(ids, start_ns, stop_ns):
-            times = None if segment.connection_ids is None else self._indexed_times(segment, ids)
-            entries += sum(map(len, (times or {}).values()))
-            # Chunks of a hostile file may share their index records, which would take quadratic time.
-            if times is None or entries * _ENTRY_BYTES > self._file.size:
+        for segment in self._segments_with(ids, start_ns, stop_ns) if ids else ():
+            if segment.connection_ids is None:
                 return declared
-            for identity, stamps in times.items():
-                inside = (stamp for stamp in stamps if start_ns is None or start_ns <= stamp)
-                counts[identity] += sum(stop_ns is None or stamp < stop_ns for stamp in inside)
+            missing = set(segment.connection_ids & ids)
+            for identity, more in self._entries(segment) if missing else ():
+                if identity in ids:
+                    times = [time_ns for time_ns, _ in more]
+                    entries += len(times)
+                    inside = (stamp for stamp in times if start_ns is None or start_ns <= stamp)
+                    counts[identity] += sum(stop_ns is None or stamp < stop_ns for stamp in inside)
+                    missing.discard(identity)
+            # Chunks of a hostile file may share their index records, which would take quadratic time.
+            if missing or entries * _ENTRY_BYTES > self._file.size:
+                return declared
         return declared | counts
 
     def close(self) -> None:
@@ -386,19 +533,6 @@ class ChunkedReader(Reader):
         self._file.close()
 
 
-def beside_cut(rows: NDArray[np.void], first: np.uint64, last: np.uint64) -> Bools:
-    """Find the segments next to a cut: outside of it, with the segment before or after them inside.
-
-    In a recording in order these are two. If their declared times are wrong, they may hold messages of the cut.
-
-    Parameters
-    ----------
-    rows
-        Those of `Segments`, in the order of the file.
-    first, last
-        The cut, ``first <= log_time_ns <= last``.
-    """
-    behind, before = rows["start_ns"] > last, rows["end_ns"] < first
-    behind[1:] = behind[1:] & ~behind[:-1]
-    before[:-1] = before[:-1] & ~before[1:]
-    return np.asarray(behind | before)
+def selection_has(selection: Selection, message: RawMessage) -> bool:
+    """Whether a message is wanted."""
+    return message.connection.id in selection.wanted and selection.start_ns <= message.log_time_ns < selection.stop_ns

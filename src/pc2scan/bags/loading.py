@@ -4,28 +4,24 @@ A chunk is a part of a recording that can be loaded by itself: a chunk of a file
 some rows of a database. A reader lists them. Each is loaded, on any thread, when its first message is due or some way
 ahead, and its messages are merged with those of others, because chunks overlap in time if the recorder had several
 buffers. Sorting a whole index would need memory that grows with the recording.
-
-A message without data takes 31 bytes in a chunk, next to none where it is compressed, and ten times as much as an
-object. So of a chunk with very many messages only the log times and the places are kept (`LazyItems`).
 """
 
 from __future__ import annotations
 
 import heapq
-from array import array
 from collections import deque
 from contextlib import closing
 from functools import partial
-from itertools import compress, islice
-from operator import attrgetter, le
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeAlias, TypeVar, overload
+from itertools import islice
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
 from pc2scan.errors import RecordingError
 from pc2scan.model import RawMessage, StoredChunk, own_message
 from pc2scan.threads import InOrder
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterable, Iterator
+    from collections.abc import Callable, Generator, Iterable, Iterator, Sized
     from pathlib import Path
 
     from pc2scan.files.source import SourceFile
@@ -57,20 +53,23 @@ _MAX_FREE_MESSAGES = 1_000_000
 #: Bytes that are announced to the system before they are read: it reads them while others are decompressed.
 _ANNOUNCED_BYTES = 32 << 20
 
-#: How many chunks are announced at most: each takes half a kilobyte.
+#: Chunks that wait for their turn, each of which takes half a kilobyte.
 _ANNOUNCED_CHUNKS = 1_000
 
-#: Chunks with at most this distance are announced together: an index may be between them.
-_GAP_BYTES = 64 << 10
+#: Smaller chunks are not announced: the system reads some way ahead itself.
+_ANNOUNCED_FROM = 64 << 10
 
-#: Up to this number, the messages of a chunk are all created at once. Usual chunks have fewer.
-MAX_LISTED_ITEMS = 1 << 15
+#: Maximum number of messages in a chunk. Usual chunks have some thousands; as objects, these take 200 MB.
+MAX_CHUNK_MESSAGES = 1 << 19
 
 #: Bytes that an item takes besides its data.
 ITEM_BYTES = 400
 
-_Value = TypeVar("_Value")
-_Other = TypeVar("_Other")
+
+def check_number(messages: Sized) -> None:
+    """Raise if a chunk has more messages than `MAX_CHUNK_MESSAGES`."""
+    if len(messages) > MAX_CHUNK_MESSAGES:
+        raise RecordingError(f"a chunk has more than {MAX_CHUNK_MESSAGES:,} messages")
 
 
 class TimedItem(Protocol):
@@ -90,87 +89,8 @@ class TimedItem(Protocol):
 Item = TypeVar("Item", bound=TimedItem)
 
 
-class LazyItems(Generic[_Value]):
-    """Items that are created from messages one by one; only the last one is kept.
-
-    Parameters
-    ----------
-    times
-        Log times, ns.
-    places
-        The messages' positions, in the same order.
-    make
-        Creates the item at a position. Each call for a position gives an equal item.
-    kept_bytes
-        Bytes that ``make`` keeps in memory.
-    """
-
-    __slots__ = ("_kept_bytes", "_last", "_make", "_places", "times")
-
-    def __init__(self, times: array[int], places: array[int], make: Callable[[int], _Value], kept_bytes: int) -> None:
-        self.times = times
-        self._places = places
-        self._make = make
-        self._kept_bytes = kept_bytes
-        self._last: tuple[int, _Value] | None = None
-
-    def __len__(self) -> int:
-        return len(self._places)
-
-    def __getitem__(self, number: int) -> _Value:
-        if self._last is None or self._last[0] != number:
-            # Not two at the same time.
-            self._last = None
-            self._last = (number, self._make(self._places[number]))
-        return self._last[1]
-
-    def __iter__(self) -> Iterator[_Value]:
-        return map(self._make, self._places)
-
-    @property
-    def size(self) -> int:
-        """Bytes of memory that it takes."""
-        return self._kept_bytes + 16 * len(self._places)
-
-    def map(self, callback: Callable[[_Value], _Other]) -> LazyItems[_Other]:
-        """Return the callback's results for the items."""
-        make = self._make
-        return LazyItems(self.times, self._places, lambda place: callback(make(place)), self._kept_bytes)
-
-    def filter(self, test: Callable[[_Value], bool]) -> LazyItems[_Value]:
-        """Return the items for which ``test`` is true."""
-        return self._select(array("Q", compress(range(len(self)), map(test, self))))
-
-    def as_list(self) -> list[_Value] | LazyItems[_Value]:
-        """Return a list of all items if they are few enough; else itself."""
-        return self if len(self) > MAX_LISTED_ITEMS else list(self)
-
-    def sort_by_time(self) -> LazyItems[_Value]:
-        """Return the items sorted by log time; items with equal times keep their order."""
-        if all(map(le, self.times, islice(self.times, 1, None))):
-            return self
-        return self._select(array("Q", sorted(range(len(self)), key=self.times.__getitem__)))
-
-    def _select(self, numbers: array[int]) -> LazyItems[_Value]:
-        times, places = (array("Q", map(values.__getitem__, numbers)) for values in (self.times, self._places))
-        return LazyItems(times, places, self._make, self._kept_bytes)
-
-
-@overload
-def map_items(callback: Callable[[_Value], _Other], items: list[_Value]) -> list[_Other]: ...
-@overload
-def map_items(
-    callback: Callable[[_Value], _Other], items: list[_Value] | LazyItems[_Value]
-) -> list[_Other] | LazyItems[_Other]: ...
-def map_items(
-    callback: Callable[[_Value], _Other], items: list[_Value] | LazyItems[_Value]
-) -> list[_Other] | LazyItems[_Other]:
-    """Return the callback's results for items."""
-    return items.map(callback) if isinstance(items, LazyItems) else list(map(callback, items))
-
-
 #: What a chunk is loaded as: items in the order of the file, or the chunk as a whole.
-Loaded: TypeAlias = list[Any] | LazyItems[Any] | StoredChunk
+Loaded: TypeAlias = list[Any] | StoredChunk
 
 
 class Chunk(NamedTuple):
@@ -231,28 +151,29 @@ class _OpenChunk:
 
     __slots__ = ("chunk", "items", "key", "position", "size")
 
-    def __init__(self, chunk: Chunk, items: list[Any] | LazyItems[Any], max_open_bytes: int) -> None:
+    def __init__(self, chunk: Chunk, items: list[Any], max_open_bytes: int) -> None:
         self.chunk = chunk
-        self.items: list[Any] | LazyItems[Any] | None = items
+        self.items: list[Any] | None = items
         self.position = 0
         self.key = (items[0].log_time_ns, chunk.place)
-        if isinstance(items, LazyItems):
-            self.size = items.size
-        else:
-            self.size = chunk.size
-            if chunk.size > max_open_bytes:
-                # A damaged chunk may declare any size: its actual size counts, so that others are not dropped for it.
-                # So does what is left of a chunk that is not held.
-                self.size = min(chunk.size, sum(item.size for item in items))
-            self.size += ITEM_BYTES * len(items)
+        self.size = chunk.size
+        if chunk.size > max_open_bytes:
+            # A damaged chunk may declare any size: its actual size counts, so that others are not dropped for it.
+            # So does what is left of a chunk that is not held.
+            self.size = min(chunk.size, sum(item.size for item in items))
+        self.size += ITEM_BYTES * len(items)
 
     def __lt__(self, other: _OpenChunk) -> bool:
         return self.key < other.key
 
 
+def _as_it_is(message: RawMessage) -> RawMessage:
+    return message
+
+
 def merge_by_time(
     chunks: Iterable[Chunk],
-    callback: Callable[[RawMessage], Item] = own_message,  # type: ignore[assignment]  # the default makes messages of messages
+    callback: Callable[[RawMessage], Item] = _as_it_is,  # type: ignore[assignment]  # the default makes messages of messages
     threads: Threads | None = None,
     *,
     window: int | None = None,
@@ -333,7 +254,7 @@ def merge_by_time(
             # All items up to the next chunk's turn are from this one, without a heap operation for each.
             limit = min(heap[0].key if heap else _NEVER, coming[0].due if coming else _NEVER)
             items, position, place = current.items, current.position, current.chunk.place
-            if isinstance(items, list) and (items[-1].log_time_ns, place) < limit:
+            if (items[-1].log_time_ns, place) < limit:
                 yield from islice(items, position, None)
                 position = len(items)
             while position < len(items) and (items[position].log_time_ns, place) < limit:
@@ -350,8 +271,6 @@ def merge_by_time(
 
 def _sort(items: Any) -> Any:
     """Return items sorted by log time."""
-    if isinstance(items, LazyItems):
-        return items.sort_by_time()
     # A stable sort, which takes almost no time if the messages are in order.
     items.sort(key=attrgetter("log_time_ns"))
     return items
@@ -401,8 +320,6 @@ def _load_together(threads: Threads, chunk: Chunk, callback: Callable[[RawMessag
     loaded = chunk.load(own_message)
     if isinstance(loaded, StoredChunk):
         return loaded
-    if isinstance(loaded, LazyItems):
-        return loaded.map(callback)
     step = max(1, len(loaded) * _PIECE_BYTES // chunk.size)
     pieces = (loaded[start : start + step] for start in range(0, len(loaded), step))
     tasks = [threads.submit(list[Any], map(callback, piece)) for piece in pieces]
@@ -410,37 +327,16 @@ def _load_together(threads: Threads, chunk: Chunk, callback: Callable[[RawMessag
 
 
 def _announce(chunks: Iterable[Chunk]) -> Iterator[Chunk]:
-    """Yield the chunks, and announce their places to the system ahead of their turn.
-
-    Chunks that follow each other are announced by one call, because every call lets other threads take the
-    interpreter's lock.
-    """
-    source = iter(chunks)
+    """Yield the chunks, and announce the places of large ones to the system some way ahead of their turn."""
     coming: deque[Chunk] = deque()
     announced = 0
-    while True:
-        if announced <= _ANNOUNCED_BYTES // 2 and len(coming) <= _ANNOUNCED_CHUNKS // 2:
-            extents: list[tuple[SourceFile, int, int]] = []
-            while (
-                announced < _ANNOUNCED_BYTES
-                and len(coming) < _ANNOUNCED_CHUNKS
-                and (chunk := next(source, None)) is not None
-            ):
-                coming.append(chunk)
-                if chunk.file is None:
-                    break
-                start, end = chunk.offset, chunk.offset + chunk.length
-                announced += chunk.length
-                if extents and extents[-1][0] is chunk.file and 0 <= start - extents[-1][2] <= _GAP_BYTES:
-                    start = extents.pop()[1]
-                extents.append((chunk.file, start, end))
-            for file, start, end in extents:
-                file.expect(start, end - start)
-        if not coming:
-            return
-        due = coming.popleft()
-        announced -= due.length if due.file else 0
-        yield due
-        # The chunk may hold rows of a database, which must not stay in memory while the next one is made.
-        chunk = None
-        del due
+    for chunk in chunks:
+        coming.append(chunk)
+        announced += chunk.length
+        if chunk.file is not None and chunk.length >= _ANNOUNCED_FROM:
+            chunk.file.expect(chunk.offset, chunk.length)
+        # Rows of a database are in memory already.
+        while coming and (chunk.file is None or announced > _ANNOUNCED_BYTES or len(coming) > _ANNOUNCED_CHUNKS):
+            announced -= coming[0].length
+            yield coming.popleft()
+    yield from coming

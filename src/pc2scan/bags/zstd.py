@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from array import array
-from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,10 +10,8 @@ from pc2scan.files import compression
 from pc2scan.files.compression import MAX_RATIO, MAX_UNPACKED, ZSTD_MAGIC, CompressionError, allowed_bytes
 from pc2scan.files.places import copy_errors, private_folder
 from pc2scan.files.source import open_bytes
-from pc2scan.model import own_message
 
 from .damage import RECOVER, DamageLog
-from .loading import LazyItems
 from .reader import WrappedReader
 
 if TYPE_CHECKING:
@@ -27,10 +22,11 @@ if TYPE_CHECKING:
     from .damage import Damage
     from .formats import Format, ReadOptions
 
-    Messages = list[RawMessage] | LazyItems[RawMessage]
-
 #: Bytes that are decompressed at a time. The result, which may be 30,000 times as large, is held in memory.
 _PIECE = 1 << 10
+
+#: Limit of what the messages of one chunk may unpack to.
+_MAX_TOGETHER = 128 << 20
 
 #: Suffixes of compressed files.
 SUFFIXES = (".zstd", ".zst")
@@ -129,7 +125,7 @@ def decompress_message(data: Buffer, path: Path, topic: str) -> Buffer:
         raise DamageError(f"a message cannot be decompressed: {err}", path=path, topic=topic, hint=RECOVER) from err
 
 
-def decompress_messages(messages: Messages, log: DamageLog, place: int, path: Path) -> Messages:
+def decompress_messages(messages: list[RawMessage], log: DamageLog, place: int, path: Path) -> list[RawMessage]:
     """Decompress the messages of one segment if they are compressed one by one; only metadata.yaml declares that.
 
     Parameters
@@ -150,17 +146,15 @@ def decompress_messages(messages: Messages, log: DamageLog, place: int, path: Pa
     """
     if not messages or not (is_frame(messages[0]) or is_frame(messages[-1])):
         return messages
-    unpacked = partial(_decompress_or_note, log, place, path)
-    if isinstance(messages, list) and sum(map(_min_size, messages)) > MAX_UNPACKED:
-        # Together they would take more memory than a chunk may, so each is decompressed when it is needed.
-        packed = list(map(own_message, messages))
-        times = array("Q", (message.log_time_ns for message in packed))
-        size = sum(message.size for message in packed)
-        messages = LazyItems(times, array("Q", range(len(packed))), packed.__getitem__, size)
-    if isinstance(messages, LazyItems):
-        readable = messages.filter(lambda message: unpacked(message) is not None)
-        return readable.map(lambda message: unpacked(message) or message)
-    return [message for message in map(unpacked, messages) if message is not None]
+    found, total = [], 0
+    for message in messages:
+        unpacked = _decompress_or_note(log, place, path, message)
+        if unpacked is not None:
+            found.append(unpacked)
+            total += unpacked.size
+        if total > _MAX_TOGETHER:
+            raise RecordingError(f"a chunk's messages unpack to more than {_MAX_TOGETHER:,} bytes", path=path)
+    return found
 
 
 def _decompress_or_note(log: DamageLog, place: int, path: Path, message: RawMessage) -> RawMessage | None:
@@ -181,13 +175,6 @@ def _decompress_or_note(log: DamageLog, place: int, path: Path, message: RawMess
             last_ns=when,
         )
         return None
-
-
-def _min_size(message: RawMessage) -> int:
-    """The least number of bytes that a message takes in memory when it is unpacked, as far as it declares."""
-    with suppress(CompressionError):
-        return compression.zstd_content_size(message.data) or allowed_bytes(message.size)
-    return message.size
 
 
 def is_frame(message: RawMessage) -> bool:

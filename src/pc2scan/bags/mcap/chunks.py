@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.bags.chunks import Segment
 from pc2scan.bags.formats import and_list
-from pc2scan.bags.loading import MAX_LISTED_ITEMS
+from pc2scan.bags.loading import check_number
 from pc2scan.files.compression import ZSTD_MAGIC, CompressionError, allowed_bytes, crc32, decompress
 from pc2scan.files.source import lend
 from pc2scan.model import StoredChunk
@@ -28,24 +28,13 @@ if TYPE_CHECKING:
 CHUNK_HEAD_SIZE = RECORD.size + CHUNK.size + 64 + UINT64.size
 
 
-class ChunkSegment(Segment):
-    """A chunk. `crc` is 0 until its header is read; loading uses the CRC in the header."""
-
-    __slots__ = ()
-
-    @property
-    def stop(self) -> int:
-        """Offset of the record after it."""
-        return self.offset + self.length + self.padding
-
-    @property
-    def form(self) -> tuple[int, int, int, str, int]:
-        """How it is stored, wherever it is."""
-        head = self.offset - self.record_offset
-        return head, self.length, self.padding, self.compression, self.uncompressed_size
+def form_of(chunk: Segment) -> tuple[int, int, int, str, int]:
+    """Return how a chunk is stored, wherever it is."""
+    head = chunk.offset - chunk.record_offset
+    return head, chunk.length, chunk.padding, chunk.compression, chunk.uncompressed_size
 
 
-def chunk_at(head: Buffer, record_offset: int, file: RecordFile, *, fits: bool = True) -> ChunkSegment:
+def chunk_at(head: Buffer, record_offset: int, file: RecordFile, *, fits: bool = True) -> Segment:
     """Read the header of a chunk from the beginning of its record.
 
     With ``fits``, its payload must not be longer than its record.
@@ -66,7 +55,7 @@ def chunk_at(head: Buffer, record_offset: int, file: RecordFile, *, fits: bool =
         raise file.damage(
             f"the chunk at byte {record_offset} declares {length} bytes of records in {record_length} bytes",
         )
-    return ChunkSegment(
+    return Segment(
         offset=record_offset + payload_at,
         length=length,
         compression=name or "none",
@@ -87,7 +76,7 @@ def borrow_payload(file: RecordFile, segment: Segment) -> memoryview:
     RecordingError
         If bytes are missing, do not decompress to the declared size, or fail their CRC.
     """
-    if not isinstance(segment, ChunkSegment):
+    if not segment.record_offset:
         return file.borrow(segment.offset, segment.length)
     head = segment.offset - segment.record_offset
     record = file.borrow(segment.record_offset, head + segment.length)
@@ -95,15 +84,15 @@ def borrow_payload(file: RecordFile, segment: Segment) -> memoryview:
     return decompress_chunk(file, chunk, record[head:])
 
 
-def _check_header(record: memoryview, segment: ChunkSegment, file: RecordFile) -> ChunkSegment:
+def _check_header(record: memoryview, segment: Segment, file: RecordFile) -> Segment:
     """Return the chunk by its own header, which has a CRC, after comparing it with the index."""
     chunk = chunk_at(record, segment.record_offset, file)
-    if record[0] != OP_CHUNK or chunk.form != segment.form:
+    if record[0] != OP_CHUNK or form_of(chunk) != form_of(segment):
         raise file.damage(f"the index and the chunk at byte {segment.record_offset} contradict each other")
     return chunk
 
 
-def decompress_chunk(file: RecordFile, chunk: ChunkSegment, stored: memoryview) -> memoryview:
+def decompress_chunk(file: RecordFile, chunk: Segment, stored: memoryview) -> memoryview:
     """Decompress a chunk's records into exactly the declared size, and compare their CRC; see `borrow_payload`."""
     size = chunk.uncompressed_size
     where = f"the chunk at byte {chunk.record_offset}"
@@ -134,7 +123,7 @@ def decompress_chunk(file: RecordFile, chunk: ChunkSegment, stored: memoryview) 
 # --- Chunks that are copied as a whole ---
 
 
-def whole_chunk(file: RecordFile, segment: ChunkSegment, rule: ChunkRule) -> StoredChunk | memoryview:
+def whole_chunk(file: RecordFile, segment: Segment, rule: ChunkRule) -> StoredChunk | memoryview:
     """Read a chunk, and decompress it to compare its CRC and to index its messages.
 
     Returns
@@ -161,7 +150,7 @@ def whole_chunk(file: RecordFile, segment: ChunkSegment, rule: ChunkRule) -> Sto
     return StoredChunk(chunk.compression, stored, len(records), crc, index)
 
 
-def _index_of(records: memoryview, segment: ChunkSegment, declarations: Collection[bytes]) -> Index | None:
+def _index_of(records: memoryview, segment: Segment, declarations: Collection[bytes]) -> Index | None:
     """Index a chunk's messages; None if one is outside of its times, or it has a record of another kind."""
     index: Index = {}
     times = []
@@ -181,12 +170,8 @@ def _index_of(records: memoryview, segment: ChunkSegment, declarations: Collecti
             _, _, channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(records, position)
             index.setdefault(channel_id, []).append((log_time_ns, position))
             times.append(log_time_ns)
-            if len(times) > MAX_LISTED_ITEMS:
-                return None
+            check_number(times)
         position = following
-    return index if position == size and times and _are_within(times, segment) else None
-
-
-def _are_within(times: list[int], segment: ChunkSegment) -> bool:
-    """Whether log times are within the declared ones."""
-    return segment.start_ns <= min(times) and max(times) <= segment.end_ns
+    if position == size and times and segment.start_ns <= min(times) and max(times) <= segment.end_ns:
+        return index
+    return None

@@ -20,7 +20,7 @@ from pc2scan.bags.reader import ConnectionLimit
 from pc2scan.errors import DamageError
 from pc2scan.files.compression import crc32
 
-from .chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at
+from .chunks import CHUNK_HEAD_SIZE, chunk_at
 from .records import (
     CHUNK,
     DECLARATIONS,
@@ -69,6 +69,8 @@ class McapIndex:
 
     Attributes
     ----------
+    log
+        Gets schemas and channels that are declared twice, and differently.
     profile
         The header's.
     schemas, channels
@@ -93,12 +95,11 @@ class McapIndex:
         Whether the summary's CRC was compared.
     data_end
         Where the data section ends, and its CRC (0 if none was written). None if there is no DataEnd record.
-    differing
-        A schema or a channel that is declared again differently: its name, and the offset; None if none is.
     limit
         Of the channels and schemas; None before the first.
     """
 
+    log: DamageLog
     profile: str = ""
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
@@ -113,7 +114,6 @@ class McapIndex:
     summarized: bool = False
     verified: bool = False
     data_end: tuple[int, int] | None = None
-    differing: tuple[str, int] | None = None
     limit: ConnectionLimit | None = None
 
     def declare(self, opcode: int, content: Buffer, offset: int, file: RecordFile) -> None:
@@ -123,7 +123,7 @@ class McapIndex:
 
     def add(self, record: Schema | Channel, offset: int, file: RecordFile, size: int = 0) -> None:
         """Add a Schema or a Channel that takes so many bytes."""
-        known = self.known(record)
+        known: dict[int, Any] = self.channels if isinstance(record, DECLARATIONS[Opcode.CHANNEL]) else self.schemas
         # "A Schema record with an id of zero is invalid and should be ignored."
         if not record.id and known is self.schemas:
             return
@@ -131,20 +131,12 @@ class McapIndex:
         if held is record:
             self.limit = self.limit or ConnectionLimit(file.path, file.size)
             self.limit.add(size, count=known is self.channels)
-        elif held != record and self.differing is None:
-            self.differing = name_of(record), offset
-
-    def known(self, record: Schema | Channel) -> dict[int, Any]:
-        """Return the schemas or the channels, whichever this is one of."""
-        return self.channels if isinstance(record, DECLARATIONS[Opcode.CHANNEL]) else self.schemas
+        elif held != record:
+            what = f"{type(record).__name__.lower()} {record.id}"
+            self.log.note_index(file, offset, f"{what} is declared again, and differently, at byte {offset}")
 
 
-def name_of(record: Schema | Channel) -> str:
-    """Return what a schema or a channel is called in a message."""
-    return f"{type(record).__name__.lower()} {record.id}"
-
-
-def find_index(file: RecordFile) -> McapIndex:
+def find_index(file: RecordFile, log: DamageLog) -> McapIndex:
     """Index a sound file, without channels that only chunks declare.
 
     Raises
@@ -154,7 +146,7 @@ def find_index(file: RecordFile) -> McapIndex:
     DamageError
         If it is cut off, or contradicts itself.
     """
-    index = McapIndex()
+    index = McapIndex(log)
     start = read_header(file, index)
     end = read_summary(file, index)
     rows = index.segments.rows
@@ -247,7 +239,7 @@ def declare_listed(file: RecordFile, index: McapIndex) -> None:
     index.listed.clear()
 
 
-def _indexed_chunk(content: memoryview, origin: int, file: RecordFile) -> ChunkSegment:
+def _indexed_chunk(content: memoryview, origin: int, file: RecordFile) -> Segment:
     """Return the chunk of a ChunkIndex."""
     # Not with the library's parser, which is many times slower: a long recording has 100,000 of them.
     try:
@@ -266,7 +258,7 @@ def _indexed_chunk(content: memoryview, origin: int, file: RecordFile) -> ChunkS
         raise file.damage(
             f"the index places a chunk of {length} bytes at byte {offset}, the data ends at byte {origin}",
         )
-    return ChunkSegment(
+    return Segment(
         offset=payload,
         length=compressed,
         compression=name or "none",
@@ -322,7 +314,7 @@ class RecordWalk:
         #: The messages outside chunks that are walked over.
         self._run: Segment | None = None
         self._run_ids: set[int] = set()
-        self._chunk: ChunkSegment | None = None
+        self._chunk: Segment | None = None
         self._indexed: Counter[int] = Counter()
         self._is_behind_chunk = False
         #: Offsets of the current record and the one before it, for a walk that failed.
@@ -457,7 +449,7 @@ _AHEAD = 4096
 
 def indexed_entries(file: RecordFile, segment: Segment) -> Iterator[tuple[int, Iterator[tuple[int, int]]]]:
     """Yield the channels, and the log times and places of their messages, of the message indexes after a chunk."""
-    if not isinstance(segment, ChunkSegment):
+    if not segment.record_offset:
         return
     position = segment.stop
     # Usually, one call reads all of them.
@@ -479,37 +471,14 @@ def indexed_entries(file: RecordFile, segment: Segment) -> Iterator[tuple[int, I
             return
 
 
-def indexed_times(file: RecordFile, segment: Segment, ids: frozenset[int] | None = None) -> dict[int, list[int]] | None:
-    """Return the log times of a chunk's messages by channel, from the message indexes after it.
-
-    Parameters
-    ----------
-    ids
-        Only of these channels; None means all.
-
-    Returns
-    -------
-    dict[int, list[int]] | None
-        None if the message indexes do not have all of these channels, or contradict their own lengths.
-    """
-    known = segment.connection_ids or frozenset()
-    times: dict[int, list[int]] = {}
-    for channel_id, entries in indexed_entries(file, segment):
-        if ids is None or channel_id in ids:
-            times.setdefault(channel_id, []).extend(time_ns for time_ns, _ in entries)
-    is_complete = (known if ids is None else known & ids) <= times.keys()
-    return times if is_complete and isinstance(segment, ChunkSegment) else None
-
-
 def find_declarations(
     file: RecordFile,
     index: McapIndex,
-    records_of: Callable[[ChunkSegment], Iterable[tuple[int, Buffer]]],
-    log: DamageLog,
+    records_of: Callable[[Segment], Iterable[tuple[int, Buffer]]],
 ) -> None:
     """Find channels and schemas that only chunks declare; the summary has the others.
 
-    ``records_of`` returns the opcodes and contents of a chunk's records; ``log`` gets malformed ones. Of chunks with
+    ``records_of`` returns the opcodes and contents of a chunk's records; malformed ones are noted. Of chunks with
     message indexes, only those are read that have messages of unknown channels, and the others if a schema is missing.
     Without a summary, a channel that has no messages may stay unknown.
     """
@@ -528,11 +497,11 @@ def find_declarations(
                 break
             ids = chunk.connection_ids
             is_due = not index.channels_listed if ids is None else not ids <= index.channels.keys()
-            if isinstance(chunk, ChunkSegment) and (is_due or are_all_due) and chunk.offset not in read:
+            if chunk.record_offset and (is_due or are_all_due) and chunk.offset not in read:
                 read.add(chunk.offset)
                 for opcode, content in records_of(chunk):
                     try:
                         index.declare(opcode, content, chunk.offset, file)
                     except DamageError as err:
-                        log.note(err, offset=chunk.record_offset, key=opcode, bytes_lost=len(content))
+                        index.log.note(err, offset=chunk.record_offset, key=opcode, bytes_lost=len(content))
         declare_listed(file, index)

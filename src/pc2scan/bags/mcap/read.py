@@ -2,80 +2,41 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from functools import partial
 from threading import Lock
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Attachment as AttachmentRecord
 from mcap.records import Metadata as MetadataRecord
 
-from pc2scan.bags.chunks import ChunkedReader, segment_chunks, whole_chunks
+from pc2scan.bags.chunks import ChunkedReader
 from pc2scan.bags.damage import AnotherRecordingError, DamageLog
-from pc2scan.bags.loading import LazyItems, map_items
 from pc2scan.bags.topics import latches
 from pc2scan.bags.zstd import decompress_messages
 from pc2scan.errors import DamageError, stamp_text
 from pc2scan.files.compression import crc32
 from pc2scan.model import Attachment, Connection, Definition, Metadata, StoredChunk, Summary
 
-from .chunks import ChunkSegment, borrow_payload, chunk_at, whole_chunk
-from .index import (
-    McapIndex,
-    find_declarations,
-    find_index,
-    indexed_entries,
-    indexed_times,
-    name_of,
-)
-from .records import (
-    ANY_TIME,
-    DECLARATIONS,
-    RECORD,
-    RecordFile,
-    parse,
-    parse_fields,
-    scan_messages,
-)
+from .chunks import borrow_payload, whole_chunk
+from .index import McapIndex, find_declarations, find_index, indexed_entries
+from .records import ANY_TIME, DECLARATIONS, RECORD, RecordFile, parse, parse_fields, scan_messages
 from .recover import displaced_chunks, is_at_its_place, payload_prefix, recover_index, salvage_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping
+    from collections.abc import Iterator
     from pathlib import Path
 
-    from pc2scan.bags.chunks import Segment
+    from pc2scan.bags.chunks import Salvage, Segment, Selection
     from pc2scan.bags.formats import ReadOptions
-    from pc2scan.bags.loading import Chunk, Item, Loaded
     from pc2scan.bags.reader import Reader
-    from pc2scan.model import ChunkRule, RawMessage
-
-    from .records import Messages
+    from pc2scan.model import RawMessage
 
 
 def open_reader(path: Path, options: ReadOptions) -> Reader:
     """Open an MCAP file; see `pc2scan.bags.formats.Format`."""
     return McapReader(path, strict=options.strict)
-
-
-class _Selection(NamedTuple):
-    """What is wanted of the segments.
-
-    Attributes
-    ----------
-    wanted
-        The connections, by channel.
-    start_ns, stop_ns
-        Only messages with ``start_ns <= log_time_ns < stop_ns``.
-    rule
-        Which chunks may be copied as a whole; None: none.
-    """
-
-    wanted: Mapping[int, Connection]
-    start_ns: int
-    stop_ns: int
-    rule: ChunkRule | None
 
 
 class McapReader(ChunkedReader):
@@ -100,15 +61,14 @@ class McapReader(ChunkedReader):
     """
 
     _file: RecordFile
+    _container = "mcap"
 
     def __init__(self, path: Path, *, strict: bool = False) -> None:
         self.path = path
         self._file = RecordFile(path)
         self._log = DamageLog(strict=strict)
-        #: The connections by channel.
-        self._known: dict[int, Connection] = {}
-        #: Chunks that are not where the index places them, by their places in the index; None until one is missing.
-        self._displaced: dict[int, ChunkSegment] | None = None
+        #: Chunks that are not where the index places them, by their places in the index; empty until one is missing.
+        self._displaced: dict[int, Segment] = {}
         self._lock = Lock()
         try:
             try:
@@ -116,18 +76,14 @@ class McapReader(ChunkedReader):
             except AnotherRecordingError as another:
                 self._log.note_another(self._file, another.offset)
                 self._index = self._found_index()
-            find_declarations(self._file, self._index, self._records, self._log)
-            if self._index.differing is not None:
-                self._log.note_index(self._file, self._index.differing[1], _twice(*self._index.differing))
+            find_declarations(self._file, self._index, self._records)
             compare_counts(self._index, self._file, self._log)
             #: In the order of the summary or, without one, of the file.
             self.connections = tuple(connections_of(self._index, self._file, self._log))
             self._known = {item.id: item for item in self.connections}
             self._segments = self._index.segments
             self._segments.sort()
-            self._indexed_times = partial(indexed_times, self._file)
-            self._are_times_verified = self._index.verified
-            self._confirm_ends()
+            self._mend_times(self._times_in)
             compare_data_crc(self._index, self._file, self._log)
             self.summary = summary_of(self._index, self._file, self._log)
         except BaseException:
@@ -137,74 +93,22 @@ class McapReader(ChunkedReader):
     def _found_index(self) -> McapIndex:
         """Index the file, sound or damaged."""
         try:
-            return find_index(self._file)
+            return find_index(self._file, self._log)
         except DamageError as err:
             return recover_index(self._file, err, self._log)
 
-    def chunks(
-        self,
-        connections: Collection[Connection] | None = None,
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
-        rule: ChunkRule | None = None,
-    ) -> Iterator[Chunk]:
-        """Return chunks, and segments of records outside chunks, by start; see `pc2scan.bags.reader.Reader`."""
-        known = wanted = self._known
-        if connections is not None:
-            wanted = {connection.id: known[connection.id] for connection in connections if connection.id in known}
-        # An index that is damaged may have wrong ids.
-        ids = None if connections is None or len(wanted) == len(known) else frozenset(wanted)
-        if ids is not None and not ids:
-            return iter(())
-        rule = rule if rule and rule.container == "mcap" else None
-        segments = self._segments_with(ids, start_ns, stop_ns)
-        whole, due = whole_chunks(segments, rule, start_ns, stop_ns)
-        times = (0 if start_ns is None else start_ns, 1 << 64 if stop_ns is None else stop_ns)
-        selection = _Selection(wanted, *times, rule)
-        return segment_chunks(segments, partial(self._load, selection), self._file, whole, due)
-
-    def _load(
-        self, selection: _Selection, segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool
-    ) -> Loaded:
-        """Load a segment; see `pc2scan.bags.loading.Load`."""
-        found: StoredChunk | Messages | None = None
-        # A damaged segment is read again to recover its messages; a damaged chunk is not copied.
-        with suppress(DamageError):
-            found = self._sound(selection, segment, whole=whole)
-        if found is None:
-            found = self._recovered(selection, segment)
-        return found if isinstance(found, StoredChunk) else map_items(callback, found)
-
-    def _sound(self, selection: _Selection, segment: Segment, *, whole: bool) -> StoredChunk | Messages:
-        """Return the wanted messages of a segment, or the chunk as a whole.
-
-        Raises
-        ------
-        DamageError
-            If it is damaged, or a message of it cannot be decompressed.
-        """
-        seen: StoredChunk | memoryview | None = None
-        if whole and selection.rule and isinstance(segment, ChunkSegment):
-            seen = whole_chunk(self._file, segment, selection.rule)
-        if isinstance(seen, StoredChunk):
-            return seen
-        data = borrow_payload(self._file, segment) if seen is None else seen
-        messages = self._scan(selection, segment, data)
-        return decompress_messages(messages, DamageLog(strict=True), segment.offset, self._file.path)
-
-    def _scan(self, selection: _Selection, segment: Segment, data: memoryview) -> Messages:
-        """Find the wanted messages among a segment's records.
-
-        Raises
-        ------
-        DamageError
-            If the records are not sound, or contradict what the segment declares.
-        """
-        wanted, start_ns, stop_ns, _ = selection
-        span = _declared_span(segment)
-        further = partial(self._compare_declaration, data, segment) if isinstance(segment, ChunkSegment) else None
-        scan = scan_messages(data, wanted, start_ns, stop_ns, span or ANY_TIME, further)
-        if scan.astray is not None and span:
+    def _read(self, selection: Selection, segment: Segment, *, whole: bool) -> StoredChunk | list[RawMessage]:
+        """Return the wanted messages of a segment, or the chunk as a whole."""
+        if whole and selection.rule and segment.record_offset:
+            data = whole_chunk(self._file, segment, selection.rule)
+            if isinstance(data, StoredChunk):
+                return data
+        else:
+            data = borrow_payload(self._file, segment)
+        span = (segment.start_ns, segment.end_ns) if segment.record_offset and segment.end_ns else ANY_TIME
+        further = partial(self._declare, data, segment) if segment.record_offset else None
+        scan = scan_messages(data, selection.wanted, (selection.start_ns, selection.stop_ns), span, further)
+        if scan.astray is not None:
             raise self._file.damage(
                 f"the chunk at byte {segment.offset} has a message of log time {stamp_text(scan.astray)}, "
                 f"declared are {stamp_text(span[0])} to {stamp_text(span[1])}"
@@ -213,110 +117,52 @@ class McapReader(ChunkedReader):
             raise self._file.damage(
                 f"the records from byte {segment.offset} on are sound for {scan.size} of {len(data)} bytes"
             )
-        if scan.others and (unknown := scan.others - self._known.keys()):
+        if unknown := scan.others - self._known.keys():
             raise self._file.damage(
                 f"channel {min(unknown)} has messages near byte {segment.offset}, but is not declared"
             )
-        return scan.messages
+        return self._unpacked(segment, scan.messages)
 
-    def _recovered(self, selection: _Selection, segment: Segment) -> Messages:
-        """Read a damaged segment, and return what can be recovered of it; the damage is noted."""
-        place = self._locate(segment)
-        data, problem = self._prefix(place)
-        messages: Messages = []
-        try:
-            if problem is None:
-                messages = self._scan(selection, place, data)
-        except DamageError as err:
-            problem = err
-        if problem is not None:
-            messages = self._salvage(selection, place, data, problem)
-        return decompress_messages(messages, self._log, place.offset, self._file.path)
+    def _unpacked(self, segment: Segment, messages: list[RawMessage]) -> list[RawMessage]:
+        return decompress_messages(messages, self._log, segment.offset, self._file.path)
 
-    def _salvage(self, selection: _Selection, segment: Segment, data: memoryview, problem: DamageError) -> Messages:
-        """Note a damaged segment, and recover its messages."""
-        if self._log.strict:
-            raise problem
-        entries = [entry for _, more in indexed_entries(self._file, segment) for entry in more] or None
-        wanted, start_ns, stop_ns, _ = selection
-        messages, lost = salvage_of(data, self._known, self._file).messages(data, segment, self._known, entries)
-        offset = segment.record_offset if isinstance(segment, ChunkSegment) else segment.offset
-        self._log.note(problem, offset=offset, **lost)
-        ids = wanted.keys()
-        return messages.filter(
-            lambda item: item.connection.id in ids and start_ns <= item.log_time_ns < stop_ns
-        ).as_list()
+    def _prefix(self, segment: Segment, problem: DamageError) -> tuple[Segment, memoryview, DamageError]:
+        if segment.record_offset and not is_at_its_place(self._file, segment):
+            with self._lock:
+                self._displaced = self._displaced or displaced_chunks(self._file, self._segments)
+            segment = self._displaced.get(segment.record_offset, segment)
+        return segment, *payload_prefix(self._file, segment, problem)
 
-    def _prefix(self, segment: Segment) -> tuple[memoryview, DamageError | None]:
-        """A segment's records as far as they can be decompressed, and why that is not all."""
-        try:
-            return borrow_payload(self._file, segment), None
-        except DamageError as err:
-            if self._log.strict:
-                raise
-            return payload_prefix(self._file, segment, err)
+    def _salvage_of(self, data: memoryview) -> Salvage:
+        return salvage_of(data, self._known)
 
-    def _locate(self, segment: Segment) -> Segment:
-        """Return a damaged segment, or the chunk elsewhere in the file that the index has in its place."""
-        if self._log.strict or not isinstance(segment, ChunkSegment) or is_at_its_place(self._file, segment):
-            return segment
-        with self._lock:
-            if self._displaced is None:
-                self._displaced = displaced_chunks(self._file, self._index.segments)
-        chunk = self._displaced.get(segment.record_offset, segment)
-        problem = f"the index places a chunk at byte {segment.record_offset}, it is at byte {chunk.record_offset}"
-        if chunk is not segment:
-            lost = 0 if self._index.statistics else None
-            self._log.note(self._file.damage(problem), offset=segment.record_offset, key="place", messages_lost=lost)
-        return chunk
+    def _entries(self, segment: Segment) -> Iterator[tuple[int, Iterator[tuple[int, int]]]]:
+        return indexed_entries(self._file, segment)
 
     def _records(self, chunk: Segment) -> Iterator[tuple[int, memoryview]]:
         """Yield the opcodes and contents of a chunk's records, as far as they can be read."""
-        data, _ = self._prefix(self._locate(chunk))
-        for start, stop in salvage_of(data, {}, self._file).records(data, (), complete=False):
+        data, _ = payload_prefix(self._file, chunk)
+        for start, stop in salvage_of(data, {}).records(data, (), complete=False):
             yield data[start], data[start + RECORD.size : stop]
 
-    def _compare_declaration(self, data: memoryview, chunk: ChunkSegment, position: int) -> None:
-        """Compare a schema or a channel in a chunk with the rest of the file, and note it if it is another.
+    def _declare(self, data: memoryview, chunk: Segment, position: int) -> None:
+        """Compare a schema or a channel in a chunk with the rest of the file; unknown records are ignored.
 
         Raises
         ------
         DamageError
-            If the record is of a kind that no chunk may have. Unknown kinds are ignored.
+            If the record is malformed, or of a kind that no chunk may have.
         """
         opcode, length = RECORD.unpack_from(data, position)
-        if opcode not in DECLARATIONS:
-            if opcode > Opcode.DATA_END:
-                return
-            raise self._file.damage(f"the chunk at byte {chunk.record_offset} has a record of kind {opcode} in it")
         start = position + RECORD.size
-        try:
-            record = parse(DECLARATIONS[opcode], data[start : start + length], chunk.record_offset, self._file)
-        except DamageError as err:
-            self._log.note(err, offset=chunk.record_offset, key=position, messages_lost=0)
-            return
-        if self._index.known(record).get(record.id, record) != record:
-            self._log.note_index(self._file, chunk.record_offset, _twice(name_of(record), chunk.record_offset))
+        self._index.declare(opcode, data[start : start + length], chunk.record_offset, self._file)
+        if opcode not in DECLARATIONS and opcode <= Opcode.DATA_END:
+            raise self._file.damage(f"the chunk at byte {chunk.record_offset} has a record of kind {opcode} in it")
 
-    def _repeated_span(self, segment: Segment) -> tuple[int, int] | None:
-        """Return the times in the message indexes after a chunk, or in its header."""
-        if not isinstance(segment, ChunkSegment):
-            return segment.start_ns, segment.end_ns
-        if span := super()._repeated_span(segment):
-            return span
-        if self._index.summarized:
-            with suppress(DamageError):
-                head = self._file.read(segment.record_offset, segment.offset - segment.record_offset)
-                chunk = chunk_at(head, segment.record_offset, self._file)
-                return chunk.start_ns, chunk.end_ns
-        return None
-
-    def _contained_span(self, segment: Segment) -> tuple[int, int] | None:
-        """Read a chunk and return the log times of its messages."""
-        data, problem = self._prefix(segment)
-        messages = scan_messages(data, self._known, 0, 1 << 64).messages
-        times = messages.times if isinstance(messages, LazyItems) else [message.log_time_ns for message in messages]
-        return (min(times), max(times)) if times and problem is None else None
+    def _times_in(self, segment: Segment) -> list[int]:
+        """Read a segment for the log times of its messages."""
+        data, _ = payload_prefix(self._file, segment)
+        return [message.log_time_ns for message in scan_messages(data, self._known, (0, 1 << 64)).messages]
 
     def attachments(self) -> Iterator[Attachment]:
         """Yield attachments in the order of the file; each is read when it is needed."""
@@ -344,17 +190,6 @@ class McapReader(ChunkedReader):
                 self._log.note(err, offset=offset, bytes_lost=len(content))
                 continue
             yield Metadata(record.name, record.metadata)
-
-
-def _twice(what: str, offset: int) -> str:
-    return f"{what} is declared again, and differently, at byte {offset}"
-
-
-def _declared_span(segment: Segment) -> tuple[int, int] | None:
-    """Return the first and the last log time that a chunk declares; None if it declares none."""
-    if isinstance(segment, ChunkSegment) and 0 < segment.start_ns <= segment.end_ns:
-        return segment.start_ns, segment.end_ns
-    return None
 
 
 # --- What the index has ---
@@ -414,7 +249,7 @@ def summary_of(index: McapIndex, file: RecordFile, log: DamageLog) -> Summary:
     else:
         count, times = index.counts.total() if index.all_counted else None, None
     # A chunk without messages has both times zero.
-    rows, are_known = index.segments.rows, np.array([ids is not None for _, _, ids in index.segments.kinds], bool)
+    rows, are_known = index.segments.rows, np.array([ids is not None for _, ids in index.segments.kinds], bool)
     held = rows[are_known[rows["kind"]] | (rows["end_ns"] > 0)]
     found = (int(held["start_ns"].min()), int(held["end_ns"].max())) if len(held) else None
     covers = times is not None and found is not None and times[0] <= found[0] <= found[1] <= times[1]

@@ -6,8 +6,6 @@ The library `mcap` has the classes of the records. Source of the format: https:/
 from __future__ import annotations
 
 import struct
-from array import array
-from functools import partial
 from io import BytesIO
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
@@ -18,7 +16,7 @@ from mcap.records import Attachment, Channel, Footer, Header, Metadata, Schema, 
 
 from pc2scan.bags.damage import RECOVER
 from pc2scan.bags.formats import FORMATS
-from pc2scan.bags.loading import MAX_LISTED_ITEMS, LazyItems
+from pc2scan.bags.loading import MAX_CHUNK_MESSAGES, check_number
 from pc2scan.errors import DamageError
 from pc2scan.files.compression import crc32
 from pc2scan.files.source import SourceFile
@@ -30,8 +28,6 @@ if TYPE_CHECKING:
     from mcap.records import McapRecord
 
     from pc2scan.model import Buffer, Connection
-
-    Messages = list[RawMessage] | LazyItems[RawMessage]
 
 #: The first and the last eight bytes of every file.
 MAGIC = FORMATS["mcap"].magic
@@ -147,7 +143,7 @@ class MessageScan(NamedTuple):
         Log time of a wanted message outside of the declared times.
     """
 
-    messages: Messages
+    messages: list[RawMessage]
     others: set[int]
     size: int
     astray: int | None
@@ -156,80 +152,46 @@ class MessageScan(NamedTuple):
 def scan_messages(
     data: memoryview,
     wanted: Mapping[int, Connection],
-    start_ns: int,
-    stop_ns: int,
+    cut: tuple[int, int],
     span: tuple[int, int] = ANY_TIME,
     further: Callable[[int], None] | None = None,
 ) -> MessageScan:
     """Scan records for messages; those outside of ``span``, the declared log times, are skipped.
 
-    ``further`` is called with the offset of every other record.
+    ``cut`` is the first log time that is wanted, and the first one behind it. ``further`` is called with the offset of
+    every other record.
     """
-    messages: list[RawMessage] = []
-    others: set[int] = set()
-    astray: int | None = None
-    count = position = 0
-    while position < len(data):
-        more = _scan_stretch(data, wanted, start_ns, stop_ns, span, further, position)
-        others |= more.others
-        astray = more.astray if astray is None else astray
-        count += len(more.messages)
-        messages = [*messages, *more.messages] if count <= MAX_LISTED_ITEMS else []
-        if more.size == position:
-            break
-        position = more.size
-    if count <= MAX_LISTED_ITEMS:
-        return MessageScan(messages, others, position, astray)
-    start_ns, stop_ns = max(start_ns, span[0]), min(stop_ns, span[1] + 1)
-    times, places = array("Q"), array("Q")
-    for place, opcode, _ in split(data[:position]):
-        if opcode == OP_MESSAGE:
-            _, _, channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(data, place)
-            if channel_id in wanted and start_ns <= log_time_ns < stop_ns:
-                times.append(log_time_ns)
-                places.append(place)
-    make = partial(message_at, data, wanted)
-    return MessageScan(LazyItems(times, places, make, position), others, position, astray)
-
-
-def _scan_stretch(
-    data: memoryview,
-    wanted: Mapping[int, Connection],
-    start_ns: int,
-    stop_ns: int,
-    span: tuple[int, int],
-    further: Callable[[int], None] | None,
-    position: int,
-) -> MessageScan:
-    """Scan records from an offset on, so few bytes that they have at most `MAX_LISTED_ITEMS` messages."""
     astray: int | None = None
     first_ns, last_ns = span
     # One comparison for cut and span; only if it fails, the two are distinguished.
-    start_ns, stop_ns = max(start_ns, first_ns), min(stop_ns, last_ns + 1)
+    start_ns, stop_ns = max(cut[0], first_ns), min(cut[1], last_ns + 1)
     messages: list[RawMessage] = []
     others: set[int] = set()
     append, unpack = messages.append, MESSAGE.unpack_from
     # The class's constructor takes twice as long, which matters for small messages.
     new: Callable[[type[RawMessage], tuple[object, ...]], RawMessage] = tuple.__new__
-    size = len(data)
-    last = min(size, position + MAX_LISTED_ITEMS * MESSAGE.size) - MESSAGE.size
+    position, size = 0, len(data)
+    last = size - MESSAGE.size
     while position <= last:
-        opcode, length, channel_id, sequence, log_time_ns, publish_time_ns = unpack(data, position)
-        following = position + 9 + length
-        if following > size or (opcode == OP_MESSAGE and length < 22):
-            return MessageScan(messages, others, position, astray)
-        if opcode == OP_MESSAGE:
-            connection = wanted.get(channel_id)
-            if connection is None:
-                others.add(channel_id)
-            elif start_ns <= log_time_ns < stop_ns:
-                data_view = data[position + 31 : following]
-                append(new(RawMessage, (connection, log_time_ns, data_view, publish_time_ns, sequence)))
-            elif not first_ns <= log_time_ns <= last_ns:
-                astray = log_time_ns
-        elif further is not None:
-            further(position)
-        position = following
+        pause = min(last, position + MAX_CHUNK_MESSAGES * MESSAGE.size)
+        while position <= pause:
+            opcode, length, channel_id, sequence, log_time_ns, publish_time_ns = unpack(data, position)
+            following = position + 9 + length
+            if following > size or (opcode == OP_MESSAGE and length < 22):
+                return MessageScan(messages, others, position, astray)
+            if opcode == OP_MESSAGE:
+                connection = wanted.get(channel_id)
+                if connection is None:
+                    others.add(channel_id)
+                elif start_ns <= log_time_ns < stop_ns:
+                    data_view = data[position + 31 : following]
+                    append(new(RawMessage, (connection, log_time_ns, data_view, publish_time_ns, sequence)))
+                elif not first_ns <= log_time_ns <= last_ns:
+                    astray = log_time_ns
+            elif further is not None:
+                further(position)
+            position = following
+        check_number(messages)
     # The rest is too short for a message, but may be another record.
     for place, opcode, content in split(data, position):
         if opcode == OP_MESSAGE:
@@ -249,10 +211,3 @@ def split(data: memoryview, position: int = 0) -> Iterator[tuple[int, int, memor
             return
         yield position, opcode, data[start : start + length]
         position = start + length
-
-
-def message_at(data: memoryview, known: Mapping[int, Connection], place: int) -> RawMessage:
-    """Return the message of a known channel that begins at a place; one that does not fit ends with the data."""
-    _, length, channel_id, sequence, log_time_ns, publish_time_ns = MESSAGE.unpack_from(data, place)
-    content = data[place + MESSAGE.size : place + RECORD.size + length]
-    return RawMessage(known[channel_id], log_time_ns, content, publish_time_ns, sequence)

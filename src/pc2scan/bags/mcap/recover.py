@@ -11,18 +11,17 @@ import re
 from bisect import bisect_left, bisect_right
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from mcap.opcode import Opcode
 
-from pc2scan.bags.chunks import Segments, times_around
-from pc2scan.bags.damage import AnotherRecordingError
-from pc2scan.bags.salvage import Salvage
+from pc2scan.bags.chunks import Salvage, Segment, Segments, times_around
+from pc2scan.bags.damage import AnotherRecordingError, DamageLog
 from pc2scan.errors import DamageError
 from pc2scan.files.salvage import decompressed_prefix
 from pc2scan.model import RawMessage
 
-from .chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at
+from .chunks import CHUNK_HEAD_SIZE, chunk_at, form_of
 from .index import McapIndex, RecordWalk, read_header, read_summary
 from .records import (
     COMPRESSIONS,
@@ -32,15 +31,12 @@ from .records import (
     OP_CHUNK,
     OP_MESSAGE,
     RECORD,
-    parse_fields,
     record_end,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
-    from pc2scan.bags.chunks import Segment
-    from pc2scan.bags.damage import DamageLog
     from pc2scan.model import Connection
 
     from .records import RecordFile
@@ -78,7 +74,7 @@ def recover_index(file: RecordFile, problem: DamageError, log: DamageLog) -> Mca
     """
     if log.strict:
         raise problem
-    index, summary = McapIndex(), McapIndex()
+    index, summary = McapIndex(log), McapIndex(log)
     position, end = len(MAGIC), file.size
     if file.read(end - len(MAGIC), len(MAGIC)) == MAGIC:
         end -= len(MAGIC)
@@ -92,7 +88,7 @@ def recover_index(file: RecordFile, problem: DamageError, log: DamageLog) -> Mca
         end = read_summary(file, summary)
     except DamageError as err:
         notes.append((err, None))
-        summary = McapIndex()
+        summary = McapIndex(log)
     index.statistics, index.listed = summary.statistics, summary.listed
     index.channels_listed = summary.channels_listed
     index.schemas.update(summary.schemas)
@@ -122,7 +118,7 @@ def _walk(
     ``alone`` means that no other recording begins here: what looks like one is part of a message.
     """
     gaps: list[_Gap] = []
-    indexed = {chunk.record_offset: chunk for chunk in summary.segments if isinstance(chunk, ChunkSegment)}
+    indexed = {chunk.record_offset: chunk for chunk in summary.segments}
     heads = [place for place, chunk in sorted(indexed.items()) if is_at_its_place(file, chunk)]
     index.segments = Segments(indexed[place] for place in heads)
     while position < end:
@@ -141,8 +137,8 @@ def _walk(
         limit = heads[following] if following < len(heads) else end
         search = _Search(file, limit, alone=alone)
         chunk = indexed.get(failed) or _chunk_in_front(file, failed, limit)
-        stop = _end_of_chunk(search, chunk) if chunk else _declare_in_front(search, index, failed)
-        if chunk is not None and stop:
+        stop = _end_of_chunk(search, chunk) if chunk else 0
+        if chunk is not None:
             index.segments.append(replace(chunk, length=min(chunk.length, stop - chunk.offset), padding=0))
             index.all_counted = False
         position = stop or search.swallowed_record(walk.previous, failed) or 0
@@ -156,7 +152,7 @@ def _walk(
 def _forget(index: McapIndex, offset: int) -> None:
     """Remove the message that begins here, the last one of the walk, from the index."""
     run = index.segments[-1] if index.segments else None
-    if run is not None and not isinstance(run, ChunkSegment) and run.offset <= offset < run.offset + run.length:
+    if run is not None and not run.record_offset and run.offset <= offset < run.offset + run.length:
         index.segments.pop()
         if size := offset - run.offset:
             index.segments.append(replace(run, length=size, uncompressed_size=size))
@@ -226,7 +222,7 @@ class _Search(NamedTuple):
         return int(stop) if 0 < opcode <= Opcode.DATA_END and stop <= self.end and not is_short else None
 
 
-def _chunk_in_front(file: RecordFile, offset: int, end: int) -> ChunkSegment | None:
+def _chunk_in_front(file: RecordFile, offset: int, end: int) -> Segment | None:
     """Return the chunk whose record begins here, if its header is plausible; only its lengths may be wrong."""
     data = file.read(offset, min(CHUNK_HEAD_SIZE, end - offset))
     if data[:1] != bytes([OP_CHUNK]):
@@ -238,13 +234,13 @@ def _chunk_in_front(file: RecordFile, offset: int, end: int) -> ChunkSegment | N
     return None
 
 
-def is_at_its_place(file: RecordFile, chunk: ChunkSegment) -> bool:
+def is_at_its_place(file: RecordFile, chunk: Segment) -> bool:
     """Whether a chunk of the index is where the index places it."""
     head = _chunk_in_front(file, chunk.record_offset, file.size)
-    return head is not None and head.form == chunk.form and head.start_ns == chunk.start_ns
+    return head is not None and form_of(head) == form_of(chunk) and head.start_ns == chunk.start_ns
 
 
-def _end_of_chunk(search: _Search, chunk: ChunkSegment) -> int:
+def _end_of_chunk(search: _Search, chunk: Segment) -> int:
     """Return the offset of the record after a chunk, by any of its lengths."""
     _, length = RECORD.unpack(search.file.read(chunk.record_offset, RECORD.size))
     for stop in (chunk.offset + chunk.length, chunk.record_offset + RECORD.size + length):
@@ -253,49 +249,26 @@ def _end_of_chunk(search: _Search, chunk: ChunkSegment) -> int:
     return search.next_record(chunk.offset, after_chunk=True)
 
 
-def _declare_in_front(search: _Search, index: McapIndex, offset: int) -> int | None:
-    """Declare the schema or channel that begins here by its fields, if they end where a record begins; return that."""
-    data = search.file.read(offset, min(WINDOW, search.end - offset))
-    stop = _end_of_fields(data, search.file)
-    if stop is None or not search.is_record(offset + stop):
-        return None
-    index.declare(data[0], data[RECORD.size : stop], offset, search.file)
-    return offset + stop
-
-
-def _end_of_fields(data: bytes | memoryview, file: RecordFile) -> int | None:
-    """Return where the fields of the schema or channel at the front end, whatever its length is; None if none is."""
-    kind = DECLARATIONS.get(data[0]) if len(data) > RECORD.size else None
-    if kind is not None:
-        with suppress(DamageError):
-            return RECORD.size + parse_fields(kind, data[RECORD.size :], 0, file)[1]
-    return None
-
-
 # --- Chunks ---
 
 
-def displaced_chunks(file: RecordFile, segments: Iterable[Segment]) -> dict[int, ChunkSegment]:
+def displaced_chunks(file: RecordFile, segments: Segments) -> dict[int, Segment]:
     """Find the chunks that are not where the index of a file places them, by their places in the index."""
-    walked = McapIndex()
-    end = file.size - len(MAGIC)
-    with suppress(DamageError):
-        end = read_summary(file, McapIndex())
-    _walk(file, walked, len(MAGIC), end, McapIndex(), alone=True)
-    there = {chunk.record_offset: chunk for chunk in walked.segments if isinstance(chunk, ChunkSegment)}
-    vacant = sorted({segment.record_offset for segment in segments} - there.keys())
-    listed = {segment.record_offset for segment in segments}
-    unlisted = [there[place] for place in sorted(there.keys() - listed)]
-    return dict(zip(vacant, unlisted, strict=False))
+    walked = McapIndex(DamageLog())
+    _walk(file, walked, len(MAGIC), file.size - len(MAGIC), McapIndex(DamageLog()), alone=True)
+    actual = {chunk.record_offset: chunk for chunk in walked.segments if chunk.record_offset}
+    listed = {chunk.record_offset for chunk in segments}
+    vacant, unlisted = sorted(listed - actual.keys()), sorted(actual.keys() - listed)
+    return dict(zip(vacant, map(actual.__getitem__, unlisted), strict=False))
 
 
-def payload_prefix(file: RecordFile, segment: Segment, problem: DamageError) -> tuple[memoryview, DamageError]:
+def payload_prefix(file: RecordFile, segment: Segment, problem: DamageError | None = None) -> tuple[memoryview, Any]:
     """Read the records of a damaged segment as far as they can be decompressed, and improve the error."""
-    chunk: Segment = segment
-    if isinstance(segment, ChunkSegment):
+    chunk = segment
+    if segment.record_offset:
         head = _chunk_in_front(file, segment.record_offset, file.size)
         # A consistent header is right, not the index.
-        if head is not None and head.stop <= file.size and (not head.padding or head.form == segment.form):
+        if head is not None and head.stop <= file.size and (not head.padding or form_of(head) == form_of(segment)):
             chunk = head
         elif head is not None and head.offset + head.length > file.size:
             problem = file.damage(
@@ -308,16 +281,13 @@ def payload_prefix(file: RecordFile, segment: Segment, problem: DamageError) -> 
     return memoryview(decompressed_prefix(data, compression, chunk.uncompressed_size)), problem
 
 
-def salvage_of(data: memoryview, known: Mapping[int, Connection], file: RecordFile) -> Salvage:
+def salvage_of(data: memoryview, known: Mapping[int, Connection]) -> Salvage:
     """Return how the records of a damaged chunk are read."""
 
     def end_of(place: int) -> int | None:
-        stop = record_end(data, place)
-        if data[place] in DECLARATIONS and (stop is None or (stop < len(data) and record_end(data, stop) is None)):
-            fields = _end_of_fields(data[place:], file)
-            return stop if fields is None else place + fields
         # Unknown records are of later specifications, or private.
-        return stop if data[place] in _INSIDE_CHUNKS or data[place] > Opcode.DATA_END else None
+        is_inside = data[place] in _INSIDE_CHUNKS or data[place] > Opcode.DATA_END
+        return record_end(data, place) if is_inside else None
 
     def head_of(place: int) -> tuple[int, int] | None:
         if place + MESSAGE.size > len(data) or data[place] != OP_MESSAGE:

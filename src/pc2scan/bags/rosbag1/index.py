@@ -7,8 +7,6 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-
 from pc2scan.bags.chunks import Segment, Segments
 from pc2scan.bags.reader import ConnectionLimit
 from pc2scan.errors import RecordingError
@@ -21,7 +19,6 @@ from .records import (
     CONNECTION,
     FIRST_LINE,
     INDEX_DATA,
-    MESSAGE,
     SECOND_NS,
     FormatError,
     field_of,
@@ -116,14 +113,6 @@ def read_index(file: BagFile) -> BagIndex:
     del located
     segments.sort()
     _refuse_overlaps(segments, file.size)
-    rows, has_messages = segments.rows, np.ones(len(segments), bool)
-    # Some recorders write zeros for unknown times: the chunk is read then.
-    for number in np.flatnonzero(rows["end_ns"] == 0).tolist():
-        span = contained_span(file, segments[number])
-        rows["start_ns"][number], rows["end_ns"][number] = span or (0, 0)
-        has_messages[number] = span is not None
-    if not has_messages.all():
-        segments = segments.select(has_messages)
     unlisted = frozenset(counts) - connections.keys()
     _compare_connections(file, segments, set(unlisted), found)
     return BagIndex(
@@ -181,12 +170,6 @@ def _refuse_overlaps(segments: Segments, size: int) -> None:
         raise FormatError(f"the chunks have {stored} bytes together, in a bag of {size}")
 
 
-def contained_span(file: BagFile, segment: Segment) -> tuple[int, int] | None:
-    """Read a chunk for the first and the last log time of its messages; None if it has none."""
-    stamps = [time_field(fields, "time") for fields, _ in records_of(file, segment) if kind_of(fields) == MESSAGE]
-    return (min(stamps), max(stamps)) if stamps else None
-
-
 def indexed_entries(file: BagFile, segment: Segment) -> Iterator[tuple[int, list[tuple[int, int]]]]:
     """Yield the connections, and the log times and places of their messages, of the index records after a chunk."""
     position = segment.offset + segment.length
@@ -197,32 +180,6 @@ def indexed_entries(file: BagFile, segment: Segment) -> Iterator[tuple[int, list
                 return
             entries = _ENTRY.iter_unpack(file.nearby(start, position - start))
             yield number_field(fields, "conn"), [(time * SECOND_NS + more, place) for time, more, place in entries]
-
-
-def indexed_times(file: BagFile, segment: Segment, ids: frozenset[int] | None = None) -> dict[int, list[int]] | None:
-    """Return the log times of a chunk's messages by connection, from the index records after it.
-
-    Parameters
-    ----------
-    ids
-        Only of these connections; None means all.
-
-    Returns
-    -------
-    dict[int, list[int]] | None
-        None if the records do not have all of these connections, or contradict their own lengths.
-    """
-    if segment.connection_ids is None:
-        return None
-    missing = set(segment.connection_ids if ids is None else segment.connection_ids & ids)
-    times: dict[int, list[int]] = {}
-    for identity, entries in indexed_entries(file, segment) if missing else ():
-        if ids is None or identity in ids:
-            missing.discard(identity)
-            times.setdefault(identity, []).extend(time_ns for time_ns, _ in entries)
-        if not missing:
-            return times
-    return None if missing else times
 
 
 def _compare_connections(file: BagFile, segments: Segments, missing: set[int], connections: Connections) -> None:

@@ -28,7 +28,7 @@ from pc2scan.bags.formats import FORMATS
 from pc2scan.errors import DamageError
 from pc2scan.files.compression import CompressionError, allowed_bytes, decompress
 from pc2scan.files.source import SourceFile, lend
-from pc2scan.model import Connection, Definition, RawMessage
+from pc2scan.model import Connection, Definition
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -280,10 +280,3 @@ def _layout_of(order: Sequence[bytes]) -> MessageLayout:
 LAYOUTS = {order: _layout_of(order) for order in permutations((b"conn", b"op", b"time"))}
 
 USUAL_LAYOUT = LAYOUTS[b"conn", b"op", b"time"]
-
-
-def message_at(data: memoryview, known: Mapping[int, Connection], place: int) -> RawMessage:
-    """Return the message of a known connection that begins at a place of a chunk."""
-    fields, start, stop = record_in(data, place)
-    stamp_ns = time_field(fields, "time")
-    return RawMessage(known[number_field(fields, "conn")], stamp_ns, data[start:stop], stamp_ns)

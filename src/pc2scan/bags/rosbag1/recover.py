@@ -13,9 +13,8 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.chunks import Segment, Segments, times_around
+from pc2scan.bags.chunks import Salvage, Segment, Segments, times_around
 from pc2scan.bags.damage import AnotherRecordingError
-from pc2scan.bags.salvage import Salvage
 from pc2scan.files.salvage import decompressed_prefix
 from pc2scan.model import RawMessage
 
@@ -314,18 +313,28 @@ def _with_times(file: BagFile, segment: Segment, connections: Connections) -> Se
         return segment
     times = {identity: [time for time, _ in entries] for identity, entries in indexed_entries(file, segment)}
     if not times or not times.keys() <= connections.by_id.keys():
-        data = memoryview(payload_prefix(file, segment))
-        salvage, times = salvage_of(data, {}), {}
-        for start, stop in salvage.records(data, (), complete=False):
-            if (head := salvage.head_of(start)) is not None:
-                times.setdefault(head[0], []).append(head[1])
-            elif (record := record_at(_reading(data), start, len(data))) is not None:
-                with suppress(FormatError):
-                    connections.add(record.fields, data[record.start : stop])
+        times = times_in(file, segment, connections)
     stamps = [stamp for found in times.values() for stamp in found]
     if not stamps:
         return None
     return replace(segment, start_ns=min(stamps), end_ns=max(*stamps, 1), connection_ids=frozenset(times))
+
+
+def times_in(file: BagFile, segment: Segment, connections: Connections | None = None) -> dict[int, list[int]]:
+    """Read a chunk, sound or damaged, for the log times of its messages by connection.
+
+    ``connections`` gets those that it describes.
+    """
+    data = memoryview(payload_prefix(file, segment))
+    salvage = salvage_of(data, {})
+    times: dict[int, list[int]] = {}
+    for start, stop in salvage.records(data, (), complete=False):
+        if (head := salvage.head_of(start)) is not None:
+            times.setdefault(head[0], []).append(head[1])
+        elif connections is not None and (record := record_at(_reading(data), start, len(data))) is not None:
+            with suppress(FormatError):
+                connections.add(record.fields, data[record.start : stop])
+    return times
 
 
 # --- Inside chunks ---
