@@ -27,7 +27,7 @@ from pc2scan.version import __version__
 from . import completion
 from .commands import COMMANDS
 from .failures import in_our_words, show_failure
-from .help import ABOUT, has_more, help_of
+from .help import ABOUT, help_of
 from .interrupts import interruptible
 from .options import arguments_of, call_options
 from .render import say
@@ -41,8 +41,6 @@ if TYPE_CHECKING:
     from .commands import Argument
 
 _INTERRUPTED = 128 + signal.SIGINT
-
-_HELP = {"help": ("--help", "-h"), "help_all": ("--help-all",)}
 
 
 class Typed(NamedTuple):
@@ -63,9 +61,11 @@ def run(words: Sequence[str]) -> int:
         return 2
     try:
         with interruptible(_terminate):
+            if lines := _about(words):
+                for line in lines:
+                    say(line)
+                return 0
             typed = parse(words)
-            if isinstance(typed, int):
-                return typed
             options = call_options(typed.command, typed.values)
             # A failed conversion has a report, so `convert` raises it itself.
             if options.wrong is not None and typed.command != "convert":
@@ -89,8 +89,20 @@ def run(words: Sequence[str]) -> int:
         raise
 
 
-def parse(words: Sequence[str]) -> Typed | int:
-    """Return what was typed; an exit status if it was ``--help`` or ``--version``, which show it at once.
+def _about(words: Sequence[str]) -> list[str]:
+    """Return the lines that ``--help`` and ``--version`` show; empty if none of them is typed."""
+    typed = list(words[: words.index("--")] if "--" in words else words)
+    command = typed[0] if typed and typed[0] in COMMANDS else ""
+    if typed[:1] == ["--version"]:
+        slower = "" if COMPILED else " (slower than usual: installed without a C compiler)"
+        return [f"pc2scan {__version__}{slower}"]
+    if (command and "--help-all" in typed) or {"-h", "--help"} & set(typed if command else typed[:1]):
+        return [*help_of(command, every="--help-all" in typed)]
+    return []
+
+
+def parse(words: Sequence[str]) -> Typed:
+    """Return what was typed.
 
     Raises
     ------
@@ -99,7 +111,7 @@ def parse(words: Sequence[str]) -> Typed | int:
     """
     try:
         command = words[0] if words and words[0] in COMMANDS else ""
-        typed: Typed | int = application(command)(_prepared(words), prog_name="pc2scan", standalone_mode=False)
+        typed: Typed = application(command)(_prepared(words), prog_name="pc2scan", standalone_mode=False)
     except typer.TyperException as err:
         raise in_our_words(err.format_message(), words) from err
     return typed
@@ -131,9 +143,6 @@ class _Command(TyperCommand):
             # A shell completes the words.
             return super().parse_args(ctx, args)
         values, rest, _ = self.make_parser(ctx).parse_args(args=args)
-        for key in _HELP:
-            if values.pop(key, None):
-                _show_help(self.name or "", every=key == "help_all")
         if rest:
             ctx.fail(f"Got unexpected extra argument(s) ({' '.join(rest)})")
         # Those that are not typed, too: Typer would remember what an earlier call had.
@@ -141,29 +150,8 @@ class _Command(TyperCommand):
         return rest
 
 
-def _show_version(value: bool) -> None:
-    if value:
-        slower = "" if COMPILED else " (slower than usual: installed without a C compiler)"
-        say(f"pc2scan {__version__}{slower}")
-        raise typer.Exit
-
-
-def _show_help(command: str = "", *, every: bool = False) -> None:
-    for line in help_of(command, every=every):
-        say(line)
-    raise typer.Exit
-
-
-def _show_about(value: bool) -> None:
-    if value:
-        _show_help()
-
-
-def _root(
-    version: Annotated[bool, typer.Option("--version", callback=_show_version, is_eager=True)] = False,
-    help: Annotated[bool, typer.Option("--help", "-h", callback=_show_about, is_eager=True)] = False,  # noqa: A002
-) -> None:
-    pass
+def _root() -> None:
+    """Without this, Typer makes an application of one command."""
 
 
 def _parser_of(name: str) -> Callable[..., Typed]:
@@ -177,11 +165,6 @@ def _parser_of(name: str) -> Callable[..., Typed]:
 
     keywords = {argument.name: _annotation_of_own(argument) for argument in COMMANDS[name].arguments}
     keywords |= {key: _annotation(option) for key, option in options_of(name).items() if option.spelling}
-    keywords |= {
-        key: Annotated[bool | None, typer.Option(*spellings)]
-        for key, spellings in _HELP.items()
-        if key == "help" or has_more(name)
-    }
     parameters = [Keyword(key, Keyword.KEYWORD_ONLY, default=None, annotation=each) for key, each in keywords.items()]
     parsed.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
     parsed.__annotations__ = {}

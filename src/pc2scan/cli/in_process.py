@@ -51,10 +51,7 @@ def run_command(arguments: Sequence[str], chosen: Sequence[str] = ()) -> Command
 
 def _refuse_others(name: str, chosen: Sequence[str]) -> None:
     """Raise if any of these options decides something else than what is converted."""
-    with redirect_stdout(StringIO()):
-        typed = parse([name, *chosen])
-    if isinstance(typed, int):
-        raise UsageError("--help and --version may not be in a case")
+    typed = parse([name, *chosen])
     unnamed = typed.values.pop("sources", None)
     known = options_of(name)
     allowed = {key for key, option in known.items() if option.scope != Scope.CALL_ONLY} - _PLACE | {"jobs"}
