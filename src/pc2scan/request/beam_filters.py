@@ -57,11 +57,10 @@ class Shadows:
         for name, value in _SHADOWS.items():
             if getattr(self, name) is None:
                 object.__setattr__(self, name, value)
-        low, high, window, neighbors, _ = self._parameters.values()
-        _refuse_unless(0 <= low <= 90, "min_angle", low, "0 to 90 degrees")
-        _refuse_unless(90 <= high <= 180, "max_angle", high, "90 to 180 degrees")
-        _refuse_unless(1 <= window <= 1000, "window", window, "1 to 1000 beams")
-        _refuse_unless(0 <= neighbors <= 1000, "neighbors", neighbors, "0 to 1000 beams")
+        _refuse_outside(self, "min_angle", 0, 90, "degrees")
+        _refuse_outside(self, "max_angle", 90, 180, "degrees")
+        _refuse_outside(self, "window", 1, 1000, "beams")
+        _refuse_outside(self, "neighbors", 0, 1000, "beams")
 
     def __call__(self, ranges: NDArray[np.float32], increment: float, *, closed: bool) -> NDArray[np.bool_]:
         """Return which beams to remove."""
@@ -104,11 +103,12 @@ class Speckles:
     def __post_init__(self) -> None:
         types = {"0": "Distance", "1": "RadiusOutlier"}
         object.__setattr__(self, "filter_type", types.get(self.filter_type, self.filter_type))
-        known = self.filter_type in types.values()
-        _refuse_unless(known, "filter_type", self.filter_type, "Distance (0) or RadiusOutlier (1)")
-        _refuse_unless(self.max_range >= 0, "max_range", self.max_range, "0 m or more")
-        _refuse_unless(self.max_range_difference >= 0, "max_range_difference", self.max_range_difference, "0 m or more")
-        _refuse_unless(1 <= self.filter_window <= 1000, "filter_window", self.filter_window, "1 to 1000 beams")
+        if self.filter_type not in types.values():
+            allowed = "Distance (0) or RadiusOutlier (1)"
+            raise UsageError(f"`remove`: filter_type is {self.filter_type}, it must be {allowed}")
+        _refuse_outside(self, "max_range", 0, math.inf, "m")
+        _refuse_outside(self, "max_range_difference", 0, math.inf, "m")
+        _refuse_outside(self, "filter_window", 1, 1000, "beams")
 
     def __call__(self, ranges: NDArray[np.float32], increment: float, *, closed: bool) -> NDArray[np.bool_]:
         """Return which beams to remove."""
@@ -143,8 +143,10 @@ _FILTERS: dict[str, tuple[type[BeamFilter], Mapping[str, object]]] = {
 }
 
 
-def _refuse_unless(holds: bool, name: str, value: object, allowed: str) -> None:  # the result of the check
-    if not holds:
+def _refuse_outside(chosen: BeamFilter, name: str, low: float, high: float, unit: str) -> None:
+    value = getattr(chosen, name)
+    if not low <= value <= high:
+        allowed = f"{low} {unit} or more" if math.isinf(high) else f"{low} to {high} {unit}"
         raise UsageError(f"`remove`: {name} is {value}, it must be {allowed}")
 
 

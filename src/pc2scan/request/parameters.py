@@ -245,29 +245,23 @@ def refuse_degrees(
     names = ("angle_min", "angle_max")
     low, high = (values.get(name, PARAMETERS[name].default) for name in names)
     span = high - low
-    if abs(span - 2 * math.pi) < FULL_TURN - 2 * math.pi:
+    if abs(span - 2 * math.pi) < FULL_TURN - 2 * math.pi or math.isinf(span):
         return
     beyond = [name for name, angle in zip(names, (low, high), strict=True) if abs(angle) > FULL_TURN]
     text = " and ".join(f"{name} is {values[name]} rad" for name in beyond)
     if not beyond and span > FULL_TURN and values.get("geometry") == "centered":
         beyond = [name for name in names if name in values]
         text = f"angle_min {low} to angle_max {high} rad is a sector of {span:g} rad"
-    if not beyond or math.isinf(span):
+    if not beyond:
         return
+    hint = "a full circle is `angle_min=-180deg`, `angle_max=180deg`"
+    if not all(re.search("deg|°", str((written or {}).get(name))) for name in beyond):
+        cures = ", ".join(f"`{name}={degrees_text(values[name])}`" for name in beyond)
+        numbers = ", ".join(f"{math.radians(values[name]):.6g}" for name in beyond)
+        hint = f"for degrees write {cures}, which is {numbers} rad"
     places = "; ".join(f"{name} from {origin[name]}" if beyond[1:] else f"from {origin[name]}" for name in beyond)
-    if all(re.search("deg|°", str((written or {}).get(name))) for name in beyond):
-        raise ParameterError(
-            f"{text}, more than a full turn (360 degrees are 6.28319 rad) ({places})",
-            name=beyond[0],
-            hint="a full circle is `angle_min=-180deg`, `angle_max=180deg`",
-        )
-    cures = ", ".join(f"`{name}={degrees_text(values[name])}`" for name in beyond)
-    numbers = ", ".join(f"{math.radians(values[name]):.6g}" for name in beyond)
-    raise ParameterError(
-        f"{text}, more than a full turn (2 pi is 6.28319 rad) ({places})",
-        name=beyond[0],
-        hint=f"for degrees write {cures}, which is {numbers} rad",
-    )
+    message = f"{text}, more than a full turn (2 pi is 6.28319 rad) ({places})"
+    raise ParameterError(message, name=beyond[0], hint=hint)
 
 
 def preset_settings(consumer: str) -> list[Setting]:

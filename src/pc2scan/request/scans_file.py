@@ -74,11 +74,12 @@ def load_scans(asked: Path | Mapping[str, Any] | Sequence[Any], overriding: Sequ
     top = root.mapping("scans", _TOP, _EXAMPLE)
     specs: list[ScanSpec] = []
     ignored: list[str] = []
+    defaults = top.get("defaults", Entry({}, root.place))
     for topic, entry in _outputs(top.get("scans", Entry(None, root.place))):
-        reader = _OutputReader(topic, entry, top.get("defaults", Entry({}, root.place)), folder)
-        specs.append(reader.spec(overriding))
-        files += reader.files
-        ignored += reader.ignored
+        spec, read, told = _output(topic, entry, defaults, folder, overriding)
+        specs.append(spec)
+        files += read
+        ignored += told
     return ScansFile(tuple(specs), tuple(dict.fromkeys(files)), tuple(dict.fromkeys(ignored)))
 
 
@@ -107,52 +108,45 @@ def _listed(entry: Entry) -> tuple[str, Entry]:
     return topic.value, entry._replace(value={key: each for key, each in entry.value.items() if key != "topic"})
 
 
-class _OutputReader:
-    """Reads one output; keys that it does not have are read from the defaults."""
+def _output(
+    topic: str, entry: Entry, defaults: Entry, folder: Path, overriding: Sequence[Setting]
+) -> tuple[ScanSpec, list[Path], Sequence[str]]:
+    """Return an output, the files that were read for it, and what was ignored in them.
 
-    def __init__(self, topic: str, entry: Entry, defaults: Entry, folder: Path) -> None:
-        self._topic, self._place = topic, entry.place
-        self._settings: list[Setting] = []
-        self.files: list[Path] = []
-        self.ignored: tuple[str, ...] = ()
-        options = output_options()
-        kinds = {"sources": Texts(), **{name: option.value for name, option in options.items()}}
-        known = (*names_of("pointcloud_to_laserscan"), *ALIASES, *kinds)
-        hint = f"an output has {', '.join(kinds)}, and the parameters of pointcloud_to_laserscan"
-        values: dict[str, Any] = {}
-        self._places: dict[str, str] = {}
-        for each, source in ((entry, topic), (defaults, "'defaults'")):
-            for key, found in each.mapping(source, known, hint).items():
-                name = ALIASES.get(key, key)
-                if name in PARAMETERS:
-                    value = found.read(key, PARAMETERS[name].value, folder)
-                    self._settings.append(Setting(name, value, f"{found.place}, {key}", source))
-                elif key not in values:
-                    values[key] = found.read(key, kinds[key], folder)
-                    self._places[key] = f"{found.place}, {topic}"
-        self._sources = values.pop("sources", None)
-        self._options = Options("convert", values, known=options)
-
-    def spec(self, overriding: Sequence[Setting]) -> ScanSpec:
-        """Return the output."""
-        options = self._options
-        file = options.params_file
-        place = f"{self._place}, {self._topic}"
-        with naming_place(self._places, place), not_quoting([(file, place, "params_file")] if file else ()):
-            found = resolve_sources([*overriding, *self._settings], file=file, node=options.node, preset=options.preset)
-            if found.reverse:
-                raise UsageError(f"{file} is for laserscan_to_pointcloud, scans are made of clouds")
-            self.files = [file, *found.files] if file else []
-            self.ignored = found.ignored
-            sources = self._sources
-            if sources is None:
-                sources = [topic.partition(":=")[0] for topic in read_remaps(found.remaps).topics]
-            for source in sources:
-                if ":=" in source or not source:
-                    message = f"'sources' has {source!r}, which is not a topic"
-                    raise ParameterError(message, name="sources", hint="an output's topic is its key")
-            topics = tuple(TopicRequest(source, self._topic) for source in sources)
-            return ScanSpec.of(options.given, found, name=self._topic, place=self._place, topics=topics)
+    Keys that it does not have are read from the defaults.
+    """
+    known_options = output_options()
+    kinds = {"sources": Texts(), **{name: option.value for name, option in known_options.items()}}
+    known = (*names_of("pointcloud_to_laserscan"), *ALIASES, *kinds)
+    hint = f"an output has {', '.join(kinds)}, and the parameters of pointcloud_to_laserscan"
+    settings: list[Setting] = []
+    values: dict[str, Any] = {}
+    places: dict[str, str] = {}
+    for each, source in ((entry, topic), (defaults, "'defaults'")):
+        for key, found in each.mapping(source, known, hint).items():
+            name = ALIASES.get(key, key)
+            if name in PARAMETERS:
+                value = found.read(key, PARAMETERS[name].value, folder)
+                settings.append(Setting(name, value, f"{found.place}, {key}", source))
+            elif key not in values:
+                values[key] = found.read(key, kinds[key], folder)
+                places[key] = f"{found.place}, {topic}"
+    sources = values.pop("sources", None)
+    options = Options("convert", values, known=known_options)
+    file, place = options.params_file, f"{entry.place}, {topic}"
+    with naming_place(places, place), not_quoting([(file, place, "params_file")] if file else ()):
+        resolved = resolve_sources([*overriding, *settings], file=file, node=options.node, preset=options.preset)
+        if resolved.reverse:
+            raise UsageError(f"{file} is for laserscan_to_pointcloud, scans are made of clouds")
+        if sources is None:
+            sources = [name.partition(":=")[0] for name in read_remaps(resolved.remaps).topics]
+        for source in sources:
+            if ":=" in source or not source:
+                message = f"'sources' has {source!r}, which is not a topic"
+                raise ParameterError(message, name="sources", hint="an output's topic is its key")
+        topics = tuple(TopicRequest(source, topic) for source in sources)
+        spec = ScanSpec.of(options.given, resolved, name=topic, place=entry.place, topics=topics)
+    return spec, [file, *resolved.files] if file else [], resolved.ignored
 
 
 def refuse_beside(names: Sequence[str]) -> None:

@@ -125,7 +125,7 @@ class _Condition:
     def __init__(self, text: str) -> None:
         self._text = text
         self.fields: dict[str, None] = {}
-        self.holds = self._condition(self._parse(), 0)
+        self.holds = self._part(self._parse(), 0, is_condition=True)
         if not self.fields:
             raise self._error(1, "it names no field")
 
@@ -158,27 +158,46 @@ class _Condition:
         column = place if isinstance(place, int) else getattr(place, "col_offset", 0) + self._indent + 1
         return UsageError(f"`where`: column {column} of {self._text!r}: {what}", hint=hint or _EXAMPLE)
 
-    def _deeper(self, node: ast.AST, depth: int) -> int:
+    def _part(self, node: ast.expr, depth: int, *, is_condition: bool = False) -> _Part:
+        """Return what computes a number for each point, or a condition."""
         if depth >= _DEEPEST:
             raise self._error(node, f"more than {_DEEPEST} levels of operators and nots")
-        return depth + 1
+        holds, part = self._read(node, depth + 1)
+        if is_condition and not holds:
+            raise self._error(node, "expected a comparison; this is a number", "compare it: ring == 3")
+        if holds and not is_condition:
+            raise self._error(node, "expected a number; this is a condition")
+        return part
 
-    def _condition(self, node: ast.expr, depth: int) -> _Part:
-        """Return what computes a condition."""
-        depth = self._deeper(node, depth)
-        if isinstance(node, ast.BoolOp):
-            join = np.logical_and if isinstance(node.op, ast.And) else np.logical_or
-            parts = [self._condition(each, depth) for each in node.values]
-            return lambda points: reduce(join, (part(points) for part in parts))
-        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
-            part = self._condition(node.operand, depth)
-            return lambda points: np.logical_not(part(points))
-        if isinstance(node, ast.Compare):
-            sides = [node.left, *node.comparators]
-            checks = [self._comparison(*each, depth) for each in zip(sides, node.ops, sides[1:], strict=False)]
-            return lambda points: reduce(np.logical_and, (check(points) for check in checks))
-        self._value(node, depth)
-        raise self._error(node, "expected a comparison; this is a number", "compare it: ring == 3")
+    def _read(self, node: ast.expr, depth: int) -> tuple[bool, _Part]:
+        """Return whether a node is a condition, and what computes it."""
+        match node:
+            case ast.BoolOp(sign, values):
+                join = np.logical_and if isinstance(sign, ast.And) else np.logical_or
+                parts = [self._part(each, depth, is_condition=True) for each in values]
+                return True, lambda points: reduce(join, (part(points) for part in parts))
+            case ast.UnaryOp(ast.Not(), operand):
+                part = self._part(operand, depth, is_condition=True)
+                return True, lambda points: np.logical_not(part(points))
+            case ast.Compare(left, signs, rights):
+                pairs = zip([left, *rights], signs, rights, strict=False)
+                checks = [self._comparison(*each, depth) for each in pairs]
+                return True, lambda points: reduce(np.logical_and, (check(points) for check in checks))
+            case ast.expr() if (number := _number_of(node)) is not None:
+                return False, lambda _: np.float64(number)
+            case ast.Name(name) if name.isascii():
+                self.fields[name] = None
+                return False, lambda points: points.field(name).astype(np.float64)
+            case ast.UnaryOp(ast.USub(), operand):
+                part = self._part(operand, depth)
+                return False, lambda points: -part(points)
+            case ast.BinOp(left, operation, right) if (compute := _ARITHMETIC.get(type(operation))) is not None:
+                first, second = self._part(left, depth), self._part(right, depth)
+                return False, lambda points: compute(first(points), second(points))
+            case ast.Call(ast.Name("abs"), [value], []):
+                part = self._part(value, depth)
+                return False, lambda points: np.abs(part(points))
+        raise self._error(node, f"unexpected {ast.get_source_segment(self._text.strip(), node)!r}")
 
     def _comparison(self, left: ast.expr, sign: ast.cmpop, right: ast.expr, depth: int) -> _Part:
         """Return what compares two values, or a value with several numbers."""
@@ -190,13 +209,12 @@ class _Condition:
             if not numbers:
                 raise self._error(right, "expected a number in the parentheses")
             equal = [self._comparison(left, ast.Eq(), each, depth) for each in numbers]
-            if isinstance(sign, ast.In):
-                return lambda points: reduce(np.logical_or, (check(points) for check in equal))
-            return lambda points: np.logical_not(reduce(np.logical_or, (check(points) for check in equal)))
+            is_in = isinstance(sign, ast.In)
+            return lambda points: reduce(np.logical_or, (check(points) for check in equal)) == is_in
         compare = _COMPARISONS.get(type(sign))
         if compare is None:
             raise self._error(right, "expected one of < <= > >= == != in")
-        values = self._value(left, depth), self._value(right, depth)
+        values = self._part(left, depth), self._part(right, depth)
         named, number = (left, _number_of(right)) if isinstance(left, ast.Name) else (right, _number_of(left))
         if not isinstance(named, ast.Name) or number is None:
             return lambda points: compare(values[0](points), values[1](points))
@@ -208,34 +226,6 @@ class _Condition:
             return compare(own, np.float32(number)) if named is left else compare(np.float32(number), own)
 
         return compare_field
-
-    def _value(self, node: ast.expr, depth: int) -> _Part:
-        """Return what computes a number for each point."""
-        depth = self._deeper(node, depth)
-        if (number := _number_of(node)) is not None:
-            value = np.float64(number)
-            return lambda _: value
-        if isinstance(node, ast.Name) and node.id.isascii():
-            name = node.id
-            self.fields[name] = None
-            return lambda points: points.field(name).astype(np.float64)
-        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
-            part = self._value(node.operand, depth)
-            return lambda points: -part(points)
-        if isinstance(node, ast.BinOp) and (compute := _ARITHMETIC.get(type(node.op))) is not None:
-            parts = self._value(node.left, depth), self._value(node.right, depth)
-            return lambda points: compute(parts[0](points), parts[1](points))
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "abs":
-            if len(node.args) == 1 and not node.keywords:
-                part = self._value(node.args[0], depth)
-                return lambda points: np.abs(part(points))
-            raise self._error(node, "abs takes one value")
-        if isinstance(node, ast.BoolOp | ast.Compare) or (
-            isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not)
-        ):
-            raise self._error(node, "expected a number; this is a condition")
-        found = ast.get_source_segment(self._text.strip(), node)
-        raise self._error(node, f"unexpected {found!r}")
 
 
 def _number_of(node: ast.expr) -> float | None:
