@@ -142,7 +142,7 @@ def test_scans_are_read_back_as_recorded(opened: Callable[..., Tab], tmp_path: P
     source = write_mcap(tmp_path / "scans.mcap", recording({"/scan": scans(3), "/other": scans(3)}))
     tab = opened(source)
     found = tab.call("window.pc2scan.layers()")
-    assert [layer["name"] for layer in found] == ["/scan (laser)", "/other (laser)"]
+    assert [layer["name"] for layer in found] == ["/other (laser)", "/scan (laser)"]
     assert [float(text) for text in found[0]["ranges"]] == GOOD.ranges.tolist()
     assert "accepted" in tab.page.inner_text("#panel")
 

@@ -106,8 +106,6 @@ export function showClouds(recording) {
   let scan = projector.scan(params);
   let ends = new Float64Array();
   let colours = new Uint32Array();
-  let milliseconds = 0;
-  let problem = problemOf(params);
   let markedBeam = -1;
   let fitted = false;
 
@@ -204,16 +202,14 @@ export function showClouds(recording) {
 
   /** Project with the present parameters, and show everything. */
   function update() {
-    problem = problemOf(params);
+    const problem = problemOf(params);
     controls.blame(problem);
     controls.show(params, mount ?? entry.mount, preset);
     if (!problem) {
-      const begin = performance.now();
       scan = projector.scan(params, (params.intensity_field && fields.get(params.intensity_field)) || null);
-      milliseconds = performance.now() - begin;
       ends = endsOf(scan, isReturn);
     }
-    results.show(scan, milliseconds, entry);
+    results.show(scan, entry);
     paint();
     draw();
   }
@@ -457,18 +453,10 @@ export function showClouds(recording) {
 
   Object.assign(window, {
     pc2scan: {
-      /** For tests: computes a scan with other parameters. */
-      scan: () => ({ ranges: [...scan.ranges].map(String), counts: scan.counts, milliseconds }),
-      params: () => params,
-      set: (/** @type {Partial<Params>} */ changes) => {
-        params = { ...params, ...changes };
-        update();
-        return problem;
-      },
+      scan: () => ({ ranges: [...scan.ranges].map(String), counts: scan.counts }),
       go,
       command: () => commandLine(choice()),
       file: (/** @type {1 | 2} */ ros) => parameterFile(choice(), ros),
-      staticTf: () => staticText(choice()),
     },
   });
   return go(0);
@@ -536,18 +524,17 @@ function resultsIn(panel, choice) {
     },
     /**
      * @param {Scan} scan
-     * @param {number} milliseconds
      * @param {CloudEntry} entry
      */
-    show(scan, milliseconds, entry) {
+    show(scan, entry) {
       const total = Math.max(1, scan.outcomes.length);
       rows.forEach(({ row, count, share }, n) => {
         put(row, "hidden", OUTCOMES[n] === "filtered" && !entry.filtered);
         put(count, "textContent", grouped(scan.counts[n]));
         put(share, "textContent", `${((100 * scan.counts[n]) / total).toFixed(1)} %`);
       });
-      const thinned = entry.total > scan.outcomes.length ? ` of ${grouped(entry.total)} points, thinned;` : "";
-      summary.textContent = `${scan.ranges.length} beams, ${scan.returns} with a return;${thinned} ${milliseconds.toFixed(1)} ms`;
+      const thinned = entry.total > scan.outcomes.length ? `; of ${grouped(entry.total)} points, thinned` : "";
+      summary.textContent = `${scan.ranges.length} beams, ${scan.returns} with a return${thinned}`;
       const words = commandWords(choice());
       if (command.children.length === words.length)
         words.forEach((word, n) => put(command.children[n], "textContent", word));

@@ -32,7 +32,7 @@ const written = (value) => (typeof value === "number" ? number(value) : String(v
  * Quote a word for a POSIX shell.
  * @param {string} text
  */
-export function quoted(text) {
+function quoted(text) {
   return /^[\w@%+=:,./~-]+$/.test(text) && !text.startsWith("~") ? text : `'${text.replaceAll("'", `'"'"'`)}'`;
 }
 

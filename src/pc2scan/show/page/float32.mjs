@@ -3,9 +3,6 @@
 
 const bytes = new DataView(new ArrayBuffer(8));
 
-/** The largest float64: upstream's default for `max_height` and `range_max`. */
-export const LARGEST = Number.MAX_VALUE;
-
 /**
  * The float32 next to a float32, upwards.
  * @param {number} value a float32 value, not NaN

@@ -133,27 +133,14 @@ export function nameFrame(frame) {
 export function copyButton(label, text) {
   const button = make("button", { type: "button", textContent: label });
   button.addEventListener("click", async () => {
-    const copied = await copy(text());
-    button.textContent = copied ? "Copied" : "Select it below";
+    const copied = navigator.clipboard?.writeText(text()).then(
+      () => "Copied",
+      () => "Select it below",
+    );
+    button.textContent = (await copied) ?? "Select it below";
     setTimeout(() => (button.textContent = label), 1200);
   });
   return button;
-}
-
-/** @param {string} text */
-async function copy(text) {
-  try {
-    await navigator.clipboard.writeText(text);
-    return true;
-  } catch {
-    // Browsers may deny the clipboard to pages from the disk; `execCommand` still works in most of them.
-    const area = make("textarea", { value: text });
-    document.body.append(area);
-    area.select();
-    const copied = document.execCommand("copy");
-    area.remove();
-    return copied;
-  }
 }
 
 /**

@@ -2,7 +2,7 @@
 
 import { correctAngle, olderGlibcAngle } from "./angles.mjs";
 import { emptyRange } from "./params.mjs";
-import { means, winners } from "./reduce.mjs";
+import { reduce } from "./reduce.mjs";
 import { layoutOf } from "./layout.mjs";
 import { ruleOf } from "./rule.mjs";
 
@@ -99,26 +99,8 @@ export class Projector {
     const returned = returnsOf(params, empty, outcomes, squares);
     const ranges = new Float32Array(layout.count).fill(empty);
     const intensities = values && new Float32Array(layout.count);
-    let returns = 0;
-    if (params.reduce === "mean") {
-      const found = means(layout.count, params.min_points, returned, bins, squares, values);
-      for (let bin = 0; bin < layout.count; bin++) {
-        if (!found.seen[bin]) continue;
-        returns += 1;
-        ranges[bin] = found.ranges[bin];
-        if (intensities && found.values) intensities[bin] = found.values[bin];
-      }
-      return { layout, ranges, intensities, counts, outcomes, bins, returns };
-    }
-    const readers = new Int32Array(layout.count).fill(-1);
-    winners(readers, params, returned, bins, squares, layout.increment);
-    for (let bin = 0; bin < layout.count; bin++) {
-      const point = readers[bin];
-      if (point < 0) continue;
-      ranges[bin] = Math.sqrt(squares[point]);
-      returns += 1;
-      if (intensities && values) intensities[bin] = values[point];
-    }
+    const points = { outcomes: returned, bins, squares, values };
+    const returns = reduce(params, points, layout.increment, ranges, intensities);
     return { layout, ranges, intensities, counts, outcomes, bins, returns };
   }
 

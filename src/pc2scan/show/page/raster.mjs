@@ -1,7 +1,6 @@
 // Draws points as coloured pixels, the nearest in front, and finds the point that a pixel shows.
 //
-// Where the points are on the screen is found again only when the cloud or the view changes. While a parameter changes,
-// a picture takes one or two passes over the points, and allocates nothing.
+// Where the points are on the screen is found again only when the cloud or the view changes. A picture allocates nothing.
 
 /** @typedef {{x: Float32Array, y: Float32Array, z: Float32Array}} Cloud */
 
@@ -42,24 +41,18 @@ export class Raster {
    */
   draw(cloud, view, size, colours, ranks) {
     const key = [view.right, view.down, view.near, size, this.width, this.height, ranks === null].join();
-    if (cloud !== this.cloud || key !== this.key) {
+    const moved = cloud !== this.cloud || key !== this.key;
+    if (moved) {
       this.cloud = cloud;
       this.key = key;
       this.size = size;
       this.locate(cloud, view);
-      if (!ranks) this.stack(cloud, view);
     }
+    if (moved || ranks) this.stack(cloud, view, ranks);
     const { pixels, points } = this;
-    if (ranks) {
-      pixels.fill(0);
-      points.fill(0);
-      this.stamp(colours, ranks, false);
-      this.stamp(colours, ranks, true);
-    } else {
-      for (let place = 0; place < points.length; place++) {
-        const point = points[place];
-        pixels[place] = point === 0 ? 0 : colours[point - 1];
-      }
+    for (let place = 0; place < points.length; place++) {
+      const point = points[place];
+      pixels[place] = point === 0 ? 0 : colours[point - 1];
     }
   }
 
@@ -100,51 +93,23 @@ export class Raster {
   }
 
   /**
-   * Find the points of the pixels: the nearest.
+   * Find the points of the pixels: the last of rank 0, or the nearest.
    * @param {Cloud} cloud
    * @param {View} view
+   * @param {Uint8Array | null} ranks
    */
-  stack({ x: xs, y: ys, z: zs }, { near: [a, b, c] }) {
+  stack({ x: xs, y: ys, z: zs }, { near: [a, b, c] }, ranks) {
     const { places, points, depths, size, width } = this;
     points.fill(0);
     depths.fill(-Infinity);
-    const put = (/** @type {number} */ place, /** @type {number} */ depth, /** @type {number} */ n) => {
-      if (depth < depths[place]) return;
-      depths[place] = depth;
-      points[place] = n + 1;
-    };
     for (let n = 0; n < places.length; n++) {
       if (places[n] < 0) continue;
-      const depth = a * xs[n] + b * ys[n] + c * zs[n];
-      // Loops of one step take longer than the step.
-      if (size === 1) put(places[n], depth, n);
-      else {
-        for (let row = 0; row < size; row++) {
-          for (let place = places[n] + row * width, end = place + size; place < end; place++) put(place, depth, n);
-        }
-      }
-    }
-  }
-
-  /**
-   * Draw the points of rank 0, or all others.
-   * @param {Uint32Array} colours
-   * @param {Uint8Array} ranks
-   * @param {boolean} front
-   */
-  stamp(colours, ranks, front) {
-    const { places, points, pixels, size, width } = this;
-    const put = (/** @type {number} */ place, /** @type {number} */ colour, /** @type {number} */ n) => {
-      pixels[place] = colour;
-      points[place] = n + 1;
-    };
-    for (let n = 0; n < places.length; n++) {
-      if ((ranks[n] === 0) !== front || places[n] < 0) continue;
-      const colour = colours[n];
-      if (size === 1) put(places[n], colour, n);
-      else {
-        for (let row = 0; row < size; row++) {
-          for (let place = places[n] + row * width, end = place + size; place < end; place++) put(place, colour, n);
+      const depth = ranks ? Number(ranks[n] === 0) : a * xs[n] + b * ys[n] + c * zs[n];
+      for (let row = 0; row < size; row++) {
+        for (let place = places[n] + row * width, end = place + size; place < end; place++) {
+          if (depth < depths[place]) continue;
+          depths[place] = depth;
+          points[place] = n + 1;
         }
       }
     }

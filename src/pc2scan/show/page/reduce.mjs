@@ -6,22 +6,47 @@ const SURFACE_DEPTH = 0.05;
 const SURFACE_SLOPE = 3;
 
 /**
- * The point that gives each beam its range; of points with the same range, the first in the cloud.
- * @param {Int32Array} readers -1 on entry; the winners on return
- * @param {Params} params
- * @param {Uint8Array} outcomes 0 for the returns, whose ranges are finite
- * @param {Int32Array} bins
- * @param {Float64Array} squares
- * @param {number} increment radians
+ * @typedef {object} Returns
+ * @property {Uint8Array} outcomes 0 for the returns, whose ranges are finite
+ * @property {Int32Array} bins
+ * @property {Float64Array} squares
+ * @property {ArrayLike<number> | null} values of the intensity field
  */
-export function winners(readers, params, outcomes, bins, squares, increment) {
-  if (params.reduce === "min" && params.min_points === 1) {
-    closest(readers, outcomes, bins, squares);
-    return;
-  }
-  const { starts, members } = grouped(readers.length, outcomes, bins);
-  const ranges = new Float32Array(squares.length);
-  for (const point of members) ranges[point] = Math.sqrt(squares[point]);
+
+/**
+ * Give each beam its range, and its intensity.
+ * @param {Params} params
+ * @param {Returns} points
+ * @param {number} increment radians
+ * @param {Float32Array} ranges beams without a return keep theirs
+ * @param {Float32Array | null} intensities
+ * @returns {number} how many beams have a return
+ */
+export function reduce(params, points, increment, ranges, intensities) {
+  if (params.reduce === "mean") return means(params.min_points, points, ranges, intensities);
+  let returns = 0;
+  winners(params, points, increment, ranges.length).forEach((point, bin) => {
+    if (point < 0) return;
+    returns += 1;
+    ranges[bin] = Math.sqrt(points.squares[point]);
+    if (intensities && points.values) intensities[bin] = points.values[point];
+  });
+  return returns;
+}
+
+/**
+ * The point that gives each beam its range, -1 for none; of points with the same range, the first in the cloud.
+ * @param {Params} params
+ * @param {Returns} points
+ * @param {number} increment radians
+ * @param {number} beams
+ */
+function winners(params, points, increment, beams) {
+  if (params.reduce === "min" && params.min_points === 1) return closest(points, beams);
+  const readers = new Int32Array(beams).fill(-1);
+  const { starts, members } = grouped(points, beams);
+  const ranges = new Float32Array(points.squares.length);
+  for (const point of members) ranges[point] = Math.sqrt(points.squares[point]);
   const kth = params.reduce.startsWith("kth=") ? Number(params.reduce.slice(4)) : 0;
   const least = Math.max(params.min_points, kth);
   for (let bin = 0; bin < readers.length; bin++) {
@@ -39,6 +64,7 @@ export function winners(readers, params, outcomes, bins, squares, increment) {
     }
     readers[bin] = order[place];
   }
+  return readers;
 }
 
 /**
@@ -56,13 +82,12 @@ function onSurface(order, ranges, increment) {
 }
 
 /**
- * @param {Int32Array} readers
- * @param {Uint8Array} outcomes
- * @param {Int32Array} bins
- * @param {Float64Array} squares
+ * @param {Returns} points
+ * @param {number} beams
  */
-function closest(readers, outcomes, bins, squares) {
-  const smallest = new Float32Array(readers.length).fill(Infinity);
+function closest({ outcomes, bins, squares }, beams) {
+  const readers = new Int32Array(beams).fill(-1);
+  const smallest = new Float32Array(beams).fill(Infinity);
   for (let point = 0; point < bins.length; point++) {
     if (outcomes[point] !== 0) continue;
     const bin = bins[point];
@@ -73,15 +98,15 @@ function closest(readers, outcomes, bins, squares) {
       readers[bin] = point;
     }
   }
+  return readers;
 }
 
 /**
  * The points of each beam, in the order of the cloud.
+ * @param {Returns} points
  * @param {number} beams
- * @param {Uint8Array} outcomes
- * @param {Int32Array} bins
  */
-function grouped(beams, outcomes, bins) {
+function grouped({ outcomes, bins }, beams) {
   const starts = new Int32Array(beams + 1);
   for (let point = 0; point < bins.length; point++) if (outcomes[point] === 0) starts[bins[point] + 1] += 1;
   for (let bin = 0; bin < beams; bin++) starts[bin + 1] += starts[bin];
@@ -92,31 +117,27 @@ function grouped(beams, outcomes, bins) {
 }
 
 /**
- * The mean of each beam's ranges, and of its values, summed in the order of the cloud.
- * @param {number} beams
+ * Give each beam the mean of its ranges, and of its values, summed in the order of the cloud.
  * @param {number} least a beam with fewer returns has none
- * @param {Uint8Array} outcomes
- * @param {Int32Array} bins
- * @param {Float64Array} squares
- * @param {ArrayLike<number> | null} values
+ * @param {Returns} points
+ * @param {Float32Array} ranges
+ * @param {Float32Array | null} intensities
  */
-export function means(beams, least, outcomes, bins, squares, values) {
-  const sizes = new Float64Array(beams);
-  const ranges = new Float64Array(beams);
-  const lit = values && new Float64Array(beams);
+function means(least, { outcomes, bins, squares, values }, ranges, intensities) {
+  const [sizes, sums, lit] = [0, 1, 2].map(() => new Float64Array(ranges.length));
   for (let point = 0; point < bins.length; point++) {
     if (outcomes[point] !== 0) continue;
     const bin = bins[point];
     sizes[bin] += 1;
-    ranges[bin] += Math.fround(Math.sqrt(squares[point]));
-    if (lit && values) lit[bin] += values[point];
+    sums[bin] += Math.fround(Math.sqrt(squares[point]));
+    if (values) lit[bin] += values[point];
   }
-  const seen = new Uint8Array(beams);
-  for (let bin = 0; bin < beams; bin++) {
+  let returns = 0;
+  for (let bin = 0; bin < ranges.length; bin++) {
     if (sizes[bin] < least) continue;
-    seen[bin] = 1;
-    ranges[bin] /= sizes[bin];
-    if (lit) lit[bin] /= sizes[bin];
+    returns += 1;
+    ranges[bin] = sums[bin] / sizes[bin];
+    if (intensities) intensities[bin] = lit[bin] / sizes[bin];
   }
-  return { seen, ranges, values: lit };
+  return returns;
 }

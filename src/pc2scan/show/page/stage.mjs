@@ -14,8 +14,6 @@ export class Stage {
     this.element = element;
     this.canvas = document.createElement("canvas");
     element.replaceChildren(this.canvas);
-    /** @type {Map<number, [number, number]>} the fingers that touch it, and where */
-    this.fingers = new Map();
     /** @type {Raster | null} the points; null before any are drawn */
     this.raster = null;
     this.ratio = 1;
@@ -88,8 +86,7 @@ export class Stage {
       const move = (moved) => {
         if (!moved.isPrimary) return;
         const at = this.place(moved);
-        // While two fingers zoom, the picture stays between them.
-        if (this.fingers.size < 2) step(at[0] - last[0], at[1] - last[1], at);
+        step(at[0] - last[0], at[1] - last[1], at);
         last = at;
       };
       const released = new AbortController();
@@ -119,7 +116,7 @@ export class Stage {
   }
 
   /**
-   * Call a function on zooming (by wheel, key or two fingers), with the factor and the place that stays fixed.
+   * Call a function on zooming, by wheel or key, with the factor and the place that stays fixed.
    * @param {(factor: number, at: [number, number]) => void} zoom
    */
   onZoom(zoom) {
@@ -131,20 +128,6 @@ export class Stage {
       },
       { passive: false },
     );
-    const { fingers } = this;
-    this.element.addEventListener("pointerdown", (event) => {
-      if (event.pointerType === "touch") fingers.set(event.pointerId, this.place(event));
-    });
-    this.element.addEventListener("pointermove", (event) => {
-      if (!fingers.has(event.pointerId)) return;
-      const before = apart(fingers);
-      fingers.set(event.pointerId, this.place(event));
-      const after = apart(fingers);
-      if (before && after) zoom(after.distance / before.distance, after.middle);
-    });
-    for (const ended of /** @type {const} */ (["pointerup", "pointercancel"])) {
-      this.element.addEventListener(ended, (event) => fingers.delete(event.pointerId));
-    }
     this.element.addEventListener("keydown", (event) => {
       const factor = { "+": 1.25, "=": 1.25, "-": 0.8 }[event.key];
       if (!factor) return;
@@ -152,17 +135,6 @@ export class Stage {
       zoom(factor, [this.width / 2, this.height / 2]);
     });
   }
-}
-
-/**
- * How far two fingers are apart, and the place between them; null if there are not two.
- * @param {Map<number, [number, number]>} fingers
- */
-function apart(fingers) {
-  if (fingers.size !== 2) return null;
-  const [[ax, ay], [bx, by]] = fingers.values();
-  const middle = /** @type {[number, number]} */ ([(ax + bx) / 2, (ay + by) / 2]);
-  return { distance: Math.max(1, Math.hypot(ax - bx, ay - by)), middle };
 }
 
 /**
