@@ -1,13 +1,17 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pytest
 
 from pc2scan import info
 from support import ROOT
 from support.builders import CLOUD, SECOND, T0, Item, Recording, Stream, cloud, write_mcap
+from support.scan_recordings import GOOD, scans
+from support.scan_recordings import write as write_scans
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -53,3 +57,21 @@ def test_clouds_that_are_empty_or_cannot_be_decoded(tmp_path: Path) -> None:
     (odd,) = info(write(tmp_path / "b.mcap", [[1, 2]], names="xy")).clouds
     assert "no field 'z'" in odd.problems[0]
     assert odd.fields == ()
+
+
+#: 2 returns, 1 below range_min, 2 inf, 1 NaN, 1 beyond range_max, 2 returns.
+RANGES = np.array([1, 2, 0, np.inf, np.inf, np.nan, 31, 4, 30], np.float32)
+
+
+def test_what_scans_advertise_and_hold(tmp_path: Path) -> None:
+    content = scans(20, replace(GOOD, ranges=RANGES))
+    content[18] = replace(content[18], ranges=np.full(7, np.inf, np.float32), range_max=np.inf)
+    (scan,) = (found := info(write_scans(tmp_path / "a.mcap", *content))).scans
+    assert (scan.topic, scan.sampled, scan.frames, scan.beams) == ("/scan", 10, ("laser",), (7, 9))
+    assert scan.return_share == pytest.approx(36 / 88)
+    # The worst that happens to any of them.
+    assert (scan.consumers["slam_toolbox"], scan.consumers["nav2"]) == ("ignored", "misplaced")
+    shown = str(found).splitlines()
+    assert "  beams   7 to 9, -57.30 to 57.30 deg by 14.3239 deg" in shown
+    assert "  limits  0.5 to 30 m; scan_time 0.1 s, time_increment 0 s" in shown
+    assert "  returns 40.9% of the beams; no intensities" in shown
