@@ -16,8 +16,6 @@ from support.tables import rows
 
 TABLES = Path(__file__).with_name("params.txt")
 
-ANGLES = st.floats(-7, 7)
-
 
 @pytest.mark.parametrize(("low", "high", "increment", "count"), rows(TABLES, "numbers of beams"))
 def test_beam_count(low: float, high: float, increment: float, count: int) -> None:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from core.reference import Expected, reference_moved, reference_scan
 from pc2scan import PointCounts, ProjectionParams, project
@@ -22,12 +21,12 @@ from pc2scan.core.rigid import Rigid
 from support.loops import BOTH_LOOPS
 from support.tables import rows
 
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
 TABLES = Path(__file__).with_name("project.txt")
 
-Columns = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
-
 OPEN = ProjectionParams(min_height=-100.0, max_height=100.0)
-CENTERED = ProjectionParams(geometry="centered", min_height=-1.0, max_height=1.0, range_max=30.0)
 INF, PI = math.inf, math.pi
 MAX32 = float(np.finfo(np.float32).max)
 MOUNT = Rigid.from_rpy(0.1, -0.2, 0.4, (0.3, 0.0, 0.5)).as_float32()

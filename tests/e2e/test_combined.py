@@ -180,7 +180,6 @@ def test_any_number_of_jobs_gives_the_same_bytes(
 
 NEAR = (*two_topics(), *UNMOVED)
 LOW = ("--min-height", "0.1")
-ONE = ("--topic", "/front")
 
 
 @pytest.mark.parametrize(("options", "status", "said"), rows(TABLES, "what is wrong"))

@@ -8,7 +8,6 @@ import shutil
 import signal
 import sqlite3
 import subprocess
-import sys
 import time
 from contextlib import closing, contextmanager
 from itertools import product
@@ -337,55 +336,3 @@ def test_a_worker_that_fails(
 
 
 # --- The moment of an interruption ---
-
-
-#: The command, in which SIGINT comes right behind a function's n-th call.
-_INTERRUPTED_BEHIND = """
-import os, signal, sys
-module, name, number = sys.argv.pop(1), sys.argv.pop(1), int(sys.argv.pop(1))
-from pc2scan.files import staging
-owner = {"os": os, "staging": staging}[module]
-original, calls = getattr(owner, name), []
-def called(*args, **options):
-    result = original(*args, **options)
-    calls.append(name)
-    if len(calls) == number:
-        os.kill(os.getpid(), signal.SIGINT)
-    return result
-setattr(owner, name, called)
-from pc2scan.cli import main
-main()
-"""
-
-#: The call, the destination, and what is written by then.
-MOMENTS = [
-    (("staging", "sync", 1), "out.mcap", []),
-    (("os", "link", 1), "out.mcap", ["out.mcap"]),
-    (("staging", "sync_directory", 1), "out.mcap", ["out.mcap"]),
-    (("staging", "_rename_directory", 1), "out", ["out"]),
-    (("os", "link", 2), "out.mcap", ["out.mcap", "report.json"]),
-]
-
-
-@pytest.mark.parametrize(("moment", "overwrite"), sampled(product(MOMENTS, [False, True]), 2))
-def test_an_interruption_says_what_was_written(
-    moment: tuple[tuple[str, str, int], str, list[str]], overwrite: bool, tmp_path: Path
-) -> None:
-    call, name, written = moment
-    source = write_rosbag1(tmp_path / "drive.bag", CONTENT)
-    out = tmp_path / "out"
-    out.mkdir()
-    if overwrite and call[1] in {"sync", "sync_directory"}:
-        (out / name).write_bytes(b"old")
-    options = ["-o", str(out / name), "--report", str(out / "report.json"), *["--overwrite"] * overwrite]
-    command = [sys.executable, "-c", _INTERRUPTED_BEHIND, *map(str, call), "repair", str(source), *options]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 130, done.stderr
-    said = f"{', '.join(str(out / each) for each in written)} {'is' if len(written) == 1 else 'are'} complete"
-    assert done.stderr.splitlines()[-1] == f"interrupted: {said if written else 'nothing was written'}"
-    left = {path.name: path for path in out.iterdir()}
-    assert sorted(left) == sorted(written or ([name] if overwrite and call[1] == "sync" else []))
-    if written:
-        assert run("info", out / name).status == 0
-    elif left:
-        assert left[name].read_bytes() == b"old"

@@ -176,17 +176,3 @@ def test_importing_the_library_loads_none_of_its_libraries() -> None:
     heavy = ("fsspec", "numpy", "rosbags", "mcap", "rich", "sqlite3", "ruamel", "lz4", "zstandard", "typer")
     code = f"import sys, pc2scan\nassert not sys.modules.keys() & set({heavy!r})"
     subprocess.run([sys.executable, "-c", code], timeout=60, check=True)
-
-
-def test_public_names_exist() -> None:
-    assert pc2scan.__all__ == sorted(pc2scan.__all__)
-    assert all(getattr(pc2scan, name).__doc__ for name in pc2scan.__all__)
-    assert (PACKAGE / "py.typed").exists()
-
-
-def test_only_doors_list_their_names() -> None:
-    """Packages have ``__all__``, and a module that stands for a compiled one."""
-    doors = {
-        path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py") if "\n__all__ = " in path.read_text()
-    }
-    assert {door for door in doors if not door.endswith("__init__.py")} == {"core/kernel.py"}

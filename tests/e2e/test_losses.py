@@ -9,7 +9,6 @@ import struct
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
-from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -18,11 +17,9 @@ import pytest
 import zstandard
 from mcap.writer import Writer as McapLibraryWriter
 
-import pc2scan
-from fuzz.records import FIRST_LINE, bag_records, mcap_records
 from pc2scan.bags.opening import open_recording
-from pc2scan.errors import DamageError, ResultError, UsageError
-from support import ROOT, sampled
+from pc2scan.errors import DamageError
+from support import ROOT
 from support.builders import (
     CHATTER,
     CONTENT,
@@ -199,12 +196,6 @@ def test_a_log_time_that_the_container_cannot_hold(command: str, case: str, tmp_
     assert [row[1] for row in rows_of(tmp_path / name) if row[0] == "/chatter"] == [T0, T0 + 5]
 
 
-def large(version: int, *times: int) -> Recording:
-    """Messages so large that each has a chunk, which can be copied whole."""
-    items = [Item(CHATTER, t, {version: string("a" * 400_000, version)}) for t in times]
-    return Recording((CHATTER,), tuple(items))
-
-
 # --- What a recording says twice, and otherwise ---
 
 
@@ -307,70 +298,7 @@ def test_what_is_said_twice_and_otherwise_is_reported(name: str, tmp_path: Path)
     assert found == sound if case.named else [row[1:] for row in found] == [row[1:] for row in sound]
 
 
-def test_a_chunk_with_another_connection_is_not_copied_whole(tmp_path: Path) -> None:
-    """What is damaged in the source is not damaged in its copy."""
-    source = changed(write_rosbag1(tmp_path / "drive.bag", large(1, T0, T0 + 1, T0 + 2)), *TYPE)
-    assert report_of("repair", source, "-o", tmp_path / "fixed.bag")[0] == 3
-    assert len(rows_of(tmp_path / "fixed.bag")) == 3
-
-
-def time_bytes(kind: str, time_ns: int) -> bytes:
-    return struct.pack("<II", *divmod(time_ns, SECOND)) if kind == "bag" else struct.pack("<Q", time_ns)
-
-
 # --- Times of chunks that hide messages from a cut ---
-
-
-def bent(source: Path, number: int, field: str, bend: Callable[[int, int], int]) -> tuple[int, int]:
-    """Change a log time that is declared of the n-th chunk; returns the old one and the new one.
-
-    By the index; without one, by the chunk itself. ``bend`` takes the first log time and the last one.
-    """
-    bag = source.suffix == ".bag"
-    data = bytearray(source.read_bytes())
-    if bag:
-        infos = [row.values for row in bag_records(bytes(data), len(FIRST_LINE), len(data)) if row.op == 6]
-        places = {name: infos[number][name.encode()][0] for name in ("start_time", "end_time")}
-    else:
-        records = mcap_records(bytes(data), 8, len(data) - 8)
-        chunks = [r for r in records if r[0] == 8] or [r for r in records if r[0] == 6]
-        places = {"start_time": chunks[number][1] + 9, "end_time": chunks[number][1] + 17}
-    found = (struct.unpack_from("<II" if bag else "<Q", data, place) for place in places.values())
-    first, last = (time[0] * SECOND + time[1] if bag else time[0] for time in found)
-    new = bend(first, last)
-    data[places[field] : places[field] + 8] = time_bytes("bag" if bag else "mcap", new)
-    source.write_bytes(data)
-    return first if field == "start_time" else last, new
-
-
-#: What becomes of the chunk's first and last time: the field, and its new value.
-BENDS: dict[str, tuple[str, Callable[[int, int], int]]] = {
-    "start behind the end": ("start_time", lambda _, last: last + 5 * SECOND),
-    "end within the chunk": ("end_time", lambda first, last: (3 * first + last) // 4),
-    "start long ago": ("start_time", lambda first, _: first - 10**8 * SECOND),
-}
-BENT = list(product(["bag", "mcap", "mcap without a summary"], BENDS, [0, 10]))
-
-
-@pytest.mark.parametrize(("kind", "bend", "number"), sampled(BENT, 5))
-def test_a_cut_finds_messages_whose_chunk_has_a_wrong_time(kind: str, bend: str, number: int, tmp_path: Path) -> None:
-    source = uncovered(tmp_path, kind, 20)
-    if kind == "mcap without a summary":
-        source = without_summary(source, tmp_path / "drive.mcap")
-    sound = tmp_path / f"sound{source.suffix}"
-    sound.write_bytes(source.read_bytes())
-    old, new = bent(source, number, *BENDS[bend])
-    # Cuts that end, or begin, between the true time and the one that is declared; and the same from the beginning on.
-    middle = (max(old, T0) + min(max(new, T0), T0 + 9 * SECOND)) // 2
-    cuts = [(None, (middle - T0) / SECOND), ((middle - T0) / SECOND, None), (0.2, 4.1)]
-    reported = []
-    for start, end in cuts:
-        expected, _ = cut_of(sound, start, end)
-        found, damage = cut_of(source, start, end)
-        assert found == expected, (start, end)
-        reported.append(damage)
-    # A time that is too early for a chunk in the middle hides nothing.
-    assert any(reported) or old == new or (bend == "start long ago" and number != 0)
 
 
 def without_summary(source: Path, target: Path) -> Path:
@@ -381,33 +309,6 @@ def without_summary(source: Path, target: Path) -> Path:
         position += 9 + length
     target.write_bytes(data[:position] + struct.pack("<BQQQI", 2, 20, 0, 0, 0) + data[:8])
     return target
-
-
-def cut_of(path: Path, start: float | None, end: float | None) -> tuple[list[Row], bool]:
-    """What a cut passes on, and whether damage is reported."""
-    with TemporaryDirectory() as folder:
-        target = Path(folder, f"out{path.suffix}")
-        bounds: dict[str, Any] = {
-            name: f"{time:.9f}" for name, time in (("start", start), ("end", end)) if time is not None
-        }
-        try:
-            report = pc2scan.convert(
-                path, target, params=pc2scan.ProjectionParams(min_height=-1.0), keep_clouds=True, **bounds
-            )
-        except (ResultError, UsageError):
-            # No cloud is in the cut; what else is there can be read.
-            with closing(open_recording(path)) as reader:
-                begin_ns = reader.summary.start_ns or 0
-                cut = [None if time is None else begin_ns + round(time * SECOND) for time in (start, end)]
-                rows = [
-                    (m.connection.topic, m.log_time_ns, bytes(m.data)) for m in reader.messages(None, cut[0], cut[1])
-                ]
-                return rows, bool(reader.damage)
-        for damage in report.damage:
-            assert "of log time" in damage.what or (
-                "the index and the content disagree: it has log times" in damage.what and damage.messages_lost == 0
-            )
-        return rows_of(target), bool(report.damage)
 
 
 # --- Recordings that follow each other in one file ---
