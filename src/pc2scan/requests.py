@@ -290,12 +290,10 @@ def convert(
     warn: Warn | None = None,
     progress: Progress | None = None,
 ) -> Report:
-    """Convert a recording; see `pc2scan.convert`. A wrong option is in the report's file, too."""
+    """Convert a recording; see `pc2scan.convert`. Options that contradict each other are in the report's file, too."""
     path, folder = destination_of(destination)
     output = output_of(options, folder=folder)
     try:
-        if options.wrong is not None:
-            raise options.wrong
         conversion = conversion_of(options, warn)
     except Pc2ScanError as err:
         failure = Failure([err], [str(source) for source in sources], str(path or folder or "") or None)

@@ -47,12 +47,11 @@ def test_parameters_beside_the_file_beat_all_outputs() -> None:
     assert {each.origins["min_height"] for each in found.specs} == {"--min-height"}
 
 
-def test_python_has_dicts_and_lists() -> None:
+def test_python_has_dicts() -> None:
     own = {"min_height": 0.2, "where": ["x > 0"]}
     forms: list[Any] = [
         {"/scan": own, "/low": {}},
-        {"scans": {"/scan": own, "/low": None}, "defaults": {}},
-        [{"topic": "/scan", **own}, {"topic": "low"}],
+        {"scans": {"scan": own, "/low": None}, "defaults": {}},
     ]
     for form in forms:
         scan, low = load_scans(form).specs

@@ -67,9 +67,6 @@ def run(words: Sequence[str]) -> int:
                 return 0
             typed = parse(words)
             options = call_options(typed.command, typed.values)
-            # A failed conversion has a report, so `convert` raises it itself.
-            if options.wrong is not None and typed.command != "convert":
-                raise options.wrong
             command = getattr(import_module(f".{typed.command}", __package__), typed.command)
             status: int = command(**arguments_of(typed.command, typed.values), options=options)
             return status

@@ -88,7 +88,7 @@ def call_options(name: str, typed: Mapping[str, Any]) -> Options:
             words[key] = _whole_number(key, text)
         else:
             words[key] = text
-    return Options(name, words, origins, later=True)
+    return Options(name, words, origins)
 
 
 def _whole_number(name: str, text: str) -> int:

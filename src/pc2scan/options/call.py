@@ -5,8 +5,6 @@ from __future__ import annotations
 from copy import copy
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.errors import UsageError
-
 from .conversion import CloudCombination
 from .option import Parameter, Scope
 from .table import PARAMETERS, conversion_options, options_of, spelling_of
@@ -37,16 +35,12 @@ class Options:
         Where parameters of the projection come from, for errors and reports; missing ones were given in Python.
     known
         The options that there are, if not those of the command.
-    later
-        Whether a wrong value raises no error, but counts as not given and is kept in ``wrong``.
 
     Attributes
     ----------
     given
         What was given, by name, as `pc2scan.options.values` reads it. Values that are defaults are not in it, except
         those of the projection's parameters, which override those of files and presets.
-    wrong
-        The first error of the values, if it was not raised.
 
     Raises
     ------
@@ -54,7 +48,7 @@ class Options:
         If a value has the wrong type, or means nothing.
     """
 
-    __slots__ = ("_known", "command", "given", "origins", "wrong")
+    __slots__ = ("_known", "command", "given", "origins")
 
     def __init__(
         self,
@@ -63,28 +57,20 @@ class Options:
         origins: Mapping[str, str] | None = None,
         *,
         known: Mapping[str, Option] | None = None,
-        later: bool = False,
     ) -> None:
         self.command = command
         self.origins = origins or {}
         self._known = options_of(command) if known is None else known
         self.given: dict[str, Any] = {}
-        self.wrong: UsageError | None = None
         for name, value in values.items():
             option = self._known[name]
             if isinstance(option, Parameter):
                 # NumPy's scalars as Python's.
                 self.given[name] = value.item() if getattr(value, "ndim", None) == 0 else value
             elif value is not None and not _is_default(value, option.default):
-                try:
-                    read = option.value.read(name, value)
-                except UsageError as err:
-                    if not later:
-                        raise
-                    self.wrong = self.wrong or err
-                else:
-                    if not _is_default(read, option.default):
-                        self.given[name] = read
+                read = option.value.read(name, value)
+                if not _is_default(read, option.default):
+                    self.given[name] = read
 
     def __getattr__(self, name: str) -> Any:
         """Return the value of an option; one that this command does not have has the default of a conversion."""

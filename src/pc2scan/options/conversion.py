@@ -128,18 +128,6 @@ class PointSelection(TypedDict, total=False):
 
 
 @group(Section.FRAMES, Scope.CONVERSION)
-class TransformTopics(TypedDict, total=False):
-    """The topics of transforms."""
-
-    tf_topics: Annotated[
-        Names | None,
-        Texts("TOPIC", offers=("topics", "/TFMessage", "/tfMessage")),
-        "Topic of the transforms, if not /tf and /tf_static.",
-        How(typed="--tf-topic"),
-    ]
-
-
-@group(Section.FRAMES, Scope.CONVERSION)
 class StaticTransforms(TypedDict, total=False):
     """Added transforms."""
 
@@ -153,9 +141,15 @@ class StaticTransforms(TypedDict, total=False):
 
 
 @group(Section.FRAMES, Scope.CONVERSION)
-class TransformInputs(TransformTopics, total=False):
-    """What else gives transforms: poses, and a robot's model."""
+class TransformInputs(TypedDict, total=False):
+    """What gives transforms: topics, poses, and a robot's model."""
 
+    tf_topics: Annotated[
+        Names | None,
+        Texts("TOPIC", offers=("topics", "/TFMessage", "/tfMessage")),
+        "Topic of the transforms, if not /tf and /tf_static.",
+        How(typed="--tf-topic"),
+    ]
     odom_topic: Annotated[
         Names | None,
         Texts(

@@ -164,7 +164,7 @@ class SeveralOutputs(TypedDict, total=False):
     """Several outputs of one recording."""
 
     scans: Annotated[
-        Path | Mapping[str, Any] | list[Any] | None,
+        Path | Mapping[str, Any] | None,
         Outputs(),
         "A YAML file with several outputs, each with its own sources, parameters and filters. Parameters of the call "
         "override those of all outputs.",

@@ -255,7 +255,7 @@ class Recordings(Recording):
 
 
 class Outputs(PathName):
-    """A file with several outputs, or its content: mappings and lists."""
+    """A file with several outputs, or its content as mappings."""
 
     note = "Or the content of such a file: ``{'/scan': {'min_height': 0.1}, '/low': {'max_height': 0.1}}``."
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import UsageError
 from pc2scan.options.table import PARAMETERS
@@ -24,8 +24,7 @@ _NAMES = {False: ("cloud_in", "scan"), True: ("scan_in", "cloud")}
 _TF = ("tf", "tf_static")
 
 
-@dataclass(frozen=True, slots=True)
-class Remappings:
+class Remappings(NamedTuple):
     """The result of remappings: topics to convert, and the topics of the transforms."""
 
     topics: tuple[str, ...] = ()

@@ -43,15 +43,14 @@ class ScansFile(NamedTuple):
     ignored: tuple[str, ...] = ()
 
 
-def load_scans(asked: Path | Mapping[str, Any] | Sequence[Any], overriding: Sequence[Setting] = ()) -> ScansFile:
+def load_scans(asked: Path | Mapping[str, Any], overriding: Sequence[Setting] = ()) -> ScansFile:
     """Read and check outputs.
 
     Parameters
     ----------
     asked
         A YAML or JSON file, or the same as Python objects: a mapping with ``scans`` and optionally ``defaults``.
-        ``scans`` is a mapping from topics to outputs, or a list of mappings with a ``topic`` each. A mapping or a list
-        without these keys is read as ``scans``.
+        ``scans`` is a mapping from topics to outputs. A mapping without these keys is read as ``scans``.
     overriding
         Parameters of all outputs, which override those of the file; the highest precedence first.
 
@@ -69,7 +68,7 @@ def load_scans(asked: Path | Mapping[str, Any] | Sequence[Any], overriding: Sequ
         root, folder, files = entries_in(read_text(asked, _EXAMPLE), asked, _EXAMPLE), asked.parent, [asked]
     else:
         root, folder, files = entries_of(asked, "scans"), Path(), []
-        if isinstance(root.value, list) or (isinstance(root.value, dict) and not root.value.keys() & set(_TOP)):
+        if isinstance(root.value, dict) and not root.value.keys() & set(_TOP):
             root = Entry({"scans": root}, root.place)
     top = root.mapping("scans", _TOP, _EXAMPLE)
     specs: list[ScanSpec] = []
@@ -85,12 +84,11 @@ def load_scans(asked: Path | Mapping[str, Any] | Sequence[Any], overriding: Sequ
 
 def _outputs(scans: Entry) -> Iterator[tuple[str, Entry]]:
     """Yield the topic and the entry of each output."""
-    if not isinstance(scans.value, dict | list) or not scans.value:
+    if not isinstance(scans.value, dict) or not scans.value:
         found = f"got {scans.shown}" if scans.value else "there are none"
         raise UsageError(f"{scans.place}: expected outputs under 'scans', {found}", hint=_EXAMPLE)
     seen: dict[str, str] = {}
-    for item in scans.value.items() if isinstance(scans.value, dict) else map(_listed, scans.value):
-        topic, entry = item
+    for topic, entry in scans.value.items():
         full = topic if topic.startswith(("/", "~")) else f"/{topic}"
         if not topic.strip() or any(character.isspace() for character in topic) or ":=" in topic:
             raise UsageError(f"{entry.place}: {topic!r} is not a topic", hint=_EXAMPLE)
@@ -98,14 +96,6 @@ def _outputs(scans: Entry) -> Iterator[tuple[str, Entry]]:
             raise UsageError(f"{entry.place}: {full} is given twice, first in {seen[full]}")
         seen[full] = entry.place
         yield full, entry
-
-
-def _listed(entry: Entry) -> tuple[str, Entry]:
-    """Return the topic and the rest of an output in a list."""
-    topic = entry.value.get("topic") if isinstance(entry.value, dict) else None
-    if topic is None or not isinstance(topic.value, str):
-        raise UsageError(f"{entry.place}: an output in a list needs a 'topic'", hint="write - topic: /scan")
-    return topic.value, entry._replace(value={key: each for key, each in entry.value.items() if key != "topic"})
 
 
 def _output(
