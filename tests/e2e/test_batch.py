@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +9,6 @@ import pytest
 
 from support.batches import HEIGHTS, contents, in_this_process, place, run_batch
 from support.command import run
-from support.terminal import shown
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -42,19 +40,3 @@ def test_each_recording_is_exported_as_by_export(drives: Path, tmp_path: Path) -
         assert run(*clouds).status == 0
         assert len(list((tmp_path / "clouds" / "robot1" / "a").glob("*.pcd"))) == 3
         assert "3 unchanged" in run(*clouds).stderr
-
-
-def test_a_terminal_has_a_bar_and_a_pipe_only_the_lines(drives: Path, tmp_path: Path) -> None:
-    done = run_batch(drives, "-o", tmp_path / "piped")
-    first, *lines = done.stderr.splitlines()
-    assert re.fullmatch(r"3 recordings: 3 to convert \(\d+\.\d kB; 3 new\)", first)
-    assert sorted(line.split(" (")[0] for line in lines) == [
-        "converted: a.bag -> a_scan.bag",
-        "converted: b.mcap -> b_scan.mcap",
-        "converted: robot1/a.bag -> robot1/a_scan.bag",
-    ]
-    on_terminal = shown("batch", drives, "-o", tmp_path / "terminal", *HEIGHTS, columns=120)
-    assert "of 3 recordings" in on_terminal
-    assert "converted: a.bag -> a_scan.bag" in on_terminal
-    loud = run_batch(drives, "-o", tmp_path / "piped", "--verbose", "--again")
-    assert len(re.findall(r"/points +/scan", loud.stderr)) == 3

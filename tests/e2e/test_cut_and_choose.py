@@ -13,16 +13,11 @@ from hypothesis import strategies as st
 import pc2scan
 from support import sampled
 from support.builders import (
-    CHATTER,
     CONTENT,
     POINTS,
     SECOND,
     SOURCES,
     T0,
-    Recording,
-    cloud,
-    item,
-    points_of,
     write_rosbag1,
 )
 from support.command import run
@@ -111,25 +106,3 @@ def test_two_halves_are_the_whole(kind: str, tmp_path: Path) -> None:
         (m.topic, m.log_time_ns, m.data) for m in two.messages
     ]
     assert sorted(one.publishers) == sorted(two.publishers)
-
-
-@pytest.mark.parametrize("name", sampled(["out.bag", "out", "sqlite3", "out.mcap"], 2))
-def test_the_output_does_not_depend_on_the_threads(name: str, tmp_path: Path) -> None:
-    items = [
-        entry
-        for step in range(40)
-        for entry in (
-            item(POINTS, T0 + step * 1000, lambda g, s: cloud(points_of(s, 500 * (s % 3)), g, seq=s), step),
-            item(CHATTER, T0 + step * 1000 + 7, lambda g, s: CONTENT.of("/chatter")[s % 3].data[g], step),
-        )
-    ]
-    source = write_rosbag1(tmp_path / "drive.bag", Recording((POINTS, CHATTER), tuple(items)), "lz4")
-    storage = ("--storage", "sqlite3") if name == "sqlite3" else ()
-    contents = []
-    for jobs in ("1", "2", "5"):
-        destination = tmp_path / jobs / name
-        destination.parent.mkdir()
-        report_of(source, "-o", destination, "--jobs", jobs, "--queue-size", "3", *storage, folder=tmp_path)
-        files = sorted(destination.iterdir()) if destination.is_dir() else [destination]
-        contents.append([(file.name, file.read_bytes()) for file in files])
-    assert contents[0] == contents[1] == contents[2]

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-import pc2scan
 from support import ROOT, sampled
 from support.command import run
 
@@ -60,14 +59,3 @@ def test_it_says_what_would_happen(source: str, destination: str, folder: Path) 
     done = run("convert", source, "-o", destination, *HEIGHTS, "--keep-clouds", cwd=folder)
     assert done.status == 0
     assert {line for line in done.stdout.splitlines() if line.startswith("/t")} <= set(lines)
-
-
-def test_its_report_has_the_counts(folder: Path) -> None:
-    planned, written = (
-        pc2scan.convert(folder / "drive.bag", folder / "out.bag", min_height=-0.3, dry_run=dry_run)
-        for dry_run in (True, False)
-    )
-    assert (planned.dry_run, written.dry_run) == (True, False)
-    counts = [[(t.topic, t.messages_in, t.messages_out) for t in report.topics] for report in (planned, written)]
-    assert counts[0] == counts[1]
-    assert "out.bag: ROS 1 bag, which can be written; from 366.4 kB" in str(planned)

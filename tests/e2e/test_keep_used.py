@@ -14,7 +14,6 @@ import pytest
 import pc2scan
 from pc2scan.bags.mcap.write import McapWriter
 from pc2scan.bags.opening import open_recording
-from pc2scan.errors import UsageError
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.laserscan import decode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointCloud2, PointField, decode_pointcloud2, encode_pointcloud2
@@ -71,18 +70,6 @@ def assert_recorded(cloud: PointCloud2, used: PointCloud2) -> None:
     assert all(bytes(row[: cloud.point_step]) in rows for row in own)
 
 
-def test_deskewed_points_are_kept_as_they_were_recorded(tmp_path: Path) -> None:
-    kept = tmp_path / "kept.mcap"
-    moved: dict[str, Any] = {"deskew": True, "fixed_frame": "odom", "where": "ring > 1"}
-    pc2scan.convert(HALL, kept, keep_used="/used", keep_clouds=True, min_height=-0.4, **moved)
-    found = {cloud.stamp_ns: cloud for cloud in clouds(kept, "/points")}
-    kept_clouds = clouds(kept, "/used")
-    assert kept_clouds
-    for used in kept_clouds:
-        assert used.width
-        assert_recorded(found[used.stamp_ns], used)
-
-
 def recorded(path: Path, data: bytes, msgtype: str = POINTCLOUD2) -> Path:
     writer = McapWriter(path, "none")
     text = definition(POINTCLOUD2, 2)[0] if msgtype == POINTCLOUD2 else Definition("ros2msg", b"# toy\n")
@@ -124,8 +111,3 @@ def test_padding_byte_order_and_rows_stay(tmp_path: Path) -> None:
         connections = {connection.topic: connection for connection in reader.connections}
     assert connections["/used"].qos == connections["/scan"].qos
     assert connections["/used"].latching is connections["/scan"].latching is True
-
-
-def test_scans_of_several_clouds_keep_no_points(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="made of one cloud each"):
-        pc2scan.convert(HALL, tmp_path / "a.mcap", keep_used="/used", accumulate="3clouds")

@@ -5,15 +5,11 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from functools import partial
-from itertools import product
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pc2scan import scans
 from pc2scan.cli.in_process import run_command
-from pc2scan.errors import RecordingWarning, UnconnectedError
 from support import sampled
 from support.builders import (
     CONTENT,
@@ -30,12 +26,12 @@ from support.builders import (
     write_rosbag1,
 )
 from support.command import run
-from support.tables import rows
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from support.command import Finished
 
-TABLES = Path(__file__).with_name("nothing_converted.txt")
 HEIGHTS = ("--min-height", "-2", "--max-height", "2")
 
 
@@ -89,19 +85,6 @@ def test_a_frame_that_comes_late_is_converted(before: int, folder: Path) -> None
     assert run_command(["convert", str(folder / "late.bag"), "--target-frame", "base_link", "--dry-run"]).status == 0
 
 
-@pytest.mark.parametrize(("count", "options"), sampled(product([16, 3], [(), ("--start", "0.1"), ("--jobs", "1")]), 3))
-def test_frames_that_nothing_connects(count: int, options: tuple[str, ...], folder: Path) -> None:
-    in_frames(folder / "far.bag", *["nowhere", "elsewhere"] * count)
-    done, report = convert(folder, "--target-frame", "base_link", *options, status=1, source="far.bag")
-    assert "error: /points: nothing can be converted: no transform has the source frame" in done.stderr
-    assert report["errors"][0]["kind"] == "UnconnectedError"
-    with pytest.raises(UnconnectedError, match="nothing can be converted"), pytest.warns(RecordingWarning):
-        list(scans(folder / "far.bag", target_frame="base_link"))
-    dry = run_command(["convert", str(folder / "far.bag"), "--target-frame", "base_link", "--dry-run"])
-    assert dry.status == 1
-    assert "nothing can be converted" in dry.messages
-
-
 # --- What turns out in the end ---
 
 
@@ -135,14 +118,3 @@ def test_one_converted_message_is_enough(folder: Path) -> None:
 
 
 # --- The report of a run that failed ---
-
-
-@pytest.mark.parametrize(("options", "kind", "status"), rows(TABLES, "failures"))
-def test_the_report_of_a_failure(options: tuple[str, ...], kind: str, status: int, folder: Path) -> None:
-    done, report = convert(folder, *options, status=status)
-    (error,) = report["errors"]
-    assert error["exit_status"] == status
-    assert set(error) == {"kind", "message", "path", "topic", "stamp_ns", "hint", "exit_status"}
-    assert error["kind"] in (kind, "ParameterError", "UsageError", "MissingError")
-    assert report["sources"] == ["drive.bag"]
-    assert done.stderr.startswith("error: ")

@@ -60,14 +60,6 @@ def test_scans_are_equal_to_the_bit(name: str, suffix: str, tmp_path: Path) -> N
             assert written[entry["target"]] == entry["messages_in"]
 
 
-def test_missing_qos_keys_survive_on_the_way_to_rosbag2(tmp_path: Path) -> None:
-    destination = tmp_path / "ouster"
-    done = run("convert", RECORDINGS / "ouster_os1_32.mcap", "-o", destination, "--storage", "sqlite3")
-    assert done.status == 0, done.stderr
-    assert {"/scan", "/tf_static"} <= opened(destination).topics()
-    assert next(p for p in opened(destination).publishers if p.topic == "/tf_static").latched
-
-
 @pytest.mark.parametrize("name", sampled(["jarvis_two_lasers.bag", "guardian_pallet.bag"], 1))
 def test_every_laser_message_is_accounted_for(name: str, tmp_path: Path) -> None:
     source = RECORDINGS / name

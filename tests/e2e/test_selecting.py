@@ -73,11 +73,10 @@ CHOICES: list[tuple[dict[str, Any], Callable[..., Any], float, str]] = [
 
 
 @pytest.mark.parametrize(("options", "keeps", "offset", "counted"), CHOICES, ids=lambda value: str(value)[:20])
-@pytest.mark.parametrize("jobs", [1, 2])
 def test_points_are_chosen_and_counted(
-    options: dict[str, Any], keeps: Callable[..., Any], offset: float, counted: str, jobs: int, tmp_path: Path
+    options: dict[str, Any], keeps: Callable[..., Any], offset: float, counted: str, tmp_path: Path
 ) -> None:
-    found, topic, report = converted(tmp_path, **options, jobs=jobs)
+    found, topic, report = converted(tmp_path, **options)
     np.testing.assert_array_equal(found, expected(keeps, offset))
     assert len(found) == 5
     points = topic["points"]

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from support import ROOT, sampled
-from support.command import COMMAND, Finished, environment, run
+from support.command import COMMAND, Finished, environment
 from support.tables import rows
 from support.terminal import shown
 
@@ -43,18 +43,6 @@ def test_output_without_room_is_an_error(words: str, status: int, tmp_path: Path
     assert done.status == status
     assert done.stderr.startswith("error: standard output cannot be written: No space left on device")
     assert len(done.stderr.splitlines()) == 1
-
-
-@needs_full
-@pytest.mark.parametrize("output", sampled(["convert -o scan.bag", "map -o map.yaml", "view -o page.html"], 1))
-def test_an_output_is_kept_without_room_for_its_summary(output: str, tmp_path: Path) -> None:
-    command, option, name = output.split()
-    done = into_full(f"{command} {HALL} {option} {name} --min-height=-0.3", tmp_path)
-    assert done.status == 3
-    assert done.stderr.splitlines()[-1].endswith("No space left on device; the output is written")
-    assert (tmp_path / name).stat().st_size > 0
-    if command == "convert":
-        assert run("diff", name, name, cwd=tmp_path).status == 0
 
 
 @pytest.mark.parametrize("words", sampled([f"info {HALL}", f"tf {HALL}", f"diff {HALL} {HALL}", "convert --help"], 1))

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parents[2]
 SHARED = ROOT.parent / "shared"
 RECORDINGS = SHARED / "recordings"
-GOLDEN_EXACT = SHARED / "golden_exact" if (SHARED / "golden_exact").is_dir() else ROOT / "fixtures" / "golden_exact"
 # All the cases where they are, and otherwise those that the project carries.
 GOLDEN = SHARED / "golden" if (SHARED / "golden").is_dir() else ROOT / "fixtures" / "golden"
 
