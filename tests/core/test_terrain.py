@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from pc2scan.core.terrain import Terrain, on_ground
+from pc2scan.core.terrain import on_ground
 from support import sampled
 from support.worlds.labelled import Labelled, labelled
 
@@ -22,8 +22,8 @@ HEIGHTS = [0.4, 1.0, 1.8]
 HIGH = 0.35
 
 
-def ground_of(points: NDArray[np.float32], rule: Terrain | None = None) -> NDArray[np.bool_]:
-    return on_ground(points[:, 0], points[:, 1], points[:, 2], rule)
+def ground_of(points: NDArray[np.float32]) -> NDArray[np.bool_]:
+    return on_ground(points[:, 0], points[:, 1], points[:, 2])
 
 
 def quality(cloud: Labelled) -> tuple[float, float, int, int]:

@@ -66,13 +66,7 @@ class ScanToCloud(Conversion):
     def _make_cloud(self, scan: LaserScan) -> ConvertedMessage:
         header, points = self._place(scan, unproject_scan(scan, self.channels))
         message = StructuredCloud(header.sequence, header.stamp_ns, header.frame_id, points.points)
-        rejected = points.rejected
-        counts = PointCounts(
-            total=points.beam_count,
-            used=len(points.points),
-            nan=rejected.nan,
-            range=rejected.infinite + rejected.below_min + rejected.beyond_max,
-        )
+        counts = PointCounts(points.beam_count, len(points.points), **points.rejected)
         return ConvertedMessage(message, counts, empty=not len(points.points), stamp_ns=scan.stamp_ns)
 
     def _place(self, scan: LaserScan, points: UnprojectedScan) -> tuple[_CloudHeader, UnprojectedScan]:

@@ -48,9 +48,8 @@ LONGEST = 1 << 16
 #: Limits of the side of a cell, metres.
 _FINEST, _COARSEST = 0.001, 1.0
 
-#: A grid grows by this share of its size at least, so that it is not copied for every scan.
+#: A grid grows by a fourth of its size on each side, so that it is not copied for every scan.
 _GROWTH = 4
-_LEAST_GROWTH = 64
 
 
 class ObservingBeams(NamedTuple):
@@ -224,7 +223,7 @@ class OccupancyGrid:
                 hint="a larger `resolution` makes them fewer",
             )
         columns, rows = cells[:, 0::2], cells[:, 1::2]
-        self._grow(int(columns.min()), int(rows.min()), int(columns.max()) + 1, int(rows.max()) + 1)
+        self._grow((int(columns.min()), int(rows.min()), int(columns.max()) + 1, int(rows.max()) + 1))
         cells -= np.array(self._first * 2)
         # The mark is one byte, which distinguishes 255 scans.
         self._scans = self._scans % 255 + 1
@@ -238,11 +237,11 @@ class OccupancyGrid:
             np.ascontiguousarray(hits, np.bool_),
         )
 
-    def _grow(self, left: int, below: int, right: int, above: int) -> None:
-        """Enlarge the grid to contain all cells from one column and row to others (exclusive)."""
+    def _grow(self, needed: _Bounds) -> None:
+        """Enlarge the grid to contain a rectangle of cells."""
         height, width = self._cells.shape
-        old = (*self._first, self._first[0] + width, self._first[1] + height)
-        needed = _enclosing_bounds(self._needed, (left, below, right, above))
+        old = (*self._first, self._first[0] + width, self._first[1] + height) if width else needed
+        needed = _enclosing_bounds(self._needed or needed, needed)
         if _grid_with_bounds(needed) > self._most:
             width, height = needed[2] - needed[0], needed[3] - needed[1]
             size = self.resolution
@@ -254,16 +253,10 @@ class OccupancyGrid:
         self._needed = needed
         if width and _enclosing_bounds(old, needed) == old:
             return
-        before = old if width else needed
-        now = _enclosing_bounds(before, needed)
-        # A reserve for the next scans, on the sides where the grid grows.
-        across, up = (max(_LEAST_GROWTH, (needed[k + 2] - needed[k]) // _GROWTH) for k in (0, 1))
-        with_room = (
-            now[0] - across * (now[0] < before[0]),
-            now[1] - up * (now[1] < before[1]),
-            now[2] + across * (now[2] > before[2]),
-            now[3] + up * (now[3] > before[3]),
-        )
+        left, below, right, above = _enclosing_bounds(old, needed)
+        # A reserve for the next scans.
+        across, up = ((needed[k + 2] - needed[k]) // _GROWTH for k in (0, 1))
+        with_room = (left - across, below - up, right + across, above + up)
         chosen = with_room if _grid_with_bounds(with_room) <= self._most else needed
         self._cells = _resize(self._cells, old, chosen)
         self._first = chosen[:2]
@@ -286,10 +279,8 @@ class OccupancyGrid:
         return Occupancy(cells, self.resolution, x * self.resolution, y * self.resolution)
 
 
-def _enclosing_bounds(one: _Bounds | None, other: _Bounds) -> _Bounds:
+def _enclosing_bounds(one: _Bounds, other: _Bounds) -> _Bounds:
     """Return the smallest rectangle around two."""
-    if one is None:
-        return other
     return min(one[0], other[0]), min(one[1], other[1]), max(one[2], other[2]), max(one[3], other[3])
 
 
@@ -301,7 +292,7 @@ def _resize(cells: NDArray[np.int16], old: _Bounds, new: _Bounds) -> NDArray[np.
     """Return a grid with other bounds; its new cells are unobserved."""
     moved = np.full((new[3] - new[1], new[2] - new[0]), UNKNOWN * 256, np.int16)
     left, below, right, above = max(old[0], new[0]), max(old[1], new[1]), min(old[2], new[2]), min(old[3], new[3])
-    if left < right and below < above:
+    if cells.size and left < right and below < above:
         moved[below - new[1] : above - new[1], left - new[0] : right - new[0]] = cells[
             below - old[1] : above - old[1], left - old[0] : right - old[0]
         ]

@@ -241,10 +241,8 @@ class ProjectionParams:
             if value != "auto" and math.isinf(value):
                 raise ParameterError(f"{name} is {value}, it must be finite", name=name)
         if not float32(self.angle_min) < float32(self.angle_max):
-            raise ParameterError(
-                f"angle_min {self.angle_min} rad is not below angle_max {self.angle_max} rad",
-                name="angle_min",
-            )
+            message = f"angle_min {self.angle_min} rad is not below angle_max {self.angle_max} rad"
+            raise ParameterError(message, name="angle_min")
         for low, high in (("range_min", "range_max"), ("min_height", "max_height")):
             if getattr(self, low) > getattr(self, high):
                 raise ParameterError(f"{low} {getattr(self, low)} m is above {high} {getattr(self, high)} m", name=low)
@@ -257,10 +255,8 @@ class ProjectionParams:
         if self.beams and self.beams != "auto":
             object.__setattr__(self, "angle_increment", self.layout.angle_increment)
         if not float32(self.angle_increment) > 0:
-            raise ParameterError(
-                f"angle_increment is {self.angle_increment} rad, it must be positive",
-                name="angle_increment",
-            )
+            message = f"angle_increment is {self.angle_increment} rad, it must be positive"
+            raise ParameterError(message, name="angle_increment")
         layout = self.layout
         if not 0 < layout.count <= MAX_BEAMS:
             raise ParameterError(
@@ -269,43 +265,32 @@ class ProjectionParams:
                 name="angle_increment",
             )
         if not layout.angle_min < layout.angle_max:
-            raise ParameterError(
-                f"angle_increment is {self.angle_increment} rad, which leaves the sector {self.angle_min} to "
-                f"{self.angle_max} rad a single direction; the {self.geometry} geometry needs two",
-                name="angle_increment",
+            message = (
+                f"angle_increment is {self.angle_increment} rad; the {self.geometry} geometry needs two directions"
             )
+            raise ParameterError(message, name="angle_increment")
         if self.geometry == "symmetric":
             self._check_symmetry(layout)
 
     def _check_symmetry(self, layout: BeamLayout) -> None:
         least, most = SYMMETRIC_BEAMS
         if not least <= layout.count <= most:
-            given = self.beams and self.beams != "auto"
-            made = (
-                f"beams is {layout.count:,}"
-                if given
-                else f"angle_increment is {self.angle_increment} rad, which makes {layout.count:,} beams"
-            )
             raise ParameterError(
-                f"{made}; the symmetric geometry has {least} to {most:,} beams, which MRPT reads right",
-                name="beams" if given else "angle_increment",
+                f"the symmetric geometry has {least} to {most:,} beams, which MRPT reads right, not {layout.count:,}",
+                name="beams" if self.beams else "angle_increment",
             )
-        if not layout.full_circle:
-            off = abs(self.angle_min + self.angle_max)
-            if off > layout.angle_increment / 2:
-                widest = max(abs(self.angle_min), abs(self.angle_max))
-                raise ParameterError(
-                    f"angle_min {self.angle_min} rad and angle_max {self.angle_max} rad are not symmetric around 0, "
-                    "as the symmetric geometry requires: MRPT takes every sector for symmetric",
-                    name="angle_min",
-                    hint=f"`angle_min={-widest:.6g}` `angle_max={widest:.6g}`, or a full circle",
-                )
+        if not layout.full_circle and abs(self.angle_min + self.angle_max) > layout.angle_increment / 2:
+            widest = max(abs(self.angle_min), abs(self.angle_max))
+            raise ParameterError(
+                f"angle_min {self.angle_min} rad and angle_max {self.angle_max} rad are not symmetric around 0, "
+                "as the symmetric geometry requires: MRPT takes every sector for symmetric",
+                name="angle_min",
+                hint=f"`angle_min={-widest:.6g}` `angle_max={widest:.6g}`, or a full circle",
+            )
 
     def _check_returns(self) -> None:
-        if self.min_points < 1:
-            raise ParameterError(f"min_points is {self.min_points}, it must be 1 or more", name="min_points")
-        if self.min_points > _MOST_RETURNS:
-            message = f"min_points is {self.min_points:,}, it must be at most {_MOST_RETURNS:,}"
+        if not 1 <= self.min_points <= _MOST_RETURNS:
+            message = f"min_points is {self.min_points:,}, it must be from 1 to {_MOST_RETURNS:,}"
             raise ParameterError(message, name="min_points")
         if self.no_return.startswith("range-max") and math.isinf(float32(self.range_max)):
             raise ParameterError(

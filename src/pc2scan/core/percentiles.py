@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _Number = TypeVar("_Number", int, float)
 
 
-def percentiles(values: ArrayLike, *percents: float, reorder: bool = False) -> tuple[float, ...]:
+def percentiles(values: ArrayLike, *percents: float) -> tuple[float, ...]:
     """Return percentiles, interpolated linearly between the two nearest values.
 
     Parameters
@@ -28,8 +28,6 @@ def percentiles(values: ArrayLike, *percents: float, reorder: bool = False) -> t
         At least one value; none is NaN.
     percents
         From 0 to 100.
-    reorder
-        Whether an array may be reordered; otherwise it is copied.
 
     Examples
     --------
@@ -39,8 +37,7 @@ def percentiles(values: ArrayLike, *percents: float, reorder: bool = False) -> t
     found = np.ravel(values)
     places = [percent / 100 * (len(found) - 1) for percent in percents]
     near = {min(each, len(found) - 1) for place in places for each in (math.floor(place), math.floor(place) + 1)}
-    ordered: NDArray[Any] = found if reorder else found.copy()
-    ordered.partition(sorted(near))
+    ordered: NDArray[Any] = np.partition(found, sorted(near))
     return tuple(_interpolate(ordered, place) for place in places)
 
 

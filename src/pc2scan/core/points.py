@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections import ChainMap
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
+from typing import TYPE_CHECKING, Any, Protocol, TypeGuard, cast
 
 import numpy as np
 
@@ -119,7 +120,8 @@ class Points:
 
     def replace(self, values: Mapping[str, NDArray[Any]], frame_id: str) -> Points:
         """Return the points with other values of some fields, or with new fields; all of the same shape."""
-        return Points(self.sequence, self.stamp_ns, frame_id, _ReplacedFields(self.fields, values))
+        fields = ChainMap(cast("dict[str, NDArray[Any]]", values), cast("dict[str, NDArray[Any]]", self.fields))
+        return Points(self.sequence, self.stamp_ns, frame_id, fields)
 
 
 class _SelectedFields(Mapping[str, "NDArray[Any]"]):
@@ -144,26 +146,6 @@ class _SelectedFields(Mapping[str, "NDArray[Any]"]):
 
     def __len__(self) -> int:
         return len(self._fields)
-
-
-class _ReplacedFields(Mapping[str, "NDArray[Any]"]):
-    """Fields, some of which are replaced."""
-
-    def __init__(self, fields: Mapping[str, NDArray[Any]], values: Mapping[str, NDArray[Any]]) -> None:
-        self._fields = fields
-        self._values = values
-
-    def __getitem__(self, name: str) -> NDArray[Any]:
-        return self._values[name] if name in self._values else self._fields[name]
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._values or name in self._fields
-
-    def __iter__(self) -> Iterator[str]:
-        return iter({**dict.fromkeys(self._fields), **self._values})
-
-    def __len__(self) -> int:
-        return len(set(self._fields).union(self._values))
 
 
 def _has_columns(points: object) -> TypeGuard[Columns]:

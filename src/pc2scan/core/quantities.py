@@ -127,15 +127,6 @@ def duration_ns(text: str) -> int | None:
     return int(Decimal(written[1]) * scale)
 
 
-def degrees_text(value: float) -> str:
-    """Return how to write an angle that was meant in degrees.
-
-    >>> degrees_text(-180.0)
-    '-180deg'
-    """
-    return f"{value:g}deg"
-
-
 def _compute(expression: str) -> float:
     if len(expression) > _LONGEST:
         raise ValueError(expression)

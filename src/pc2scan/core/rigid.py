@@ -179,25 +179,13 @@ def rotation_matrices(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
 
     Source of the rule: ``tf2::Matrix3x3::setRotation``, in its order of operations.
     """
-    x, y, z, w = quaternions
     # The product of thousands of quaternions, each a little too long or too short, may exceed float64.
     with np.errstate(all="ignore"):
-        scale = 2.0 / (x * x + y * y + z * z + w * w)
-        xs, ys, zs = x * scale, y * scale, z * scale
-        wx, wy, wz = w * xs, w * ys, w * zs
-        xx, xy, xz = x * xs, x * ys, x * zs
-        yy, yz, zz = y * ys, y * zs, z * zs
-        return np.array(
-            [
-                [1.0 - (yy + zz), xy - wz, xz + wy],
-                [xy + wz, 1.0 - (xx + zz), yz - wx],
-                [xz - wy, yz + wx, 1.0 - (xx + yy)],
-            ]
-        )
+        return np.array(_rows(quaternions))
 
 
-def _rows(quaternion: Sequence[float]) -> tuple[tuple[float, float, float], ...]:
-    """The rows of one rotation matrix: the same as `rotation_matrices`, in Python's numbers."""
+def _rows(quaternion: Any) -> tuple[tuple[Any, Any, Any], ...]:
+    """The rows of rotation matrices, of numbers or of arrays."""
     x, y, z, w = quaternion
     scale = 2.0 / (x * x + y * y + z * z + w * w)
     xs, ys, zs = x * scale, y * scale, z * scale

@@ -45,6 +45,10 @@ _WINDOW = 0.3
 #: The largest height of the ground beneath the robot, in its own frame, metres: higher planes are tables or ceilings.
 _HIGHEST = 0.3
 
+#: The steepest slope, as its tangent; the highest kerb, metres; and up to which height above the ground points are on
+#: it, metres, and `_SPREAD` times their distance.
+_STEEPEST, _STEP, _CLEARANCE = math.tan(math.radians(15.0)), 0.2, 0.1
+
 #: The least distance over which slopes are measured, and between two kerbs, metres: stairs are not ground.
 _BASE = 1.0
 #: How much the ground may rise where there are no points in between, metres.
@@ -63,24 +67,6 @@ _APART = 30.0
 _BEYOND = 3.0
 
 
-class Terrain(NamedTuple):
-    """The limits of what counts as ground.
-
-    Attributes
-    ----------
-    slope
-        The steepest slope, radians.
-    step
-        The highest kerb, metres.
-    clearance
-        Points are on the ground up to this height above it, metres, and 0.008 times their distance.
-    """
-
-    slope: float = math.radians(15.0)
-    step: float = 0.2
-    clearance: float = 0.1
-
-
 class Cells(NamedTuple):
     """The lowest point of each cell, (rings, sectors): its height and distance, and whether many points are above it.
 
@@ -92,21 +78,18 @@ class Cells(NamedTuple):
     cluttered: NDArray[np.bool_]
 
 
-def on_ground(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], terrain: Terrain | None = None) -> NDArray[np.bool_]:
+def on_ground(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> NDArray[np.bool_]:
     """Return which points are on the ground.
 
     Parameters
     ----------
     x, y, z
         Coordinates in metres, of one shape, in a frame of the robot whose z axis points up.
-    terrain
-        The limits of what counts as ground.
 
     Returns
     -------
     Array of bool, of their shape; false for points that are NaN or infinite, or farther away than 150 m.
     """
-    rule = terrain or Terrain()
     shape = x.shape
     with np.errstate(over="ignore", invalid="ignore"):
         px, py, pz = (np.ravel(axis).astype(np.float32) for axis in (x, y, z))
@@ -124,16 +107,16 @@ def on_ground(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], terrain: Terrai
         cell = ring * np.int32(_SECTORS) + np.minimum(sector, _SECTORS - 1)
         edges = _FIRST * np.expm1(np.arange(int(ring.max()) + 2) * _GROWTH)
         cells = _lowest(cell, pz, distance, edges.size - 1)
-        plane = _plane_beneath(cells, math.tan(rule.slope))
+        plane = _plane_beneath(cells)
         if plane is None:
             return found.reshape(shape)
         slope = np.sum(np.multiply(plane[:2], np.transpose(_directions())), axis=1)
         # From here on, heights are relative to the plane beneath the robot.
         cells = cells._replace(height=cells.height - (slope * cells.distance + plane[2]).astype(np.float32))
-        heights = heights_at(_follow_ground(cells, rule), cells.distance, edges)
+        heights = _heights_at(_follow_ground(cells), cells.distance, edges)
         heights += slope * edges[:, np.newaxis] + plane[2]
         slopes = np.diff(heights, axis=0) / np.diff(edges)[:, np.newaxis]
-        limit = (heights[:-1] - slopes * edges[:-1, np.newaxis] + rule.clearance).astype(np.float32).ravel()
+        limit = (heights[:-1] - slopes * edges[:-1, np.newaxis] + _CLEARANCE).astype(np.float32).ravel()
         grade = (slopes + _SPREAD).astype(np.float32).ravel()
         found[known] = pz <= limit[cell] + grade[cell] * distance
     return found.reshape(shape)
@@ -153,10 +136,10 @@ def _lowest(cell: NDArray[np.int32], z: NDArray[np.float32], distance: NDArray[n
     return Cells(height.reshape(grid), where.reshape(grid), (standing > low).reshape(grid))
 
 
-def _plane_beneath(cells: Cells, steepest: float) -> tuple[float, float, float] | None:
+def _plane_beneath(cells: Cells) -> tuple[float, float, float] | None:
     """Return the plane beneath the robot, ``z = a x + b y + c``; None if no ground is visible."""
     found = _floor_like(cells)
-    ring, sector = np.nonzero(found & (cells.height <= _HIGHEST + steepest * cells.distance))
+    ring, sector = np.nonzero(found & (cells.height <= _HIGHEST + _STEEPEST * cells.distance))
     heights, distances = cells.height[ring, sector], cells.distance[ring, sector]
     order = np.argsort(heights, kind="stable")
     low = heights[order]
@@ -180,7 +163,7 @@ def _plane_beneath(cells: Cells, steepest: float) -> tuple[float, float, float] 
         # Cells on one side determine no slope towards the other, so the plane is level there.
         square = design[inside].T @ design[inside] + np.diag([_FEWEST, _FEWEST, 0.0])
         fitted = np.linalg.solve(square, design[inside].T @ heights[inside]) if inside.sum() >= _FEWEST else plane
-        if math.hypot(fitted[0], fitted[1]) > steepest or fitted[2] > _HIGHEST:
+        if math.hypot(fitted[0], fitted[1]) > _STEEPEST or fitted[2] > _HIGHEST:
             break
         plane = fitted
     a, b, c = plane.tolist()
@@ -228,10 +211,9 @@ def _has_neighbour_beside(cells: Cells, step: int) -> NDArray[np.bool_]:
     return found
 
 
-def _follow_ground(cells: Cells, rule: Terrain) -> NDArray[np.float64]:
+def _follow_ground(cells: Cells) -> NDArray[np.float64]:
     """Return the ground's height in the cells that continue it, (rings, sectors), NaN in others."""
-    steepest = math.tan(rule.slope)
-    behind, far_behind = lowest_behind(cells, steepest)
+    behind, far_behind = _lowest_behind(cells)
     # The last cell of the ground; the one that slopes are measured from, the slope there, and the last kerb.
     z0, r0, z1, r1, slope = (np.zeros(_SECTORS) for _ in range(5))
     kerb = np.full(_SECTORS, -np.inf)
@@ -239,28 +221,28 @@ def _follow_ground(cells: Cells, rule: Terrain) -> NDArray[np.float64]:
     for ring in np.flatnonzero(np.isfinite(cells.height).any(axis=1)).tolist():
         z, r, cluttered = (each[ring] for each in cells)
         rise, over, apart, base = z - z0, z - z1, r - r0, r - r1
-        fall = steepest * base
-        most = np.where(cluttered, _NOISE + 0.02 * apart, np.minimum(steepest * apart + _NOISE, _RISE))
+        fall = _STEEPEST * base
+        most = np.where(cluttered, _NOISE + 0.02 * apart, np.minimum(_STEEPEST * apart + _NOISE, _RISE))
         sloped = (over <= fall + _NOISE) & (rise <= most)
-        kerbed = (rise > 0) & (rise <= rule.step) & (r - kerb >= _BASE) & ~(cluttered | sloped)
-        kerbed &= (slope <= steepest / 2) & (over <= fall / 2 + (rule.step + _NOISE))
+        kerbed = (rise > 0) & (rise <= _STEP) & (r - kerb >= _BASE) & ~(cluttered | sloped)
+        kerbed &= (slope <= _STEEPEST / 2) & (over <= fall / 2 + (_STEP + _NOISE))
         # Where no ground is known yet, the top of an object may be seen before the ground in front of it.
         goes_on = np.where(r0 > 0, behind[ring], far_behind[ring]) >= z - rise / 2
         goes_on |= (rise <= _NOISE) | (sloped & (over <= slope * base + _NOISE))
         # Comparisons with the height of a cell without points, which is inf or NaN, are false.
-        taken = (over >= -fall - rule.step) & (sloped | kerbed) & goes_on
+        taken = (over >= -fall - _STEP) & (sloped | kerbed) & goes_on
         kerbed &= taken
         np.copyto(kerb, r, where=kerbed)
         # A kerb is not a slope, so slopes are measured from its top.
         risen = taken & (base >= _BASE) & ~kerbed
-        np.copyto(slope, np.clip(over / base, 0, steepest), where=risen)
+        np.copyto(slope, np.clip(over / base, 0, _STEEPEST), where=risen)
         for known, new, where in ((z1, z, kerbed | risen), (r1, r, kerbed | risen), (z0, z, taken), (r0, r, taken)):
             np.copyto(known, new, where=where)
         np.copyto(ground[ring], z, where=taken)
     return ground
 
 
-def lowest_behind(cells: Cells, steepest: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _lowest_behind(cells: Cells) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the height of the lowest cell behind each one: within `_ON` metres, and within its distance if it is more.
 
     The first cell beyond counts, too: objects hide what is behind them. Cells that are higher than a slope from here do
@@ -276,7 +258,7 @@ def lowest_behind(cells: Cells, steepest: float) -> tuple[NDArray[np.float32], N
     for away in range(1, min(_LOOK, len(height) - 1) + 1):
         here, there = slice(None, -away), slice(away, None)
         apart = distance[there] - distance[here]
-        counts = height[there] <= height[here] + (_NOISE + steepest * apart)
+        counts = height[there] <= height[here] + (_NOISE + _STEEPEST * apart)
         for each, reach in zip(lowest, reaches, strict=True):
             lower = counts & (last[here] <= reach[here]) & (height[there] < each[here])
             np.copyto(each[here], height[there], where=lower)
@@ -288,7 +270,7 @@ def lowest_behind(cells: Cells, steepest: float) -> tuple[NDArray[np.float32], N
     return found[0], found[1]
 
 
-def heights_at(
+def _heights_at(
     ground: NDArray[np.float64], distance: NDArray[np.float32], edges: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return the ground's height at the edges of cells, (rings + 1, sectors); -inf where it is unknown."""

@@ -9,16 +9,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pc2scan.errors import DecodeError, ParameterError, TransformError
+from pc2scan.errors import DecodeError, ParameterError
 
 from .rigid import rotation_matrices, slerp
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
+
+    from .rigid import Rigid
 
 #: ROS 1 stores the seconds of a duration in 32 bits.
 _LONGEST = 2**31
@@ -62,47 +64,6 @@ class UnprojectParams:
             raise ParameterError("range_cutoff is NaN", name="range_cutoff")
 
 
-class Transform(Protocol):
-    """A rigid transform, as `pc2scan.core.rigid.Rigid` is one."""
-
-    @property
-    def quaternion(self) -> ArrayLike:
-        """The rotation x, y, z, w, shape (4,); it need not be normalised."""
-        ...
-
-    @property
-    def translation(self) -> ArrayLike:
-        """The translation, shape (3,), metres."""
-        ...
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RejectedBeams:
-    """How many beams became no point, each counted once, under the first reason that applies.
-
-    Attributes
-    ----------
-    nan
-        The range is NaN.
-    infinite
-        The range is +inf or -inf.
-    below_min
-        Below the scan's ``range_min`` (all finite ones if that is NaN).
-    beyond_max
-        At or beyond ``range_max``, or ``range_cutoff`` if one is given.
-    """
-
-    nan: int = 0
-    infinite: int = 0
-    below_min: int = 0
-    beyond_max: int = 0
-
-    @property
-    def total(self) -> int:
-        """The sum of all reasons."""
-        return self.nan + self.infinite + self.below_min + self.beyond_max
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class UnprojectedScan:
     """The points of a scan.
@@ -119,13 +80,14 @@ class UnprojectedScan:
     beam_count
         How many beams the scan has.
     rejected
-        How many beams became no point, by reason.
+        How many beams became no point, by the projection's reasons: ``nan``, and ``range``, which are those that are
+        infinite, below ``range_min``, or from ``range_max`` (or the cutoff) on.
     """
 
     points: NDArray[np.void]
     beams: NDArray[np.int32]
     beam_count: int
-    rejected: RejectedBeams
+    rejected: dict[str, int]
 
     @property
     def xyz(self) -> NDArray[np.float32]:
@@ -218,9 +180,7 @@ def unproject(
     # In float64, as upstream: a cutoff need not be a float32 number. A NaN may be a signalling one.
     with np.errstate(invalid="ignore"):
         distances = np.asarray(ranges, np.float32).astype(np.float64)
-    at_least = distances >= lowest
-    kept = at_least & (distances < cutoff)
-    beams = np.flatnonzero(kept).astype(np.int32)
+    beams = np.flatnonzero((distances >= lowest) & (distances < cutoff)).astype(np.int32)
 
     points = np.zeros(len(beams), _point_dtype(params, has_intensities=len(intensities) > 0))
     names = points.dtype.names or ()
@@ -238,7 +198,8 @@ def unproject(
         if "stamps" in names:
             points["stamps"] = beams * _float32(time_increment)[0]
     points.flags.writeable = False
-    return UnprojectedScan(points, beams, len(ranges), _count_rejected(distances, at_least, kept))
+    nan = int(np.count_nonzero(np.isnan(distances)))
+    return UnprojectedScan(points, beams, len(ranges), {"nan": nan, "range": len(ranges) - len(beams) - nan})
 
 
 def last_beam_ns(beams: int, time_increment: float) -> int:
@@ -274,7 +235,7 @@ def last_beam_ns(beams: int, time_increment: float) -> int:
     return whole * 1_000_000_000 + nanoseconds + (rest - nanoseconds >= 0.5)
 
 
-def deskew(scan: UnprojectedScan, start: Transform, end: Transform) -> UnprojectedScan:
+def deskew(scan: UnprojectedScan, start: Rigid, end: Rigid) -> UnprojectedScan:
     """Transform every point by the pose of the sensor at the time of its beam.
 
     laser_geometry's high-fidelity projection: beam i of n lies at the ratio ``i / (n - 1)`` between the two
@@ -293,20 +254,12 @@ def deskew(scan: UnprojectedScan, start: Transform, end: Transform) -> Unproject
     -------
     UnprojectedScan
         A copy in the target frame, viewpoint channels included.
-
-    Raises
-    ------
-    TransformError
-        If a quaternion is zero, or a value is not finite.
     """
-    q_start, t_start = _check_transform(start, "first")
-    q_end, t_end = _check_transform(end, "last")
-
     # Upstream multiplies by the reciprocal, which does not always equal the quotient.
     step = 1.0 / (scan.beam_count - 1) if scan.beam_count > 1 else 0.0
     ratio = scan.beams.astype(np.float64) * step
-    matrix = rotation_matrices(slerp(q_start, q_end, ratio).T)
-    origin = (1.0 - ratio)[:, np.newaxis] * t_start + ratio[:, np.newaxis] * t_end
+    matrix = rotation_matrices(slerp(start.quaternion, end.quaternion, ratio).T)
+    origin = (1.0 - ratio)[:, np.newaxis] * start.translation + ratio[:, np.newaxis] * end.translation
     viewpoint = scan.viewpoint
     return scan.with_xyz(
         _transform_points(scan.xyz, matrix, origin),
@@ -351,41 +304,12 @@ def beam_angles(count: int, angle_min: float, angle_increment: float) -> NDArray
     return angles
 
 
-def _count_rejected(
-    distances: NDArray[np.float64], at_least: NDArray[np.bool_], kept: NDArray[np.bool_]
-) -> RejectedBeams:
-    """Count the beams that are not kept, by reason."""
-    nan = np.isnan(distances)
-    infinite = np.isinf(distances) & ~kept
-    below_min = ~(nan | infinite | at_least)
-    counts = [int(np.count_nonzero(mask)) for mask in (nan, infinite, below_min)]
-    remaining = len(distances) - int(np.count_nonzero(kept)) - sum(counts)
-    return RejectedBeams(nan=counts[0], infinite=counts[1], below_min=counts[2], beyond_max=remaining)
-
-
 def _three_fields(points: NDArray[np.void], first: str) -> NDArray[np.float32]:
     """Return a view of three neighbouring float32 fields of packed points, (N, 3)."""
     begin = (points.dtype.names or ()).index(first)
     words = points.view("<f4").reshape(len(points), points.dtype.itemsize // 4)
     columns: NDArray[np.float32] = words[:, begin : begin + 3]
     return columns
-
-
-def _check_transform(transform: Transform, beam: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the quaternion and the translation of a transform; raise if it is not a valid one."""
-    quaternion = np.asarray(transform.quaternion, np.float64).reshape(4)
-    translation = np.asarray(transform.translation, np.float64).reshape(3)
-    for what, vector in (("quaternion", quaternion), ("translation", translation)):
-        if not np.isfinite(vector).all():
-            raise TransformError(f"the {what} at the {beam} beam is {vector.tolist()}; all of it must be finite")
-    if not quaternion.any():
-        raise TransformError(f"the quaternion at the {beam} beam is zero, which is no rotation")
-    with np.errstate(over="ignore"):
-        squared = float(quaternion @ quaternion)
-    # A lookup multiplies as tf2 does, without normalising, so the errors of thousands of frames may add up to this.
-    if not 1e-100 < squared < 1e100:
-        raise TransformError(f"the quaternion at the {beam} beam has the squared norm {squared}, which is no rotation")
-    return quaternion, translation
 
 
 def _transform_points(

@@ -69,7 +69,4 @@ def scan_points(scan: LaserScan) -> tuple[Points, dict[str, int]]:
     fields = {name: np.ascontiguousarray(found.points[name]) for name in found.points.dtype.names or ()}
     with np.errstate(all="ignore"):
         fields[TIME] = found.beams * np.float64(float32(scan.time_increment))
-    rejected = found.rejected
-    beyond = rejected.infinite + rejected.below_min + rejected.beyond_max
-    points = Points(scan.sequence, scan.stamp_ns, scan.frame_id, fields)
-    return points, {"nan": rejected.nan, "range": beyond}
+    return Points(scan.sequence, scan.stamp_ns, scan.frame_id, fields), found.rejected

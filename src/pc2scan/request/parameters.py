@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NoReturn
 from pc2scan.core.layout import FULL_TURN
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.presets import PRESETS
-from pc2scan.core.quantities import EXAMPLES, degrees_text
+from pc2scan.core.quantities import EXAMPLES
 from pc2scan.errors import ParameterError
 from pc2scan.options.call import CALL
 from pc2scan.options.table import PARAMETERS
@@ -256,7 +256,7 @@ def refuse_degrees(
         return
     hint = "a full circle is `angle_min=-180deg`, `angle_max=180deg`"
     if not all(re.search("deg|°", str((written or {}).get(name))) for name in beyond):
-        cures = ", ".join(f"`{name}={degrees_text(values[name])}`" for name in beyond)
+        cures = ", ".join(f"`{name}={values[name]:g}deg`" for name in beyond)
         numbers = ", ".join(f"{math.radians(values[name]):.6g}" for name in beyond)
         hint = f"for degrees write {cures}, which is {numbers} rad"
     places = "; ".join(f"{name} from {origin[name]}" if beyond[1:] else f"from {origin[name]}" for name in beyond)
