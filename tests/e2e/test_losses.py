@@ -382,6 +382,6 @@ def test_memory_that_runs_out_is_an_error(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(zstandard, "ZstdCompressor", Compressor)
     done = run("convert", ROOT / "fixtures" / "hall.mcap", "-o", tmp_path / "out.mcap", "--min-height", "0.1")
     assert (done.status, "Traceback" in done.stderr) == (1, False)
-    assert "error: memory ran out: " in done.stderr
+    assert "error: memory ran out" in done.stderr
     assert "\nhint: fewer threads take less: --jobs 1\n" in done.stderr
     assert list(tmp_path.iterdir()) == []

@@ -17,8 +17,7 @@ from typer.core import TyperCommand
 from typer.main import get_command
 
 from pc2scan.core.kernel import COMPILED
-from pc2scan.errors import OutputError, Pc2ScanError, name_list
-from pc2scan.files.staging import written_paths
+from pc2scan.errors import OutputError, Pc2ScanError
 from pc2scan.options.option import Parameter
 from pc2scan.options.table import options_of
 from pc2scan.options.values import Flag
@@ -73,10 +72,10 @@ def run(words: Sequence[str]) -> int:
     except Pc2ScanError as err:
         return show_failure(err, words)
     except KeyboardInterrupt:
-        say(f"interrupted: {_what_was_written()}", err=True)
+        say("interrupted: what was not complete was removed", err=True)
         return _INTERRUPTED
     except MemoryError:
-        error = OutputError(f"memory ran out: {_what_was_written()}", hint="fewer threads take less: `jobs=1`")
+        error = OutputError("memory ran out", hint="fewer threads take less: `jobs=1`")
         return show_failure(error, words)
     except FileNotFoundError:
         try:
@@ -208,15 +207,9 @@ def _prepared(words: Sequence[str]) -> list[str]:
     return prepared
 
 
-def _what_was_written() -> str:
-    """Return the end of the message of an interrupted command: which files it has written completely."""
-    names = [str(path) for path in written_paths()]
-    return f"{name_list(names)} {'is' if len(names) == 1 else 'are'} complete" if names else "nothing was written"
-
-
 def _terminate(number: int, _frame: FrameType | None) -> None:
     """End a command by an exception, so that partial output is removed while the stack unwinds."""
     # The terminal may be gone.
     with suppress(OSError):
-        say(f"terminated: {_what_was_written()}", err=True)
+        say("terminated: what was not complete was removed", err=True)
     raise SystemExit(128 + number)

@@ -13,7 +13,7 @@ from pc2scan.errors import DecodeError, stamp_text
 from pc2scan.messages.beams import unproject_scan
 from pc2scan.messages.clouds import SCANS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan
-from pc2scan.messages.pointcloud2 import StructuredCloud, encode_structured
+from pc2scan.messages.pointcloud2 import encode_cloud, structured_cloud
 
 from .steps import Conversion, ConvertedMessage, Steps
 
@@ -39,7 +39,7 @@ class ScanToCloud(Conversion):
         Which echo of each beam is used, if there are several.
     """
 
-    encode = encode_structured
+    encode = encode_cloud
     shrinks_from = sys.maxsize
 
     def __init__(
@@ -65,7 +65,7 @@ class ScanToCloud(Conversion):
 
     def _make_cloud(self, scan: LaserScan) -> ConvertedMessage:
         header, points = self._place(scan, unproject_scan(scan, self.channels))
-        message = StructuredCloud(header.sequence, header.stamp_ns, header.frame_id, points.points)
+        message = structured_cloud(header.sequence, header.stamp_ns, header.frame_id, points.points)
         counts = PointCounts(points.beam_count, len(points.points), **points.rejected)
         return ConvertedMessage(message, counts, empty=not len(points.points), stamp_ns=scan.stamp_ns)
 

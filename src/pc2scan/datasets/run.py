@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pc2scan.errors import DestinationError, DiskFullError, OutputError, UsageError
 from pc2scan.files.outputs import check_file_output, file_output
 from pc2scan.files.ownership import InputPath, first_link, inputs_of
-from pc2scan.files.staging import clean_up, note_written
+from pc2scan.files.staging import clean_up
 from pc2scan.files.system import is_full
 from pc2scan.files.urls import UrlPath, absolute
 from pc2scan.result import BEGINNING
@@ -309,7 +309,7 @@ class _Batch:
                     assert record.error is not None  # that of the disk
                     raise self._disk_is_full(record.error["message"], record.error["path"])
                 if not self._options.dry_run:
-                    self._record(record)
+                    self._folder.append(record)
                 self._show(record)
                 done += self._by_key[record.key].size_bytes
                 self.watch.progress(BatchProgress(done, total, number, len(jobs)))
@@ -326,12 +326,6 @@ class _Batch:
             hint="make room on that disk, and run the same command again: "
             f"of {counted(len(self._jobs), 'recording')}, {left:,} {'are' if left > 1 else 'is'} left to convert",
         )
-
-    def _record(self, record: ManifestRecord) -> None:
-        path = self._folder.path / record.output
-        if record.is_written and not isinstance(path, UrlPath):
-            note_written(path)
-        self._folder.append(record)
 
     def _show(self, record: ManifestRecord) -> None:
         outcome = self.outcomes[record.key] = Outcome.of(self._by_key[record.key], record)

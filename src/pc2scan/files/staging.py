@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 import stat
-from collections import deque
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, OutputError
 
-from .ownership import check_existing, existing_error, file_ids, refuse_others
+from .ownership import check_existing, existing_error, refuse_others
 from .places import LEFTOVERS, LOCK, OLD, PARTIAL, check_new_folder, check_place, working_names
 from .records import files_below
 from .system import REFUSES_LINKS, lock_descriptor, remove, sync_directory
@@ -21,29 +20,7 @@ from .urls import UrlPath
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator
 
-    from .ownership import FileId
     from .records import FolderRecord
-
-#: The beginning of the names of a run's internal files.
-_PRIVATE = ".pc2scan-"
-
-#: Destinations that were about to be renamed, each with its device and inode, which a file keeps when it is renamed.
-#: Bounded, for long-lived processes.
-_renamed: deque[tuple[Path, list[FileId]]] = deque(maxlen=1000)
-
-
-def written_paths() -> list[Path]:
-    """Return the destinations that this process wrote and that are still in place, in the order of writing.
-
-    An interruption may come between renaming and noting it, so device and inode of the existing files are compared.
-    """
-    named = [(dst, identity) for dst, identity in _renamed if not dst.name.startswith(_PRIVATE)]
-    return list(dict.fromkeys(dst for dst, identity in named if identity and identity == file_ids(dst)[:1]))
-
-
-def note_written(dst: Path) -> None:
-    """Note a destination that another process has written for this one."""
-    _renamed.append((dst, file_ids(dst)[:1]))
 
 
 @contextmanager
@@ -168,7 +145,6 @@ def _commit(partial: Path, dst: Path, record_in: FolderRecord | None, *, overwri
     """Rename what is complete at a temporary path to the destination."""
     try:
         sync(partial)
-        _renamed.append((dst, file_ids(partial)[:1]))
         if overwrite and os.path.lexists(dst):
             _replace(partial, dst, record_in)
         elif os.path.lexists(dst):

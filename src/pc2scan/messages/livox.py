@@ -14,7 +14,7 @@ import numpy as np
 from pc2scan.core.points import Points
 from pc2scan.errors import DecodeError
 
-from .pointcloud2 import CloudFields, PointCloud2, PointField, StructuredCloud, structured_cloud
+from .pointcloud2 import CloudFields, PointCloud2, PointField, structured_cloud
 from .wire import Cursor
 
 if TYPE_CHECKING:
@@ -80,8 +80,8 @@ class LivoxFields(CloudFields):
         points = np.empty(cloud.points, _PACKED_POINT)
         for name in _PACKED_POINT.names or ():
             points[name] = cloud.field(name)
-        header = StructuredCloud(cloud.sequence, cloud.stamp_ns, cloud.frame_id, points)
-        return replace(structured_cloud(header, is_dense=cloud.is_dense), fields=_LAYOUTS[0])
+        header = cloud.sequence, cloud.stamp_ns, cloud.frame_id
+        return replace(structured_cloud(*header, points, is_dense=cloud.is_dense), fields=_LAYOUTS[0])
 
     def as_pointcloud2(self) -> PointCloud2:
         """Return the PointCloud2 that the driver would have published of the same points, also of those with noise."""
@@ -92,8 +92,7 @@ class LivoxFields(CloudFields):
                 points[name] = cloud.field(name)
         # In integers first, because float64 has steps of 256 ns at the present time.
         points["timestamp"] = cloud.field("offset_time").astype(np.int64) + cloud.stamp_ns
-        header = StructuredCloud(cloud.sequence, cloud.stamp_ns, cloud.frame_id, points)
-        return structured_cloud(header, is_dense=cloud.is_dense)
+        return structured_cloud(cloud.sequence, cloud.stamp_ns, cloud.frame_id, points, is_dense=cloud.is_dense)
 
 
 def decode_livox(data: Buffer, serialization: str) -> Points:

@@ -36,28 +36,16 @@ _DEPTH = _Kind(
 #: In the order in which errors name them. Types that can be converted are skipped, so a row may stay when one can.
 _KINDS = (
     _Kind("velodyne_msgs/VelodynePacket", "Velodyne packets", _with("velodyne_pointcloud")),
-    _Kind(
-        r"ouster\w*/PacketMsg",
-        "Ouster packets",
-        f"{_with('the replay of ouster_ros')}; ouster-cli shows and converts them",
-    ),
-    _Kind(
-        r"(hesai\w*|pandar\w*)/(Udp|Pandar|Hesai)\w*",
-        "Hesai packets",
-        _with("Hesai's driver (hesai_ros_driver, source_type 3)"),
-    ),
-    _Kind(
-        r"(rslidar\w*|robosense\w*)/\w+",
-        "RoboSense packets",
-        _with("RoboSense's driver (rslidar_sdk, msg_source 2)"),
-    ),
+    _Kind(r"ouster\w*/PacketMsg", "Ouster packets", f"{_with('the replay of ouster_ros')}, or use ouster-cli"),
+    _Kind(r"(hesai\w*|pandar\w*)/(Udp|Pandar|Hesai)\w*", "Hesai packets", _with("Hesai's driver, hesai_ros_driver")),
+    _Kind(r"(rslidar\w*|robosense\w*)/\w+", "RoboSense packets", _with("RoboSense's driver, rslidar_sdk")),
     _Kind(r"nebula\w*/\w*Packets?", "packets of Nebula's drivers", _with("Nebula")),
     _Kind(r"lslidar\w*/Ls\w+", "LSLIDAR packets", _with("lslidar_driver")),
     _Kind(r"livox\w*/CustomMsg", "Livox messages", _with("livox_to_pointcloud2")),
     _Kind(
         r"foxglove(_msgs)?[/.](\w*PointCloud|LaserScan)",
         "clouds in Foxglove's schema",
-        "record PointCloud2 as well, or write it with a program: mcap's Protobuf and ROS support read and write both",
+        "record PointCloud2 as well, or convert them: mcap's Protobuf and ROS support read and write both",
     ),
     _DEPTH,
     _Kind("stereo_msgs/DisparityImage", "disparity images", _with("stereo_image_proc")),
@@ -73,16 +61,8 @@ _KINDS = (
         "clouds or scans in an encoding that is not ROS's",
         "record them with rosbag2, or write them as CDR with a program: mcap's ROS support does",
     ),
-    _Kind(
-        "sensor_msgs/Range",
-        "single ranges",
-        "navigation reads them as they are (nav2's range_sensor_layer); they make no scan",
-    ),
-    _Kind(
-        r"\w+/Voxel(Map|Grid)\w*|foxglove[/.]VoxelGrid",
-        "maps of voxels",
-        "they are made of a lidar's clouds, whose topic may be PointCloud2; record that",
-    ),
+    _Kind("sensor_msgs/Range", "single ranges", "nav2's range_sensor_layer reads them; they make no scan"),
+    _Kind(r"\w+/Voxel(Map|Grid)\w*|foxglove[/.]VoxelGrid", "maps of voxels", "record the lidar's own PointCloud2"),
     _Kind("octomap_msgs/Octomap(WithPose)?", "OctoMaps", _with("octomap_server")),
     _Kind(
         r"\w*(lidar|laser)\w*/\w*(Packet|Udp|Raw)\w*", "packets of a lidar", _with("the driver that has these messages")

@@ -499,36 +499,14 @@ def encode_cloud(cloud: PointCloud2, serialization: str) -> bytes:
     return packer.finish()
 
 
-@dataclass(slots=True, eq=False)
-class StructuredCloud:
-    """A cloud to be written, of one row.
-
-    Attributes
-    ----------
-    sequence, stamp_ns, frame_id
-        Those of the header.
-    points
-        (M,), structured, little-endian: its fields become the cloud's.
-    """
-
-    sequence: int
-    stamp_ns: int
-    frame_id: str
-    points: NDArray[np.void]
-
-
-def structured_cloud(cloud: StructuredCloud, *, is_dense: bool = False) -> PointCloud2:
-    """Return the points as a PointCloud2 of one row, without a copy."""
-    points = cloud.points
+def structured_cloud(
+    sequence: int, stamp_ns: int, frame_id: str, points: NDArray[np.void], *, is_dense: bool = False
+) -> PointCloud2:
+    """Return structured points, little-endian, as a PointCloud2 of one row, without a copy."""
     step, count = points.dtype.itemsize, len(points)
     fields = tuple(
         PointField(name, offset, _DATATYPE_CODES[kind.str[1:]])
         for name, (kind, offset, *_) in (points.dtype.fields or {}).items()
     )
-    header = cloud.sequence, cloud.stamp_ns, cloud.frame_id
-    return PointCloud2(*header, 1, count, fields, False, step, count * step, bytes_of(points), is_dense)
-
-
-def encode_structured(cloud: StructuredCloud, serialization: str) -> bytes:
-    """Serialise a cloud as ``ros1`` or ``cdr``."""
-    return encode_cloud(structured_cloud(cloud), serialization)
+    layout = 1, count, fields, False, step, count * step
+    return PointCloud2(sequence, stamp_ns, frame_id, *layout, bytes_of(points), is_dense)

@@ -41,6 +41,9 @@ _IDL = ("omgidl", "ros2idl")
 
 _SETS = {1: "ROS 1 noetic", 2: "ROS 2 jazzy"}
 
+#: What rosbags raises besides its own error: those of slices, structs and asserts.
+_FAILURES = (SerdeError, struct.error, AssertionError, LookupError, OverflowError, RecursionError, ValueError)
+
 #: At the end of a message, the generated functions may skip to the alignment of a member that does not exist.
 _MAX_PADDING = 7
 
@@ -355,19 +358,8 @@ def _encoder(plan: _TypePlan, source: int, topic: str) -> Callable[[Buffer], Buf
             if len(data) < head + plan.least:
                 raise ValueError(f"its fields take {head + plan.least} or more")
             return plan.convert(view[head:])
-        # Besides its own, rosbags raises the errors of slices, structs and asserts.
-        except (
-            SerdeError,
-            struct.error,
-            AssertionError,
-            LookupError,
-            OverflowError,
-            RecursionError,
-            ValueError,
-        ) as err:
-            reason = str(err) or type(err).__name__
-            raise DecodeError(
-                f"{plan.msgtype} of {len(data)} bytes cannot be re-encoded: {reason}", topic=topic
-            ) from err
+        except _FAILURES as err:
+            message = f"{plan.msgtype} of {len(data)} bytes cannot be re-encoded: {str(err) or type(err).__name__}"
+            raise DecodeError(message, topic=topic) from err
 
     return encode

@@ -17,7 +17,7 @@ import numpy as np
 from pc2scan.core.points import Points
 from pc2scan.errors import DecodeError
 
-from .pointcloud2 import CloudFields, StructuredCloud, structured_cloud
+from .pointcloud2 import CloudFields, structured_cloud
 from .wire import Cursor
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def decode_velodyne(data: Buffer, serialization: str) -> Points:
         after = (seconds * 1_000_000_000 + nanoseconds - stamp_ns) / 1e9
         packets.append((after, bytes(cursor.take(_PACKET))))
     points = _points_of(packets, stamp_ns) if packets else np.empty(0, _POINT)
-    cloud = structured_cloud(StructuredCloud(sequence, stamp_ns, frame_id, points), is_dense=True)
+    cloud = structured_cloud(sequence, stamp_ns, frame_id, points, is_dense=True)
     return Points(sequence, stamp_ns, frame_id, CloudFields(cloud, further={"packets": _digest(packets)}))
 
 
