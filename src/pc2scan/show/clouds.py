@@ -127,15 +127,9 @@ def clouds_page(
     if options.scan.level:
         notes.append("Clouds are shown as recorded; only a conversion makes scans level.")
     if packed.step > 1:
-        notes.append(
-            f"To keep this page small, only 1 of {packed.step} points is shown; counts and ranges are those of the "
-            "thinned clouds. A page of fewer clouds shows all points."
-        )
+        notes.append(f"To keep this page small, only 1 of {packed.step} points is shown and projected.")
     if options.scan.filters:
-        notes.append(
-            "Filters were applied when this page was made: changing the mount or min_height does not change which "
-            "points they reject."
-        )
+        notes.append("Filters were applied when this page was made: no slider changes which points they reject.")
     if options.scan.remove:
         notes.append("Beams that `remove` removes from the scans are still shown here.")
     topics: dict[str, list[dict[str, Any]]] = {}

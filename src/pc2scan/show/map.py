@@ -113,7 +113,7 @@ class Map(Result):
 
     kind: ClassVar[str] = "map"
     json_names: ClassVar[tuple[str, ...]] = (
-        *("preview", "frame", "robot_frame", "resolution", "origin", "width", "height", "occupied", "free", "scans"),
+        *("preview", "frame", "robot_frame", "resolution", "origin", "width", "height", "scans"),
         *("converted", "distance", "duration", "skipped", "skipped_count"),
     )
 
@@ -153,16 +153,6 @@ class Map(Result):
     def height(self) -> int:
         """Cells along y."""
         return int(self.cells.shape[0])
-
-    @property
-    def occupied(self) -> float:
-        """The share of occupied cells."""
-        return float(np.mean(self.cells == OCCUPIED))
-
-    @property
-    def free(self) -> float:
-        """The share of free cells."""
-        return float(np.mean(self.cells == FREE))
 
     @property
     def skipped_count(self) -> int:
@@ -231,8 +221,7 @@ free_thresh: 0.196
         """Yield the size of the map, its scans, and the robot's way."""
         yield (
             f"map: {self.width:,} x {self.height:,} cells of {self.resolution:g} m "
-            f"({self.width * self.resolution:.1f} x {self.height * self.resolution:.1f} m), "
-            f"{self.occupied:.1%} occupied, {self.free:.1%} free"
+            f"({self.width * self.resolution:.1f} x {self.height * self.resolution:.1f} m)"
         )
         of = ", ".join(f"{count:,} of {topic}" for topic, count in self.scans.items())
         yield f"scans: {of}{' (made of clouds)' if self.converted else ''}"

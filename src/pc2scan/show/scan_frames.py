@@ -224,12 +224,8 @@ class ScanFrames:
     def _gap_cure(self) -> str:
         """What to do if there are no transforms at the time of scans."""
         if self._clock is not None:
-            option = f"`time_offset={self._clock.time_offset}`"
-            return f"the clocks differ; for scans made from clouds: pc2scan convert {option}"
-        return (
-            "record /tf as long as the scans; for scans made from clouds, pc2scan convert `start` and `end` leave out "
-            f"those without; {_HINT}"
-        )
+            return f"the clocks differ; pc2scan convert `time_offset={self._clock.time_offset}` for scans of clouds"
+        return f"record /tf as long as the scans; pc2scan convert `start` and `end` leave out clouds without; {_HINT}"
 
     @property
     def _robot_moves(self) -> bool:
@@ -244,10 +240,7 @@ class ScanFrames:
         if namesake := named_in_namespace(name, self._trees):
             return f"`{option}={namesake}`"
         if option == "odom_frame" and not self._robot_moves:
-            return (
-                "record the robot's odometry on /tf, or a SLAM that needs none; pc2scan convert `odom_topic=/odom` or "
-                f"`trajectory=poses.tum` writes it to /tf; {_HINT}"
-            )
+            return "record the robot's odometry on /tf; pc2scan convert `odom_topic` or `trajectory` writes it there"
         return f"`{option}` names the right one; {_HINT}"
 
     def findings(self, interval_ns: float | None) -> Iterator[Finding]:
@@ -268,10 +261,8 @@ class ScanFrames:
                     yield from self._frame_findings(name, frame, interval_ns)
         scans = sum(frame.scans for frame in self._frames.values())
         if self._late.count and not few_unplaced(self._late.count, scans, interval_ns):
-            text = (
-                f"{self._late.count:,} of {counted(scans, 'scan')} have their transform to {self._odom!r} logged only "
-                "after the next scan: a message filter with a queue of one, as slam_toolbox has, drops them"
-            )
+            which = f"{self._late.count:,} of {counted(scans, 'scan')}"
+            text = f"{which} have their transform to {self._odom!r} logged after the next scan: slam_toolbox drops them"
             level: Level = "defect" if 2 * self._late.count >= scans else "notice"
             hint = "publish the transforms sooner, or give slam_toolbox a larger scan_queue_size"
             yield self._late.finding("transforms-late", level, text, hint)
@@ -293,16 +284,12 @@ class ScanFrames:
         hint = "for scans made from clouds: pc2scan convert `target_frame=base_link`; a scan lies in the x-y plane"
         # A tilting lidar points sideways for a moment.
         if 2 * self._sideways.count > self._looked:
-            text = (
-                f"{counted(self._sideways.count, 'scan', 'are')} in a frame whose z axis is not up, as those of "
-                f"cameras (optical frames): it is turned by up to {self._tilt:.1f} deg from that of {self._base}"
-            )
+            which = counted(self._sideways.count, "scan", "are")
+            text = f"{which} in a frame like a camera's: z is {self._tilt:.1f} deg from that of {self._base}"
             yield self._sideways.finding("optical-frame", "defect", text, hint)
         elif self._tilted.count:
-            text = (
-                f"{counted(self._tilted.count, 'scan', 'are')} tilted against {self._base}, by up to "
-                f"{self._tilt:.1f} deg: 2D SLAM treats them as level"
-            )
+            which = counted(self._tilted.count, "scan", "are")
+            text = f"{which} tilted against {self._base}, by up to {self._tilt:.1f} deg: 2D SLAM treats them as level"
             yield self._tilted.finding("tilted", "notice", text, hint)
 
     def _frame_findings(self, name: str, frame: _Frame, interval_ns: float | None) -> Iterator[Finding]:
@@ -311,10 +298,7 @@ class ScanFrames:
             yield Finding("frame-unknown", "defect", text, self._cure(name), frame.scans)
             return
         if moving := find_body_motion(self._buffer, name, self._base):
-            text = (
-                f"the scan's frame {name!r} is one that {moving.body} moves in (by {moving.metres:.2f} m): scans are "
-                "measured from its origin, and consumers expect them from the robot"
-            )
+            text = f"the scan's frame {name!r} is one that {moving.body} moves in (by {moving.metres:.2f} m)"
             hint = f"for scans made from clouds: pc2scan convert `target_frame={moving.body}`"
             yield Finding("moving-frame", "defect", text, hint, frame.scans)
         if self._odom in self._trees and not self._joined(name, self._odom):

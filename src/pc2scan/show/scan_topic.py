@@ -69,10 +69,7 @@ _FEWEST_RETURNS = 4
 _STEADY = 0.5
 
 #: What to do about stamps that are out of order.
-_BACK = (
-    "SLAM drops or mixes up such scans: a second publisher, or a clock that was set; pc2scan convert `stamps=log` "
-    "takes the log times, with `rebin` for scans of a 2D lidar"
-)
+_BACK = "SLAM mixes such scans up; pc2scan convert `stamps=log` takes the log times, with `rebin` for a 2D lidar"
 
 #: Scans in more frames than this do not count for parts of a turn.
 _MOST_FRAMES = 100
@@ -80,31 +77,15 @@ _MOST_FRAMES = 100
 #: What is counted scan by scan: a verb that agrees with the count, the problem, and what the user can do.
 _EACH_SCAN: dict[str, tuple[str, str, str]] = {
     "no-frame": ("have", "an empty frame_id", "pc2scan convert `source_frame` names it for scans made from clouds"),
-    "length": (
-        "have",
-        "another number of beams than the first: {low:,} to {high:,}",
-        "pc2scan convert `rebin=True` gives all scans one number of beams",
-    ),
+    "length": ("have", "another number of beams than the first: {low:,} to {high:,}", "pc2scan convert `rebin=True`"),
     "angles": ("have", "no angles: {angles} for {beams}", "beam i is at angle_min + i * angle_increment"),
-    "full-circle": (
-        "cover",
-        "more than a full circle: {angles} for {beams}",
-        "angles in degrees? At most 2 pi (6.28319 rad) are a circle",
-    ),
-    "intensities": (
-        "have",
-        "intensities, but not one a beam",
-        "write no intensities, or one for every beam",
-    ),
+    "full-circle": ("cover", "more than a full circle: {angles} for {beams}", "angles in degrees? A circle is 2 pi"),
+    "intensities": ("have", "intensities, but not one a beam", "write no intensities, or one for every beam"),
     "stamps-back": ("have", "a stamp before that of the scan before", _BACK),
     "stamps-repeated": ("repeat", "the stamp of the scan before", _BACK),
     "stamps-zero": ("have", "no stamp (0)", _BACK),
     "times": ("have", "a scan_time or time_increment that is not a valid duration", ""),
-    "no-returns": (
-        "have",
-        "no return at all",
-        "for scans made from clouds the summary of pc2scan convert names the parameter to blame",
-    ),
+    "no-returns": ("have", "no return at all", "other heights, for scans made from clouds: pc2scan info proposes them"),
 }
 
 #: Those that are notices; the others are defects. Without returns, half of the scans are a defect.
@@ -114,10 +95,7 @@ _NOTICES = {"times", "no-returns"}
 _EACH_RANGE = {
     "short": ("are below range_min", "a beam without a return should be +inf"),
     # Zeros that are not below range_min are returns.
-    "zero": (
-        "are 0, and range_min is 0 m or less: consumers take them for obstacles at the sensor",
-        "for scans made from clouds: pc2scan convert `range_min=0.1`",
-    ),
+    "zero": ("are 0, and range_min is 0 m or less", "consumers see obstacles at the sensor: `range_min=0.1`"),
     "long": ("are above range_max", "no consumer treats them as returns; +inf would be clearer"),
     "nan": ("are NaN", "NaN means an erroneous measurement; a beam without a return should be +inf"),
 }
@@ -418,12 +396,9 @@ class _Stamps:
     def findings(self, scan_time_ns: float) -> Iterator[Finding]:
         """Yield the problems, given the ``scan_time`` of the first scan."""
         if self._jumps.count:
-            text = (
-                f"the stamps jump {counted(self._jumps.count, 'time')} to another time, by up to "
-                f"{self._farthest / 1e9:,.3f} s, but the log times do not"
-            )
+            times = f"{counted(self._jumps.count, 'time')}, by up to {self._farthest / 1e9:,.3f} s"
             hint = "a second publisher with another clock, or a clock that was set"
-            yield self._jumps.finding("clocks", "notice", text, hint)
+            yield self._jumps.finding("clocks", "notice", f"the stamps jump {times}; the log times do not", hint)
         if self._offsets and max(map(abs, self._offsets)) > _FAR_NS:
             low, high = (offset / 1e9 for offset in self._offsets)
             text = f"log times lie {low:,.3f} to {high:,.3f} s after the stamps"
@@ -433,10 +408,8 @@ class _Stamps:
         if median is None:
             return
         if off := int(np.count_nonzero(np.abs(np.array(self._intervals) - median) > _STUTTER * median)):
-            text = (
-                f"the rate stutters: {off} of {len(self._intervals)} intervals are not the usual {median / 1e9:.3f} s; "
-                f"the longest is {max(self._intervals) / 1e9:.3f} s"
-            )
+            most = f"{off} of {len(self._intervals)} intervals are not about {median / 1e9:.3f} s"
+            text = f"the rate stutters: {most}; the longest is {max(self._intervals) / 1e9:.3f} s"
             yield Finding("rate", "notice", text, "scans are missing, or were stamped on arrival", off)
         if scan_time_ns > 0 and abs(scan_time_ns - median) > _SCAN_TIME * median:
             text = f"scan_time is {scan_time_ns / 1e9:.4g} s, but scans come every {median / 1e9:.4g} s"
@@ -453,14 +426,11 @@ class _Sectors:
         self._pairs = 0
         self._parts = Counted()
         self._steps = 0j
-        self._returns = self._beams = 0
 
     def add(self, frame_id: str, scan: ConsumerScan, ranges: NDArray[np.float32], stamp_ns: int) -> None:
         """Add the next scan, and its ranges, float32, shape (beams,), metres."""
         if frame_id not in self._last and len(self._last) == _MOST_FRAMES:
             return
-        self._returns += scan.returns
-        self._beams += scan.beams
         self._pairs += frame_id in self._last
         last, self._last[frame_id] = self._last.get(frame_id), None
         if not _FEWEST_RETURNS <= scan.returns < _PART * scan.beams:
@@ -479,13 +449,8 @@ class _Sectors:
         """Yield the problem."""
         parts = self._parts.count
         if parts > self._pairs / 2 and abs(self._steps) > _STEADY * parts:
-            text = (
-                f"the scans are parts of a turn: on average {self._returns / self._beams:.1%} of the directions have a "
-                f"return, and {parts:,} of {self._pairs:,} scans have them in another sector than the scan before"
-            )
-            hint = (
-                "packets of a lidar? For scans made from clouds: pc2scan convert `accumulate=0.1`, the time of a turn"
-            )
+            text = f"{parts:,} of {self._pairs:,} scans are parts of a turn: returns are in another sector each time"
+            hint = "for scans made from clouds: pc2scan convert `accumulate=0.1`, the time of a turn"
             yield self._parts.finding("parts", "defect", text, hint)
 
 
