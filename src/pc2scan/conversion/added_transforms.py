@@ -140,7 +140,7 @@ def add_poses(
                 entries.remove(route.report)
                 route.report = None
             made = partial(_as_transform, each.reading, each.attachments, connection, target.serialization)
-            route.decode, route.steps, route.shrinks_from = as_it_is, [Steps(None, None, made)], 0
+            route.decode, route.steps = as_it_is, [Steps(None, None, made)]
             route.outputs.append(Output(None, shared.topic, report=entry))
             outputs.append(route.outputs[-1])
     topics.add(shared, *outputs, *files)

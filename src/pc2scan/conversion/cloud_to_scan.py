@@ -106,9 +106,6 @@ class CloudToScan(Conversion):
         params = spec.params
         self.spec, self.placer = spec, placer
         self.measurements, self.deskews = measurements or {}, deskews or {}
-        # The size of a scan: the cloud's header, ranges and intensities. Its other fields take fewer bytes.
-        longest = max([each.resolve(params).length for each in self.measurements.values()], default=params.length)
-        self.shrinks_from = 1024 + 8 * longest
         self._default = Measurements(
             0.0 if params.scan_time == "auto" else params.scan_time,
             0.0 if params.time_increment == "auto" else params.time_increment,

@@ -181,7 +181,7 @@ class RecordingTopics:
         target, options, connection = self.target, self._options, route.connection
         if self.as_pointcloud2 and written_as_pointcloud2(connection):
             entry.action, entry.note = "re-encoded", "as PointCloud2"
-            route.reencode, route.unpacks = to_pointcloud2(connection, target.serialization), True
+            route.reencode = to_pointcloud2(connection, target.serialization)
             self.add_like(connection, connection.topic, POINTCLOUD2, route)
             return
         foreign = connection.ros_version is None

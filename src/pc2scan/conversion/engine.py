@@ -11,12 +11,12 @@ from __future__ import annotations
 
 from contextlib import closing
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.loading import Chunk, merge_by_time
 from pc2scan.errors import DecodeError, MessageError
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
-from pc2scan.model import RawMessage, StoredChunk, copied_message, own_data, own_message
+from pc2scan.model import RawMessage, StoredChunk, copied_message, own_data
 
 from .combine.combiner import add_groups
 from .items import Item
@@ -33,23 +33,6 @@ if TYPE_CHECKING:
 
     from .combine.conversion import Contribution
     from .plan import Route
-
-
-class DeferredMessage(NamedTuple):
-    """A message that a callback postpones until its turn, because its result takes more memory."""
-
-    message: RawMessage
-    work: Callable[[RawMessage], Any]
-
-    @property
-    def log_time_ns(self) -> int:
-        """The log time of the message."""
-        return self.message.log_time_ns
-
-    @property
-    def size(self) -> int:
-        """The size of the message in bytes."""
-        return self.message.size
 
 
 def items_of(
@@ -113,7 +96,7 @@ def _messages(
             for item in items:
                 if meter is not None:
                     meter.messages += sum(map(len, item.index.values())) if isinstance(item, StoredChunk) else 1
-                yield item.work(item.message) if isinstance(item, DeferredMessage) else item
+                yield item
                 # Frees the item before the next one is made.
                 del item
     if meter is not None:
@@ -132,14 +115,9 @@ def _chunks_of_cut(
     yield reader.chunks(wanted, start, stop, rule)
 
 
-def convert(routes: Mapping[int, Route], message: RawMessage, *, is_due: bool = False) -> Item | DeferredMessage:
-    """Decode a message, and for each conversion of its route place its points, select some, and project them.
-
-    If the result takes more memory than the message, and is not due, it is postponed. On any thread.
-    """
+def convert(routes: Mapping[int, Route], message: RawMessage) -> Item:
+    """Decode a message, and for each conversion of its route place its points, select some, and project them."""
     route = routes[message.connection.id]
-    if (route.steps or route.unpacks) and len(message.data) < route.shrinks_from and not is_due:
-        return DeferredMessage(own_message(message), partial(convert, routes, is_due=True))
     made: list[ConvertedMessage | Contribution | MessageError] = []
     passing = error = None
     try:

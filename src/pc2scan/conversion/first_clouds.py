@@ -13,7 +13,6 @@ from pc2scan.errors import MessageError, UnconnectedError
 
 from .combine.conversion import Contribution
 from .engine import convert
-from .items import Item
 from .result_checks import result_findings
 from .steps import ConvertedMessage
 
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
     from pc2scan.model import RawMessage
     from pc2scan.request.options import ScanSpec
 
-    from .items import Tally
+    from .items import Item, Tally
     from .plan import Output, Route
     from .preparation import Preparation
     from .recording import OpenRecording
@@ -63,8 +62,7 @@ def judge_first(
         unconnected: list[UnconnectedError] = []
         with closing(reader.messages(connections, prepared.span.start_ns, prepared.span.stop_ns)) as messages:
             for message in messages:
-                item = convert(routes, message, is_due=True)
-                assert isinstance(item, Item)
+                item = convert(routes, message)
                 item = item._replace(results=[(output, _alone(output, result)) for output, result in item.results])
                 read, made = read + 1, made + (item.failure is None)
                 unconnected += [item.failure] if isinstance(item.failure, UnconnectedError) else []

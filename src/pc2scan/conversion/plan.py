@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -85,11 +84,8 @@ class Route:
         The consumer's last step with each result.
     handle
         The writer's for messages as they are; -1 if they are not written.
-    reencode, unpacks
-        Makes what is written of messages as they are, None if that is what was read; and whether that may take far more
-        memory.
-    shrinks_from
-        Messages of this size in bytes, and larger ones, become smaller when they are converted.
+    reencode
+        Makes what is written of messages as they are; None if that is what was read.
     report
         The report's entry of messages that are not converted; each output has another one.
     messages
@@ -104,8 +100,6 @@ class Route:
     finish: Callable[[ConvertedMessage], ConvertedMessage] = as_it_is
     handle: int = -1
     reencode: Callable[[Buffer], Buffer] | None = None
-    unpacks: bool = False
-    shrinks_from: int = sys.maxsize
     report: Any = None
     messages: int = 0
 
@@ -135,12 +129,11 @@ class Route:
 
 
 class Plan(NamedTuple):
-    """The routes in the order of the source's connections, the outputs, warnings and notes."""
+    """The routes in the order of the source's connections, the outputs, and warnings."""
 
     routes: tuple[Route, ...]
     specs: tuple[ScanSpec, ...] = ()
     warnings: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
 
     @property
     def needs_transforms(self) -> bool:

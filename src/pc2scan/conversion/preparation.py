@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field
 from functools import cache, partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from pc2scan.advice.checks.clouds import KnownTransforms
 from pc2scan.advice.clocks import CLOCK_HEADERS, Clocks, moving, refuse_other_clock
@@ -27,7 +28,7 @@ from .scan_to_cloud import ScanToCloud
 from .source_checks import check_fixed_frame, check_given_frames
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
     from pc2scan.advice.odometry import Odometry
     from pc2scan.advice.survey import TopicFacts
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
     from pc2scan.progress import Meter
     from pc2scan.request.options import ConvertOptions, ScanSpec
     from pc2scan.transforms.buffer import TransformBuffer
-    from pc2scan.transforms.imu import UpEstimate
     from pc2scan.transforms.reading import FoundTransforms
     from pc2scan.transforms.up_sources import UpSource
 
@@ -43,39 +43,48 @@ if TYPE_CHECKING:
     from .steps import Conversion
 
 
-class Preparation(NamedTuple):
+@dataclass(slots=True, eq=False)
+class Preparation:
     """The conversions of a run, and what was found out before them.
 
     Attributes
     ----------
-    conversions
-        By `pc2scan.conversion.plan.Output.key`.
     span
         The cut.
     known
         The transforms that checks of the first clouds may use.
-    surroundings
-        What is seen where the robot moves most, with the labels of the outputs.
+    tell
+        Called with warnings as soon as they are known, also if an error follows.
     others
         The other recordings that transforms were read from.
-    notes
-        Texts for the user.
     found
         All transforms; None if they were not read.
+    conversions
+        By `pc2scan.conversion.plan.Output.key`.
+    surroundings
+        What is seen where the robot moves most, with the labels of the outputs.
+    notes
+        Texts for the user.
     """
 
-    conversions: Mapping[tuple[Any, str], Conversion]
     span: Span
     known: KnownTransforms
-    surroundings: Sequence[tuple[str, Surroundings]] = ()
+    tell: Callable[..., None]
     others: Sequence[Reader] = ()
-    notes: Sequence[str] = ()
     found: FoundTransforms | None = None
+    conversions: dict[tuple[Any, str], Conversion] = field(default_factory=dict)
+    surroundings: list[tuple[str, Surroundings]] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
     @property
     def transforms(self) -> TransformBuffer | None:
         """All transforms, for lookups; None if they were not read."""
         return None if self.found is None else self.found.buffer
+
+    def add(self, spec: ScanSpec, warnings: Iterable[str], notes: Iterable[str] = ()) -> None:
+        """Add warnings and notes about an output."""
+        self.tell(*(spec.label + text for text in warnings))
+        self.notes += (spec.label + text for text in notes)
 
 
 def span_of(reader: Reader, options: ConvertOptions) -> Span:
@@ -138,40 +147,35 @@ def prepare(
         connections = [route.connection for route in plan.routes]
         meter.following = reader.stored_bytes(connections, span.start_ns, span.stop_ns)
     survey.read(meter)
-    notes: list[str] = []
     found = None if survey.transforms is None else survey.transforms.finish()
-    if found is not None:
-        tell(*found.warnings)
-        notes += found.notes
-    if asked.trajectory is not None:
-        refuse_other_clock(asked.trajectory, placed, span, reader.summary.end_ns)
     buffer = found.buffer if found is not None and plan.needs_transforms else None
     known = KnownTransforms(asked.source_frame, cache(partial(_robot_transforms, reader, options, span)), buffer)
+    prepared = Preparation(span, known, tell, survey.others, found)
+    if found is not None:
+        tell(*found.warnings)
+        prepared.notes += found.notes
+    if asked.trajectory is not None:
+        refuse_other_clock(asked.trajectory, placed, span, reader.summary.end_ns)
     if buffer is not None:
         known.static = asked.static
     if given:
         robot = known.read() if found is None else found.buffer
         tell(*check_given_frames((facts.frame for facts in given), plan, asked, buffer, robot))
-    conversions: dict[tuple[Any, str], Conversion] = {}
-    surroundings: list[tuple[str, Surroundings]] = []
     for spec in plan.specs:
         placer = Placer(source_frame=asked.source_frame)
         if spec.needs_transforms:
-            up = None
-            if buffer is not None and spec.level:
-                up, estimate = up_source(spec, buffer, survey)
-                notes += () if estimate is None else estimate.notes
-                tell(*(() if estimate is None else estimate.warnings))
+            up = None if buffer is None or not spec.level else _up_source(spec, buffer, survey, prepared)
             placer = Placer(spec.params.target_frame, asked.source_frame, buffer, spec.params.tolerance_ns, up)
         if spec.reverse:
-            conversions[spec, ""] = ScanToCloud(spec.channels, placer, deskewed=spec.deskew, echo=spec.echo)
+            conversion = ScanToCloud(spec.channels, placer, deskewed=spec.deskew, echo=spec.echo)
+            prepared.conversions[spec, ""] = conversion
         else:
-            conversions |= outputs[spec].conversions(placer, tell, notes, surroundings)
-    return Preparation(conversions, span, known, surroundings, survey.others, notes, found)
+            outputs[spec].convert_with(placer, prepared)
+    return prepared
 
 
-def up_source(spec: ScanSpec, buffer: TransformBuffer, survey: Survey) -> tuple[UpSource, UpEstimate | None]:
-    """Return the source of the direction of up for a level output, and the estimate by its IMU; None without one.
+def _up_source(spec: ScanSpec, buffer: TransformBuffer, survey: Survey, prepared: Preparation) -> UpSource:
+    """Return the source of the direction of up for a level output.
 
     Raises
     ------
@@ -180,9 +184,11 @@ def up_source(spec: ScanSpec, buffer: TransformBuffer, survey: Survey) -> tuple[
     """
     tolerance_ns, request = spec.params.tolerance_ns, spec.imu_request
     if request is None:
-        return UpByFrame(spec.fixed_frame, buffer, tolerance_ns), None
+        return UpByFrame(spec.fixed_frame, buffer, tolerance_ns)
     up = survey.imu(request.topic).up(request.frame)
-    return UpByImu(up.topic, up.frame, up.stamps_ns, up.directions, buffer, tolerance_ns), up
+    prepared.notes += up.notes
+    prepared.tell(*up.warnings)
+    return UpByImu(up.topic, up.frame, up.stamps_ns, up.directions, buffer, tolerance_ns)
 
 
 class _OutputFacts:
@@ -217,24 +223,17 @@ class _OutputFacts:
                 for facts in topics.values():
                     ask_times(facts, self._where)
 
-    def conversions(
-        self,
-        placer: Placer,
-        tell: Callable[..., None],
-        notes: list[str],
-        surroundings: list[tuple[str, Surroundings]],
-    ) -> dict[tuple[Any, str], Conversion]:
-        """Return the conversions of the output; adds notes, and what is seen where the robot moves most.
+    def convert_with(self, placer: Placer, prepared: Preparation) -> None:
+        """Make the conversions of the output.
 
         Raises
         ------
         Pc2ScanError
             If something that it needs cannot be measured, or does not exist.
         """
-        spec, label = self._spec, self._spec.label
-        conversions: dict[tuple[Any, str], Conversion] = {}
+        spec = self._spec
         for clocks in self._clocks:
-            tell(*clocks.warnings())
+            prepared.tell(*clocks.warnings())
         odometry = None
         if spec.fixed_frame and placer.buffer is not None:
             # By log time.
@@ -244,63 +243,52 @@ class _OutputFacts:
                 doubts = check_fixed_frame(source, spec, placer.buffer)
             odometry = odometry_of(placer.buffer, spec.fixed_frame, source)
             doubts += [odometry.doubt] if odometry.doubt else []
-            tell(*(label + doubt for doubt in doubts))
+            prepared.add(spec, doubts)
         for sources in self._sources:
             with spec.naming_errors():
-                timing, grouper, new_notes, doubts = measure_sources(sources, placer)
-            notes += (label + note for note in new_notes)
-            tell(*(label + doubt for doubt in doubts))
+                timing, grouper, notes, doubts = measure_sources(sources, placer)
+            prepared.add(spec, doubts, notes)
             topics = sources.output.sources
-            seen = self._surroundings(placer, odometry, surroundings, topics)
-            deskews = self._deskews(placer, tell, notes, sources.facts, seen)
+            seen = self._surroundings(placer, odometry, prepared, topics)
+            deskews = self._deskews(placer, prepared, sources.facts, seen)
             scan = MessagesToScan(spec, topics, placer, timing, grouper, deskews, seen)
-            conversions[sources.output.key] = scan
+            prepared.conversions[sources.output.key] = scan
         if self._alone or not self._sources:
             measurements: Mapping[str, Any] = {}
             if spec.needs_measuring:
                 with spec.naming_errors():
-                    measurements, new_notes = measure(self._alone.values(), spec, placer)
-                notes += (label + note for note in new_notes)
-            seen = self._surroundings(placer, odometry, surroundings)
-            deskews = self._deskews(placer, tell, notes, self._alone, seen)
-            conversions[spec, ""] = CloudToScan(spec, placer, measurements, deskews)
-        return conversions
+                    measurements, notes = measure(self._alone.values(), spec, placer)
+                prepared.add(spec, (), notes)
+            seen = self._surroundings(placer, odometry, prepared)
+            deskews = self._deskews(placer, prepared, self._alone, seen)
+            prepared.conversions[spec, ""] = CloudToScan(spec, placer, measurements, deskews)
 
     def _surroundings(
-        self,
-        placer: Placer,
-        odometry: Odometry | None,
-        surroundings: list[tuple[str, Surroundings]],
-        topics: Sequence[str] = (),
+        self, placer: Placer, odometry: Odometry | None, prepared: Preparation, topics: Sequence[str] = ()
     ) -> Surroundings | None:
         """Return what samples the clouds of some topics, to compare them with the odometry; None where nothing does."""
         if placer.buffer is None or odometry is None or not odometry.links:
             return None
         if not (self._spec.deskew or len(topics) > 1):
             return None
-        span = self._survey.span
+        span = prepared.span
         first_ns, last_ns = span.first_ns, span.stop_ns or self._survey.reader.summary.end_ns
         times = (first_ns, first_ns if last_ns is None else last_ns)
         seen = Surroundings(self._spec, placer.buffer, odometry, placer.source_frame, times, topics)
-        surroundings.append((self._spec.label, seen))
+        prepared.surroundings.append((self._spec.label, seen))
         return seen
 
     def _deskews(
-        self,
-        placer: Placer,
-        tell: Callable[..., None],
-        notes: list[str],
-        topics: Mapping[str, TopicFacts],
-        seen: Surroundings | None,
+        self, placer: Placer, prepared: Preparation, topics: Mapping[str, TopicFacts], seen: Surroundings | None
     ) -> dict[str, Deskew]:
         """Return what places points at their own times, by topic; nothing without deskewing."""
         spec, where, facts = self._spec, self._where, topics.values()
         if where is None:
             return {}
-        tell(*(spec.label + text for each in facts for text in time_warnings(each, where)))
+        prepared.add(spec, (text for each in facts for text in time_warnings(each, where)))
         with spec.naming_errors():
-            turns, new_notes = measure_turns(facts, where)
-        notes += (spec.label + note for note in new_notes)
+            turns, notes = measure_turns(facts, where)
+        prepared.add(spec, (), notes)
         if any(duration_warning(each, where) for each in facts):
             # Points at wrong times are where odometry that lags would put them.
             seen = None

@@ -116,8 +116,6 @@ def open_routes(
         chosen = {output.index: conversions[output.key] for output in route.outputs}
         route.decode = chosen[0].decoder(connection.serialization, msgtype)
         route.steps = [conversion.steps(topic) for conversion in chosen.values()]
-        if not route.unpacks:
-            route.shrinks_from = sum(conversion.shrinks_from for conversion in chosen.values())
         form = connection.serialization if topics is None else topics.target.serialization
         route.finish = partial(chosen[0].serialise if finish is None else finish, form)
         for output in route.outputs:

@@ -41,9 +41,9 @@ from pc2scan.files.staging import check_destination, staged_output
 from pc2scan.files.system import copying_to
 from pc2scan.files.urls import UrlPath, exists
 from pc2scan.progress import Meter
+from pc2scan.request.options import ConvertOptions
 from pc2scan.result import BEGINNING, Result, tell_early
 from pc2scan.threads import Threads, cores
-from pc2scan.transforms.placing import FrameOptions
 
 from .cloud_scale import scaled
 from .engine import items_of
@@ -65,249 +65,11 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Writer
     from pc2scan.progress import Progress
-    from pc2scan.request.options import ConvertOptions
     from pc2scan.result import Failure
 
     from .plan import Plan
     from .preparation import Preparation
     from .recording import OpenRecording
-
-
-def run(
-    sources: Sequence[Path],
-    destination: Path | None,
-    options: ConvertOptions,
-    output: OutputOptions,
-    *,
-    progress: Progress | None = None,
-    warn: Callable[[str], None] | None = None,
-) -> Report:
-    """Convert recordings; see `pc2scan.convert`.
-
-    Parameters
-    ----------
-    progress
-        Called regularly; see `pc2scan.progress.Progress`.
-    warn
-        Called with each warning as soon as it is known, up to those about the first clouds; the report has all.
-    """
-    if not sources:
-        raise UsageError("no source given")
-    files = RunFiles(sources, destination, options.frames, options.files, output)
-    report = Report([str(source) for source in sources], str(destination or ""), options.scans)
-    report.source_frame = options.frames.source_frame
-    report.warnings += options.notes
-    with ExitStack() as stack, files.reporting(report):
-        tell = partial(tell_early, report.warnings, warn)
-        reader, plan, target = _open(files, options, output, stack, report, tell)
-        with _destination(files, target, output, stack) as unfinished:
-            span = span_of(reader, options)
-            refuse_no_messages(reader, plan.converted, span.start_ns, span.stop_ns)
-            meter = None if progress is None else Meter(progress)
-            prepared = prepare(reader, plan, options, span, stack, tell, meter=meter)
-            report.add((), prepared.notes)
-            with _writing(target, unfinished) as writer:
-                recording = open_output(reader, plan, prepared, target, options, writer, report, tell)
-                tally = Tally(recording.routes, strict=options.strict)
-                report.skipped = tally.skipped
-                judge_first(reader, recording.routes, prepared, report, tell, tally if writer is None else None)
-                if writer is None:
-                    tally.finish()
-                    report.ways = [words for route in plan.routes for words in route.words]
-                    count_by_index(reader, recording, prepared, report)
-                else:
-                    jobs = options.jobs or cores()
-                    threads = stack.enter_context(Threads(jobs)) if jobs > 1 else None
-                    if threads is not None:
-                        writer.compress_ahead(threads)
-                    items = items_of(
-                        reader, recording.routes, span, threads, rule=recording.rule, window=options.window, meter=meter
-                    )
-                    try:
-                        with closing(items):
-                            write_items(items, writer, tally, recording)
-                    finally:
-                        report.messages_read = tally.messages
-                    tally.finish()
-                    tell(*(label + text for label, seen in prepared.surroundings for text in seen.warnings()))
-                    files.refuse_changed()
-                    _judge(reader, plan, prepared, recording, target, options, report)
-            if unfinished is not None:
-                report.bytes_written = _size_on_disk(unfinished)
-    return report
-
-
-def _open(
-    files: RunFiles,
-    options: ConvertOptions,
-    output: OutputOptions,
-    stack: ExitStack,
-    report: Report,
-    tell: Callable[..., None],
-) -> tuple[Reader, Plan, Destination]:
-    """Open the sources, plan the conversion, and decide the destination; the report then has what they say.
-
-    Errors about missing topics mention damage. ``stack`` closes the sources, and ``tell`` is called with warnings.
-    """
-    places = (*files.read, files.destination, output.folder)
-    if output.scratch is not None and not any(isinstance(path, UrlPath) for path in places):
-        raise UsageError("`scratch` has no effect: no source and no destination is a URL")
-    stack.enter_context(copying_to(output.scratch))
-    if files.destination is not None and any(isinstance(path, UrlPath) for path in files.read):
-        # Before anything is fetched.
-        check_destination(files.destination, overwrite=output.overwrite, owned=output.owned, record_in=recorded_in)
-    if len(files.sources) > 1 and files.destination is None and output.folder is None:
-        _refuse_missing_destination(files.sources)
-    readers = open_recordings(files.sources, stack, strict=options.strict)
-    reader = as_one(readers)
-    if options.cloud_scale != 1:
-        reader = scaled(reader, options.cloud_scale)
-    damage = reader.damage
-    if options.repair and damage and not reader.connections:
-        raise DamageError(f"nothing of it can be recovered: {damage[0].what}", path=damage[0].path)
-    try:
-        plan = make_plan(reader.connections, options)
-    except TopicError as err:
-        mention(damage, err)
-        raise
-    if options.clock:
-        reader, notes = corrected_for(reader, plan, options)
-        plan = plan._replace(notes=tuple(notes))
-    target = _target(files, reader, readers, options, output)
-    report.destination = str(target.path)
-    report.container, report.ros_version = target.format.name, target.ros_version
-    report.bytes_read, report.dry_run = reader.summary.size_bytes, output.dry_run
-    if readers[1:]:
-        tell(*overlap_warnings(readers))
-    report.add((), plan.notes)
-    tell(*plan.warnings, *request_warnings(options, reader.summary))
-    return reader, plan, target
-
-
-def _judge(
-    reader: Reader,
-    plan: Plan,
-    prepared: Preparation,
-    recording: OpenRecording,
-    target: Destination,
-    options: ConvertOptions,
-    report: Report,
-) -> None:
-    """Add to the report what the result and its sources show; raise if the result is of no use."""
-    report.add(reader.remarks)
-    report.damage += [damage for each in (reader, *prepared.others) for damage in each.damage]
-    report.add(*result_findings(report, recording.first_scans, target.serialization))
-    # With a fixed frame, an IMU or a corrected clock, clocks were compared before.
-    far = {
-        each.topic
-        for each in report.topics
-        if each.stamps.is_far and each.spec is not None and not (each.spec.fixed_frame or each.spec.imu)
-    }
-    if far and not options.clock:
-        doubtful = [each for each in plan.converted if each.topic in far]
-        survey = Survey(reader, (), options.frames, prepared.span)
-        clocks = Clocks(survey, survey.topics(doubtful).values())
-        survey.read()
-        report.add(clocks.warnings())
-    routes = recording.routes.values()
-    report.messages_declared, difference = compare_counts(reader, routes, options, report)
-    report.damage += difference
-    if plan.specs:
-        refuse_nothing(report)
-    if not options.repair:
-        refuse_unsatisfied(report, options)
-
-
-def report_failure(
-    failure: Failure, sources: Sequence[Path], output: OutputOptions, also_read: Mapping[str, Path]
-) -> None:
-    """Write the report of a run that failed before its options were known."""
-    RunFiles(sources, None, FrameOptions(), also_read, output).deliver_failure(failure)
-
-
-@contextmanager
-def _writing(target: Destination, unfinished: Path | None) -> Generator[Writer | None]:
-    """Open the destination's writer, and finish the recording, or abort it after an error; None in a dry run."""
-    if unfinished is None:
-        yield None
-        return
-    writer = open_writer(target, unfinished, target.path.name)
-    try:
-        yield writer
-        writer.finish()
-    except BaseException:
-        writer.abort()
-        raise
-
-
-@contextmanager
-def _destination(
-    files: RunFiles, target: Destination, output: OutputOptions, stack: ExitStack
-) -> Generator[Path | None]:
-    """Check the destination and the report's file; yield a path beside the destination, None in a dry run."""
-    if output.folder is not None and not output.dry_run:
-        stack.enter_context(output_folder(output.folder))
-    files.open_report(stack)
-    if output.dry_run:
-        check_destination(target.path, overwrite=output.overwrite, record_in=recorded_in, folder=output.folder)
-        yield None
-        return
-    with staged_output(
-        target.path, overwrite=output.overwrite, owned=output.owned, record_in=recorded_in
-    ) as unfinished:
-        yield unfinished
-
-
-def _refuse_missing_destination(sources: Sequence[Path]) -> None:
-    """Raise if the last of several sources does not exist: it may be meant as the destination, as with `cp`."""
-    *others, last = sources
-    if exists(last) or not all(map(exists, others)):
-        return
-    raise MissingError("does not exist", path=last, hint=f"did you mean `destination={shlex.quote(str(last))}`?")
-
-
-def _target(
-    files: RunFiles, reader: Reader, readers: Sequence[Reader], options: ConvertOptions, output: OutputOptions
-) -> Destination:
-    """Decide the destination's name and format; a repaired recording has its source's format if its name allows it."""
-    summaries = [opened.summary for opened in readers]
-    is_named = files.destination is not None and not output.like_source
-    if files.destination is None:
-        mark = "_repaired" if options.repair else "_clouds" if options.no_scans else "_scan"
-        first = files.sources[0], summaries[0].container
-        files.destination = default_destination(*first, mark, folder=output.folder, to=output.to)
-    path = files.destination
-    if output.to is not None:
-        check_to(path, output.to)
-    # None for a source without ROS messages.
-    ros_version = next((each.ros_version for each in reader.connections if each.ros_version is not None), None)
-    storage = None if is_named else default_storage(path, summaries)
-    compression = None
-    if options.repair:
-        storage, compression = source_form(path, summaries)
-    names_directory = output.to is not None and destinations()[output.to].is_directory
-    target = plan_destination(
-        path,
-        storage=output.storage or storage,
-        compression=output.compression or (compression if output.storage in (None, storage) else None),
-        profile=output.profile,
-        source_ros_version=ros_version,
-        is_directory=not is_named or output.storage is not None or names_directory,
-    )
-    # A recording without ROS messages has no ROS profile.
-    if options.repair and ros_version is None and target.format.profiles and output.profile is None:
-        return target._replace(profile=summaries[0].profile)
-    return target
-
-
-def _size_on_disk(path: Path) -> int:
-    """Return the size in bytes of a file, or of all files in a folder."""
-    try:
-        if path.is_dir():
-            return sum(file.stat().st_size for file in path.iterdir())
-        return path.stat().st_size
-    except OSError as err:
-        raise OutputError(f"cannot be read after it was written: {err.strerror}", path=path) from err
 
 
 class OutputOptions(NamedTuple):
@@ -354,37 +116,216 @@ class OutputOptions(NamedTuple):
     scratch: Path | None = None
 
 
-class RunFiles:
-    """The files that a run reads and writes, and its report.
+def run(
+    sources: Sequence[Path],
+    destination: Path | None,
+    options: ConvertOptions,
+    output: OutputOptions,
+    *,
+    progress: Progress | None = None,
+    warn: Callable[[str], None] | None = None,
+) -> Report:
+    """Convert recordings; see `pc2scan.convert`.
 
-    Attributes
+    Parameters
     ----------
-    sources, destination
-        Paths; ``destination`` is None until it is known.
+    progress
+        Called regularly; see `pc2scan.progress.Progress`.
+    warn
+        Called with each warning as soon as it is known, up to those about the first clouds; the report has all.
     """
+    if not sources:
+        raise UsageError("no source given")
+    this = _Run(sources, destination, options, output)
+    report, tell = this.report, partial(tell_early, this.report.warnings, warn)
+    with ExitStack() as stack, this.reporting():
+        reader, plan, target = this.open(stack, tell)
+        with this.writing(target, stack) as writer:
+            span = span_of(reader, options)
+            refuse_no_messages(reader, plan.converted, span.start_ns, span.stop_ns)
+            meter = None if progress is None else Meter(progress)
+            prepared = prepare(reader, plan, options, span, stack, tell, meter=meter)
+            report.add((), prepared.notes)
+            recording = open_output(reader, plan, prepared, target, options, writer, report, tell)
+            tally = Tally(recording.routes, strict=options.strict)
+            report.skipped = tally.skipped
+            judge_first(reader, recording.routes, prepared, report, tell, tally if writer is None else None)
+            if writer is None:
+                tally.finish()
+                report.ways = [words for route in plan.routes for words in route.words]
+                count_by_index(reader, recording, prepared, report)
+                return report
+            jobs = options.jobs or cores()
+            threads = stack.enter_context(Threads(jobs)) if jobs > 1 else None
+            if threads is not None:
+                writer.compress_ahead(threads)
+            items = items_of(
+                reader, recording.routes, span, threads, rule=recording.rule, window=options.window, meter=meter
+            )
+            try:
+                with closing(items):
+                    write_items(items, writer, tally, recording)
+            finally:
+                report.messages_read = tally.messages
+            tally.finish()
+            tell(*(label + text for label, seen in prepared.surroundings for text in seen.warnings()))
+            this.refuse_changed()
+            _judge(reader, plan, prepared, recording, target, options, report)
+    return report
+
+
+def report_failure(
+    failure: Failure, sources: Sequence[Path], output: OutputOptions, also_read: Mapping[str, Path]
+) -> None:
+    """Write the report of a run that failed before its options were known."""
+    _Run(sources, None, ConvertOptions(files=also_read), output).deliver_failure(failure)
+
+
+class _Run:
+    """A run: its sources, its destination, which is None until it is known, its options and its report."""
 
     def __init__(
-        self,
-        sources: Sequence[Path],
-        destination: Path | None,
-        frames: FrameOptions,
-        also_read: Mapping[str, Path],
-        output: OutputOptions,
+        self, sources: Sequence[Path], destination: Path | None, options: ConvertOptions, output: OutputOptions
     ) -> None:
-        self.sources = sources
-        self.destination = destination
-        self.read = (*sources, *frames.tf_from)
-        self._inputs = inputs_of(sources, frames.tf_from, also_read)
-        self._states = [state_of(path) for path in self.read]
-        self._output = output
+        self.sources, self.destination = sources, destination
+        self.options, self.output = options, output
+        self.report = Report([str(source) for source in sources], str(destination or ""), options.scans)
+        self.report.source_frame = options.frames.source_frame
+        self.report.warnings += options.notes
+        self._read = (*sources, *options.frames.tf_from)
+        self._inputs = inputs_of(sources, options.frames.tf_from, options.files)
+        self._states = [state_of(path) for path in self._read]
         self._write_report: Callable[[str], None] | None = None
 
-    def open_report(self, stack: ExitStack) -> None:
+    @contextmanager
+    def reporting(self) -> Generator[None]:
+        """Write the report at the end, also after an error. If that fails, the recording stays, with a warning."""
+        report = self.report
+        began = time.monotonic()
+        try:
+            yield
+        except Exception as err:
+            report.errors = [err if isinstance(err, Pc2ScanError) else Pc2ScanError(f"{type(err).__name__}: {err}")]
+            report.seconds = round(time.monotonic() - began, 3)
+            self.deliver_failure(report)
+            raise
+        report.seconds = round(time.monotonic() - began, 3)
+        if self._write_report is not None:
+            try:
+                self._write_report(report.as_json())
+            except (DestinationError, OutputError) as err:
+                report.undelivered = True
+                report.warnings.append(f"{err.path}: the report is not written: {err.message}; {report.destination} is")
+
+    def deliver_failure(self, report: Result) -> None:
+        """Write the report of a run that failed, if possible; the error itself is raised in any case."""
+        path = self.output.report
+        # The error may be that this file cannot be written.
+        if path is None or self.output.dry_run or any(error.path == path for error in report.errors):
+            return
+        with suppress(DestinationError, OutputError), ExitStack() as stack:
+            if self._write_report is None:
+                self._open_report(stack)
+            if self._write_report is not None:
+                self._write_report(report.as_json())
+
+    def open(self, stack: ExitStack, tell: Callable[..., None]) -> tuple[Reader, Plan, Destination]:
+        """Open the sources, plan the conversion, and decide the destination; the report then has what they say.
+
+        Errors about missing topics mention damage. ``stack`` closes the sources, and ``tell`` is called with warnings.
+        """
+        options, output, report = self.options, self.output, self.report
+        places = (*self._read, self.destination, output.folder)
+        if output.scratch is not None and not any(isinstance(path, UrlPath) for path in places):
+            raise UsageError("`scratch` has no effect: no source and no destination is a URL")
+        stack.enter_context(copying_to(output.scratch))
+        if self.destination is not None and any(isinstance(path, UrlPath) for path in self._read):
+            # Before anything is fetched.
+            check_destination(self.destination, overwrite=output.overwrite, owned=output.owned, record_in=recorded_in)
+        if len(self.sources) > 1 and self.destination is None and output.folder is None:
+            _refuse_missing_destination(self.sources)
+        readers = open_recordings(self.sources, stack, strict=options.strict)
+        reader = scaled(as_one(readers), options.cloud_scale)
+        damage = reader.damage
+        if options.repair and damage and not reader.connections:
+            raise DamageError(f"nothing of it can be recovered: {damage[0].what}", path=damage[0].path)
+        try:
+            plan = make_plan(reader.connections, options)
+        except TopicError as err:
+            mention(damage, err)
+            raise
+        reader, notes = corrected_for(reader, plan, options)
+        report.add((), notes)
+        target = self._target(reader, readers)
+        report.destination = str(target.path)
+        report.container, report.ros_version = target.format.name, target.ros_version
+        report.bytes_read, report.dry_run = reader.summary.size_bytes, output.dry_run
+        if readers[1:]:
+            tell(*overlap_warnings(readers))
+        tell(*plan.warnings, *request_warnings(options, reader.summary))
+        return reader, plan, target
+
+    def _target(self, reader: Reader, readers: Sequence[Reader]) -> Destination:
+        """Decide the destination's name and format; a repaired recording has its source's if its name allows it."""
+        options, output = self.options, self.output
+        summaries = [opened.summary for opened in readers]
+        is_named = self.destination is not None and not output.like_source
+        if self.destination is None:
+            mark = "_repaired" if options.repair else "_clouds" if options.no_scans else "_scan"
+            first = self.sources[0], summaries[0].container
+            self.destination = default_destination(*first, mark, folder=output.folder, to=output.to)
+        path = self.destination
+        if output.to is not None:
+            check_to(path, output.to)
+        # None for a source without ROS messages.
+        ros_version = next((each.ros_version for each in reader.connections if each.ros_version is not None), None)
+        storage = None if is_named else default_storage(path, summaries)
+        compression = None
+        if options.repair:
+            storage, compression = source_form(path, summaries)
+        names_directory = output.to is not None and destinations()[output.to].is_directory
+        target = plan_destination(
+            path,
+            storage=output.storage or storage,
+            compression=output.compression or (compression if output.storage in (None, storage) else None),
+            profile=output.profile,
+            source_ros_version=ros_version,
+            is_directory=not is_named or output.storage is not None or names_directory,
+        )
+        # A recording without ROS messages has no ROS profile.
+        if options.repair and ros_version is None and target.format.profiles and output.profile is None:
+            return target._replace(profile=summaries[0].profile)
+        return target
+
+    @contextmanager
+    def writing(self, target: Destination, stack: ExitStack) -> Generator[Writer | None]:
+        """Open the destination's writer, and finish the recording, or abort it after an error; None in a dry run."""
+        output = self.output
+        if output.folder is not None and not output.dry_run:
+            stack.enter_context(output_folder(output.folder))
+        self._open_report(stack)
+        if output.dry_run:
+            check_destination(target.path, overwrite=output.overwrite, record_in=recorded_in, folder=output.folder)
+            yield None
+            return
+        with staged_output(
+            target.path, overwrite=output.overwrite, owned=output.owned, record_in=recorded_in
+        ) as unfinished:
+            writer = open_writer(target, unfinished, target.path.name)
+            try:
+                yield writer
+                writer.finish()
+            except BaseException:
+                writer.abort()
+                raise
+            self.report.bytes_written = _size_on_disk(unfinished)
+
+    def _open_report(self, stack: ExitStack) -> None:
         """Open the report's file; raise if that cannot be done, or if an input would be overwritten.
 
         In a dry run, it is only checked that the file can be written.
         """
-        output, path = self._output, self._output.report
+        output, path = self.output, self.output.report
         report = [] if path is None else [OutputPath(path, "`report`")]
         destination = [] if self.destination is None else [OutputPath(self.destination)]
         refuse_overlap(self._inputs, [*destination, *report])
@@ -400,45 +341,60 @@ class RunFiles:
             err.message = f"the report cannot be written there: {err.message}"
             raise
 
-    def deliver(self, report: Report) -> None:
-        """Write the report. If that fails, the recording stays, and the exit status and a warning say so."""
-        if self._write_report is None:
-            return
-        try:
-            self._write_report(report.as_json())
-        except (DestinationError, OutputError) as err:
-            report.undelivered = True
-            report.warnings.append(f"{err.path}: the report is not written: {err.message}; {report.destination} is")
-
-    def deliver_failure(self, report: Result) -> None:
-        """Write the report of a run that failed, if possible; the error itself is raised in any case."""
-        if self._output.report is None or self._output.dry_run:
-            return
-        if any(error.path == self._output.report for error in report.errors):
-            # The error may be that this file cannot be written.
-            return
-        with suppress(DestinationError, OutputError), ExitStack() as stack:
-            if self._write_report is None:
-                self.open_report(stack)
-            if self._write_report is not None:
-                self._write_report(report.as_json())
-
-    @contextmanager
-    def reporting(self, report: Report) -> Generator[None]:
-        """Write the report at the end, also after an error."""
-        began = time.monotonic()
-        try:
-            yield
-        except Exception as err:
-            report.errors = [err if isinstance(err, Pc2ScanError) else Pc2ScanError(f"{type(err).__name__}: {err}")]
-            report.seconds = round(time.monotonic() - began, 3)
-            self.deliver_failure(report)
-            raise
-        report.seconds = round(time.monotonic() - began, 3)
-        self.deliver(report)
-
     def refuse_changed(self) -> None:
         """Raise if a source changed during the run: the result may mix its old and new bytes."""
-        for source, state in zip(self.read, self._states, strict=True):
+        for source, state in zip(self._read, self._states, strict=True):
             if state_of(source) != state:
                 raise changed_while_read(source)
+
+
+def _judge(
+    reader: Reader,
+    plan: Plan,
+    prepared: Preparation,
+    recording: OpenRecording,
+    target: Destination,
+    options: ConvertOptions,
+    report: Report,
+) -> None:
+    """Add to the report what the result and its sources show; raise if the result is of no use."""
+    report.add(reader.remarks)
+    report.damage += [damage for each in (reader, *prepared.others) for damage in each.damage]
+    report.add(*result_findings(report, recording.first_scans, target.serialization))
+    # With a fixed frame, an IMU or a corrected clock, clocks were compared before.
+    far = {
+        each.topic
+        for each in report.topics
+        if each.stamps.is_far and each.spec is not None and not (each.spec.fixed_frame or each.spec.imu)
+    }
+    if far and not options.clock:
+        doubtful = [each for each in plan.converted if each.topic in far]
+        survey = Survey(reader, (), options.frames, prepared.span)
+        clocks = Clocks(survey, survey.topics(doubtful).values())
+        survey.read()
+        report.add(clocks.warnings())
+    routes = recording.routes.values()
+    report.messages_declared, difference = compare_counts(reader, routes, options, report)
+    report.damage += difference
+    if plan.specs:
+        refuse_nothing(report)
+    if not options.repair:
+        refuse_unsatisfied(report, options)
+
+
+def _refuse_missing_destination(sources: Sequence[Path]) -> None:
+    """Raise if the last of several sources does not exist: it may be meant as the destination, as with `cp`."""
+    *others, last = sources
+    if exists(last) or not all(map(exists, others)):
+        return
+    raise MissingError("does not exist", path=last, hint=f"did you mean `destination={shlex.quote(str(last))}`?")
+
+
+def _size_on_disk(path: Path) -> int:
+    """Return the size in bytes of a file, or of all files in a folder."""
+    try:
+        if path.is_dir():
+            return sum(file.stat().st_size for file in path.iterdir())
+        return path.stat().st_size
+    except OSError as err:
+        raise OutputError(f"cannot be read after it was written: {err.strerror}", path=path) from err

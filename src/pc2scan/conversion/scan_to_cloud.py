@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.core.rigid import Rigid
@@ -40,7 +39,6 @@ class ScanToCloud(Conversion):
     """
 
     encode = encode_cloud
-    shrinks_from = sys.maxsize
 
     def __init__(
         self,

@@ -77,14 +77,11 @@ class Conversion(ABC):
     ----------
     encode
         Serialises a new message as ``ros1`` or ``cdr``.
-    shrinks_from
-        A message of this size in bytes, or larger, becomes a smaller one.
     placer
         The recording's transforms.
     """
 
     encode: ClassVar[Callable[[Any, str], bytes]]
-    shrinks_from: int
     placer: Placer
 
     @abstractmethod

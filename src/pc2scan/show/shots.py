@@ -139,9 +139,8 @@ def take_shots(
     params = replace(options.scan.params, scan_time=0.0, time_increment=0.0, intensity_field="")
     options = options.with_scan(params=params)
     plan = make_plan(reader.connections, options)
-    if options.clock:
-        reader, notes = corrected_for(reader, plan, options)
-        recording.reader, plan = reader, plan._replace(notes=tuple(notes))
+    reader, notes = corrected_for(reader, plan, options)
+    recording.reader = reader
     prepared = recording.prepare(plan, options)
     conversion = prepared.conversions[options.scan, ""]
     assert isinstance(conversion, CloudToScan)
@@ -173,7 +172,7 @@ def take_shots(
     warnings += [f"Not shown: {len(failed)} of {number}; {failed[0]}."] if failed else []
     measured = next((each for topic in topics if (each := conversion.measurements.get(topic))), Measurements(0.0))
     params = measured.resolve(conversion.spec.params)
-    return Shots(shots, params, prepared.transforms, [*plan.notes, *prepared.notes], warnings)
+    return Shots(shots, params, prepared.transforms, [*notes, *prepared.notes], warnings)
 
 
 class _Stages(NamedTuple):

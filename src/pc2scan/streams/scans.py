@@ -211,9 +211,7 @@ class Scans(Stream[Scan]):
             # Raises if there are several.
             self._choose(reader, options.scan.source_types, _HINT_SCANS)
         plan = make_plan(reader.connections, options)
-        if options.clock:
-            reader, notes = corrected_for(reader, plan, options)
-            plan = plan._replace(notes=tuple(notes))
+        reader, notes = corrected_for(reader, plan, options)
         report = Report([str(path) for path in self._paths], "", plan.specs)
         report.source_frame = options.frames.source_frame
         report.warnings += (*plan.warnings, *request_warnings(options, reader.summary))
@@ -228,7 +226,7 @@ class Scans(Stream[Scan]):
             meter=self._meter,
         )
         self.transforms = prepared.transforms
-        report.add((), (*plan.notes, *prepared.notes))
+        report.add((), (*notes, *prepared.notes))
         self.notes = tuple(report.notes)
         routes, report.topics = open_routes(plan, prepared.conversions, finish=_as_in_message)
         judge_first(reader, routes, prepared, report, partial(tell_early, report.warnings, None))

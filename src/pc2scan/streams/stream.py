@@ -279,9 +279,7 @@ class Stream(ABC, Generic[Item]):
             for each in connections:
                 decode = _step(decoder(each))
                 # A message is decoded at once: its object takes no more memory.
-                routes[each.id] = Route(
-                    each, [output], decode=decode, steps=[Steps(None, None, as_it_is)], shrinks_from=0
-                )
+                routes[each.id] = Route(each, [output], decode=decode, steps=[Steps(None, None, as_it_is)])
         # One thread: objects are as large as their messages, and others would hold many of them ahead of the loop.
         return StreamSource(stack, [reader], tuple(chosen), routes, span)
 

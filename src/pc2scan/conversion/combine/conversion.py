@@ -143,7 +143,6 @@ class MessagesToScan(Conversion):
     """
 
     encode = encode_laserscan
-    shrinks_from = 0
 
     def __init__(
         self,
