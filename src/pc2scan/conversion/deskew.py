@@ -206,7 +206,7 @@ class Deskew:
     point_time
         The source of the points' times.
     stamp
-        One of `STAMPS`.
+        ``header``, ``start``, ``middle`` or ``end``.
     sample
         Called with the points of each cloud and a function that returns the times of the points at some places; None:
         nothing is.

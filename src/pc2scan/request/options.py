@@ -26,7 +26,7 @@ from .filters import as_dict, filters_of, rejection_of
 from .point_time import PointTime
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable, Mapping
+    from collections.abc import Generator, Iterable, Iterator, Mapping
     from pathlib import Path
 
     from pc2scan.core.rule import Rejection
@@ -40,9 +40,6 @@ if TYPE_CHECKING:
 
 #: The largest number of messages that one scan may be made of.
 _MOST_MESSAGES = 100_000
-
-#: Which time of a cloud is the stamp of its scan.
-STAMPS = ("header", "start", "middle", "end")
 
 #: The name of a trajectory among topics, in options.
 TRAJECTORY = "trajectory"
@@ -238,73 +235,60 @@ class ScanSpec:
     def __post_init__(self) -> None:
         if self.keep_used:
             object.__setattr__(self, "keep_used", new_topic(self.keep_used, "`keep_used`"))
-        if self.reverse:
-            self._check_reverse()
-        elif self.echo != "first" and not self.may_combine:
-            raise UsageError("`echo` chooses among the echoes of 2D scans, which need `reverse` or `rebin`")
-        for name in (each.name for each in self.filters):
-            if name in PointCounts().as_dict() or not name.isidentifier():
-                raise UsageError(f"a filter is named {name!r}, which cannot be the name of its count")
-        if self.level:
-            self._check_levelling()
-        if self.fixed_frame and not (self.deskew or self.level or self.may_combine):
-            raise UsageError(
-                "`fixed_frame` needs `deskew` or `level` of clouds, `accumulate`, or topics that become one scan"
-            )
-        if self.deskew and not self.reverse:
-            self._check_deskewing()
-        if self.may_combine or self.combining != Combining():
-            self._check_combining()
-
-    def _check_reverse(self) -> None:
-        """Raise if the beams of scans cannot be moved."""
-        if self.deskew and not self.params.target_frame:
-            raise UsageError(
-                "`deskew` needs a `target_frame` that does not move with the sensor",
-                hint="such as `target_frame=odom`",
-            )
-
-    def _check_levelling(self) -> None:
-        if self.imu:
+        if self.level and self.imu:
             object.__setattr__(self, "imu_request", ImuRequest.parse(self.imu))
-        elif not self.fixed_frame:
-            raise UsageError(
-                "`level` needs a source of the direction of up",
-                hint="give a frame that does not move, whose z is up: `fixed_frame=odom`; or an IMU: `imu=/imu/data`",
-            )
+        PointTime.parse(self.point_time)
+        for is_wrong, message, hint in self._contradictions():
+            if is_wrong:
+                raise UsageError(message, hint=hint or None)
 
-    def _check_deskewing(self) -> None:
-        if not self.fixed_frame:
-            raise UsageError(
-                "`deskew` of clouds needs a frame that does not move: `fixed_frame`", hint="such as `fixed_frame=odom`"
-            )
-        if self.stamp not in STAMPS:
-            raise UsageError(f"`stamp` is {self.stamp!r}, it must be one of {', '.join(STAMPS)}")
-        if self.point_time:
-            PointTime.parse(self.point_time)
-        if self.params.time_increment != 0:
-            raise UsageError(
-                f"time_increment is {self.params.time_increment}, but a deskewed scan has one time",
-                hint="remove `time_increment`",
-            )
-
-    def _check_combining(self) -> None:
-        asked = self.combining
-        if asked.window_ns is not None and not self.may_share:
-            raise UsageError(
-                "`window` needs several topics that become one scan",
-                hint="such as `topics=/front:=/scan` `topics=/rear:=/scan` `target_frame=base_link`",
-            )
-        if self.may_combine and self.keep_used:
-            raise UsageError(
-                "`keep_used` needs scans that are made of one cloud each",
-                hint="without `accumulate`, `every`, `rebin` and topics that share a target",
-            )
-        if self.may_combine and self.params.time_increment != 0:
-            raise UsageError(
-                f"time_increment is {self.params.time_increment}, but a scan of several messages has one time",
-                hint="remove `time_increment`",
-            )
+    def _contradictions(self) -> Iterator[tuple[object, str, str]]:
+        """Yield what may be wrong: whether it is, the message and the hint."""
+        combines, steps = self.may_combine, self.params.time_increment
+        deskews_clouds = self.deskew and not self.reverse
+        yield (
+            not self.reverse and self.echo != "first" and not combines,
+            "`echo` chooses among the echoes of 2D scans, which need `reverse` or `rebin`",
+            "",
+        )
+        for name in (each.name for each in self.filters):
+            is_taken = name in PointCounts().as_dict() or not name.isidentifier()
+            yield is_taken, f"a filter is named {name!r}, which cannot be the name of its count", ""
+        yield (
+            self.level and not self.imu and not self.fixed_frame,
+            "`level` needs a source of the direction of up",
+            "give a frame that does not move, whose z is up: `fixed_frame=odom`; or an IMU: `imu=/imu/data`",
+        )
+        yield (
+            self.fixed_frame and not (self.deskew or self.level or combines),
+            "`fixed_frame` needs `deskew` or `level` of clouds, `accumulate`, or topics that become one scan",
+            "",
+        )
+        yield (
+            self.deskew and self.reverse and not self.params.target_frame,
+            "`deskew` needs a `target_frame` that does not move with the sensor",
+            "such as `target_frame=odom`",
+        )
+        yield (
+            deskews_clouds and not self.fixed_frame,
+            "`deskew` of clouds needs a frame that does not move: `fixed_frame`",
+            "such as `fixed_frame=odom`",
+        )
+        yield (
+            steps != 0 and (deskews_clouds or combines),
+            f"time_increment is {steps}, but a scan that is deskewed, or of several messages, has one time",
+            "remove `time_increment`",
+        )
+        yield (
+            self.combining.window_ns is not None and not self.may_share,
+            "`window` needs several topics that become one scan",
+            "such as `topics=/front:=/scan` `topics=/rear:=/scan` `target_frame=base_link`",
+        )
+        yield (
+            combines and self.keep_used,
+            "`keep_used` needs scans that are made of one cloud each",
+            "without `accumulate`, `every`, `rebin` and topics that share a target",
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """Return the parameters of the projection, their origins and the filters, for reports."""
