@@ -13,7 +13,6 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.core.presets import PRESETS
 from pc2scan.options.table import GROUPS, options_of
 from pc2scan.options.values import PathName
 
@@ -35,8 +34,6 @@ def offered(offers: Sequence[str], incomplete: str) -> list[str]:
         return _topics(words, incomplete)
     if kind == "frames":
         return frames(incomplete)
-    if kind == "presets":
-        words = list(PRESETS)
     return [word for word in words if word.startswith(incomplete)]
 
 

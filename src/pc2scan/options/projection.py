@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal, TypedDict
 
 from pc2scan.core.params import CHOICES, ProjectionParams
+from pc2scan.core.presets import PRESETS
 
 from .option import (
     File,
@@ -146,7 +147,7 @@ class ParameterSources(TypedDict, total=False):
     ]
     preset: Annotated[
         Preset | None,
-        Text("CONSUMER", offers=("presets",)),
+        Text("CONSUMER", words=PRESETS),
         "Parameters for a consumer of the scans: slam_toolbox, cartographer, gmapping, amcl, nav2, mrpt. Parameters "
         "given here or in a file override them.",
         How(panel=Section.SLAM),

@@ -6,7 +6,7 @@ No ``from __future__ import annotations`` here: see `pc2scan.options.table`.
 from typing import Annotated, Literal, TypedDict
 
 from .option import Compression, File, How, Path, Progress, Scope, Section, Storage, group
-from .values import Count, Function, OpenText, PathName
+from .values import Count, Function, PathName
 
 #: The largest number of threads, or of processes of a batch. More than any machine has cores would only take memory.
 MAX_JOBS = 1024
@@ -18,7 +18,6 @@ class Container(TypedDict, total=False):
 
     to: Annotated[
         Literal["bag", "mcap", "rosbag2"] | None,
-        OpenText(words=("bag", "mcap", "rosbag2")),
         "Format of DST, if its name does not say it.",
         How(default_text="SRC's"),
     ]

@@ -53,7 +53,7 @@ class Value:
     note
         What Python takes besides, for the documentation.
     offers
-        What the shell completes: ``frames``, ``presets``, ``words`` and the words, or ``topics`` and the ends of their
+        What the shell completes: ``frames``, ``words`` and the words, or ``topics`` and the ends of their
         types (none: all topics).
     """
 
@@ -118,22 +118,15 @@ class Flag(Value):
 
 
 class Text(Value):
-    """A text, or one of a few words.
-
-    Attributes
-    ----------
-    is_open
-        Whether there may be other words, which the code that obeys the option knows.
-    """
+    """A text, or one of a few words."""
 
     is_text = True
-    is_open = False
 
     def read(self, name: str, value: Any) -> str:
         """Return the text."""
         if not isinstance(value, str):
             raise TypeError(f"{name} is {value_and_type(value)}, it must be a str, or None")
-        if self.words and value and value not in self.words and not self.is_open:
+        if self.words and value and value not in self.words:
             raise UsageError(
                 f"`{name}` is {value!r}, it must be one of {', '.join(self.words)}",
                 hint=did_you_mean(value, self.words) or None,
@@ -152,12 +145,6 @@ class Reduction(Text):
     def accept(self, value: object) -> str | None:
         """Return the text if it is allowed."""
         return value if isinstance(value, str) and kth_of(value) else super().accept(value)
-
-
-class OpenText(Text):
-    """A text: usually one of a few words."""
-
-    is_open = True
 
 
 class Switch(Text):

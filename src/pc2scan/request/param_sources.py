@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from pc2scan.core.presets import PRESETS
 from pc2scan.errors import ParameterError, UsageError
 
 from .entries import compose, scalar_value
-from .parameters import ALIASES, Setting, expected_message, is_every_nodes, preset_settings, resolve
+from .parameters import ALIASES, Setting, expected_message, is_every_nodes, resolve
 from .params_file import load_params_file
 
 if TYPE_CHECKING:
@@ -69,7 +70,7 @@ def resolve_sources(
             raise UsageError(f"{loaded.node} is for pointcloud_to_laserscan, `reverse=True` is not", path=file)
         reverse = reverse or loaded.direction == "laserscan_to_pointcloud"
     if preset is not None:
-        found += preset_settings(preset)
+        found += [Setting(name, value, f"--preset {preset}", "preset") for name, value in PRESETS[preset].items()]
     direction: Direction = "laserscan_to_pointcloud" if reverse else "pointcloud_to_laserscan"
     return resolve(found, direction=direction)._replace(ignored=ignored, remaps=remaps, files=files)
 

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NoReturn
 
 from pc2scan.core.layout import FULL_TURN
 from pc2scan.core.params import ProjectionParams
-from pc2scan.core.presets import PRESETS
 from pc2scan.core.quantities import EXAMPLES
 from pc2scan.errors import ParameterError
 from pc2scan.options.call import CALL
@@ -262,25 +261,6 @@ def refuse_degrees(
     places = "; ".join(f"{name} from {origin[name]}" if beyond[1:] else f"from {origin[name]}" for name in beyond)
     message = f"{text}, more than a full turn (2 pi is 6.28319 rad) ({places})"
     raise ParameterError(message, name=beyond[0], hint=hint)
-
-
-def preset_settings(consumer: str) -> list[Setting]:
-    """Return the parameters that suit a consumer of the scans, as settings of the lowest precedence.
-
-    Raises
-    ------
-    ParameterError
-        If there is no such preset.
-    """
-    if consumer not in PRESETS:
-        near = did_you_mean(consumer, PRESETS)
-        meant = f"; {near}" if near else ""
-        raise ParameterError(
-            f"there is no preset {value_text(consumer)}{meant}",
-            name="preset",
-            hint=f"the presets are {', '.join(PRESETS)}",
-        )
-    return [Setting(name, value, f"--preset {consumer}", "preset") for name, value in PRESETS[consumer].items()]
 
 
 def preset_of(origin: str) -> str:
