@@ -31,14 +31,3 @@ def test_a_buffer_is_used_again_when_nothing_refers_to_it(kept: object) -> None:
     for _ in range(9):
         assert id(lend(5).obj) == memory
     assert [len(each) for each in UNPACKED] == [1 << 20, 1 << 20]
-
-
-def test_stored_and_decompressed_bytes_have_buffers_of_their_own() -> None:
-    memory = id(lend(1 << 20).obj)
-    assert id(lend(1 << 20, STORED).obj) != memory
-    assert [len(each) for each in UNPACKED] == [1 << 20]
-    # One that is too small is freed; a very large one is not kept.
-    assert len(lend(3 << 20)) == 3 << 20
-    assert [len(each) for each in UNPACKED] == [3 << 20]
-    lend(1 << 25)
-    assert len(UNPACKED) == 1

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pc2scan.errors import RecordingError
-from pc2scan.files.new_file import FreeIds, NewFile
+from pc2scan.files.new_file import NewFile
 from pc2scan.files.source import SourceFile
 
 if TYPE_CHECKING:
@@ -29,12 +29,6 @@ def path(tmp_path: Path) -> Path:
 def file(path: Path) -> Iterator[SourceFile]:
     with closing(SourceFile(path)) as opened:
         yield opened
-
-
-def test_short_answers_of_the_system_are_completed(file: SourceFile, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = os.pread
-    monkeypatch.setattr(os, "pread", lambda fd, length, offset: real(fd, min(length, 7), offset))
-    assert file.read(5, 90) == bytes(range(5, 95))
 
 
 LARGE = random.Random(1).randbytes(3 << 20)
@@ -95,9 +89,3 @@ def test_a_new_file_tells_where_everything_is(tmp_path: Path) -> None:
     file.replace(0, b"HEAD")
     file.finish()
     assert (tmp_path / "new").read_bytes() == b"HEADerbody"
-
-
-def test_kept_ids_are_for_those_who_ask_for_them() -> None:
-    ids = FreeIds(1)
-    ids.keep([1, 2, 4, 900])
-    assert [ids.take(wanted) for wanted in (-1, 2, 900, 7, 2, 1, 4, 0)] == [3, 2, 900, 5, 6, 1, 4, 7]

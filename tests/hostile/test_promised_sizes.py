@@ -17,19 +17,15 @@ import zstandard
 from mcap.records import Schema
 
 from pc2scan.bags.mcap.records import MAGIC
-from pc2scan.messages.pointcloud2 import PointField, encode_pointcloud2
 from support import mcap_files, rosbag1_files, sampled
 from support.bounded import run_bounded
 from support.builders import (
-    CHATTER,
     CLOUD,
     POINTS,
     T0,
     Item,
     Recording,
-    Stream,
     cloud,
-    item,
     points_of,
     write_mcap,
     write_rosbag1,
@@ -158,24 +154,6 @@ def test_every_number_of_a_cloud_may_be_the_largest(ros_version: int, tmp_path: 
 
 
 @pytest.mark.slow
-def test_more_tiny_points_than_can_be(tmp_path: Path) -> None:
-    """One byte is x, y and z: what is computed of it takes thirty times as much."""
-    data = encode_pointcloud2(
-        serialization="cdr",
-        sequence=0,
-        stamp_ns=T0,
-        frame_id="lidar",
-        fields=[PointField(name, 0, 2) for name in "xyz"],
-        point_step=1,
-        data=b"\1" * 16_000_000,
-    )
-    source = mcap_of(tmp_path / "a.mcap", data)
-    done = run_bounded("convert", source, "--reduce", "median", "--min-height", "-9")
-    assert done.status == 1
-    assert "16,000,000 points of 1 bytes" in done.stderr + done.stdout
-
-
-@pytest.mark.slow
 def test_many_chunks_that_overlap_in_time(tmp_path: Path) -> None:
     """Each may be held until its last message is due; together they must not be."""
     data = zero_cloud(15_600_000, 2)
@@ -188,17 +166,3 @@ def test_many_chunks_that_overlap_in_time(tmp_path: Path) -> None:
     done = run_bounded("convert", source, "--keep-clouds")
     assert done.status == 4, done.stderr
     assert "24 of 24 scans" in done.stderr
-
-
-@pytest.mark.slow
-def test_strings_that_go_on_for_ever(tmp_path: Path) -> None:
-    """A name of a megabyte is cut on the screen, or each line of its table would be as long."""
-    long = Stream("/" + "a" * 1_000_000, POINTS.msgtype)
-    others = [Stream(f"/b{number}", CHATTER.msgtype) for number in range(100)]
-    made = item(long, T0, lambda g, _: cloud(points_of(0), g, frame_id="f" * 1_000_000))
-    source = write_mcap(tmp_path / "a.mcap", Recording((long, *others), (made,)))
-    for command in ("info", "convert"):
-        done = run_bounded(command, source)
-        assert done.status == 0, done.stderr
-        assert len(done.stdout) < 100_000
-        assert "(1000001 chars)" in done.stdout

@@ -8,7 +8,6 @@ what packets mean.
 from __future__ import annotations
 
 import base64
-import sys
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -227,23 +226,6 @@ def test_scans_of_packets_are_those_of_the_packages_points(form: str, tmp_path: 
     times = decoded(VELODYNE, clouds.velodyne(packets, ros_version), ros_version).field("time")
     np.testing.assert_allclose(times, points["time"] + (packets[-1][0] - T0) / 1e9, atol=2e-6)
     assert times.min() > -1e-4
-
-
-@pytest.mark.parametrize(
-    ("package", "extra", "kind"), [("DracoPy", "draco", COMPRESSED), ("velodyne_decoder", "velodyne", VELODYNE)]
-)
-def test_a_missing_extra_is_named(package: str, extra: str, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    from pc2scan.messages.velodyne import _library
-
-    _library.cache_clear()
-    monkeypatch.setitem(sys.modules, package, None)
-    if kind == COMPRESSED:
-        data = clouds.compressed(draco_points(), 2, data=b"DRACO", form="draco")
-    else:
-        data = clouds.velodyne([(T0, clouds.packet(0, [0] * 32, 0))], 2)
-    with pytest.raises(DecodeError) as caught:
-        decoded(kind, data, 2)
-    assert caught.value.hint == f'pip install "pc2scan[{extra}]"'
 
 
 # --- Which topics ---

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from rosbags.typesys import Stores, get_typestore
 
-from pc2scan.errors import DecodeError
 from pc2scan.messages.laserscan import (
     LASERSCAN,
     LaserScan,
@@ -71,12 +70,3 @@ def test_a_scan_as_message_is_what_its_encoding_decodes_to(
     for field in fields(LaserScan):
         ours, theirs = (np.asarray(getattr(each, field.name)) for each in (one, other))
         assert (ours.dtype, ours.tobytes()) == (theirs.dtype, theirs.tobytes()), field.name
-
-
-@pytest.mark.parametrize(
-    ("serialization", "stamp_ns"),
-    [("ros1", -1), ("ros1", 2**32 * 10**9), ("cdr", 2**31 * 10**9), ("cdr", -(2**31) * 10**9 - 1)],
-)
-def test_a_stamp_that_does_not_fit_is_an_error(serialization: str, stamp_ns: int) -> None:
-    with pytest.raises(DecodeError, match="does not fit"):
-        encode_laserscan(scan(floats(), floats(), stamp_ns=stamp_ns), serialization)

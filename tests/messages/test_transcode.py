@@ -122,24 +122,6 @@ def test_any_type_goes_there_and_back(text: str, seed: int) -> None:
     check_both_ways(connection, "pkg/msg/Type", structs, seed)
 
 
-def test_a_custom_type_is_defined_in_the_other_versions_words() -> None:
-    there = transcoder(
-        ros1(NESTED.replace("uint8 flag", "uint8 flag\nstring GREETING=hi # there\nint8 LOW=-5 # not it")), 2
-    )
-    text = there.connection.definition.text
-    assert there.connection.msgtype == "pkg/msg/Type"
-    assert "builtin_interfaces/Time stamp\n" in text
-    assert "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n" in text
-    assert "uint32 seq" not in text
-    assert 'string GREETING="hi # there"\n' in text
-    assert "int8 LOW=-5\n" in text
-    back = transcoder(there.connection, 1).connection
-    assert "time stamp\nduration[] spans\n" in back.definition.text
-    assert "string GREETING=hi # there\n" in back.definition.text
-    assert "MSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n" in back.definition.text
-    assert "builtin_interfaces" not in back.definition.text
-
-
 # --- definitions as recordings have them ---
 
 
