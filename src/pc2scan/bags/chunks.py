@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pc2scan.errors import DamageError
+from pc2scan.files.source import SourceFile
 from pc2scan.model import StoredChunk, declared_counts
 
 from .loading import Chunk, check_number
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pc2scan.files.source import SourceFile
     from pc2scan.model import Buffer, ChunkRule, Connection, RawMessage
 
     from .loading import Loaded
@@ -88,6 +88,23 @@ class Segment:
     def stop(self) -> int:
         """Offset of the record after it."""
         return self.offset + self.length + self.padding
+
+
+class NearbyFile(SourceFile):
+    """Reads a file in which small records follow each other: these need no system call each."""
+
+    #: Bytes that were read ahead, and their place: replaced as one, because loads on several threads read records.
+    _ahead = (0, b"")
+
+    def nearby(self, offset: int, length: int) -> bytes:
+        """Read exactly these few bytes, and some more for the next call."""
+        origin, ahead = self._ahead
+        if not origin <= offset <= offset + length <= origin + len(ahead):
+            # After a large record that was skipped, another one is likely: little is read ahead.
+            more = (1 << 16) if origin <= offset <= origin + len(ahead) else (1 << 12)
+            origin, ahead = offset, self.read(offset, max(length, min(more, self.size - offset)))
+            self._ahead = origin, ahead
+        return ahead[offset - origin : offset - origin + length]
 
 
 class Kind(NamedTuple):
@@ -529,8 +546,9 @@ class ChunkedReader(Reader):
         return declared | counts
 
     def close(self) -> None:
-        """Release the file. Messages that were handed out stay valid."""
+        """Release the file."""
         self._file.close()
+        super().close()
 
 
 def selection_has(selection: Selection, message: RawMessage) -> bool:

@@ -114,6 +114,7 @@ class DamageLog:
         self.strict = strict
         self._found: dict[object, Damage] = {}
         self._further: Damage | None = None
+        self._path: Path | None = None
 
     def note(self, error: DamageError, *, key: object = None, **details: Any) -> None:
         """Note damage, or raise it.
@@ -172,11 +173,17 @@ class DamageLog:
         what = f"another recording begins at byte {offset} and is not read: tail -c +{offset + 1} makes a file of it"
         self.note(DamageError(what, path=file.path, hint=RECOVER), offset=offset, key="another", bytes_lost=rest)
 
+    def stand_for(self, path: Path, earlier: DamageLog) -> None:
+        """Report what is noted, and what an earlier log has, as damage of this file: it is read from a copy."""
+        self._path = path
+        self._found = {**earlier._found, **self._found}
+
     @property
     def found(self) -> tuple[Damage, ...]:
         """All damage in the order of the file, that of the file as a whole first."""
         ordered = sorted(self._found.values(), key=lambda damage: -1 if damage.offset is None else damage.offset)
-        return (*ordered, self._further) if self._further else tuple(ordered)
+        found = (*ordered, self._further) if self._further else tuple(ordered)
+        return tuple(damage._replace(path=self._path or damage.path) for damage in found)
 
 
 class AnotherRecordingError(Exception):  # readers catch it

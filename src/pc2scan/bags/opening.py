@@ -18,7 +18,6 @@ from . import zstd
 from .folders import recordings_in, several_recordings
 from .formats import FORMATS, ReadOptions, and_list
 from .merged import MergedReader
-from .zstd import ZstdReader
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -107,7 +106,7 @@ def open_recording(path: Path, *, strict: bool = False) -> Reader:
     name, _, packed = sniff(path).partition("+")
     options = ReadOptions(strict=strict)
     if packed:
-        return ZstdReader(path, FORMATS[name], options)
+        return zstd.open_packed(path, FORMATS[name], options)
     return FORMATS[name].open_reader(path, options)
 
 

@@ -13,6 +13,7 @@ from .loading import merge_by_time
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
+    from tempfile import TemporaryDirectory
 
     from pc2scan.model import Attachment, ChunkRule, Connection, Metadata, RawMessage, Summary
     from pc2scan.progress import Meter
@@ -46,6 +47,7 @@ class Reader(ABC):
     summary: Summary
     has_chunks: bool = False
     _log: DamageLog
+    _temporary: TemporaryDirectory[str] | None = None
 
     @property
     def damage(self) -> tuple[Damage, ...]:
@@ -106,9 +108,21 @@ class Reader(ABC):
         messages = sum(self.counts(connections, start_ns, stop_ns).values())
         return self.summary.size_bytes * messages // max(1, self.summary.message_count or 0)
 
-    @abstractmethod
     def close(self) -> None:
-        """Release the files."""
+        """Release the files. Messages that were handed out stay valid."""
+        if self._temporary is not None:
+            self._temporary.cleanup()
+
+    def stand_for(self, path: Path, copy: TemporaryDirectory[str], damage: DamageLog) -> None:
+        """Read a file that is compressed as a whole, from its copy in a folder that `close` removes.
+
+        ``damage`` has what of it could not be decompressed.
+        """
+        self.path, self._temporary = path, copy
+        self._log.stand_for(path, damage)
+        self.summary = self.summary._replace(
+            compression=tuple(sorted({"zstd", *self.summary.compression} - {"none"})), size_bytes=path.stat().st_size
+        )
 
     def messages(
         self,
@@ -153,60 +167,7 @@ class Reader(ABC):
         return iter(())
 
 
-class WrappedReader(Reader):
-    """Reads what another reader reads; subclasses say what differs.
-
-    Parameters
-    ----------
-    inner
-        The other reader; `close` closes it.
-    """
-
-    def __init__(self, inner: Reader) -> None:
-        self._inner = inner
-        self.path, self.connections, self.summary = inner.path, inner.connections, inner.summary
-        self.has_chunks = inner.has_chunks
-
-    @property
-    def damage(self) -> tuple[Damage, ...]:
-        """See `Reader`."""
-        return self._inner.damage
-
-    @property
-    def remarks(self) -> Sequence[str]:
-        """See `Reader`."""
-        return self._inner.remarks
-
-    def chunks(
-        self,
-        connections: Collection[Connection] | None = None,
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
-        rule: ChunkRule | None = None,
-    ) -> Iterable[Chunk]:
-        """See `Reader`."""
-        return self._inner.chunks(connections, start_ns, stop_ns, rule)
-
-    def counts(
-        self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
-    ) -> dict[int, int]:
-        """See `Reader`."""
-        return self._inner.counts(connections, start_ns, stop_ns)
-
-    def close(self) -> None:
-        """Close the other reader."""
-        self._inner.close()
-
-    def attachments(self) -> Iterator[Attachment]:
-        """See `Reader`."""
-        return self._inner.attachments()
-
-    def metadata(self) -> Iterator[Metadata]:
-        """See `Reader`."""
-        return self._inner.metadata()
-
-
-class ChangedReader(WrappedReader):
+class ChangedReader(Reader):
     """Reads an open recording, and changes the messages of some connections: whoever reads it gets the changed ones.
 
     Parameters
@@ -223,14 +184,21 @@ class ChangedReader(WrappedReader):
     def __init__(
         self, reader: Reader, changes: Mapping[int, Callable[[RawMessage], RawMessage]], remarks: Sequence[str] = ()
     ) -> None:
-        super().__init__(reader)
+        self._inner = reader
         self._changes = changes
         self._remarks = remarks
+        self.path, self.connections, self.summary = reader.path, reader.connections, reader.summary
+        self.has_chunks = reader.has_chunks
+
+    @property
+    def damage(self) -> tuple[Damage, ...]:
+        """The damage of the other reader."""
+        return self._inner.damage
 
     @property
     def remarks(self) -> Sequence[str]:
         """What the other reader and the changes noticed."""
-        return [*super().remarks, *self._remarks]
+        return [*self._inner.remarks, *self._remarks]
 
     def chunks(
         self,
@@ -243,6 +211,24 @@ class ChangedReader(WrappedReader):
         if rule is not None:
             rule = rule._replace(connection_ids=rule.connection_ids - self._changes.keys())
         return (chunk.changed(self._changed) for chunk in self._inner.chunks(connections, start_ns, stop_ns, rule))
+
+    def counts(
+        self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
+    ) -> dict[int, int]:
+        """Return the counts of the other reader."""
+        return self._inner.counts(connections, start_ns, stop_ns)
+
+    def close(self) -> None:
+        """Close the other reader."""
+        self._inner.close()
+
+    def attachments(self) -> Iterator[Attachment]:
+        """Return those of the other reader."""
+        return self._inner.attachments()
+
+    def metadata(self) -> Iterator[Metadata]:
+        """Return those of the other reader."""
+        return self._inner.metadata()
 
     def _changed(self, message: RawMessage) -> RawMessage:
         change = self._changes.get(message.connection.id)

@@ -12,15 +12,12 @@ from pc2scan.files.places import copy_errors, private_folder
 from pc2scan.files.source import open_bytes
 
 from .damage import RECOVER, DamageLog
-from .reader import WrappedReader
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from pc2scan.model import Buffer, RawMessage
 
-    from .damage import Damage
     from .formats import Format, ReadOptions
+    from .reader import Reader
 
 #: Bytes that are decompressed at a time. The result, which may be 30,000 times as large, is held in memory.
 _PIECE = 1 << 10
@@ -30,15 +27,6 @@ _MAX_TOGETHER = 128 << 20
 
 #: Suffixes of compressed files.
 SUFFIXES = (".zstd", ".zst")
-
-
-def is_zstd(path: Path) -> bool:
-    """Whether a file is compressed as a whole, by its content."""
-    try:
-        with open_bytes(path) as file:
-            return file.read(4) == ZSTD_MAGIC
-    except OSError as err:
-        raise RecordingError(f"cannot be read: {err.strerror}", path=path) from err
 
 
 def decompress_head(path: Path) -> bytes:
@@ -189,13 +177,8 @@ def without_suffix(name: str) -> str:
     return name
 
 
-def compressions(inner: Iterable[str]) -> tuple[str, ...]:
-    """Return the compressions of a recording in a zstd file: ``zstd`` instead of ``none``."""
-    return tuple(sorted({"zstd", *inner} - {"none"}))
-
-
-class ZstdReader(WrappedReader):
-    """Reads a file that is compressed as a whole from a temporary copy.
+def open_packed(path: Path, inner: Format, options: ReadOptions) -> Reader:
+    """Open a file that is compressed as a whole: its reader reads a temporary copy.
 
     Parameters
     ----------
@@ -206,28 +189,14 @@ class ZstdReader(WrappedReader):
     options
         Options for reading that.
     """
-
-    def __init__(self, path: Path, inner: Format, options: ReadOptions) -> None:
-        self._log = DamageLog(strict=options.strict)
-        self._temporary = private_folder(path)
-        try:
-            unpacked = decompress_file(path, Path(self._temporary.name), self._log)
-            super().__init__(inner.open_reader(unpacked, options))
-        except BaseException:
-            self._temporary.cleanup()
-            raise
-        self.path = path
-        self.summary = self.summary._replace(
-            compression=compressions(self.summary.compression),
-            size_bytes=path.stat().st_size,
-        )
-
-    @property
-    def damage(self) -> tuple[Damage, ...]:
-        """The damage: that of the compression first, then that of the recording in it."""
-        return (*self._log.found, *(place._replace(path=self.path) for place in self._inner.damage))
-
-    def close(self) -> None:
-        """Close the temporary copy and remove it."""
-        super().close()
-        self._temporary.cleanup()
+    damage = DamageLog(strict=options.strict)
+    temporary = private_folder(path)
+    try:
+        reader = inner.open_reader(decompress_file(path, Path(temporary.name), damage), options)
+    except BaseException as err:
+        temporary.cleanup()
+        if isinstance(err, RecordingError):
+            err.path = path
+        raise
+    reader.stand_for(path, temporary, damage)
+    return reader

@@ -220,13 +220,13 @@ def read_summary(file: RecordFile, index: McapIndex) -> int:
 
 def _records_between(file: RecordFile, start: int, stop: int) -> Iterator[tuple[int, memoryview]]:
     """Yield the opcodes and contents of the records of a summary, which a long recording has megabytes of."""
-    window, offset = _Window(file), start
+    offset = start
     while offset + RECORD.size <= stop:
-        opcode, length = RECORD.unpack(window.read(offset, RECORD.size))
+        opcode, length = RECORD.unpack(file.nearby(offset, RECORD.size))
         following = offset + RECORD.size + length
         if following > stop:
             break
-        yield opcode, memoryview(window.read(offset + RECORD.size, length))
+        yield opcode, memoryview(file.nearby(offset + RECORD.size, length))
         offset = following
     if offset != stop:
         raise file.damage(f"the records from byte {start} on do not end after {stop - start} bytes")
@@ -274,26 +274,6 @@ def _indexed_chunk(content: memoryview, origin: int, file: RecordFile) -> Segmen
     )
 
 
-class _Window:
-    """A buffered part of the file that follows a walk, so that small records need no system call each."""
-
-    def __init__(self, file: RecordFile) -> None:
-        self._file = file
-        self._start = 0
-        self._data = b""
-
-    def read(self, offset: int, length: int) -> bytes:
-        """Return the bytes from ``offset`` on, as many as the file has."""
-        position = offset - self._start
-        length = min(length, self._file.size - offset)
-        if position < 0 or position + length > len(self._data):
-            # After a large record that was skipped, another one is likely: little is read ahead.
-            ahead = (1 << 18) if position <= len(self._data) else (1 << 12)
-            self._data = self._file.read(offset, min(max(length, ahead), self._file.size - offset))
-            self._start, position = offset, 0
-        return self._data[position : position + length]
-
-
 class RecordWalk:
     """A walk over the headers of records, without reading their contents.
 
@@ -330,7 +310,6 @@ class RecordWalk:
         RecordingError
             If a record is malformed, or reaches beyond ``end`` or into a known chunk.
         """
-        window = _Window(self._file)
         coming, behind = next(self._known, (end, end))
         complete = False
         try:
@@ -344,7 +323,7 @@ class RecordWalk:
                     offset = behind
                     coming, behind = next(self._known, (end, end))
                     continue
-                head = window.read(offset, MESSAGE.size)
+                head = self._file.nearby(offset, min(MESSAGE.size, self._file.size - offset))
                 if offset + RECORD.size > coming:
                     raise self._beyond(offset, offset + RECORD.size, coming)
                 opcode, length = RECORD.unpack_from(head)
@@ -354,7 +333,7 @@ class RecordWalk:
                 if opcode == OP_MESSAGE:
                     self._message(head, offset, following)
                 else:
-                    self._other(opcode, window, offset, following)
+                    self._other(opcode, offset, following)
                 offset = following
             complete = True
         finally:
@@ -381,28 +360,28 @@ class RecordWalk:
         self._run_ids.add(channel_id)
         self._index.counts[channel_id] += 1
 
-    def _other(self, opcode: int, window: _Window, offset: int, following: int) -> None:
+    def _other(self, opcode: int, offset: int, following: int) -> None:
         """Add a record that is not a message."""
         index, size = self._index, following - offset
         if opcode in DECLARATIONS:
             # These may be between messages of one segment; loading it skips them.
             index.declare(opcode, self._file.read(offset + RECORD.size, size - RECORD.size), offset, self._file)
         elif opcode == OP_MESSAGE_INDEX:
-            self._message_index(window, offset, size)
+            self._message_index(offset, size)
         elif opcode == 0:
             raise self._file.damage(f"the record at byte {offset} has opcode 0, which no record may have")
         elif opcode <= Opcode.DATA_END:
             # Unknown records end neither a run nor the message indexes after a chunk.
             self._close()
             if opcode == OP_CHUNK:
-                self._chunk = chunk_at(window.read(offset, min(CHUNK_HEAD_SIZE, size)), offset, self._file)
+                self._chunk = chunk_at(self._file.nearby(offset, min(CHUNK_HEAD_SIZE, size)), offset, self._file)
                 self._is_behind_chunk = True
             elif opcode == Opcode.ATTACHMENT:
                 index.attachments.append(offset)
             elif opcode == Opcode.METADATA:
                 index.metadata.append(offset)
             elif opcode == Opcode.DATA_END and index.data_end is None and size >= RECORD.size + 4:
-                index.data_end = offset, int.from_bytes(window.read(offset, 13)[RECORD.size :], "little")
+                index.data_end = offset, int.from_bytes(self._file.nearby(offset, 13)[RECORD.size :], "little")
             if opcode in _DATA:
                 self._check_place(offset)
             elif opcode in _NO_DATA and index.data_end is None:
@@ -417,12 +396,12 @@ class RecordWalk:
     def _note(self, what: str) -> None:
         self.stray = self.stray or self._file.damage(what)
 
-    def _message_index(self, window: _Window, offset: int, size: int) -> None:
+    def _message_index(self, offset: int, size: int) -> None:
         if size < _INDEX_HEAD.size:
             raise self._file.damage(f"the message index at byte {offset} is too short")
         if not self._is_behind_chunk:
             self._note(f"the message index at byte {offset} follows no chunk")
-        _, _, channel_id, entries = _INDEX_HEAD.unpack(window.read(offset, _INDEX_HEAD.size))
+        _, _, channel_id, entries = _INDEX_HEAD.unpack(self._file.nearby(offset, _INDEX_HEAD.size))
         if channel_id in self._indexed:
             self._note(f"the message index at byte {offset} is the second of channel {channel_id}")
         self._indexed[channel_id] += entries // _ENTRY.size

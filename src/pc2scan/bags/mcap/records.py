@@ -14,12 +14,12 @@ from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Footer, Header, Metadata, Schema, Statistics
 
+from pc2scan.bags.chunks import NearbyFile
 from pc2scan.bags.damage import RECOVER
 from pc2scan.bags.formats import FORMATS
 from pc2scan.bags.loading import MAX_CHUNK_MESSAGES, check_number
 from pc2scan.errors import DamageError
 from pc2scan.files.compression import crc32
-from pc2scan.files.source import SourceFile
 from pc2scan.model import RawMessage
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ _PIECE = 1 << 20
 _Record = TypeVar("_Record", Attachment, Footer, Header, Metadata, Schema | Channel, Statistics)
 
 
-class RecordFile(SourceFile):
+class RecordFile(NearbyFile):
     """Reads records of an MCAP file; all errors are `RecordingError`."""
 
     def damage(self, message: str) -> DamageError:

@@ -23,16 +23,16 @@ from itertools import permutations
 from operator import itemgetter
 from typing import TYPE_CHECKING, NamedTuple
 
+from pc2scan.bags.chunks import NearbyFile
 from pc2scan.bags.damage import RECOVER
 from pc2scan.bags.formats import FORMATS
 from pc2scan.errors import DamageError
 from pc2scan.files.compression import CompressionError, allowed_bytes, decompress
-from pc2scan.files.source import SourceFile, lend
+from pc2scan.files.source import lend
 from pc2scan.model import Connection, Definition
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
 
     from pc2scan.bags.chunks import Segment
     from pc2scan.model import Buffer
@@ -55,7 +55,6 @@ OWN_FIELDS = frozenset({"callerid", "latching", "md5sum", "message_definition", 
 
 UINT32_MAX = 0xFFFF_FFFF
 SECOND_NS = 1_000_000_000
-_READ_AHEAD = 4096
 
 #: Fields of a header; publishers write about ten. In memory a field takes many times its bytes.
 _MAX_FIELDS = 4096
@@ -147,13 +146,8 @@ def parse_connection(fields: Mapping[bytes, bytes], body: Buffer) -> Connection:
     )
 
 
-class BagFile(SourceFile):
-    """Reads records of a bag; consecutive records need no system call each."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        #: Bytes that were read ahead, and their place: replaced as one, because loads on several threads read records.
-        self._ahead = (0, b"")
+class BagFile(NearbyFile):
+    """Reads records of a bag."""
 
     def damage(self, message: str) -> FormatError:
         """Return the error for a damaged bag; the reader adds the place."""
@@ -179,15 +173,6 @@ class BagFile(SourceFile):
                 f"the {_KINDS[kind]} at byte {offset} reaches to byte {body + length}, the file has {self.size} bytes"
             )
         return fields, body, body + length
-
-    def nearby(self, offset: int, length: int) -> bytes:
-        """Read a few bytes, and read ahead: an index has many small consecutive records."""
-        origin, ahead = self._ahead
-        if not origin <= offset <= offset + length <= origin + len(ahead):
-            ahead = self.read(offset, min(max(length, _READ_AHEAD), max(self.size - offset, length)))
-            origin = offset
-            self._ahead = (origin, ahead)
-        return ahead[offset - origin : offset - origin + length]
 
 
 # --- Inside chunks ---

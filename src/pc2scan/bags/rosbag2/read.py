@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from contextlib import ExitStack
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pc2scan.bags import zstd
-from pc2scan.bags.damage import RECOVER, DamageLog, count_details
+from pc2scan.bags.damage import RECOVER, DamageLog
 from pc2scan.bags.folders import refuse_unrelated
 from pc2scan.bags.formats import ReadOptions, and_list, storages
 from pc2scan.bags.merged import MergedReader
 from pc2scan.bags.opening import sniff
 from pc2scan.bags.reader import ConnectionLimit
 from pc2scan.errors import DamageError, RecordingError
-from pc2scan.files.places import private_folder
 
 from .metadata import METADATA_NAME, RECORD_NAME, locate_files, missing_error, read_info
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-    from tempfile import TemporaryDirectory
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
 
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.formats import Format
@@ -63,15 +60,11 @@ class Rosbag2Reader(MergedReader):
     def __init__(self, path: Path, *, strict: bool = False) -> None:
         self.path = path
         self._log = DamageLog(strict=strict)
-        self._temporary: TemporaryDirectory[str] | None = None
-        #: Decompressed files, and the file of each.
-        self._origins: dict[Path, Path] = {}
         self._info = read_info(path, self._log)
         files: list[Path] = []
         opened: list[Reader] = []
         limit = ConnectionLimit(path)
         with ExitStack() as undo:
-            undo.callback(self._discard_temporary)
             located, self._remarks = locate_files(path, self._info.files)
             for name, file in located.items():
                 try:
@@ -79,7 +72,6 @@ class Rosbag2Reader(MergedReader):
                         raise missing_error(path, name)
                     reader = self._open(file)
                 except DamageError as err:
-                    err.path = self._origins.get(Path(err.path or name), Path(err.path or name))
                     if strict or (name == self._info.files[-1] and not opened):
                         raise
                     self._log.note(err, key=name)
@@ -98,19 +90,20 @@ class Rosbag2Reader(MergedReader):
         self._amend(amended, added)
         # With the counts and times of the storage, not of metadata.yaml.
         inner = self.summary
-        packed = self._info.message_compression == "zstd" or any(zstd.is_zstd(file) for file in files)
+        compression = set(inner.compression)
+        if self._info.message_compression == "zstd":
+            compression = compression - {"none"} | {"zstd"}
         self.summary = inner._replace(
             container="rosbag2",
             storage=opened[0].summary.container,
-            compression=zstd.compressions(inner.compression) if packed else inner.compression,
+            compression=tuple(sorted(compression)),
             size_bytes=sum(file.stat().st_size for file in files),
         )
 
     @property
     def damage(self) -> tuple[Damage, ...]:
         """The damage: that of the directory first, then file by file."""
-        inner = (place._replace(path=self._origins.get(place.path, place.path)) for place in super().damage)
-        return (*self._log.found, *inner)
+        return (*self._log.found, *super().damage)
 
     @property
     def remarks(self) -> Sequence[str]:
@@ -121,21 +114,10 @@ class Rosbag2Reader(MergedReader):
         """Yield MCAP metadata records, without rosbag2's copy of metadata.yaml, which is valid for these files only."""
         return (record for record in super().metadata() if record.name != RECORD_NAME)
 
-    def close(self) -> None:
-        """Close the files and remove decompressed ones."""
-        super().close()
-        self._discard_temporary()
-
     def _open(self, file: Path) -> Reader:
-        if zstd.is_zstd(file):
-            if self._temporary is None:
-                self._temporary = private_folder(self.path)
-            unpacked = zstd.decompress_file(file, Path(self._temporary.name), self._log)
-            self._origins[unpacked] = file
-            file = unpacked
-        storage = _storage_of(file)
-        packed = self._info.message_compression
-        return storage.open_reader(file, ReadOptions(strict=self._log.strict, message_compression=packed))
+        storage, is_packed = _storage_of(file)
+        options = ReadOptions(strict=self._log.strict, message_compression=self._info.message_compression)
+        return zstd.open_packed(file, storage, options) if is_packed else storage.open_reader(file, options)
 
     def _compare_types(self) -> None:
         """Note a topic that is of another type in a file than in metadata.yaml: a flipped byte may be in either."""
@@ -148,51 +130,29 @@ class Rosbag2Reader(MergedReader):
                 self._log.note(error, key=("type", topic, msgtype), messages_lost=0)
 
     def _compare_counts(self) -> None:
-        """Note if the numbers of messages in metadata.yaml, in all or of a topic, differ from those in the files."""
+        """Note if the files have fewer messages than metadata.yaml counts."""
         stored, declared = self.summary.message_count, self._info.message_count
         # What the files themselves lack by their own damage is noted there.
         lost = [damage.messages_lost for damage in (*self._log.found, *super().damage) if damage.loses]
         if stored is None or declared is None or None in lost:
             return
         missing = declared - stored - sum(filter(None, lost))
-        details = ""
-        if not lost:
-            found, listed = _counts_of(self.connections), _counts_of(self._info.topics)
-            topics = [(topic, listed[topic], found[topic]) for topic in {**listed, **found}]
-            fewer = [row for row in topics if row[2] < row[1]]
-            # If the counts have another sum, they are unreliable, and only missing messages are noted.
-            details = count_details(topics if listed.total() == declared else fewer)
-            missing = max(missing, sum(count - there for _, count, there in fewer))
-        if missing > 0 or details:
-            problem = f"{METADATA_NAME} counts {declared} messages, its files have {stored}{details}"
-            error = DamageError(problem, path=self.path, hint=RECOVER)
-            self._log.note(error, key="count", messages_lost=max(0, missing))
-
-    def _discard_temporary(self) -> None:
-        if self._temporary is not None:
-            self._temporary.cleanup()
-            self._temporary = None
+        if missing > 0:
+            problem = f"{METADATA_NAME} counts {declared} messages, its files have {stored}"
+            self._log.note(DamageError(problem, path=self.path, hint=RECOVER), key="count", messages_lost=missing)
 
 
-def _storage_of(file: Path) -> Format:
-    """Return the format of a file of a directory, by its content, whatever metadata.yaml says."""
+def _storage_of(file: Path) -> tuple[Format, bool]:
+    """Return the format of a file of a directory, by its content, and whether it is compressed as a whole."""
     try:
-        name = sniff(file)
+        name, _, packed = sniff(file).partition("+")
     except RecordingError as err:
         if isinstance(err.__cause__, OSError):
             raise
         raise DamageError(err.message, path=file, hint=err.hint) from err
     if name not in storages():
         raise DamageError(f"is {name}; the files of a directory are {and_list(sorted(storages()))}", path=file)
-    return storages()[name]
-
-
-def _counts_of(connections: Iterable[Connection]) -> Counter[str]:
-    """Return the number of messages of each topic."""
-    counts: Counter[str] = Counter()
-    for connection in connections:
-        counts[connection.topic] += connection.message_count or 0
-    return counts
+    return storages()[name], bool(packed)
 
 
 def _complete_connections(

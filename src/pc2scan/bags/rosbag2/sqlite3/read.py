@@ -23,7 +23,7 @@ SQLite's own check, which reads the whole file, these checks read no message.
 from __future__ import annotations
 
 from functools import partial
-from itertools import chain, islice, repeat
+from itertools import repeat
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
@@ -145,25 +145,24 @@ class Sqlite3Reader(Reader):
     ) -> Iterator[Chunk]:
         """Yield rows by log time, as chunks; equal log times are in the order of writing.
 
-        Rows are read while the chunks are iterated over, by the thread that does so: a database is read in order. A
-        chunk that is loaded again, which also happens on that thread, reads its rows again.
+        Rows are read while the chunks are iterated over, by the thread that does so: a database is read in order.
         """
         wanted = None if connections is None else {connection.id for connection in connections}
         known = {own.id: own for own in self.connections if wanted is None or own.id in wanted}
-        before: tuple[int, int] | None = None
         for number, (rows, size) in enumerate(self._batches(known, start_ns, stop_ns)):
-            load = partial(_load, known, rows, len(rows), partial(self._batches, known, start_ns, stop_ns, before))
-            before = rows[-1][1:3]
+            load = partial(_load, known, rows)
             yield Chunk(rows[0][1], (number,), size, load, is_quick=size < _WORTH_A_THREAD)
+            # They must not stay in memory while the next ones are read.
+            del rows, load
 
     def _batches(
         self,
         known: Mapping[int, Connection],
         start_ns: int | None,
         stop_ns: int | None,
-        after: tuple[int, int] | None = None,
     ) -> Iterator[tuple[list[Row], int]]:
-        """Yield some rows at a time, by log time and id, with the bytes of their data; those after a time and an id."""
+        """Yield some rows at a time, by log time and id, with the bytes of their data."""
+        after: tuple[int, int] | None = None
         expected = sum(own.message_count or 0 for own in known.values())
         left = self._database.most_bytes
         while True:
@@ -225,6 +224,7 @@ class Sqlite3Reader(Reader):
     def close(self) -> None:
         """Close the database."""
         self._database.close()
+        super().close()
 
     def _select(
         self, topic_ids: Iterable[int], start_ns: int | None, stop_ns: int | None, after: tuple[int, int] | None
@@ -247,18 +247,9 @@ class Sqlite3Reader(Reader):
         return ((*row, (data((row[2],)).fetchone() or (None,))[0]) for row in rows)
 
 
-def _load(
-    known: Mapping[int, Connection],
-    rows: list[Row],
-    count: int,
-    again: Callable[[], Iterable[tuple[list[Row], int]]],
-    callback: Callable[[RawMessage], Any],
-) -> list[Any]:
-    """Load rows that have been read: the first time from memory, which is then released, later from the file."""
-    own = rows or list(islice(chain.from_iterable(rows for rows, _ in again()), count))
-    topics, times, _, data = zip(*own, strict=True)
-    rows.clear()
-    del own
+def _load(known: Mapping[int, Connection], rows: list[Row], callback: Callable[[RawMessage], Any]) -> list[Any]:
+    """Make messages of rows."""
+    topics, times, _, data = zip(*rows, strict=True)
     fields = zip(map(known.__getitem__, topics), times, data, times, repeat(0), strict=False)
     return list(map(callback, map(_make_message, fields)))
 
