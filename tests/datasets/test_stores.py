@@ -87,9 +87,8 @@ def test_a_bucket_becomes_what_a_folder_becomes(store: Store, drives: Path, tmp_
     assert found["robot1/drive_0.mcap"] == found["robot1/c"] == "unchanged"
 
 
-def test_globs_single_files_and_lists(store: Store, drives: Path, tmp_path: Path) -> None:
+def test_globs_and_single_files(store: Store, drives: Path, tmp_path: Path) -> None:
     source = store.upload(drives)
-    store.put("in/list.txt", b"a.bag\nrobot1/c\n")
     # In a bucket, the signs of queries and fragments are parts of names; `?` is also a pattern, which matches itself.
     store.put("signs/drive#1?.bag", (drives / "a.bag").read_bytes())
 
@@ -100,7 +99,6 @@ def test_globs_single_files_and_lists(store: Store, drives: Path, tmp_path: Path
     assert keys(f"{source}/*.bag") == {"a.bag", "empty.bag"}
     assert {key for key in keys(f"{source}/**/*.mcap") if "/c/" not in key} == {"b.mcap", "robot1/drive_0.mcap"}
     assert keys(f"{source}/a.bag", f"{source}/robot1/c", drives / "b.mcap") == {"a.bag", "b.mcap", "c"}
-    assert keys(f"{source}/list.txt") == {"a.bag", "robot1/c"}
     assert keys(f"{store.url}/signs") == keys(f"{store.url}/signs/drive#1?.bag") == {"drive#1?.bag"}
     for wrong, error, why in (("*.db3", UsageError, "matches nothing"), ("none.bag", MissingError, "does not exist")):
         with pytest.raises(error, match=why):

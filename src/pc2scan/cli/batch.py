@@ -80,7 +80,7 @@ def _show_outcome(done: Outcome, hints: set[str], *, quiet: bool, dry_run: bool)
         *([f"{done.empty_scans:,} empty"] if done.empty_scans else []),
         *([f"{done.skipped:,} skipped"] if done.skipped else []),
         *([f"damaged: {done.damage[0]}"] if done.damage else []),
-        *([counted(done.warnings, "warning")] if done.warnings else []),
+        *([counted(len(done.warnings), "warning")] if done.warnings else []),
         f"{done.seconds:.1f} s",
     ]
     would = "would be " if dry_run else ""

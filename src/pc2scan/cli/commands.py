@@ -86,9 +86,7 @@ COMMANDS = {
         If a recording fails, the others are still converted. A second run converts only what is missing, has changed or
         failed. OUT/manifest.jsonl has the result of each recording.""",
         (
-            _sources("Folders that have recordings; recordings; globs in quotes; lists of paths; URLs.")._replace(
-                is_path=False
-            ),
+            _sources("Folders that have recordings; recordings; globs in quotes; URLs.")._replace(is_path=False),
             _output("OUT", "Folder for the results and manifest.jsonl. May be a URL.", required=True),
         ),
         (

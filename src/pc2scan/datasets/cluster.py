@@ -59,7 +59,9 @@ def run_jobs_on_dask(
         client = _connect(address, workers, stack)
         client.wait_for_workers(1)
         _check_versions(client)
-        tasks = {client.submit(convert_one, replace(job, threads=threads), pure=False): job for job in jobs}
+        # Dask does again what a lost worker had done; its output may be there, and is replaced.
+        again = [replace(job.retried(), threads=threads) for job in jobs]
+        tasks = {client.submit(convert_one, job, pure=False): job for job in again}
         for task in as_completed(list(tasks), raise_errors=False):
             yield _record_of(task, tasks.pop(task))
 
@@ -103,12 +105,14 @@ def _check_versions(client: Any) -> None:
 
 def _connect(address: str, workers: int, stack: ExitStack) -> Any:
     """Return a client of the scheduler, or of a cluster on this machine, until the stack is closed."""
-    from distributed import Client, LocalCluster  # noqa: PLC0415  # an extra
+    import dask  # noqa: PLC0415  # an extra
+    from distributed import Client, LocalCluster  # noqa: PLC0415
 
     # Dask sets the levels of these loggers itself, so the root logger's level has no effect on them.
     for name in ("distributed", "distributed.client"):
         logging.getLogger(name).setLevel(_SILENT)
     if not address:
+        stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": 1}))
         cluster = LocalCluster(
             n_workers=workers,
             threads_per_worker=1,

@@ -1,4 +1,4 @@
-"""Finds the recordings of a dataset in folders, globs, lists of paths and single paths.
+"""Finds the recordings of a dataset in folders, globs and single paths.
 
 They are recognised by their content, and in stores by their names.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import glob
 import os
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -20,7 +20,7 @@ from pc2scan.errors import Pc2ScanError, RecordingError, UsageError
 from pc2scan.files.places import working_names
 from pc2scan.files.source import open_bytes
 from pc2scan.files.transfers import fetched
-from pc2scan.files.urls import UrlPath, absolute, exists, is_dir, is_file, is_url, local_path, path_or_url
+from pc2scan.files.urls import UrlPath, absolute, exists, is_dir, is_file, local_path, path_or_url
 
 from .manifest import Identity, identity_of
 
@@ -37,9 +37,6 @@ _METADATA, _METADATA_MARK, _METADATA_HEAD = "metadata.yaml", b"rosbag2_bagfile_i
 _UNFINISHED = tuple(path.name.removeprefix("x") for path in working_names(Path("x")))
 
 _GLOB = frozenset("*?[")
-
-#: Lists of paths are read up to this size.
-_MAX_LIST_BYTES = 64_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,44 +64,24 @@ class Recording:
     error: Pc2ScanError | None = None
 
 
-class _Candidate(NamedTuple):
-    """A path, the folder that its key is relative to, and whether the user named it.
+class _Search(NamedTuple):
+    """What a search knows, and where it has been."""
 
-    A path that a user names and that is not a recording is an error; one that was found in a folder is ignored.
-    """
-
-    path: Path
-    root: Path
-    named: bool
-
-
-@dataclass(slots=True)
-class _Search:
-    """The state of one search."""
-
-    out: object
     known: Known
     #: Files that batches have written. They are not sources.
     outputs: frozenset[Path]
-    #: Folders that were searched, by device and inode, because links may form loops; files by their resolved paths.
-    folders: set[object] = field(default_factory=set)
-    files: set[Path] = field(default_factory=set)
+    #: Folders that were searched, because links may form loops, that of the results, and files; all without links.
+    folders: set[Path]
+    files: set[Path]
 
 
-def find(
-    sources: Sequence[str],
-    out: Path,
-    *,
-    known: Known | None = None,
-    outputs: Iterable[Path] = (),
-) -> list[Recording]:
+def find(sources: Sequence[str], out: Path, *, known: Known, outputs: Iterable[Path] = ()) -> list[Recording]:
     """Find recordings.
 
     Parameters
     ----------
     sources
-        Folders, which are searched; recordings; globs (``**`` for any folders); text files with one path per line,
-        relative to the file's folder. All of these may be URLs.
+        Folders, which are searched; recordings; globs (``**`` for any folders). All of these may be URLs.
     out
         The folder that the batch writes into. It is not searched.
     known
@@ -114,8 +91,9 @@ def find(
 
     Returns
     -------
-    list[Found]
-        In natural order of their keys. A recording that is found twice is listed once.
+    list[Recording]
+        In natural order of their keys, which are their paths below the folder that contains all sources. A recording
+        that is found twice is listed once.
 
     Raises
     ------
@@ -124,161 +102,100 @@ def find(
     UsageError
         If a folder to be searched is in ``out``, a glob matches nothing, or two recordings would have one key.
     """
-    search = _Search(_device_and_inode(out), known or (lambda _path, _identity: ""), frozenset(map(absolute, outputs)))
-    found: list[Recording] = []
-    for candidates in _candidates(sources, out):
-        named: dict[Path, list[Recording]] = {}
-        for candidate in candidates:
-            if candidate.named:
-                named.setdefault(candidate.path.parent, []).extend(_search_candidate(candidate, search))
-            else:
-                found += _search_candidate(candidate, search)
-        for files in named.values():
-            found += _join_parts(files, search)
-    return sorted(_make_keys_unique(found), key=lambda each: natural_key(each.key))
-
-
-def _candidates(sources: Sequence[str], out: Path) -> Iterator[Iterable[_Candidate]]:
-    """Yield the candidates of the sources by root; that of single files is the folder that contains them all."""
-    files: list[Path] = []
-    for source in sources:
-        text = local_path(source)
-        path = path_or_url(text)
-        if path.is_dir():
-            _refuse_inside(path, out)
-            yield (
-                [_Candidate(path, path, named=False)]
-                if not _is_rosbag2(path)
-                else [_Candidate(path, path.parent, named=True)]
+    places = [_place(source, out) for source in sources]
+    search = _Search(known, frozenset(map(absolute, outputs)), {_real(out)}, set())
+    common = _common_folder([folder for folder, _ in places])
+    found: dict[Path, list[Recording]] = {}
+    for folder, paths in places:
+        for path in paths:
+            for each in _recordings_at(path, common or folder, search):
+                found.setdefault(each.paths[0].parent, []).append(each)
+    by_key: dict[str, Recording] = {}
+    for each in (each for beside in found.values() for each in _join_parts(beside, search)):
+        other = by_key.setdefault(each.key, each)
+        if other is not each:
+            raise UsageError(
+                f"is found twice under the name {each.key}: {other.paths[0]} and {each.paths[0]}",
+                hint="write their outputs to different folders, in two batches",
             )
-        elif path.exists():
-            if (listed := _paths_in_list(path)) is None:
-                files.append(path)
-            else:
-                yield from _candidates_at(listed, out)
-        elif _GLOB & set(text):
-            root = _literal_part(path)
-            found = _matches(path, root)
-            if not found:
-                raise UsageError(f"{source!r} matches nothing")
-            yield [
-                _Candidate(match, root, named=not is_dir(match))
-                for match in found
-                if not is_dir(match) or _is_rosbag2(match)
-            ]
-        else:
-            # The path does not exist: raises an error with a suggestion.
-            _sniff(path)
-    yield from _candidates_at(files, out)
+    return sorted(by_key.values(), key=lambda each: natural_key(each.key))
 
 
-def _candidates_at(paths: Sequence[Path], out: Path) -> Iterator[list[_Candidate]]:
-    """Yield candidates for paths that were named one by one: local ones first, then those at URLs."""
-    for remote in (False, True):
-        yield from _candidates_below([path for path in paths if isinstance(path, UrlPath) == remote], out)
-
-
-def _candidates_below(paths: Sequence[Path], out: Path) -> Iterator[list[_Candidate]]:
-    """Yield candidates for paths that were named one by one; keys are relative to the folder that contains them all."""
-    if not paths:
-        return
-    parents = [str(absolute(path.parent)) for path in paths]
-    try:
-        root = path_or_url(os.path.commonpath(parents))
-    except ValueError:
-        root = Path()
-    if not root.name and len(paths) > 1 and (not root.parts or isinstance(paths[0], UrlPath)):
-        # On different drives (Windows), or in different stores: there is no common folder.
-        yield from ([candidates] for path in paths for (candidates,) in _candidates_below([path], out))
-        return
-    folders = {path for path in paths if path.is_dir() and not _is_rosbag2(path)}
-    for folder in folders:
-        _refuse_inside(folder, out)
-    yield [_Candidate(path, root, named=path not in folders) for path in paths]
-
-
-def _matches(pattern: Path, root: Path) -> list[Path]:
-    """Return what a glob matches."""
-    if isinstance(pattern, UrlPath):
-        return sorted(pattern.matches(root))
-    return sorted(map(Path, glob.glob(str(pattern), recursive=True)))  # noqa: PTH207  # the text may be absolute
-
-
-def _literal_part(pattern: Path) -> Path:
-    """Return the folders of a glob before the first wildcard: keys are relative to them."""
-    folder = pattern.parent
+def _place(source: str, out: Path) -> tuple[Path, list[Path]]:
+    """Return the folder that keys are relative to if there is one source, and what is found at the source."""
+    text = local_path(source)
+    path = path_or_url(text)
+    if path.is_dir() and not _is_rosbag2(path):
+        if _real(path).is_relative_to(_real(out)):
+            raise UsageError(
+                f"is a source, and scans are written to {out}: they would be found as sources by the next run",
+                path=path,
+                hint="write to another folder, such as `destination=" + f"{path / 'scans'}`",
+            )
+        return path, [path]
+    if path.exists():
+        return path.parent, [path]
+    if not _GLOB & set(text):
+        # The path does not exist: raises an error with a suggestion.
+        _sniff(path)
+    folder = path.parent
     while _GLOB & set(str(folder)):
         folder = folder.parent
-    return folder
+    matches: list[Path]
+    if isinstance(path, UrlPath):
+        matches = [*path.matches(folder)]
+    else:
+        matches = [Path(match) for match in glob.glob(text, recursive=True)]  # noqa: PTH207  # the text may be absolute
+    if not matches:
+        raise UsageError(f"{source!r} matches nothing")
+    return folder, [match for match in sorted(matches) if not is_dir(match) or _is_rosbag2(match)]
 
 
-def _paths_in_list(path: Path) -> list[Path] | None:
-    """Return the paths in a text file; None if it is not a list of paths."""
-    if is_named_as_recording(path.name):
-        return None
-    with suppress(Pc2ScanError):
-        _sniff(path)
-        return None
+def _common_folder(folders: Sequence[Path]) -> Path | None:
+    """Return the folder that contains all; None on different drives (Windows), or in different stores."""
     try:
-        with open_bytes(path) as file:
-            text = file.read(_MAX_LIST_BYTES).decode("utf-8")
-    except (OSError, UnicodeDecodeError):
+        common = path_or_url(os.path.commonpath([str(absolute(folder)) for folder in folders]))
+    except ValueError:
         return None
-    lines = [line.strip() for line in text.splitlines()]
-    named = [line for line in lines if line and not line.startswith("#")]
-    paths = [path_or_url(line) if is_url(line) else path.parent / line for line in map(local_path, named)]
-    # A line that looks like a URL makes the file a list, and so does its being at a URL. Else at least one path must
-    # exist: otherwise the file is another text, named by mistake.
-    return paths if any(isinstance(each, UrlPath) or exists(each) for each in paths) else None
+    return common if common.name or not isinstance(folders[0], UrlPath) else None
 
 
-def _search_candidate(candidate: _Candidate, search: _Search) -> Iterator[Recording]:
-    path = candidate.path
-    if path.is_dir() and not candidate.named:
-        yield from _search_folder(path, candidate.root, search)
+def _recordings_at(path: Path, root: Path, search: _Search) -> Iterator[Recording]:
+    """Yield a recording that is named, or those in a folder and its subfolders."""
+    if not is_dir(path) or _is_rosbag2(path, search):
+        yield from _recognise(path, root, search, named=True)
         return
-    if absolute(path) in search.outputs or not _is_new(path, search):
+    real = _real(path)
+    if real in search.folders:
         return
-    key = _key_of(path, candidate.root)
-    yield from _recognise(path, key, search, named=True)
-
-
-def _search_folder(folder: Path, root: Path, search: _Search) -> Iterator[Recording]:
-    """Find the recordings in a folder and its subfolders."""
-    identity = _device_and_inode(folder)
-    if identity is None or identity == search.out or identity in search.folders:
-        return
-    search.folders.add(identity)
+    search.folders.add(real)
     try:
-        listed = sorted((path for path in folder.iterdir() if not path.name.startswith(".")), key=natural_order)
+        listed = sorted((each for each in path.iterdir() if not each.name.startswith(".")), key=natural_order)
     except OSError as err:
-        error = RecordingError(f"cannot be searched: {err.strerror}", path=folder)
-        yield Recording(_key_of(folder, root) or folder.name, (folder,), "", Identity(), error)
+        error = RecordingError(f"cannot be searched: {err.strerror}", path=path)
+        yield Recording(_key_of(path, root), (path,), "", Identity(), error)
         return
-    files: list[Recording] = []
-    for path in listed:
-        if path.name.endswith(_UNFINISHED) or absolute(path) in search.outputs:
+    for each in listed:
+        if each.name.endswith(_UNFINISHED):
             continue
-        if is_dir(path):
-            if _is_rosbag2(path, search):
-                if _is_new(path, search):
-                    yield from _recognise(path, _key_of(path, root), search, named=True)
-            else:
-                yield from _search_folder(path, root, search)
-        elif is_file(path):
-            if _is_new(path, search):
-                files += _recognise(path, _key_of(path, root), search, named=is_named_as_recording(path.name))
-        elif path.is_symlink() and is_named_as_recording(path.name):
-            # A broken link.
-            files += _recognise(path, _key_of(path, root), search, named=True)
-    yield from _join_parts(files, search)
+        if is_dir(each):
+            yield from _recordings_at(each, root, search)
+        elif is_file(each) or (each.is_symlink() and not each.exists()):
+            yield from _recognise(each, root, search, named=is_named_as_recording(each.name))
 
 
-def _recognise(path: Path, key: str, search: _Search, *, named: bool) -> Iterator[Recording]:
-    """Yield a file or a rosbag2 directory if it is a recording; if not, yield it with an error if it is ``named``."""
+def _recognise(path: Path, root: Path, search: _Search, *, named: bool) -> Iterator[Recording]:
+    """Yield a file or a rosbag2 directory if it is a recording; if not, yield it with an error if it is ``named``.
+
+    Files are found once; links to one count as the same.
+    """
+    real = _real(path)
+    if absolute(path) in search.outputs or real in search.files:
+        return
+    search.files.add(real)
     if isinstance(path, UrlPath) and not named:
         return
-    identity = identity_of([path])
+    key, identity = _key_of(path, root), identity_of([path])
     if container := search.known(absolute(path), identity):
         yield Recording(key, (path,), container, identity)
         return
@@ -365,41 +282,6 @@ def _known_chains(group: Sequence[Recording], search: _Search) -> list[list[Reco
     return chains
 
 
-def _make_keys_unique(found: Sequence[Recording]) -> Iterator[Recording]:
-    """Make the keys of recordings from several sources unique: prefix them with the folders that they were found in."""
-    by_key: dict[str, list[Recording]] = {}
-    for each in found:
-        by_key.setdefault(each.key.casefold(), []).append(each)
-    for same in by_key.values():
-        if len(same) == 1:
-            yield same[0]
-            continue
-        paths = [Path(str(absolute(each.paths[0]))).parts for each in same]
-        count = next(
-            (n for n in range(1, max(map(len, paths)) + 1) if len({tuple(p[-n:]) for p in paths}) == len(paths)), 0
-        )
-        if not count:
-            raise UsageError(
-                f"is found twice under the name {same[0].key}: {same[0].paths[0]} and {same[1].paths[0]}",
-                hint="write their outputs to different folders, in two batches",
-            )
-        for each, parts in zip(same, paths, strict=True):
-            # Prefix the whole key with as many folders as are needed.
-            below = Path(each.key).parts
-            before = parts[-max(count, len(below)) : len(parts) - len(below)]
-            yield Recording("/".join((*before, *below)), each.paths, each.container, each.identity, each.error)
-
-
-def _refuse_inside(folder: Path, out: Path) -> None:
-    """Raise if a folder to be searched is the folder of the batch, or below it."""
-    if _real(folder).is_relative_to(_real(out)):
-        raise UsageError(
-            f"is a source, and scans are written to {out}: they would be found as sources by the next run",
-            path=folder,
-            hint="write to another folder, such as `destination=" + f"{folder / 'scans'}`",
-        )
-
-
 def _is_rosbag2(folder: Path, search: _Search | None = None) -> bool:
     """Whether a folder is a rosbag2 directory: it has the metadata.yaml of one."""
     if not exists(folder / _METADATA):
@@ -413,32 +295,14 @@ def _is_rosbag2(folder: Path, search: _Search | None = None) -> bool:
         return False
 
 
-def _is_new(path: Path, search: _Search) -> bool:
-    """Whether a file or folder is found for the first time; links to it count as the same."""
-    real = _real(path)
-    is_new = real not in search.files
-    search.files.add(real)
-    return is_new
-
-
 def _real(path: Path) -> Path:
     """Return a path with links resolved."""
     return path.identity if isinstance(path, UrlPath) else Path(os.path.realpath(path))
 
 
-def _device_and_inode(path: Path) -> object:
-    """Return what is equal for paths of one folder; None if it does not exist."""
-    if isinstance(path, UrlPath):
-        return path.identity
-    try:
-        status = os.stat(path)  # noqa: PTH116
-    except OSError:
-        return None
-    return status.st_dev, status.st_ino
-
-
 def _key_of(path: Path, root: Path) -> str:
-    return os.path.relpath(str(path), str(root)).replace(os.sep, "/").removeprefix("./")
+    key = os.path.relpath(str(absolute(path)), str(absolute(root))).replace(os.sep, "/").removeprefix("./")
+    return path.name if key == "." else key
 
 
 def natural_key(key: str) -> list[list[int | str]]:

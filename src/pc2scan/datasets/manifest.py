@@ -51,10 +51,6 @@ class Identity:
         """Return the total size of the files."""
         return sum(size for _, size, _ in self.files)
 
-    def has_sizes_of(self, other: Identity) -> bool:
-        """Whether the files have the same sizes; their names and times may differ."""
-        return [size for _, size, _ in self.files] == [size for _, size, _ in other.files]
-
     def as_json(self) -> list[list[Any]]:
         """Return it as JSON's types."""
         return [list(file) for file in self.files]
@@ -126,13 +122,8 @@ def _summed_up(found: list[tuple[str, int, int | str]]) -> list[tuple[str, int, 
     """Return the files of a folder; very many as one entry."""
     if len(found) <= _MOST:
         return found
-    times = [time for _, _, time in found]
-    last = max((time for time in times if isinstance(time, int)), default=0)
-    if any(isinstance(time, str) for time in times):
-        return [
-            (f"{len(found)} files", sum(size for _, size, _ in found), hashlib.sha256(repr(times).encode()).hexdigest())
-        ]
-    return [(f"{len(found)} files", sum(size for _, size, _ in found), last)]
+    digest = hashlib.sha256(repr(found).encode()).hexdigest()
+    return [(f"{len(found)} files", sum(size for _, size, _ in found), digest)]
 
 
 # --- Lines ---

@@ -16,7 +16,6 @@ from pc2scan.errors import DestinationError, name_list
 from pc2scan.files.ownership import Inputs, OutputPath, first_link, name_key
 from pc2scan.files.places import working_names
 from pc2scan.files.urls import absolute
-from pc2scan.text import size
 from pc2scan.version import __version__
 
 from .jobs import Job
@@ -193,8 +192,8 @@ def _reason(job: Job, record: ManifestRecord | None, folder: BatchFolder, there:
         return f"converted by pc2scan {record.version}"
     if record.options != job.request.digest:
         return "other options"
-    if changed := _change_of(job.recording, record):
-        return changed
+    if record.identity != job.recording.identity:
+        return "the source was changed"
     if record.has_nothing:
         return ""
     if not record.is_written:
@@ -205,13 +204,6 @@ def _reason(job: Job, record: ManifestRecord | None, folder: BatchFolder, there:
     if not there.files:
         return "its output is missing"
     return "" if there == record.output_identity else "its output was changed"
-
-
-def _change_of(recording: Recording, record: ManifestRecord) -> str:
-    before, now = record.identity, recording.identity
-    if not now.has_sizes_of(before):
-        return f"the source was changed: it has {size(now.size_bytes)}, it had {size(before.size_bytes)}"
-    return "" if now == before else "the source was changed"
 
 
 def have_same_outcome(record: ManifestRecord, other: ManifestRecord) -> bool:

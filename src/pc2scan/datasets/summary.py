@@ -7,7 +7,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
-from pc2scan.errors import leading
+from pc2scan.errors import leading, name_list
 from pc2scan.result import Part, Result
 from pc2scan.tables import Table
 from pc2scan.text import count, counted, duration, size
@@ -15,7 +15,7 @@ from pc2scan.text import count, counted, duration, size
 from .manifest import NO_CLOUDS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
 
     from .jobs import Job
@@ -30,33 +30,13 @@ _BAD, _ODD = frozenset({"died", "failed"}), frozenset({"empty", "incomplete"})
 #: Maximum number of recordings that are listed one by one. Of more, what is said of them is listed instead.
 _MAX_SHOWN = 30
 
-#: How many recordings are named as examples, and the length of their names together.
-_EXAMPLES, _LONGEST = 3, 60
+#: How many recordings are named as examples.
+_EXAMPLES = 3
 
 #: What differs between texts that say the same of different recordings: options at the end, quoted names, topics,
 #: numbers; and what agrees with a number.
 _VARIABLE = re.compile(r":(?: `[^`]*`)+$|'[^']*'|(?<![\w.])/[\w./-]+(?:, /[\w./-]+)*|-?\d[\d,.]*(?:e[+-]?\d+)?")
 _AGREEING = re.compile(r"\b(?:is|are|was|were|has|have|its|their)\b|(?<=# )([a-z]+?)s?\b")
-
-#: Columns of the report's table.
-_COLUMNS = (
-    ("recording", "key"),
-    ("output", "output"),
-    ("outcome", "outcome"),
-    ("status", "exit_status"),
-    ("action", "action"),
-    ("scans", "scans"),
-    ("empty", "empty_scans"),
-    ("skipped", "skipped"),
-    ("damaged", "damaged"),
-    ("warnings", "warnings"),
-    ("bytes_read", "bytes_read"),
-    ("bytes_written", "bytes_written"),
-    ("seconds", "seconds"),
-    ("attempts", "attempts"),
-    ("why", "why"),
-    ("error", "error"),
-)
 
 
 class Group(NamedTuple):
@@ -99,10 +79,8 @@ class Outcome:
         Messages that were converted, and how many of them have no return.
     skipped
         The number of messages that are missing in the result.
-    warning_texts
-        The warnings.
-    damage
-        What is damaged in the source.
+    warnings, damage
+        The warnings, and what is damaged in the source.
     bytes_read, bytes_written, seconds, attempts
         As the conversion reports them.
     error, hint
@@ -119,7 +97,7 @@ class Outcome:
     empty_scans: int = 0
     skipped: int = 0
     damage: tuple[str, ...] = ()
-    warning_texts: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     bytes_read: int = 0
     bytes_written: int = 0
     seconds: float = 0.0
@@ -154,7 +132,7 @@ class Outcome:
             empty_scans=empty,
             skipped=report.get("skipped_count", 0),
             damage=tuple(place["what"] for place in report.get("damage", ())),
-            warning_texts=tuple(map(str, report.get("warnings", ()))),
+            warnings=tuple(map(str, report.get("warnings", ()))),
             bytes_read=record.identity.size_bytes,
             bytes_written=report.get("bytes_written", record.output_identity.size_bytes),
             seconds=record.seconds,
@@ -162,16 +140,6 @@ class Outcome:
             error=str(error.get("message", "")),
             hint=str(error.get("hint") or ""),
         )
-
-    @property
-    def warnings(self) -> int:
-        """How many warnings there are."""
-        return len(self.warning_texts)
-
-    @property
-    def damaged(self) -> int:
-        """How many places of the source are damaged."""
-        return len(self.damage)
 
     @property
     def rank(self) -> tuple[int, bool, bool]:
@@ -183,9 +151,9 @@ class Outcome:
         """A short text on what is special: skipped messages, damage, warnings."""
         if self.error:
             return self.error if self.outcome != NO_CLOUDS else ""
-        numbers = ((self.skipped, "skipped"), (self.damaged, "damaged"))
-        told = [f"{number:,} {what}" for number, what in numbers if number]
-        return ", ".join([*told, counted(self.warnings, "warning")] if self.warnings else told)
+        numbers = {"skipped": self.skipped, "damaged": len(self.damage)}
+        told = [f"{number:,} {what}" for what, number in numbers.items() if number]
+        return ", ".join([*told, counted(len(self.warnings), "warning")] if self.warnings else told)
 
     def remarks(self) -> Iterator[tuple[str, str]]:
         """Yield what is said of it: of which kind (see `Group`), and the text."""
@@ -194,7 +162,7 @@ class Outcome:
         if self.skipped:
             yield "skipped", counted(self.skipped, "message")
         yield from (("damaged", text) for text in self.damage)
-        yield from (("warning", text) for text in self.warning_texts)
+        yield from (("warning", text) for text in self.warnings)
 
 
 def groups_of(outcomes: Iterable[Outcome]) -> list[Group]:
@@ -208,17 +176,6 @@ def groups_of(outcomes: Iterable[Outcome]) -> list[Group]:
     kinds = [*_ORDER, "skipped", "damaged", "warning"]
     groups = [Group(kind, text, tuple(keys)) for (kind, _), (text, keys) in found.items()]
     return sorted(groups, key=lambda group: (kinds.index(group.kind), -len(group.recordings)))
-
-
-def _examples(names: Sequence[str]) -> str:
-    """Return some names, and how many more there are."""
-    shown = [names[0]]
-    for name in names[1:_EXAMPLES]:
-        if len(", ".join((*shown, name))) > _LONGEST:
-            break
-        shown.append(name)
-    more = len(names) - len(shown)
-    return ", ".join(shown) + (f" and {more:,} more" if more else "")
 
 
 @dataclass(slots=True, repr=False)
@@ -274,18 +231,15 @@ class BatchReport(Result):
     @property
     def groups(self) -> list[Group]:
         """What is said of several recordings, the worst first, then what is said of most."""
-        return groups_of(self._ordered())
+        return groups_of(self.recordings)
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{number:,} {name}" for name, number in self.counts.items())
         return f"<BatchReport on {str(self.destination)!r}: {counts or 'nothing'}, exit status {self.exit_status}>"
 
     @property
-    def recordings(self) -> list[dict[str, Any]]:
-        """The rows of the report's table, bad outcomes first."""
-        return [{heading: getattr(each, name) for heading, name in _COLUMNS} for each in self._ordered()]
-
-    def _ordered(self) -> list[Outcome]:
+    def recordings(self) -> list[Outcome]:
+        """The outcomes, the bad ones first."""
         return sorted(self.outcomes, key=lambda outcome: outcome.rank)
 
     def body(self, *, verbose: bool = False) -> Iterator[Part]:
@@ -296,7 +250,7 @@ class BatchReport(Result):
         """
         if self.dry_run:
             yield "dry run, nothing is written"
-        listed = self._ordered() if verbose or len(self.outcomes) <= _MAX_SHOWN else []
+        listed = self.recordings if verbose or len(self.outcomes) <= _MAX_SHOWN else []
         if listed:
             yield _table_of(listed)
             yield ""
@@ -350,5 +304,7 @@ def _table_of(outcomes: Iterable[Outcome]) -> Table:
 
 
 def _table_of_groups(groups: Iterable[Group]) -> Table:
-    rows = [(f"{len(each.recordings):,}", each.kind, each.text, _examples(each.recordings)) for each in groups]
+    rows = [
+        (f"{len(each.recordings):,}", each.kind, each.text, name_list(each.recordings, _EXAMPLES)) for each in groups
+    ]
     return Table(("recordings", "what", "text", "such as"), rows, left=("what", "text", "such as"))
