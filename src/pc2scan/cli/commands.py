@@ -174,8 +174,8 @@ COMMANDS = {
     "info": Command(
         """Describe a recording, its clouds and its scans.
 
-        For clouds: fields, points, frame, and limits of their coordinates. For scans: beams, limits, the share of
-        returns, and the consumers that accept them. Then how the lidar is mounted, and a convert command.""",
+        For clouds: fields, points, frame, and limits of their coordinates. For scans: beams, limits, and the
+        consumers that accept them. Then how the lidar is mounted, and a convert command.""",
         (_sources("Recordings; several are merged in time order."),),
         (
             ("pc2scan info drive.bag", "its topics, its clouds, and a command that converts them"),

@@ -14,7 +14,7 @@ from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics, unheard
 from pc2scan.core.consumers import CONSUMERS
 from pc2scan.core.verdicts import OUTCOMES
-from pc2scan.errors import DecodeError, TopicError, leading
+from pc2scan.errors import TopicError
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.other_clouds import without
 from pc2scan.model import copied_message
@@ -25,9 +25,8 @@ from pc2scan.transforms.placing import FrameOptions
 from pc2scan.transforms.reading import tf_connections
 from pc2scan.transforms.robot_model import NO_MODEL
 
-from .cloud_info import count_range
 from .scan_frames import Arrivals, ScanFrames, mounting_findings
-from .scan_topic import ConsumerCheck, Finding, ScanTopic
+from .scan_topic import Finding, ScanTopic
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -35,13 +34,10 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
-    from pc2scan.core.verdicts import ConsumerScan
     from pc2scan.model import Connection
     from pc2scan.progress import Progress
 
-
-#: How many frames are shown as text.
-_MAX_SHOWN = 5
+    from .scan_topic import TopicCheck
 
 
 #: What a consumer does with a topic without scans, and all outcomes, the worst last.
@@ -58,60 +54,6 @@ _USEFUL_TO: dict[str, frozenset[str]] = {
     **dict.fromkeys(("odometry-direction", "stamps-back", "stamps-zero"), _NAV2),
     "transforms-late": frozenset(CONSUMERS) - {"slam_toolbox"},
 }
-
-
-@dataclass(frozen=True, slots=True)
-class TopicCheck:
-    """The result of one topic.
-
-    Attributes
-    ----------
-    scans
-        How many were decoded.
-    frames
-        All ``frame_id`` of the scans.
-    beams
-        The smallest and the largest number of beams.
-    interval_ns
-        Median of the intervals between stamps, to one percent; None for fewer than two scans.
-    first
-        The first scan; None without any.
-    consumers
-        What each consumer does, in the order of `pc2scan.core.consumers.CONSUMERS`; empty without scans.
-    findings
-        Problems for all consumers, the defects first.
-    """
-
-    topic: str
-    scans: int
-    frames: tuple[str, ...]
-    beams: tuple[int, int]
-    interval_ns: float | None
-    first: ConsumerScan | None
-    consumers: tuple[ConsumerCheck, ...]
-    findings: tuple[Finding, ...]
-
-    def lines(self, asked: tuple[str, ...]) -> Iterator[str]:
-        """Yield the text of a report, with the verdicts of these consumers, or of all."""
-        scan = self.first
-        if scan is None:
-            yield f"{leading(self.topic)}: no scans"
-        else:
-            frames = ", ".join(map(repr, self.frames[:_MAX_SHOWN])) + (", ..." if self.frames[_MAX_SHOWN:] else "")
-            rate = "" if self.interval_ns is None else f", {1e9 / self.interval_ns:.2f} Hz"
-            beams = f"{count_range(*self.beams)} beams"
-            yield f"{leading(self.topic)}: {counted(self.scans, 'scan')} of {beams}{rate}, in frame {frames}"
-            yield (
-                f"  angles {scan.angle_min:.6g} to {scan.angle_max:.6g} rad by {scan.angle_increment:.6g}, "
-                f"ranges {scan.range_min:.4g} to {scan.range_max:.4g} m"
-            )
-        yield ""
-        for consumer in self.consumers:
-            if not asked or consumer.consumer in asked:
-                yield from consumer.lines(self.scans)
-        for finding in self.findings:
-            yield from finding.lines()
-        yield ""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -280,7 +222,12 @@ def check(
         checked = []
         for name, (scans, places) in read.items():
             own = [tilted[frame] for frame in scans.frames if frame in tilted]
-            checked.append(_topic_check(name, scans, places, [*own, *shared]))
+            found = [*scans.findings(), *(places.findings(scans.interval_ns) if scans.scans else ())]
+            if any(each.kind == "clock" for each in found):
+                # This says more than that the stamps are far from the log times.
+                found = [each for each in found if each.kind != "stamps-far"]
+            found.sort(key=lambda finding: finding.level)
+            checked.append(scans.result(name, scans.interval_ns, [*own, *shared, *found]))
         damage = tuple(place for each in (reader, *others) for place in each.damage)
     return Check(tuple(map(str, sources)), asked, tuple(checked), (*transforms.warnings, *transforms.notes), damage)
 
@@ -317,28 +264,6 @@ def _read_scans(
         if meter is not None:
             meter.messages += 1
         scans, places = topics[message.connection.topic]
-        try:
-            scan = SCANS[message.connection.ros_type](message.connection.serialization, echo)(message.data)
-        except DecodeError as err:
-            scans.add_undecodable(message.log_time_ns, err.message)
-            continue
-        scans.add(scan, message.log_time_ns, places.add(scan.frame_id, scan.stamp_ns, message.log_time_ns))
+        scans.read(message, echo, places.add)
     if meter is not None:
         meter.finish()
-
-
-def _topic_check(name: str, scans: ScanTopic, places: ScanFrames, shared: Sequence[Finding]) -> TopicCheck:
-    own, missing = list(scans.findings()), list(places.findings(scans.interval_ns)) if scans.scans else []
-    if any(each.kind == "clock" for each in missing):
-        # This says more than that the stamps are far from the log times.
-        own = [each for each in own if each.kind != "stamps-far"]
-    return TopicCheck(
-        name,
-        scans.scans,
-        tuple(scans.frames),
-        (min(scans.beams, default=0), max(scans.beams, default=0)),
-        scans.interval_ns,
-        scans.first,
-        tuple(scans.consumers()),
-        (*shared, *sorted([*own, *missing], key=lambda finding: finding.level)),
-    )

@@ -13,6 +13,8 @@ from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, decode_pointcloud2
 from pc2scan.text import counted
 
+from .scan_topic import count_range
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
@@ -23,11 +25,6 @@ if TYPE_CHECKING:
     from pc2scan.result import Part
     from pc2scan.transforms.mounting import Mounting
     from pc2scan.transforms.placing import Placer
-
-
-def count_range(least: int, most: int) -> str:
-    """Return the smallest and the largest of some counts as text; one number if they are equal."""
-    return f"{least:,}" if least == most else f"{least:,} to {most:,}"
 
 
 @dataclass(slots=True)

@@ -43,7 +43,7 @@ from .edges import EDGE_NS
 from .lidar import HEADERS, Lidar, ask_facts, stamp_faults
 from .proposals import missing_mounts, odometry_doubts, proposals
 from .recording import spread_over
-from .scan_info import ScanInfo, ScanLook
+from .scan_topic import ScanTopic, TopicCheck
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -150,7 +150,7 @@ class Info(Result):
     messages: int
     topics: tuple[TopicInfo, ...]
     clouds: tuple[CloudInfo, ...] = field(default=())
-    scans: tuple[ScanInfo, ...] = field(default=())
+    scans: tuple[TopicCheck, ...] = field(default=())
     proposals: tuple[Call, ...] = field(default=())
     damage: tuple[Damage, ...] = field(default=())
     warnings: tuple[str, ...] = field(default=())
@@ -197,10 +197,17 @@ class Info(Result):
             ],
             left=("topic", "type", ""),
         )
-        described: list[CloudInfo | ScanInfo] = [*self.clouds, *self.scans]
-        for each in described:
+        for cloud in self.clouds:
             yield ""
-            yield from each.body()
+            yield from cloud.body()
+        for scans in self.scans:
+            yield ""
+            yield from scans.head()
+            yield from (text for finding in scans.findings for text in finding.lines())
+            for outcome in dict.fromkeys(each.outcome for each in scans.consumers):
+                names = (each.consumer for each in scans.consumers if each.outcome == outcome)
+                yield f"  {outcome:<10}{', '.join(names)}"
+            yield "  of a sample; pc2scan check explains why, and checks all scans and their transforms"
         if self.proposals:
             yield ""
             mountings = ((each.topic, each.mounting) for each in self.clouds if each.mounting and each.mounting.heights)
@@ -323,7 +330,14 @@ def info_of(
         shown = [topic for topic in topics if topic.topic in names and topic.msgtype in (*CLOUDS, *SCANS)]
         mountings, rates = found.mountings(), {topic.topic: topic.rate_hz for topic in shown}
         clouds = tuple(look.described(found.places, mountings.get(topic)) for topic, look in of_clouds.items())
-        scans = tuple(look.described(rates[topic]) for topic, look in of_scans.items())
+        scans = tuple(
+            each.result(
+                topic,
+                1e9 / rate if (rate := rates[topic]) else None,
+                (finding for finding in each.findings() if finding.kind == "undecodable"),
+            )
+            for topic, each in of_scans.items()
+        )
         warnings = [*log_times_of_centuries(reader.summary), *found.warnings]
         is_known = any(topic.msgtype in {*CLOUDS, *SCANS} for topic in topics)
         if not is_known and (instead := instead_of_clouds(reader.connections)):
@@ -620,13 +634,13 @@ def _described(topics: Sequence[TopicInfo], names: Sequence[str]) -> list[TopicI
 
 def _looks(
     survey: Survey, topics: Sequence[TopicInfo], samples: int, start_ns: int | None, end_ns: int | None
-) -> tuple[dict[str, CloudLook], dict[str, ScanLook]]:
+) -> tuple[dict[str, CloudLook], dict[str, ScanTopic]]:
     """Ask for samples of each topic, spread over the recording; return what collects their properties.
 
     A topic with clouds and scans counts as one of clouds.
     """
     clouds = {topic.topic: CloudLook(topic.topic) for topic in topics if topic.msgtype in CLOUDS}
-    scans = {topic.topic: ScanLook(topic.topic) for topic in topics if topic.topic not in clouds}
+    scans = {topic.topic: ScanTopic() for topic in topics if topic.topic not in clouds}
     if not topics or start_ns is None or end_ns is None:
         return {}, {}
     # The points are in memory until all topics have been read: of as many messages as there are, not as were asked for.
@@ -640,6 +654,6 @@ def _looks(
         if topic in clouds:
             observer.take, observer.keep = partial(clouds[topic].take, most), clouds[topic].add
         else:
-            observer.keep = scans[topic].add
+            observer.keep = scans[topic].read
         survey.observers.append(observer)
     return clouds, scans

@@ -15,16 +15,18 @@ from pc2scan.core.consumers import CONSUMERS, has_angles, judge
 from pc2scan.core.layout import TURN
 from pc2scan.core.timing import IN_SECONDS, increment_doubt
 from pc2scan.core.verdicts import OUTCOMES, ConsumerScan, Outcome, ScanTransforms, Verdict, are_returns
-from pc2scan.errors import stamp_text
+from pc2scan.errors import DecodeError, leading, stamp_text
+from pc2scan.messages.clouds import SCANS
 from pc2scan.messages.laserscan import scan_for_consumers
 from pc2scan.text import agreeing, counted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from numpy.typing import NDArray
 
     from pc2scan.messages.laserscan import LaserScan
+    from pc2scan.model import RawMessage
 
 #: ``defect``: violates the definition of the message, or makes scans useless. ``notice``: worth knowing.
 Level = Literal["defect", "notice"]
@@ -73,6 +75,9 @@ _BACK = "SLAM mixes such scans up; pc2scan convert `stamps=log` takes the log ti
 
 #: Scans in more frames than this do not count for parts of a turn.
 _MOST_FRAMES = 100
+
+#: How many frames are shown as text.
+_MAX_SHOWN = 5
 
 #: What is counted scan by scan: a verb that agrees with the count, the problem, and what the user can do.
 _EACH_SCAN: dict[str, tuple[str, str, str]] = {
@@ -190,6 +195,69 @@ class ConsumerCheck:
             yield f"      cure  {verdict.cure}"
 
 
+@dataclass(frozen=True, slots=True)
+class TopicCheck:
+    """The result of one topic.
+
+    Attributes
+    ----------
+    scans
+        How many were decoded.
+    frames
+        All ``frame_id`` of the scans.
+    beams
+        The smallest and the largest number of beams.
+    interval_ns
+        Median of the intervals between stamps, to one percent; None for fewer than two scans.
+    first
+        The first scan; None without any.
+    consumers
+        What each consumer does, in the order of `pc2scan.core.consumers.CONSUMERS`; empty without scans.
+    findings
+        Problems for all consumers, the defects first.
+    """
+
+    topic: str
+    scans: int
+    frames: tuple[str, ...]
+    beams: tuple[int, int]
+    interval_ns: float | None
+    first: ConsumerScan | None
+    consumers: tuple[ConsumerCheck, ...]
+    findings: tuple[Finding, ...]
+
+    def head(self) -> Iterator[str]:
+        """Yield what the scans are."""
+        scan = self.first
+        if scan is None:
+            yield f"{leading(self.topic)}: no scans"
+        else:
+            frames = ", ".join(map(repr, self.frames[:_MAX_SHOWN])) + (", ..." if self.frames[_MAX_SHOWN:] else "")
+            rate = "" if self.interval_ns is None else f", {1e9 / self.interval_ns:.2f} Hz"
+            beams = f"{count_range(*self.beams)} beams"
+            yield f"{leading(self.topic)}: {counted(self.scans, 'scan')} of {beams}{rate}, in frame {frames}"
+            yield (
+                f"  angles {scan.angle_min:.6g} to {scan.angle_max:.6g} rad by {scan.angle_increment:.6g}, "
+                f"ranges {scan.range_min:.4g} to {scan.range_max:.4g} m"
+            )
+
+    def lines(self, asked: tuple[str, ...]) -> Iterator[str]:
+        """Yield the text of a report, with the verdicts of these consumers, or of all."""
+        yield from self.head()
+        yield ""
+        for consumer in self.consumers:
+            if not asked or consumer.consumer in asked:
+                yield from consumer.lines(self.scans)
+        for finding in self.findings:
+            yield from finding.lines()
+        yield ""
+
+
+def count_range(least: int, most: int) -> str:
+    """Return the smallest and the largest of some counts as text; one number if they are equal."""
+    return f"{least:,}" if least == most else f"{least:,} to {most:,}"
+
+
 def few_unplaced(unplaced: int, scans: int, interval_ns: float | None) -> bool:
     """Whether so many scans without a transform are usual in a sound recording.
 
@@ -234,13 +302,22 @@ class ScanTopic:
         self._stamps = _Stamps()
         self._sectors = _Sectors()
 
-    def add_undecodable(self, log_time_ns: int, reason: str) -> None:
-        """Count a message that cannot be decoded; its log time is used as its stamp."""
-        self._undecodable.add(log_time_ns)
-        self._reason = self._reason or reason
+    def read(
+        self,
+        message: RawMessage,
+        echo: str = "first",
+        place: Callable[[str, int, int], ScanTransforms] = lambda *_: ScanTransforms(),
+    ) -> None:
+        """Add the next message; ``place`` returns the transforms of a frame at a stamp and a log time."""
+        try:
+            scan = SCANS[message.connection.ros_type](message.connection.serialization, echo)(message.data)
+        except DecodeError as err:
+            self._undecodable.add(message.log_time_ns)
+            self._reason = self._reason or err.message
+        else:
+            self._add(scan, message.log_time_ns, place(scan.frame_id, scan.stamp_ns, message.log_time_ns))
 
-    def add(self, message: LaserScan, log_time_ns: int, placed: ScanTransforms) -> None:
-        """Add the next scan."""
+    def _add(self, message: LaserScan, log_time_ns: int, placed: ScanTransforms) -> None:
         stamp_ns, frame = message.stamp_ns, message.frame_id
         scan = scan_for_consumers(message)
         self.scans += 1
@@ -286,7 +363,13 @@ class ScanTopic:
         """The median of the intervals between stamps; None if there are none."""
         return self._stamps.interval_ns
 
-    def consumers(self) -> Iterator[ConsumerCheck]:
+    def result(self, name: str, interval_ns: float | None, findings: Iterable[Finding]) -> TopicCheck:
+        """Return the result of a topic of this name, with these findings."""
+        beams = min(self.beams, default=0), max(self.beams, default=0)
+        frames, consumers = tuple(self.frames), tuple(self._consumers())
+        return TopicCheck(name, self.scans, frames, beams, interval_ns, self.first, consumers, tuple(findings))
+
+    def _consumers(self) -> Iterator[ConsumerCheck]:
         """Yield the worst verdict of each consumer.
 
         A few missing transforms do not count, see `few_unplaced`. Problems of the scans themselves come first.
