@@ -1,26 +1,20 @@
 """Long recordings, of which the disk holds little: the points of a cloud are holes of a sparse file but for the first.
 
 A hole is read as zeros: points at the origin, which are no returns. All else is as recorders write it: chunks, their
-indexes and checksums, and the summary. What points cost is measured with shorter recordings of scanned ones. Run it
-with ``python tests/benchmarks/long.py`` to print memory and time.
+indexes and checksums, and the summary.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import re
 import struct
 import subprocess
 import sys
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 from unittest import mock
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.clouds import POINT_BYTES, serialized_clouds
 from pc2scan.bags.destinations import open_writer, plan_destination
@@ -32,6 +26,7 @@ from support.builders import IMU, TF, imu_message, transforms, typestore
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Sequence
+    from pathlib import Path
 
     from pc2scan.model import Buffer
 
@@ -54,27 +49,14 @@ class Long:
         How many clouds it has, each of about so many points of 32 bytes.
     compression
         ``none`` for a sparse file.
-    quiet
-        For how many clouds at the beginning the lidar is off.
-    others
-        Whether it has transforms and an IMU.
     joints
         How many frames move besides the robot, each as often.
-    scanned
-        Whether all points are what a lidar would measure, which takes the room of a usual recording.
     """
 
     clouds: int
     points: int = 131_072
     compression: str = "none"
-    quiet: int = 0
-    others: bool = True
     joints: int = 0
-    scanned: bool = False
-
-    def times(self, size: float) -> Long:
-        """Return a recording that is so many times as long."""
-        return replace(self, clouds=round(self.clouds * size), quiet=round(self.quiet * size))
 
     def write(self, path: Path) -> Path:
         """Write it; the name says the format: a folder has a database."""
@@ -93,11 +75,10 @@ class Long:
             writer.add_connection(Connection(0, topic, kind, serialization, *_definition(kind, version)))
             for topic, kind in topics.items()
         )
-        scans = list(map(bytearray, serialized_clouds(serialization, self.points, 4 if self.scanned else 1)))
-        if not self.scanned:
-            # Behind its points, a cloud has one more byte, in CDR or without.
-            hole = (self.points - _REAL_POINTS) * POINT_BYTES
-            scans[0][-1 - hole : -1] = bytes(hole)
+        cloud = bytearray(serialized_clouds(serialization, self.points, 1)[0])
+        # Behind its points, a cloud has one more byte, in CDR or without.
+        hole = (self.points - _REAL_POINTS) * POINT_BYTES
+        cloud[-1 - hole : -1] = bytes(hole)
         moving = [("odom", "base_link"), *(("base_link", f"joint_{number}") for number in range(self.joints))]
         pose = bytearray(transforms([(*pair, _ANY_NS, (1.0, 0.0, 0.0)) for pair in moving], version))
         stamps = [each.start() for each in re.finditer(re.escape(_STAMP.pack(*divmod(_ANY_NS, 1_000_000_000))), pose)]
@@ -109,15 +90,13 @@ class Long:
         for number in range(self.clouds * 10):
             now = BEGIN_NS + number * TICK_NS
             stamp = divmod(now, 1_000_000_000)
-            if self.others:
-                for at in stamps:
-                    _STAMP.pack_into(pose, at, *stamp)
-                write(tf, now, poses, now, number)
-                for half in (now + 1_000_000, now + 6_000_000):
-                    _STAMP.pack_into(turn, 4, *divmod(half, 1_000_000_000))
-                    write(imu, half, turns, half, number)
-            if number % 10 == 0 and number >= 10 * self.quiet:
-                cloud = scans[number // 10 % len(scans)]
+            for at in stamps:
+                _STAMP.pack_into(pose, at, *stamp)
+            write(tf, now, poses, now, number)
+            for half in (now + 1_000_000, now + 6_000_000):
+                _STAMP.pack_into(turn, 4, *divmod(half, 1_000_000_000))
+                write(imu, half, turns, half, number)
+            if number % 10 == 0:
                 _STAMP.pack_into(cloud, 4, *stamp)
                 write(points, now + 7_000_000, memoryview(cloud), now + 7_000_000, number)
         writer.finish()
@@ -173,54 +152,3 @@ def measured(words: Sequence[str | Path]) -> tuple[int, float]:
     )
     peak, seconds = done.stderr.splitlines()[-1].split()
     return int(peak), float(seconds)
-
-
-#: Clouds in a gigabyte.
-_CLOUDS = 238
-
-_RECORDINGS = {
-    "MCAP, none": ("long.mcap", Long(_CLOUDS)),
-    "MCAP, zstd": ("long.mcap", Long(_CLOUDS, compression="zstd")),
-    "ROS 1, none": ("long.bag", Long(_CLOUDS)),
-    "MCAP, lz4": ("long.mcap", Long(_CLOUDS, compression="lz4")),
-    "MCAP, none, clouds of 1 MB": ("long.mcap", Long(4 * _CLOUDS, points=32_768)),
-}
-
-_CONVERT = ("convert", "--min-height", "-2", "--overwrite")
-_COMMANDS = {
-    "`convert`, 1 job": (*_CONVERT, "--jobs", "1"),
-    "`convert`, 2 jobs": (*_CONVERT, "--jobs", "2"),
-    "`convert --target-frame base_link`, 2 jobs": (*_CONVERT, "--target-frame", "base_link", "--jobs", "2"),
-    "`info`": ("info",),
-}
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--gb", type=int, nargs="*", default=[1, 10, 100], help="sizes (default: 1 10 100)")
-    parser.add_argument("--folder", type=Path, help="where the recordings are written meanwhile")
-    asked = parser.parse_args()
-    # As the command does: else half of the time of lz4 is spent on pages of memory that malloc gives back.
-    with TemporaryDirectory(dir=asked.folder) as folder:
-        _print_memory(Path(folder), asked.gb)
-
-
-def _print_memory(folder: Path, sizes: Sequence[int]) -> None:
-    columns = [f"{size} GB" for size in sizes]
-    print("| recording | command |", " | ".join(columns), "|")  # noqa: T201  # what it prints is what it is for
-    print("|---|---" + "|---:" * len(columns) + "|")  # noqa: T201
-    for form, (name, short) in _RECORDINGS.items():
-        cells: dict[str, list[str]] = {command: [] for command in _COMMANDS}
-        for size in sizes:
-            source = short.times(size).write(folder / name)
-            for command, words in _COMMANDS.items():
-                further: list[str | Path] = ["-o", folder / "scans.mcap"] if words[0] == "convert" else []
-                peak, seconds = measured([*words, source, *further])
-                cells[command].append(f"{peak / 1024:.0f} MB, {seconds:.1f} s")
-            source.unlink()
-        for command, own in cells.items():
-            print(f"| {form} | {command} |", " | ".join(own), "|", flush=True)  # noqa: T201
-
-
-if __name__ == "__main__":
-    main()

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 _HERE = Path(__file__).parent
-_KINDS = [f"{name}{before}" for before in ("", "+over") for name in CASES]
+_KINDS = ["bag", "mcap+over", "rosbag2+over", "sqlite3"]
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 HALL = ROOT / "fixtures" / "hall.bag"
 NEAR = ("--range-max", "4", "--min-height", "-0.3", "-p", "use_inf:=false")
-EPSILONS = ["-1", "0", "-0.5", "-4", "-9", "1", "1e300", "-1e300", "inf", "-inf"]
+EPSILONS = ["-1", "0", "1", "-inf"]
 
 
 def ranges_of(folder: Path, *options: str, source: Path = HALL) -> NDArray[np.float32]:
@@ -30,7 +30,7 @@ def ranges_of(folder: Path, *options: str, source: Path = HALL) -> NDArray[np.fl
         return np.stack([scan.ranges for scan in scans])
 
 
-@pytest.mark.parametrize("epsilon", sampled(EPSILONS, 2))
+@pytest.mark.parametrize("epsilon", sampled(EPSILONS, 1))
 @pytest.mark.parametrize(
     "options",
     [
