@@ -196,7 +196,8 @@ def _tried(options: Mapping[str, Any], group: Sequence[Lidar], summary: Summary)
     """Return options that a command lacks by a trial of it, and what it would be told with them."""
     grounds: dict[str, list[NDArray[np.bool_]]] = {}
     trial = _worst([tried(options, each, summary, grounds) for each in group])
-    if trial.on_ground <= _MOST_GROUND:
+    # Wide beams read several surfaces.
+    if trial.on_ground <= (_STILL_ON if any(each.pattern.degrees for each in group) else _MOST_GROUND):
         return [], trial.findings
     why = f"the ground rises: {trial.on_ground:.0%} of the returns are on it"
     steep = Choice("min_height_slope", math.ceil(100 * trial.slope + 0.5) / 100, why)

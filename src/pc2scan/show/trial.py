@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -16,7 +17,8 @@ from pc2scan.conversion.stages import PlaceStage
 from pc2scan.core.percentiles import percentiles
 from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid
-from pc2scan.core.scene import CloudSample, Ground, cells_of, level_floor, on_rising_plane, thin_points
+from pc2scan.core.rule import PointCounts
+from pc2scan.core.scene import CloudSample, find_ground, on_rising_plane, thin_points
 from pc2scan.core.terrain import on_ground
 from pc2scan.errors import Pc2ScanError
 from pc2scan.options.call import Options
@@ -92,22 +94,18 @@ def tried(
         if is_placed:
             clouds = [lidar.in_target(each).T for each in clouds]
         if spec.level:
+            clouds = [np.concatenate(clouds, axis=1)] if merges else clouds
             clouds = [level.T for each in clouds if (level := _levelled(each.T)) is not None]
         if not clouds:
             return Trial(findings=tuple(findings))
-        made = _scans(spec, lidar, clouds, is_placed=is_placed)
+        scans, first = _scans(spec, lidar, clouds, is_placed=is_placed, merges=merges)
     except Pc2ScanError as err:
         return Trial(findings=(str(err),))
     if not is_placed:
         known = KnownTransforms("", lambda: lidar.buffer, lidar.buffer if spec.needs_transforms else None)
-        findings += judge(lidar.topic, spec, [each.cloud for each in made], known).warnings
-    if lidar.pattern.degrees:
-        # So few points show no ground.
-        return Trial(findings=tuple(findings))
-    scans = [each.ranges for each in made]
+        findings += judge(lidar.topic, spec, first, known).warnings
     if merges:
         clouds = [np.concatenate(clouds, axis=1)]
-        scans = [np.min(scans, axis=0)]
     placed = clouds if is_placed else [lidar.in_target(points).T for points in clouds]
     floor = lidar.mounting.heights.floor if lidar.mounting.heights is not None else None
     if lidar.topic not in grounds:
@@ -116,8 +114,8 @@ def tried(
     above = [points[:, ~ground] for points, ground in zip(clouds, low, strict=True)]
     # What stands on rising ground is higher than the heights of the scans.
     taller = replace(spec.params, max_height=spec.params.max_height + _TALLER)
-    standing = _scans(replace(spec, params=taller, filters=()), lidar, above, is_placed=is_placed)
-    scan, stand = np.concatenate(scans), np.concatenate([each.ranges for each in standing])
+    standing, _ = _scans(replace(spec, params=taller, filters=()), lidar, above, is_placed=is_placed, merges=merges)
+    scan, stand = np.concatenate(scans), np.concatenate(standing)
     returns = np.isfinite(scan)
     on_ground_share = (returns & ~(scan > stand - _OFF)).sum() / max(returns.sum(), 1)
     with np.errstate(invalid="ignore"):
@@ -139,36 +137,43 @@ def _slope(ground: NDArray[np.floating[Any]], low: float) -> float:
 def _levelled(points: NDArray[np.floating[Any]]) -> NDArray[np.float64] | None:
     """Return points, (N, 3), of a robot that tilts as if it did not, by their floor; None if none is visible."""
     above = points - (0.0, 0.0, _ABOVE)
-    floor = level_floor(cells_of(thin_points(*above.T)))
-    if floor is None:
+    ground = find_ground(thin_points(*above.T))
+    if ground.kind != "level" or ground.up is None:
         return None
-    roll, pitch, _ = Ground("level", floor.up, floor.height).level_from_frame
+    roll, pitch, _ = ground.level_from_frame
     level = Rigid.from_rpy(roll, pitch, 0.0, (0.0, 0.0, _ABOVE))
     return np.asarray(level.apply(above))
 
 
-class _Scan(NamedTuple):
-    """The ranges of a cloud's scan, infinite without a return, and what the checks of first clouds read of it."""
+def _scans(
+    spec: ScanSpec, lidar: Lidar, clouds: Sequence[NDArray[Any]], *, is_placed: bool, merges: bool
+) -> tuple[list[NDArray[np.float64]], list[FirstCloud]]:
+    """Return the ranges of each cloud's scan, infinite without a return, and what the checks of first clouds read.
 
-    ranges: NDArray[np.float64]
-    cloud: FirstCloud
-
-
-def _scans(spec: ScanSpec, lidar: Lidar, clouds: Sequence[NDArray[Any]], *, is_placed: bool) -> list[_Scan]:
-    """Return the scan of each cloud, which is in its own frame, or placed in that of the scans."""
+    The clouds are in their own frame, or placed in that of the scans; they may make one scan together.
+    """
     params, frame = spec.params, lidar.target if is_placed else lidar.mounting.judged_in
     placer = Placer() if is_placed else Placer(params.target_frame, "", lidar.buffer)
     filters = [each for each in spec.filters if not is_placed or each.name in {"ground", "min_height_slope"}]
     measured = {lidar.topic: Measurements(0.0, azimuth_step=lidar.step or 0.0)}
     steps = CloudToScan(replace(spec, filters=tuple(filters)), placer, measured).steps(lidar.topic)
-    found: list[_Scan] = []
-    for xyz in clouds:
+    whole = [Points(0, 0, frame, dict(zip("xyz", xyz, strict=True))) for xyz in clouds]
+    chosen = [PlaceStage(placer)(points) for points in whole]
+    if steps.select is not None:
+        chosen = [steps.select(each) for each in chosen]
+    if merges:
+        rejected = sum((Counter(each.rejected) for each in chosen), Counter())
+        xyz = [np.concatenate([each.points.field(axis).ravel() for each in chosen]) for axis in "xyz"]
         points = Points(0, 0, frame, dict(zip("xyz", xyz, strict=True)))
-        placed = PlaceStage(placer)(points)
-        made = steps.project(placed if steps.select is None else steps.select(placed))
-        ranges = made.message.ranges.astype(np.float64)
-        ranges[~((ranges >= params.range_min) & (ranges <= params.range_max))] = np.inf
-        place = placer.place(frame, 0)
-        sample = CloudSample.of(points).placed_in(place.frame_id, place.target_from_source)
-        found.append(_Scan(ranges, FirstCloud(sample, made.counts)))
-    return found
+        chosen = [replace(chosen[0], points=points, rejected=rejected)]
+    ranges: list[NDArray[np.float64]] = []
+    counts = [PointCounts()] * len(whole)
+    for number, each in enumerate(chosen):
+        made = steps.project(each)
+        read = made.message.ranges.astype(np.float64)
+        read[~((read >= params.range_min) & (read <= params.range_max))] = np.inf
+        ranges.append(read)
+        counts[number] = made.counts
+    place = placer.place(frame, 0)
+    samples = [CloudSample.of(points).placed_in(place.frame_id, place.target_from_source) for points in whole]
+    return ranges, [FirstCloud(*both) for both in zip(samples, counts, strict=True)]
