@@ -1,11 +1,10 @@
-"""Shell completion of presets and choices, and of the topics and frames of the recording that was typed.
+"""Shell completion of choices, and of the topics and frames of the recording that was typed.
 
 A shell waits for it at each Tab. So it takes at most a second, and offers nothing if anything goes wrong.
 """
 
 from __future__ import annotations
 
-import itertools
 import os
 import shlex
 import signal
@@ -13,8 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.options.table import GROUPS, options_of
-from pc2scan.options.values import PathName
+from pc2scan.errors import Pc2ScanError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -30,42 +28,26 @@ class _TooLateError(Exception):
 def offered(offers: Sequence[str], incomplete: str) -> list[str]:
     """Return what the shell offers: see `pc2scan.options.values.Value.offers`; or ``words`` and the words."""
     kind, *words = offers
-    if kind == "topics":
-        return _topics(words, incomplete)
-    if kind == "frames":
-        return frames(incomplete)
-    return [word for word in words if word.startswith(incomplete)]
-
-
-def _topics(endings: Sequence[str], incomplete: str) -> list[str]:
-    """Offer the topics of the typed recordings whose type ends with one of these; without any, all topics."""
-    found: set[str] = set()
+    found = set(words if kind == "words" else ())
     with _patiently():
-        from pc2scan.show.naming import topics_in
+        for path in () if kind == "words" else _typed():
+            from pc2scan.show.naming import frames_in, topics_in
 
-        found.update(topics_in(_typed(), tuple(endings)))
-    return _fitting(found, incomplete)
-
-
-def frames(incomplete: str) -> list[str]:
-    """Offer the frames that have transforms in the recordings that were typed."""
-    found: set[str] = set()
-    with _patiently():
-        from pc2scan.show.naming import frames_in
-
-        # Added one by one, so that those found within the time limit are offered.
-        for name in frames_in(_typed()):
-            found.add(name)
-    return _fitting(found, incomplete)
-
-
-def _fitting(found: set[str], incomplete: str) -> list[str]:
+            with suppress(Pc2ScanError):
+                # Added one by one, so that those found within the time limit are offered.
+                for name in frames_in([path]) if kind == "frames" else topics_in([path], tuple(words)):
+                    found.add(name)
     # Names with control characters are not offered: the shell would send them to the terminal unescaped.
     return sorted(name for name in found if name.startswith(incomplete) and name.isprintable())
 
 
+def frames(incomplete: str) -> list[str]:
+    """Offer the frames that have transforms in the recordings that were typed."""
+    return offered(("frames",), incomplete)
+
+
 def _typed() -> list[Path]:
-    """Return the recordings on the command line.
+    """Return the files on the command line; those that are no recordings have no names.
 
     They are read from the words of the shell, because Typer's parser has no arguments while an option has no value yet.
     """
@@ -74,22 +56,7 @@ def _typed() -> list[Path]:
         words = shlex.split(line)
     except ValueError:  # a quotation that is still open
         words = line.split()
-    pairs = itertools.pairwise(words[1:])
-    others = {"-o", "--output", *(option.spelling for option in _file_options(words[1:2]))}
-    return [
-        Path(word)
-        for before, word in pairs
-        if not word.startswith("-") and before not in others and os.path.exists(word)  # noqa: PTH110
-    ]
-
-
-def _file_options(command: list[str]) -> Iterator[Any]:
-    """Yield the options of a command that take files other than recordings."""
-    for name in command:
-        if name in GROUPS:
-            for option in options_of(name).values():
-                if isinstance(option.value, PathName) and not option.value.is_recording:
-                    yield option
+    return [Path(word) for word in words[2:] if not word.startswith("-") and os.path.exists(word)]  # noqa: PTH110
 
 
 @contextmanager

@@ -54,12 +54,8 @@ def help_of(command: str, *, every: bool = False) -> Iterator[str]:
     positional = [argument for argument in shown.arguments if not argument.spellings]
     yield " ".join(("Usage: pc2scan", command, "[OPTIONS]", *(argument.metavar for argument in positional)))
     yield ""
-    beside = [f"  {typed}  # {what}" for typed, what in shown.examples]
-    if max(map(len, beside)) <= width:
-        yield from beside
-    else:
-        for typed, what in shown.examples:
-            yield from (f"  # {what}", f"  {typed}")
+    for typed, what in shown.examples:
+        yield from (f"  # {what}", f"  {typed}")
     yield from _paragraphs(shown.help, width)
     short = has_more(command) and not every
     sections = {"Arguments": [_row_of_own(argument) for argument in positional]}

@@ -27,7 +27,7 @@ from .option import (
     group,
 )
 from .running import MAX_JOBS
-from .values import Count, Function, Moments, Number, Recording, Switch, Texts, Tolerances
+from .values import Count, Function, Moments, Number, PathName, Switch, Texts, Tolerances
 
 
 @group(Section.EXPORT, Scope.CALL_ONLY)
@@ -274,7 +274,7 @@ class GoldenCases(TypedDict, total=False):
         "Write the expected output of cases that differ or have none; review the changes.",
         How(panel=""),
     ]
-    init: Annotated[Path | None, Recording("SRC"), "Make a new case of this recording, in DIR."]
+    init: Annotated[Path | None, PathName("SRC"), "Make a new case of this recording, in DIR."]
     start: Annotated[When, "With `init`: where the input begins, as in convert."]
     end: Annotated[When, "With `init`: where it ends."]
     topics: Annotated[

@@ -201,18 +201,11 @@ class ChannelNames(Texts):
 
 
 class PathName(Value):
-    """A path: `str` or `pathlib.Path`. In a file, it is relative to this file.
-
-    Attributes
-    ----------
-    is_recording
-        Whether it is that of a recording.
-    """
+    """A path: `str` or `pathlib.Path`. In a file, it is relative to this file."""
 
     metavar = "FILE"
     usual = "a path"
     is_text = True
-    is_recording = False
 
     def read(self, name: str, value: Any) -> Any:
         """Return the path."""
@@ -223,13 +216,7 @@ class PathName(Value):
         return True
 
 
-class Recording(PathName):
-    """The path of a recording."""
-
-    is_recording = True
-
-
-class Recordings(Recording):
+class Recordings(PathName):
     """The paths of one recording, or of several."""
 
     usual = "a path or a list of paths"
