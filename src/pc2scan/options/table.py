@@ -189,36 +189,15 @@ def instead_of(command: str, name: str) -> str:
     if command in ("view", "plot") and name in conversion.CloudCombination.__annotations__:
         return "pages and figures make each scan of one cloud; convert with this option, and use what it writes"
     if "convert" in others and command in ("export", "map", "plot", "scans", "view"):
-        of_recordings = any(name in group.__annotations__ for group in _OF_RECORDINGS)
-        why = f"because {command} writes no recording" if of_recordings else "here"
-        return f"it would have no effect{',' if of_recordings else ''} {why}; convert has it"
+        return "it would have no effect here; convert has it"
     return f"only {', '.join(others[:3])} {'has' if len(others) == 1 else 'have'} it"
-
-
-#: What is about a recording that is written.
-_OF_RECORDINGS: tuple[Any, ...] = (
-    conversion.OtherTopics,
-    conversion.FailureConditions,
-    running.Container,
-    conversion.CloudContent,
-    running.DryRun,
-    running.RunReport,
-)
 
 
 def options_about_scans() -> set[str]:
     """Return the options of a conversion that say which scans are made, and how."""
-    groups = (
-        conversion.SourceTopics,
-        projection.ParameterSources,
-        projection.SeveralOutputs,
-        projection.Projection,
-        conversion.PointSelection,
-        conversion.RobotMotion,
-        conversion.CloudCombination,
-    )
-    names = {name for group in (*groups, conversion.CloudContent) for name in group.__annotations__}
-    return names | {"keep_used", "min_used", "only_scans"}
+    of_outputs = (Scope.ONE_OUTPUT, Scope.SINGLE)
+    names = {name for name, option in options_of("convert").items() if option.scope in of_outputs}
+    return names | {"scans", "param", "min_used", "only_scans"}
 
 
 def conversion_options() -> Mapping[str, Option]:
