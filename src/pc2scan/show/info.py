@@ -20,7 +20,6 @@ from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics
 from pc2scan.conversion.cloud_scale import scaled
 from pc2scan.core.params import ProjectionParams
-from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import UsageError, leading
 from pc2scan.messages.clouds import CLOUDS, SCANS, usual_topics
 from pc2scan.messages.imu import IMU
@@ -61,9 +60,6 @@ if TYPE_CHECKING:
 #: How many of the first messages of an IMU are read.
 _MAX_IMU = 1_000
 
-#: A topic was recorded all the time if its messages, at the rate of the first ones, take this share of the recording.
-_THROUGHOUT = 0.8
-
 #: At how many times, spread over the recording, the motion of the robot is looked at.
 _MOMENTS = 8
 
@@ -102,8 +98,7 @@ class TopicInfo:
     connections
         Publishers: ROS 1 connections, MCAP channels.
     rate_hz
-        Messages without the first, divided by the duration of the recording; of clouds and scans that were not
-        recorded all the time, the rate of the first ones. None for fewer than two.
+        Messages without the first, divided by the duration of the recording. None for fewer than two.
     """
 
     topic: str
@@ -326,8 +321,6 @@ def info_of(
         places = Placer(target_frame, asked.source_frame, None, ProjectionParams().tolerance_ns)
         reads_all = bool(target_frame or others or asked.adds_poses)
         found = _Surveyed(survey, connections, imus, end_ns, places, reads_all=reads_all)
-        topics = [_with_own_rate(topic, found.facts, start_ns, end_ns) for topic in topics]
-        shown = [topic for topic in topics if topic.topic in names and topic.msgtype in (*CLOUDS, *SCANS)]
         mountings, rates = found.mountings(), {topic.topic: topic.rate_hz for topic in shown}
         clouds = tuple(look.described(found.places, mountings.get(topic)) for topic, look in of_clouds.items())
         scans = tuple(
@@ -343,7 +336,6 @@ def info_of(
         if not is_known and (instead := instead_of_clouds(reader.connections)):
             warnings.append(f"the recording has no clouds, but {instead[0]}; {instead[1]}")
         warnings += (each.mounting.warning for each in clouds if each.mounting and each.mounting.warning)
-        seconds = {each.topic: (each.messages - 1) / each.rate_hz if each.rate_hz else 0.0 for each in shown}
         on_robot = {each.topic: found.on_robot(each.mounting) for each in clouds if each.mounting is not None}
         lidars = [
             Lidar(
@@ -355,7 +347,7 @@ def info_of(
                 if on_robot[each.topic] is each.mounting and not found.registered(each.mounting.frame)
                 else (),
                 bool(each.zero_share),
-                seconds[each.topic],
+                ((end_ns or 0) - (start_ns or 0)) / 1e9,
                 (start_ns or 0, end_ns if found.knows_end else None),
             )
             for each in clouds
@@ -561,19 +553,6 @@ class _Surveyed:
             self.places._replace(target_frame=body, buffer=self.buffer), self.buffer, moved=False
         )
         return own if there is None or not there.fault else there
-
-
-def _with_own_rate(
-    topic: TopicInfo, facts: Mapping[str, TopicFacts], start_ns: int | None, end_ns: int | None
-) -> TopicInfo:
-    """Return a topic with the rate of its first messages, if it was not recorded all the time."""
-    own = facts.get(topic.topic)
-    if own is None or topic.rate_hz is None or topic.msgtype not in {each.ros_type for each in own.connections}:
-        return topic
-    period_ns = median_interval_ns(each.log_time_ns for each in own.headers)
-    if period_ns is None or (topic.messages - 1) * period_ns >= _THROUGHOUT * ((end_ns or 0) - (start_ns or 0)):
-        return topic
-    return replace(topic, rate_hz=1e9 / period_ns)
 
 
 def _message_counts(reader: Reader) -> tuple[Counter[int], int | None, int | None]:
