@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -125,13 +124,7 @@ class Speckles:
     @property
     def remedy(self) -> str:
         """What to type if it removes too many returns."""
-        milder = dataclasses.asdict(self) | {"max_range_difference": 2 * self.max_range_difference}
-        given = (
-            f"{each.name}={str(value).removesuffix('.0')}"
-            for each in fields(self)
-            if (value := milder[each.name]) != each.default
-        )
-        return f"`remove='{self.name} {' '.join(given)}'` removes fewer"
+        return f"`max_range_difference={2 * self.max_range_difference:g}` of the speckles removes fewer"
 
 
 BeamFilter = Shadows | Speckles
@@ -179,17 +172,9 @@ def beam_filter(text: str) -> BeamFilter:
 
 def _read_value(name: str, key: str, value: str, known: object) -> object:
     """Return a value of the same type as a known one."""
+    kind = type(known)
     try:
-        if isinstance(known, bool):
-            return _TRUE[value.lower()]
-        if isinstance(known, int):
-            return int(value)
-        if isinstance(known, float):
-            number = float(value)
-            if math.isnan(number):
-                raise ValueError(value)
-            return number
+        return _TRUE[value.lower()] if isinstance(known, bool) else kind(value)  # type: ignore[call-arg]
     except (KeyError, ValueError):
-        kind = "true or false" if isinstance(known, bool) else "a number"
-        raise UsageError(f"`remove`: {key} of {name} is {value!r}, it must be {kind}") from None
-    return value
+        expected = "true or false" if isinstance(known, bool) else "a number"
+        raise UsageError(f"`remove`: {key} of {name} is {value!r}, it must be {expected}") from None
