@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from pc2scan.advice.clocks import Clocks, are_doubtful, moving
+from pc2scan.advice.clocks import Clocks, are_doubtful, measure_offsets, moving
 from pc2scan.advice.survey import Span, Survey
 from pc2scan.bags.opening import open_recording
 from pc2scan.transforms.placing import FrameOptions
@@ -45,3 +45,20 @@ def test_a_slow_driver_is_not_another_clock() -> None:
     assert are_doubtful(-150 * MILLISECOND, 0)
     assert not are_doubtful(-10 * MILLISECOND, 100 * MILLISECOND)
     assert not are_doubtful(-7_000 * MILLISECOND, -6_700 * MILLISECOND)
+
+
+@pytest.mark.parametrize(
+    ("lidar", "low", "high"),
+    [
+        # That of the message that was logged soonest: a driver is late, and never early.
+        (replace(LIDAR, clock=-37.0, jitter=0.4), 36.99, 37.02),
+        # Times of points in another unit: a cloud takes a second at most.
+        (replace(LIDAR, clock=-37.0, time_scale=1000.0), 36.0, 37.0),
+    ],
+)
+def test_an_offset_is_that_of_the_soonest_message(lidar: Lidar, low: float, high: float, tmp_path: Path) -> None:
+    path = write_world(tmp_path / "w.mcap", [lidar], seconds=2)
+    with closing(open_recording(path)) as reader:
+        own = [each for each in reader.connections if each.topic == "/points"]
+        found = measure_offsets(reader, {"/points": own}, (), Span(None, None, BEGIN_NS))
+    assert low * 1e9 <= found["/points"].offset_ns <= high * 1e9

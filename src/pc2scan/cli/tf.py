@@ -33,9 +33,9 @@ def tf(sources: list[Path], lookup: tuple[str, str] | None, at: str | None, *, o
         place, rotation = rigid.translation.tolist(), rigid.quaternion.tolist()
         found = Lookup(lookup[0], lookup[1], stamp_ns or None, place, rotation, rigid.rpy, tree.damage)
         show(found, as_json=options.as_json)
-    else:
-        show(tree, as_json=options.as_json)
-    return 0
+        return found.exit_status
+    show(tree, as_json=options.as_json)
+    return tree.exit_status
 
 
 #: Times below this, in nanoseconds since 1970 (1973), are probably meant to count from a recording's beginning.

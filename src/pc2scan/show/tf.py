@@ -91,11 +91,6 @@ class FrameTree(Result):
     def __repr__(self) -> str:
         return f"<FrameTree of {len(self.frames)} transforms in {len(self.trees)} trees>"
 
-    @property
-    def exit_status(self) -> int:
-        """The exit status of the command: 0."""
-        return 0
-
     def body(self, *, verbose: bool = False) -> Iterator[Part]:
         """Yield a drawing of each tree, and the table of frames."""
         if not self.frames:
@@ -165,11 +160,6 @@ class Lookup(Result):
     rotation: list[float]
     rpy: tuple[float, float, float]
     damage: tuple[Damage, ...] = ()
-
-    @property
-    def exit_status(self) -> int:
-        """The exit status of the command: 0."""
-        return 0
 
     def body(self, *, verbose: bool = False) -> Iterator[Part]:
         """Yield translation and rotation."""
