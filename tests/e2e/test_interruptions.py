@@ -6,7 +6,6 @@ import os
 import re
 import shutil
 import signal
-import sqlite3
 import subprocess
 import time
 from contextlib import closing, contextmanager
@@ -23,13 +22,11 @@ from pc2scan.errors import Pc2ScanError
 from support import ROOT, sampled
 from support.batches import manifest_of
 from support.builders import (
-    CONTENT,
     POINTS,
     T0,
     Recording,
     cloud,
     item,
-    write_db3,
     write_rosbag1,
 )
 from support.command import COMMAND, INTERRUPTED, Finished, run, run_process
@@ -200,44 +197,10 @@ def test_a_full_disk_ends_a_batch(kind: str, small_disk: Path, tmp_path: Path) -
     assert len(list(out.glob("?_scan*"))) == count
 
 
-def packed(folder: Path) -> Path:
-    """A recording that is compressed as a whole, and unpacks to 10 MB."""
-    path = folder / "drive.bag.zst"
+def test_no_room_for_temporary_files(small_disk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Compressed as a whole, it unpacks to 10 MB.
+    path = tmp_path / "drive.bag.zst"
     path.write_bytes(zstandard.compress(b"#ROSBAG V2.0\n" + bytes(10_000_000)))
-    return path
-
-
-def with_log(folder: Path) -> Path:
-    """A database of 10 MB with a write-ahead log."""
-    live, path = folder / "live.db3", write_db3(folder / "drive.db3", CONTENT)
-    shutil.copyfile(path, live)
-    with closing(sqlite3.connect(live)) as database:
-        database.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES (1, 1, zeroblob(10000000))")
-        database.commit()
-        database.execute("PRAGMA journal_mode = WAL")
-        database.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES (1, 2, x'00')")
-        database.commit()
-        shutil.copyfile(live, path)
-        shutil.copyfile(f"{live}-wal", f"{path}-wal")
-    return path
-
-
-def unsorted(folder: Path) -> Path:
-    """A database with many messages and no index that has them in order."""
-    path = write_db3(folder / "drive.db3", CONTENT)
-    with closing(sqlite3.connect(path)) as database:
-        database.executescript(
-            "DROP INDEX timestamp_idx; INSERT INTO messages(topic_id, timestamp, data) WITH RECURSIVE n(i) AS "
-            "(SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 400000) SELECT 1, i * 7919 % 400000, x'00' FROM n;"
-        )
-    return path
-
-
-@pytest.mark.parametrize("source", sampled([packed, with_log, unsorted], 1))
-def test_no_room_for_temporary_files(
-    source: Callable[[Path], Path], small_disk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = source(tmp_path)
     before = sorted(tmp_path.iterdir())
     monkeypatch.setenv("TMPDIR", str(small_disk))
     # Python and SQLite look the folder up once in a process.
