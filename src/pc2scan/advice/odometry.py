@@ -66,6 +66,9 @@ _A_LITTLE = 1.02
 _NODE_NS = 5_000_000
 _LEAST_SHIFT = 0.015
 
+#: The signs of x, y and z of a lidar that is turned over.
+_TURNED_OVER = (1.0, -1.0, -1.0)
+
 #: Poses that jitter are compared with their means over so many seconds.
 _SMOOTH = 0.1
 
@@ -236,7 +239,7 @@ class _Seen:
         """Over how many cells they are spread."""
         return spread(self.here[:, :2])
 
-    def placed(self, later: NDArray[np.float64] | float = 0.0) -> NDArray[np.float64]:
+    def placed(self, later: float = 0.0) -> NDArray[np.float64]:
         """Return the points in the fixed frame, by the poses of so many seconds later."""
         return self.path.place(self.points, self.stamps + self.seconds + later)
 
@@ -365,6 +368,14 @@ class Surroundings:
             lambda seconds: _gain((each, each.placed(seconds), None) for each in windows.values())
         )
         seen = f"in {counted(len(windows), 'second')} of the strongest motion, surroundings are"
+        over = ((each, replace(each, points=each.points * _TURNED_OVER)) for each in windows.values())
+        turned = _gain((each, other.placed(), None) for each, other in over)
+        if turned > max(gain, _SHARPER):
+            yield (
+                f"{topic}: {seen} {turned:.2g} times as sharp if the lidar is turned over: when the robot turns, they "
+                "turn the wrong way; is it upside down against its transform? `static_tf` says how it is mounted"
+            )
+            return
         if gain >= _SHARPER and abs(shift) >= _LEAST_SHIFT:
             yield (
                 f"{topic}: {seen} {gain:.2g} times as sharp with the transforms to {spec.fixed_frame} of "
