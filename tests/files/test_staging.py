@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from contextlib import AbstractContextManager, nullcontext
-from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,13 +14,16 @@ from pc2scan.bags.rosbag2.metadata import recorded_in
 from pc2scan.errors import DestinationError, OutputError
 from pc2scan.files.new_file import NewFile
 from pc2scan.files.outputs import files_output
+from pc2scan.files.ownership import Permission
 from pc2scan.files.staging import staged_output as output_anywhere
 from support.rosbag2_files import write_metadata
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-staged_output = partial(output_anywhere, record_in=recorded_in)
+
+def staged_output(destination: Path, *, overwrite: bool) -> AbstractContextManager[Path]:
+    return output_anywhere(destination, Permission(overwrite, None, recorded_in))
 
 
 def seen(folder: Path) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from pc2scan.errors import (
     UsageError,
     name_list,
 )
-from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
+from pc2scan.files.ownership import OutputPath, Permission, inputs_of, refuse_overlap
 from pc2scan.files.records import read_record, write_record
 from pc2scan.files.staging import staged_output
 from pc2scan.files.system import remove
@@ -183,7 +183,7 @@ def run(
         stream.listener = tell = partial(tell_early, report.warnings, warn)
         # Before transforms are read, which may take long.
         unfinished = stack.enter_context(
-            staged_output(destination, overwrite=form.overwrite, owned=form.owned, record_in=read_record)
+            staged_output(destination, Permission(form.overwrite, form.owned, read_record))
         )
         poses, readers = None, []
         if form.pose_frame or frames.odometry:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import DestinationError, OutputError
 
 from .new_file import NewFile
-from .ownership import is_of_kind
+from .ownership import Permission, is_of_kind
 from .staging import check_destination, staged
 from .urls import exists, is_dir
 
@@ -61,8 +61,7 @@ def files_output(
     """
     with ExitStack() as stack:
         outputs = [
-            stack.enter_context(staged(path, overwrite=_may_replace(path, beginning, overwrite=overwrite)))
-            for path in paths
+            stack.enter_context(staged(path, _permission(path, beginning, overwrite=overwrite))) for path in paths
         ]
 
         def write(contents: Sequence[str | bytes]) -> None:
@@ -93,15 +92,15 @@ def _put(content: str | bytes, partial: Path, path: Path) -> None:
 
 def check_file_output(path: Path, *, overwrite: bool, beginning: bytes | None = None) -> None:
     """Raise what `file_output` would raise at its beginning, without writing anything."""
-    check_destination(path, overwrite=_may_replace(path, beginning, overwrite=overwrite))
+    check_destination(path, _permission(path, beginning, overwrite=overwrite))
 
 
-def _may_replace(path: Path, beginning: bytes | None, *, overwrite: bool) -> bool:
+def _permission(path: Path, beginning: bytes | None, *, overwrite: bool) -> Permission:
     """Return whether what has this path, if anything, is a file that may be replaced; raise if it is something else."""
     if str(path) == "-":
         raise DestinationError("it is not written to standard output", hint="choose a name: `-` would be a file's name")
     if not exists(path):
-        return overwrite
+        return Permission(overwrite)
     if is_dir(path) and not path.is_symlink():
         raise DestinationError("cannot be written: it is a directory", path=path, hint="choose another name")
     if not overwrite and not is_of_kind(path, beginning):
@@ -111,4 +110,4 @@ def _may_replace(path: Path, beginning: bytes | None, *, overwrite: bool) -> boo
             path=path,
             hint="choose another name; or `overwrite=True` replaces it",
         )
-    return True
+    return Permission(overwrite=True)

@@ -41,21 +41,31 @@ _LOGS = ("-wal", "-journal", "-shm")
 # --- What may be replaced ---
 
 
-def check_existing(
-    dst: Path, *, overwrite: bool, owned: Collection[str] | None = None, record_in: FolderRecord | None = None
-) -> None:
-    """Raise if there is something at a destination that this run may not replace, as far as that is known beforehand.
+class Permission(NamedTuple):
+    """What of a destination a run may replace.
 
-    Parameters
+    Attributes
     ----------
-    dst
-        The file or folder that the run writes.
     overwrite
         Whether the user allows to replace it.
     owned
         The files of it that earlier runs have recorded, if it may be replaced without ``overwrite``, too.
     record_in
         Reads the record of what is in a folder. Without it no folder is replaced.
+    """
+
+    overwrite: bool
+    owned: Collection[str] | None = None
+    record_in: FolderRecord | None = None
+
+    @property
+    def replaces(self) -> bool:
+        """Whether anything may be replaced."""
+        return self.overwrite or self.owned is not None
+
+
+def check_existing(dst: Path, may: Permission) -> None:
+    """Raise if there is something at a destination that this run may not replace, as far as that is known beforehand.
 
     Raises
     ------
@@ -64,25 +74,25 @@ def check_existing(
     """
     if isinstance(dst, UrlPath):
         # What a record names is judged file by file, when the new files are known.
-        if owned is None and dst.exists():
+        if may.owned is None and dst.exists():
             if dst.is_dir():
                 raise DestinationError(
                     "is a folder; folders in a store are never replaced",
                     path=dst,
                     hint="choose another name, or remove it with the store's own tools",
                 )
-            if not overwrite:
+            if not may.overwrite:
                 raise existing_error(dst)
         return
     if not os.path.lexists(dst):
         return
-    if not overwrite and owned is None:
+    if not may.replaces:
         raise existing_error(dst)
     # A link itself is replaced, not its target; but a link to a device means the device.
     if dst.exists() and not dst.is_file() and not dst.is_dir():
         raise DestinationError("is neither a file nor a directory, and cannot be overwritten", path=dst)
     if not dst.is_symlink() and dst.is_dir():
-        refuse_others(dst, record_in)
+        refuse_others(dst, may.record_in)
 
 
 def refuse_others(folder: Path, record_in: FolderRecord | None, written: Collection[str] | None = None) -> None:
@@ -91,7 +101,7 @@ def refuse_others(folder: Path, record_in: FolderRecord | None, written: Collect
     Parameters
     ----------
     folder, record_in
-        As for `check_existing`.
+        The folder, and what reads its record; see `Permission`.
     written
         The paths in it that the run writes; None while they are unknown. Then only the names are checked.
 
@@ -223,7 +233,6 @@ class Inputs:
 
     def __init__(self, inputs: Iterable[InputPath]) -> None:
         #: Names count, too: a log that does not exist yet would be read with its database.
-        self._names: dict[str, InputPath] = {}
         self._ids: dict[FileId, InputPath] = {}
         self._folders: dict[FileId, InputPath] = {}
         seen: set[Path] = set()
@@ -233,8 +242,7 @@ class Inputs:
                     # SQLite reads logs beside a database, if they are files.
                     logs = (Path(f"{place}{suffix}") for suffix in _LOGS)
                     for name in (place, *itertools.filterfalse(os.path.isdir, logs)):
-                        self._names.setdefault(str(name), given)
-                        for identity in file_ids(name):
+                        for identity in (name, *file_ids(name)):
                             self._ids.setdefault(identity, given)
                     for folder in itertools.takewhile(lambda folder: folder not in seen, place.parents):
                         seen.add(folder)
@@ -270,15 +278,13 @@ class Inputs:
     def _relation(self, path: Path) -> tuple[str, InputPath] | None:
         """Return how a path is related to an input, and to which; None if to none."""
         places = list(path_identities(path))
-        if found := self._names.get(str(places[0])):
-            return "is", found
         above = [folder for place in places for folder in place.parents]
         for relation, known, paths in (
             ("is", self._ids, places),
             ("contains", self._folders, places),
             ("is inside", self._ids, above),
         ):
-            for identity in itertools.chain.from_iterable(map(file_ids, paths)):
+            for identity in (each for path in paths for each in (path, *file_ids(path))):
                 if identity in known:
                     return relation, known[identity]
         return None
@@ -311,8 +317,8 @@ def _entries(path: Path) -> list[Path]:
         return []
 
 
-#: Device and inode; or a URL.
-FileId = tuple[int, int] | UrlPath
+#: Device and inode; or a path: a URL, or one of this name.
+FileId = tuple[int, int] | Path
 
 #: Links that lead to links: the system follows at most this many.
 _MAX_LINKS = 40

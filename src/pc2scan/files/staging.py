@@ -18,33 +18,30 @@ from .transfers import upload
 from .urls import UrlPath
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator
+    from collections.abc import Callable, Iterator
 
+    from .ownership import Permission
     from .records import FolderRecord
 
 
 @contextmanager
-def staged_output(
-    dst: Path, *, overwrite: bool, owned: Collection[str] | None = None, record_in: FolderRecord | None = None
-) -> Iterator[Path]:
+def staged_output(dst: Path, may: Permission) -> Iterator[Path]:
     """Yield a path to write to, and rename it to the destination at the end; see `staged`."""
-    with staged(dst, overwrite=overwrite, owned=owned, record_in=record_in) as (partial, finish):
+    with staged(dst, may) as (partial, finish):
         yield partial
         finish()
 
 
 @contextmanager
-def staged(
-    dst: Path, *, overwrite: bool, owned: Collection[str] | None = None, record_in: FolderRecord | None = None
-) -> Iterator[tuple[Path, Callable[[], None]]]:
+def staged(dst: Path, may: Permission) -> Iterator[tuple[Path, Callable[[], None]]]:
     """Yield a path to write to, and the function that renames it to the destination.
 
     Parameters
     ----------
     dst
         The file or directory to write. Neither it nor one of its `working_names` may be an input.
-    overwrite, owned, record_in
-        See `pc2scan.files.ownership.check_existing`. What is there stays unchanged until the new one is complete.
+    may
+        What may be replaced. What is there stays unchanged until the new one is complete.
 
     Yields
     ------
@@ -60,51 +57,19 @@ def staged(
     OutputError
         If its directory or the result cannot be written.
     """
+    check_place(dst)
     if isinstance(dst, UrlPath):
-        check_destination(dst, overwrite=overwrite, owned=owned)
-        with upload(dst, overwrite=overwrite, owned=owned) as (local, finish):
+        check_existing(dst, may)
+        with upload(dst, may) as (local, finish):
             yield local, finish
         return
-    with _temporary_path(dst) as partial:
-        check_existing(dst, overwrite=overwrite, owned=owned, record_in=record_in)
-        yield partial, lambda: _commit(partial, dst, record_in, overwrite=overwrite or owned is not None)
-
-
-def check_destination(
-    dst: Path,
-    *,
-    overwrite: bool,
-    owned: Collection[str] | None = None,
-    record_in: FolderRecord | None = None,
-    folder: Path | None = None,
-) -> None:
-    """Raise what `staged` would raise at its beginning, as far as that is known without writing anything.
-
-    ``folder`` is the folder of ``dst``, if it will be made; see `pc2scan.files.places.output_folder`.
-    """
-    if folder is not None and not isinstance(dst, UrlPath) and not folder.is_dir():
-        check_new_folder(folder)
-        return
-    check_place(dst)
-    if not overwrite and not isinstance(dst, UrlPath) and os.path.lexists(dst.with_name(dst.name + OLD)):
-        # An interrupted run has set the old output aside. It would be restored first, and then exist.
-        raise existing_error(dst)
-    check_existing(dst, overwrite=overwrite, owned=owned, record_in=record_in)
-
-
-@contextmanager
-def _temporary_path(dst: Path) -> Iterator[Path]:
-    """Yield a path beside a local destination, which does not exist; if it is not renamed, it is removed.
-
-    What a killed run left is undone or completed before, so the caller checks then whether it may write ``dst``.
-    """
-    check_place(dst)
     partial = dst.with_name(dst.name + PARTIAL)
     with only_run(dst):
         # A partial file that exists now was left by a run that died, because a running one would hold the lock.
         _recover(dst)
+        check_existing(dst, may)
         try:
-            yield partial
+            yield partial, lambda: _commit(partial, dst, may)
         except OutputError as err:
             # The error names the final path: the user knows it, and the temporary one is gone.
             if err.path is not None and Path(err.path).is_relative_to(partial):
@@ -113,6 +78,21 @@ def _temporary_path(dst: Path) -> Iterator[Path]:
         finally:
             with suppress(OSError):
                 remove(partial)
+
+
+def check_destination(dst: Path, may: Permission, folder: Path | None = None) -> None:
+    """Raise what `staged` would raise at its beginning, as far as that is known without writing anything.
+
+    ``folder`` is the folder of ``dst``, if it will be made; see `pc2scan.files.places.output_folder`.
+    """
+    if folder is not None and not isinstance(dst, UrlPath) and not folder.is_dir():
+        check_new_folder(folder)
+        return
+    check_place(dst)
+    if not may.overwrite and not isinstance(dst, UrlPath) and os.path.lexists(dst.with_name(dst.name + OLD)):
+        # An interrupted run has set the old output aside. It would be restored first, and then exist.
+        raise existing_error(dst)
+    check_existing(dst, may)
 
 
 def clean_up(dst: Path) -> bool:
@@ -141,16 +121,16 @@ def _recover(dst: Path) -> None:
         raise OutputError(f"the files of an interrupted run cannot be removed: {err.strerror}", path=dst) from err
 
 
-def _commit(partial: Path, dst: Path, record_in: FolderRecord | None, *, overwrite: bool) -> None:
+def _commit(partial: Path, dst: Path, may: Permission) -> None:
     """Rename what is complete at a temporary path to the destination."""
     try:
         sync(partial)
-        if overwrite and os.path.lexists(dst):
-            _replace(partial, dst, record_in)
-        elif os.path.lexists(dst):
-            raise existing_error(dst)
-        else:
+        if not os.path.lexists(dst):
             partial.rename(dst)
+        elif may.replaces:
+            _replace(partial, dst, may.record_in)
+        else:
+            raise existing_error(dst)
         sync_directory(dst.parent)
     except OSError as err:
         raise OutputError(f"cannot be renamed to its final name: {err.strerror}", path=dst) from err

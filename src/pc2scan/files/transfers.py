@@ -22,7 +22,9 @@ from .system import scratch
 from .urls import CopyPath, UrlPath
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
+
+    from .ownership import Permission
 
 
 @contextmanager
@@ -75,22 +77,8 @@ def refuse_without_room(needed: int, path: Path, hint: str = "") -> None:
 
 
 @contextmanager
-def upload(
-    dst: UrlPath, *, overwrite: bool, owned: Collection[str] | None = None
-) -> Iterator[tuple[Path, Callable[[], None]]]:
-    """Yield a local path to write to, and a function that uploads what is there.
-
-    Parameters
-    ----------
-    dst
-        The file or folder to write.
-    overwrite, owned
-        As for `pc2scan.files.staging.staged_output`.
-
-    Yields
-    ------
-    path, function
-        What to write, and how to upload it.
+def upload(dst: UrlPath, may: Permission) -> Iterator[tuple[Path, Callable[[], None]]]:
+    """Yield a local path to write to, and the function that uploads what is there.
 
     Raises
     ------
@@ -101,17 +89,17 @@ def upload(
     """
     with private_folder(dst) as folder:
         partial = Path(folder, dst.name)
-        yield partial, lambda: _commit(partial, dst, owned, overwrite=overwrite)
+        yield partial, lambda: _commit(partial, dst, may)
 
 
-def _commit(partial: Path, dst: UrlPath, owned: Collection[str] | None, *, overwrite: bool) -> None:
+def _commit(partial: Path, dst: UrlPath, may: Permission) -> None:
     """Remove what the output replaces, and upload it."""
     new: dict[str, Path] = {dst.name: partial}
     if partial.is_dir():
         new = {f"{dst.name}/{name}": partial / name for name in files_below(partial)}
-    check_existing(dst, overwrite=overwrite, owned=owned)
+    check_existing(dst, may)
     present = _present(dst)
-    if kept := [name for name in present if name not in new and name not in (owned or ())]:
+    if kept := [name for name in present if name not in new and name not in (may.owned or ())]:
         raise DestinationError(
             f"has something that this batch did not write, and is not replaced: {name_list(kept, 3)}",
             path=dst,
