@@ -197,9 +197,8 @@ def measure_turn(topic: str, asked: Turn, clouds: Sequence[TurnSample]) -> tuple
 
 
 def _error(topic: str, why: str, typed: str) -> ParameterError:
-    return ParameterError(
-        f"the turn of the lidar cannot be measured in the clouds on {topic}: {why}", name="point_time", hint=typed
-    )
+    message = f"the turn of the lidar cannot be measured in the clouds on {topic}: {why}"
+    return ParameterError(message, name="point_time", hint=typed)
 
 
 def _typed(turn: Turn, *more: str) -> str:
@@ -215,22 +214,15 @@ def _period(topic: str, asked: Turn, clouds: Sequence[TurnSample]) -> tuple[floa
     give = f"if a turn takes 0.1 s (10 Hz): {_typed(asked)}"
     stamps = sorted({cloud.stamp_ns for cloud in clouds})
     if len(stamps) < _FEWEST:
-        why = (
-            f"there are {len(stamps)} different stamps in the first {len(clouds)} clouds, at least {_FEWEST} are needed"
-        )
-        raise _error(topic, why, give)
+        few = f"there are {len(stamps)} different stamps in the first {len(clouds)} clouds"
+        raise _error(topic, f"{few}, at least {_FEWEST} are needed", give)
     median_ns = median_interval_ns(stamps) or 0
     intervals = [later - earlier for earlier, later in pairwise(stamps)]
     # If a cloud is missing, an interval is twice as long.
-    off = [abs(each / median_ns - max(1, round(each / median_ns))) for each in intervals]
-    regular = sum(each <= _JITTER for each in off)
+    regular = sum(abs(each / median_ns - max(1, round(each / median_ns))) <= _JITTER for each in intervals)
     if regular < _REGULAR * len(intervals):
-        why = (
-            f"the intervals between its first {len(stamps)} stamps are not regular: {min(intervals) / 1e9:.4g} to "
-            f"{max(intervals) / 1e9:.4g} s, of {len(intervals)} only {regular} within {_JITTER:.0%} of the median, "
-            f"{median_ns / 1e9:.4g} s"
-        )
-        raise _error(topic, why, give)
+        spread = f"{min(intervals) / 1e9:.4g} to {max(intervals) / 1e9:.4g} s"
+        raise _error(topic, f"the intervals between its first {len(stamps)} stamps are not regular: {spread}", give)
     if median_ns > _LONGEST * 1e9:
         raise _error(topic, f"the clouds come every {median_ns / 1e9:.4g} s, a turn takes at most {_LONGEST:g} s", give)
     # Rounded to the digits that are shown, so that typing the shown period gives the same scans.
@@ -239,11 +231,8 @@ def _period(topic: str, asked: Turn, clouds: Sequence[TurnSample]) -> tuple[floa
     covered = median([cloud.directions.bit_count() for cloud in clouds]) / DIRECTIONS
     union = reduce(or_, (cloud.directions for cloud in clouds)).bit_count() / DIRECTIONS
     if covered < max(_SEEN, _OF_ALL * union):
-        why = (
-            f"a cloud has points in {covered:.0%} of all directions, several clouds together in {union:.0%}; whole "
-            f"turns have at least {_SEEN:.0%}, and about the same ones each time"
-        )
-        raise _error(topic, why, give)
+        seen = f"a cloud has points in {covered:.0%} of all directions, several clouds together in {union:.0%}"
+        raise _error(topic, f"{seen}; whole turns have at least {_SEEN:.0%}, and the same ones each time", give)
     turns = median([abs(cloud.turns) for cloud in clouds])
     if _TWO_OR_THREE[0] <= turns < _TWO_OR_THREE[1]:
         raise _error(topic, f"the points of its clouds go round {turns:.1f} times", give)
