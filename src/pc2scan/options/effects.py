@@ -10,43 +10,29 @@ if TYPE_CHECKING:
     from collections.abc import Collection
 
 #: An option, those of which it needs one, and the command in which it does; empty: in all.
-NEEDS: tuple[tuple[str, tuple[str, ...], str], ...] = (
-    ("node", ("params_file",), ""),
-    ("launch_args", ("params_file",), ""),
-    ("trajectory_frames", ("trajectory",), ""),
-    ("imu", ("level",), ""),
-    ("point_time", ("deskew",), ""),
-    ("stamp", ("deskew",), ""),
-    ("channels", ("reverse",), ""),
-    ("pose_frame", ("format",), "batch"),
-    ("base_frame", ("format",), "batch"),
-    *(("base_frame", ("pose_frame", "odom_topic"), command) for command in ("export", "batch")),
-    *((name, ("init",), "golden") for name in ("start", "end", "topics", "params_file")),
+NEEDS = (
+    ("node", "params_file", ""),
+    ("launch_args", "params_file", ""),
+    ("trajectory_frames", "trajectory", ""),
+    ("imu", "level", ""),
+    ("point_time", "deskew", ""),
+    ("stamp", "deskew", ""),
+    ("channels", "reverse", ""),
+    ("pose_frame", "format", "batch"),
+    ("base_frame", "format", "batch"),
+    ("base_frame", "pose_frame odom_topic", "export"),
+    ("base_frame", "pose_frame odom_topic", "batch"),
+    *((name, "init", "golden") for name in ("start", "end", "topics", "params_file")),
 )
 
 #: An option, those that have no effect beside it, and why.
-IDLE: tuple[tuple[str, tuple[str, ...], str], ...] = (
-    (
-        "reverse",
-        (
-            *(
-                "keep_used",
-                "remove",
-                "where",
-                "exclude_box",
-                "exclude_polygon",
-                "ground",
-                "min_height_slope",
-                "filters",
-            ),
-            *("level", "point_time", "stamp", "fixed_frame", "accumulate", "every", "rebin", "min_used"),
-        ),
-        "which makes clouds of scans",
-    ),
-    ("rebin", ("point_time",), "which converts scans, whose beams have the times of their time_increment"),
-    ("accumulate", ("window",), "which uses all messages of an interval"),
-    ("every", ("window",), "which uses all messages of an interval"),
-    ("only_scans", ("keep", "keep_clouds", "clouds_as"), "which writes nothing else"),
+IDLE = (
+    ("reverse", "keep_used remove where exclude_box exclude_polygon ground min_height_slope", "which makes clouds"),
+    ("reverse", "filters level point_time stamp fixed_frame accumulate every rebin min_used", "which makes clouds"),
+    ("rebin", "point_time", "which converts scans, whose beams have the times of their time_increment"),
+    ("accumulate", "window", "which uses all messages of an interval"),
+    ("every", "window", "which uses all messages of an interval"),
+    ("only_scans", "keep keep_clouds clouds_as", "which writes nothing else"),
 )
 
 
@@ -66,9 +52,9 @@ def refuse_idle(given: Collection[str], command: str = "") -> None:
         It names the options, and what they need or contradict.
     """
     for name, others, only in NEEDS:
-        if name in given and only in ("", command) and not any(other in given for other in others):
-            needed = " or ".join(f"`{other}`" for other in others)
+        if name in given and only in ("", command) and not any(other in given for other in others.split()):
+            needed = " or ".join(f"`{other}`" for other in others.split())
             raise UsageError(f"`{name}` has no effect without {needed}")
     for other, names, why in IDLE:
-        if other in given and (idle := [f"`{name}`" for name in names if name in given]):
+        if other in given and (idle := [f"`{name}`" for name in names.split() if name in given]):
             raise UsageError(f"{name_list(idle)} {'have' if idle[1:] else 'has'} no effect with `{other}`, {why}")
