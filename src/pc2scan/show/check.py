@@ -29,7 +29,7 @@ from .scan_frames import Arrivals, ScanFrames, mounting_findings
 from .scan_topic import Finding, ScanTopic
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
     from pc2scan.bags.damage import Damage
@@ -204,10 +204,8 @@ def check(
         arrivals = Arrivals()
         moving = [each for each in tf_connections(reader.connections, known.tf_topics) if not each.is_static]
         survey.observers.append(Observer(moving, copied_message, keep=arrivals.add))
-        meter = None
-        if progress is not None:
-            meter = Meter(progress)
-            meter.following = reader.stored_bytes(wanted)
+        meter = Meter(progress or (lambda *_: None))
+        meter.following = reader.stored_bytes(wanted)
         survey.read(meter)
         transforms = reading.finish()
         wrong = {name: clock for name, clock in clocks.findings().items() if clock.other}
@@ -215,7 +213,12 @@ def check(
             name: (ScanTopic(), ScanFrames(transforms.buffer, odom_frame, base_frame, wrong.get(name), arrivals))
             for name in chosen
         }
-        _read_scans(reader, wanted, read, meter, echo)
+        meter.expect(reader.stored_bytes(wanted))
+        for message in reader.messages(wanted, meter=meter):
+            meter.messages += 1
+            scans, places = read[message.connection.topic]
+            scans.read(message, echo, places.add)
+        meter.finish()
         shared = [Finding("static-unheard", "defect", *each) for each in unheard(reader.connections)]
         frames_of_scans = dict.fromkeys(frame for scans, _ in read.values() for frame in scans.frames)
         tilted = mounting_findings(clouds, transforms.buffer, frames_of_scans)
@@ -248,22 +251,3 @@ def scan_connections(reader: Reader, topics: Iterable[str]) -> dict[str, list[Co
     asked = (find_topics(topic, types, sorted(scans), *SCANS) for topic in topics)
     names = {name for found in asked for name in found} or scans.keys()
     return {name: scans[name] for name in sorted(names)}
-
-
-def _read_scans(
-    reader: Reader,
-    wanted: Sequence[Connection],
-    topics: Mapping[str, tuple[ScanTopic, ScanFrames]],
-    meter: Meter | None,
-    echo: str,
-) -> None:
-    """Read the scans once, and check them."""
-    if meter is not None:
-        meter.expect(reader.stored_bytes(wanted))
-    for message in reader.messages(wanted, meter=meter):
-        if meter is not None:
-            meter.messages += 1
-        scans, places = topics[message.connection.topic]
-        scans.read(message, echo, places.add)
-    if meter is not None:
-        meter.finish()

@@ -42,7 +42,7 @@ from pc2scan.request.options import TopicRequest
 from pc2scan.requests import conversion_of, first_output
 from pc2scan.result import Part, Remark, Result, Skipped, skipped_remarks, tell_early
 from pc2scan.streams.scans import Scans
-from pc2scan.text import counted, did_you_mean, duration
+from pc2scan.text import counted, did_you_mean
 from pc2scan.transforms.lookup_errors import named_in_namespace
 from pc2scan.transforms.summary import BODIES
 from pc2scan.transforms.world_frames import find_body_motion
@@ -97,8 +97,6 @@ class Map(Result):
         The frame whose path is `trajectory`.
     trajectory
         (N, 2) float64, metres: the position of the robot at each scan.
-    duration
-        The time from the first position to the last, seconds.
     scans
         How many scans of each topic are in the map.
     converted
@@ -114,7 +112,7 @@ class Map(Result):
     kind: ClassVar[str] = "map"
     json_names: ClassVar[tuple[str, ...]] = (
         *("preview", "frame", "robot_frame", "resolution", "origin", "width", "height", "scans"),
-        *("converted", "distance", "duration", "skipped", "skipped_count"),
+        *("converted", "distance", "skipped", "skipped_count"),
     )
 
     #: What the map is.
@@ -126,7 +124,6 @@ class Map(Result):
     frame: str
     robot_frame: str
     trajectory: NDArray[np.float64]
-    duration: float
     scans: dict[str, int]
     converted: bool
     skipped: tuple[Skipped, ...] = ()
@@ -225,7 +222,7 @@ free_thresh: 0.196
         )
         of = ", ".join(f"{count:,} of {topic}" for topic, count in self.scans.items())
         yield f"scans: {of}{' (made of clouds)' if self.converted else ''}"
-        yield f"robot: {self.robot_frame} drove {self.distance:.1f} m in {self.frame}, in {duration(self.duration)}"
+        yield f"robot: {self.robot_frame} drove {self.distance:.1f} m in {self.frame}"
         yield "This is a preview by the recorded odometry: no SLAM, nothing is matched or corrected."
 
     def remarks(self, *, verbose: bool = False) -> Iterator[Remark]:
@@ -467,7 +464,6 @@ class _Drawing:
                 f"no return in {counted(self.scans.total(), 'scan')}: there is nothing to draw", hint=hint
             )
         path = np.array(sorted(self.path)).reshape(-1, 3)
-        stamps = [stamp_ns for stamp_ns, _, _ in self.path] or [0]
         return Map(
             cells=occupancy.cells,
             resolution=occupancy.resolution,
@@ -475,7 +471,6 @@ class _Drawing:
             frame=self.odom,
             robot_frame=self.robot,
             trajectory=path[:, 1:],
-            duration=(max(stamps) - min(stamps)) / 1e9,
             scans=dict(self.scans),
             converted=converted,
             skipped=tuple(
