@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from pc2scan.bags.merged import MergedReader, merge_summaries
 from pc2scan.errors import UsageError
-from pc2scan.model import Connection, Definition, RawMessage, Summary
+from pc2scan.model import Connection, Definition, Summary
 from support.memory_reader import MemoryReader
 
 if TYPE_CHECKING:
@@ -32,28 +32,6 @@ def source(
 ) -> MemoryReader:
     (folder / name).touch()
     return MemoryReader(folder / name, connections, rows, log=log)
-
-
-def test_messages_are_merged_and_renumbered(tmp_path: Path) -> None:
-    first = source(tmp_path, "1", [(5, 1, b"p"), (6, 3, b"q"), (5, 5, b"r")], [connection(5), connection(6, "/b")])
-    second = source(tmp_path, "2", [(1, 3, b"s"), (2, 4, b"t")], [connection(1, "/b"), connection(2, "/c")])
-    reader = MergedReader([first, second])
-    a, b, c = reader.connections
-    assert [(each.id, each.topic, each.message_count) for each in (a, b, c)] == [
-        (1, "/a", 1),
-        (2, "/b", 2),
-        (3, "/c", 1),
-    ]
-    assert list(reader.messages()) == [
-        RawMessage(topic, time_ns, data, time_ns, 7)
-        for topic, time_ns, data in ((a, 1, b"p"), (b, 3, b"q"), (b, 3, b"s"), (c, 4, b"t"), (a, 5, b"r"))
-    ]
-    assert [m.data for m in reader.messages([b])] == [b"q", b"s"]
-    assert [m.data for m in reader.messages([c])] == [b"t"]
-    assert [m.data for m in reader.messages(start_ns=3, stop_ns=5)] == [b"q", b"s", b"t"]
-    assert reader.path == tmp_path / "1"
-    reader.close()
-    assert [each.log[-1] for each in (first, second)] == ["closed 1", "closed 2"]
 
 
 TIMES = st.lists(st.integers(0, 6), max_size=8)

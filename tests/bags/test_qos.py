@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pc2scan.bags.qos import parse_qos, respell_qos
+from pc2scan.bags.qos import respell_qos
 from pc2scan.bags.topics import latches
 from support.mcap_files import QOS
 from support.rosbag2_files import QOS_NAMES, QOS_NUMBERS
@@ -39,18 +39,3 @@ def test_respelling_profiles() -> None:
     odd = "- history: 99\n  reliability: sometimes\n  durability: true\n  liveliness: null\n  speed: 3"
     assert respell_qos(odd).startswith(odd)
     assert respell_qos("- reliability: Best_Effort").startswith("- reliability: 2\n")
-
-
-def test_missing_keys_get_the_defaults_of_rmw() -> None:
-    (profile,) = parse_qos(respell_qos("- durability: 1")) or []
-    assert profile == {
-        "durability": 1,
-        "history": 1,
-        "depth": 10,
-        "reliability": 1,
-        "deadline": {"sec": 9223372036, "nsec": 854775807},
-        "lifespan": {"sec": 9223372036, "nsec": 854775807},
-        "liveliness": 1,
-        "liveliness_lease_duration": {"sec": 9223372036, "nsec": 854775807},
-        "avoid_ros_namespace_conventions": False,
-    }

@@ -6,7 +6,6 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import zstandard
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
@@ -126,8 +125,3 @@ def write_metadata(
 def read(path: Path, *, strict: bool = False) -> list[tuple[str, int, bytes]]:
     with closing(Rosbag2Reader(path, strict=strict)) as reader:
         return [(m.connection.topic, m.log_time_ns, bytes(m.data)) for m in reader.messages()]
-
-
-def compress_file(path: Path) -> None:
-    path.with_name(path.name + ".zstd").write_bytes(zstandard.compress(path.read_bytes()))
-    path.unlink()

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from .loading import Chunk
 
 
-#: Connections of a recording: as many as MCAP has numbers for. One takes up to 3 kB of memory in a conversion.
-MAX_CONNECTIONS = 65_536
+#: Connections of a recording: nearly as many as MCAP has numbers for. One takes up to 3 kB of memory in a conversion.
+MAX_CONNECTIONS = 65_000
 
 
 class Reader(ABC):

@@ -6,7 +6,7 @@ import io
 import itertools
 import struct
 from contextlib import closing
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 from mcap.reader import make_reader
@@ -16,7 +16,7 @@ from mcap.stream_reader import StreamReader
 from pc2scan.bags.mcap.read import McapReader
 from pc2scan.bags.mcap.write import McapWriter
 from pc2scan.model import Definition
-from support.mcap_files import CLOUD, COMPRESSIONS, QOS, SAMPLE, connection, encoded, streamed, write
+from support.mcap_files import COMPRESSIONS, SAMPLE, connection, encoded, streamed, write
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,10 +24,6 @@ if TYPE_CHECKING:
     from mcap.summary import Summary
 
     from pc2scan.model import Connection
-
-DIGEST = "RIHS01_" + "ab" * 32
-MD5 = "1158d486dd51d683ce2f1be655c3c181"
-ROS1: dict[str, Any] = {"serialization": "ros1", "definition": Definition("ros1msg", b"uint8[] data")}
 
 
 def summary_of(path: Path) -> Summary:
@@ -48,22 +44,6 @@ def declared(path: Path, *connections: Connection, profile: str = "ros2", keep: 
     with closing(McapReader(path, strict=True)) as reader:
         assert reader.summary.profile == profile
         return list(reader.connections)
-
-
-def test_what_ros2_knows_of_a_topic_is_metadata(tmp_path: Path) -> None:
-    idl = connection(digest="no hash", definition=Definition("ros2idl", b"module"))
-    first, second = declared(tmp_path / "a.mcap", connection(qos=QOS, digest=DIGEST, latching=True), idl)
-    assert (first.qos, first.digest, first.latching) == (QOS, DIGEST, True)
-    assert first.metadata == {"offered_qos_profiles": QOS, "topic_type_hash": DIGEST}
-    assert (second.metadata, second.definition, second.latching) == ({}, Definition("ros2idl", b"module"), False)
-
-
-def test_what_ros1_knows_of_a_topic_is_metadata(tmp_path: Path) -> None:
-    given = connection(**ROS1, callerid="/driver", latching=True, digest=MD5)
-    (only,) = declared(tmp_path / "a.mcap", given, profile="ros1")
-    assert (only.msgtype, only.ros_type, only.serialization) == ("sensor_msgs/PointCloud2", CLOUD, "ros1")
-    assert (only.callerid, only.latching, only.digest) == ("/driver", True, MD5)
-    assert only.metadata == {"callerid": "/driver", "latching": "1", "md5sum": MD5, "topic": "/points"}
 
 
 @pytest.mark.parametrize(

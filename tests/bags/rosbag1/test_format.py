@@ -13,7 +13,6 @@ import pytest
 from pc2scan.bags.rosbag1 import read as rosbag1_reader
 from pc2scan.bags.rosbag1.read import Rosbag1Reader
 from pc2scan.bags.rosbag1.records import record_in
-from pc2scan.model import Connection
 from support.rosbag1_files import (
     COMPRESSIONS,
     SECOND,
@@ -22,7 +21,6 @@ from support.rosbag1_files import (
     header,
     message,
     read_rows,
-    record,
     simple_bag,
     time,
     uint32,
@@ -49,15 +47,6 @@ def test_fields_of_messages_may_stand_in_any_order(
     assert slowly.call_count == (order != ("conn", "op", "time"))
 
 
-def test_orders_of_fields_may_change_within_a_chunk(tmp_path: Path) -> None:
-    payload = connection_record() + message(1)
-    payload += record(b"more", op=b"\x02", conn=uint32(0), time=time(2), added=b"field=")
-    payload += b"".join(message(3, bytes([index]), order=order) for index, order in enumerate(ORDERS * 2))
-    payload += connection_record() + message(4, b"")
-    expected = [(0, 1, b"data"), (0, 2, b"more"), *((0, 3, bytes([index])) for index in range(12)), (0, 4, b"")]
-    assert read_rows(simple_bag(tmp_path / "a.bag", payload)) == expected
-
-
 @pytest.mark.parametrize("times", [(0, 0), (9, 1), (2**32 * SECOND - 1, 0)])
 @pytest.mark.parametrize("compression", COMPRESSIONS)
 def test_times_that_the_index_lacks_are_found(times: tuple[int, int], compression: str, tmp_path: Path) -> None:
@@ -76,15 +65,6 @@ def test_connections_that_only_a_chunk_describes_are_found(tmp_path: Path) -> No
         found = [(item.id, item.callerid, item.message_count) for item in reader.connections]
         assert found == [(0, None, 1), (5, "/first", 1)]
         assert [item.connection.id for item in reader.messages()] == [5, 0]
-
-
-def test_connections_may_lack_a_definition_and_be_repeated(tmp_path: Path) -> None:
-    bare = record(header(type=b"std_msgs/String")[4:], op=b"\x07", conn=uint32(0), topic=b"/bare")
-    again = connection_record(callerid=b"/second")
-    path = simple_bag(tmp_path / "a.bag", message(1), connections=[bare, again])
-    with closing(Rosbag1Reader(path)) as reader:
-        # The first description counts.
-        assert reader.connections == (Connection(0, "/bare", "std_msgs/String", "ros1", message_count=1),)
 
 
 # --- What is written ---

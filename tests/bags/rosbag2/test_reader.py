@@ -12,12 +12,10 @@ from ruamel.yaml import YAML
 from pc2scan.bags.rosbag2.metadata import storage_files
 from pc2scan.bags.rosbag2.read import Rosbag2Reader
 from pc2scan.errors import DamageError, RecordingError
-from support import sampled
 from support.rosbag2_files import (
     DEFINITION,
     QOS_NAMES,
     QOS_NUMBERS,
-    compress_file,
     listed,
     read,
     write_metadata,
@@ -143,16 +141,3 @@ def test_a_contradiction_is_damage_and_the_rest_is_read(
     with pytest.raises(DamageError) as caught:
         Rosbag2Reader(bag, strict=True)
     assert told in caught.value.message
-
-
-@pytest.mark.parametrize("suffix", sampled(STORAGES, 1))
-def test_a_compressed_part_that_is_cut_off_gives_its_front(suffix: str, bag: Path) -> None:
-    write_storage(bag / f"bag_0.{suffix}", [("/a", time_ns) for time_ns in range(5000)])
-    compress_file(bag / f"bag_0.{suffix}")
-    packed = bag / f"bag_0.{suffix}.zstd"
-    packed.write_bytes(packed.read_bytes()[: packed.stat().st_size * 9 // 10])
-    found, damage = times_of(bag)
-    # Named as the user knows the file, not as it was unpacked.
-    assert {place.path for place in damage} == {packed}
-    assert len(found) > 1000
-    assert found == sorted(found)

@@ -89,10 +89,6 @@ class McapIndex:
         Whether `counts` has every message.
     channels_listed
         Whether the summary repeats the channels.
-    summarized
-        Whether a summary has the chunks.
-    verified
-        Whether the summary's CRC was compared.
     data_end
         Where the data section ends, and its CRC (0 if none was written). None if there is no DataEnd record.
     limit
@@ -111,8 +107,6 @@ class McapIndex:
     counts: Counter[int] = field(default_factory=Counter)
     all_counted: bool = True
     channels_listed: bool = False
-    summarized: bool = False
-    verified: bool = False
     data_end: tuple[int, int] | None = None
     limit: ConnectionLimit | None = None
 
@@ -193,7 +187,6 @@ def read_summary(file: RecordFile, index: McapIndex) -> int:
         actual = crc32(tail[: _FOOTER_SIZE - 4], file.crc(start, footer_offset))
         if actual != footer.summary_crc:
             raise file.damage(f"the summary's CRC is {actual:08x}, recorded is {footer.summary_crc:08x}")
-        index.verified = True
     for kind, content in _records_between(file, start, footer_offset):
         if kind == Opcode.CHUNK_INDEX:
             index.segments.append(_indexed_chunk(content, start, file))
@@ -208,13 +201,12 @@ def read_summary(file: RecordFile, index: McapIndex) -> int:
             record = parse(DECLARATIONS[kind], content, start, file)
             index.listed.append((record, start))
             index.channels_listed |= kind == Opcode.CHANNEL
-    if index.verified:
+    if footer.summary_crc:
         declare_listed(file, index)
     index.segments.sort()
     places = index.segments.rows["record_offset"]
     if (places[1:] == places[:-1]).any():
         raise file.damage("the summary's index names a chunk twice")
-    index.summarized = len(places) > 0
     return start
 
 

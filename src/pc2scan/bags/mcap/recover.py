@@ -94,7 +94,7 @@ def recover_index(file: RecordFile, problem: DamageError, log: DamageLog) -> Mca
     index.schemas.update(summary.schemas)
     index.channels.update(summary.channels)
     index.limit = summary.limit
-    is_alone = summary.statistics is not None or summary.summarized
+    is_alone = summary.statistics is not None or len(summary.segments) > 0
     gaps = _walk(file, index, position, end, summary, alone=is_alone)
     if not notes and not gaps:
         notes.append((problem, None))

@@ -12,14 +12,13 @@ from typing import TYPE_CHECKING
 from mcap import records
 from mcap.opcode import Opcode
 
-from pc2scan.errors import DestinationError, OutputError, UnwritableError
+from pc2scan.errors import OutputError, UnwritableError
 from pc2scan.files.compression import compress, crc32
 from pc2scan.files.new_file import FreeIds, NewFile, WriteAhead
 from pc2scan.model import StoredChunk, normalized_type, ros1_type
 
 from .records import (
     CHUNK,
-    COMPRESSIONS,
     MAGIC,
     MESSAGE,
     OP_CHUNK,
@@ -37,8 +36,6 @@ if TYPE_CHECKING:
     from pc2scan.bags.formats import WriteOptions
     from pc2scan.model import Attachment, Buffer, Connection, Metadata
     from pc2scan.threads import Threads
-
-_MAX_CHANNELS = 0xFFFF
 
 # The order of the summary.
 _SUMMARY_GROUPS = (
@@ -77,8 +74,6 @@ class McapWriter:
 
     Raises
     ------
-    DestinationError
-        If MCAP has no such compression.
     OutputError
         If the file exists or cannot be written (from every method).
     """
@@ -91,12 +86,6 @@ class McapWriter:
         chunk_size: int = 1 << 20,
         metadata: Iterable[Metadata] = (),
     ) -> None:
-        if compression not in COMPRESSIONS:
-            raise DestinationError(
-                f"MCAP has no compression {compression!r}, allowed are {', '.join(COMPRESSIONS)}",
-                path=path,
-                hint="choose zstd, or lz4 for speed",
-            )
         self._path = path
         self._compression = "" if compression == "none" else compression
         self._compress = partial(compress, compression)
@@ -141,15 +130,8 @@ class McapWriter:
 
         The type is spelled as its serialization's ROS version does. Metadata are the connection's; what it
         knows beyond them is added under the keys that rosbag2 and ``mcap convert`` use.
-
-        Raises
-        ------
-        OutputError
-            If there are 65535 channels already.
         """
         channel_id = self._channel_ids.take(connection.id)
-        if channel_id > _MAX_CHANNELS:
-            raise OutputError(f"MCAP has room for {_MAX_CHANNELS} channels, one more is needed", path=self._path)
         connection = connection.in_utf8
         # Declared outside the chunks, so that readers without the index find them without decompressing.
         channel = records.Channel(
@@ -303,14 +285,7 @@ class McapWriter:
             media_type=attachment.media_type,
             data=attachment.data,
         )
-        try:
-            packed = encode_record(record)
-        except struct.error as err:
-            raise OutputError(
-                f"attachment {attachment.name!r} has log time {attachment.log_time_ns} ns and creation time "
-                f"{attachment.create_time_ns} ns, MCAP has unsigned numbers of 64 bits",
-                path=self._path,
-            ) from err
+        packed = encode_record(record)
         index = records.AttachmentIndex(
             offset=self._put(packed),
             length=len(packed),

@@ -29,7 +29,6 @@ from .records import (
     MESSAGE,
     UINT32,
     FormatError,
-    borrow_payload,
     number_field,
     parse_fields,
     time_field,
@@ -201,7 +200,7 @@ class _Scan:
         """
         file, places = self._file, _indexed_chunks(self._file)
         header = record_at(file.nearby, len(FIRST_LINE), file.size)
-        position, chunk, since = len(FIRST_LINE), None, 0
+        position, since = len(FIRST_LINE), 0
         if header is not None and header.kind == BAG_HEADER:
             is_followed = record_at(file.nearby, header.stop, file.size) is not None
             position = header.stop if is_followed else next_record(file, header.start, file.size)
@@ -216,22 +215,14 @@ class _Scan:
                     record = record._replace(stop=stop)
             if record is not None and record.stop <= limit:
                 self._add(position, record, record.stop)
-                chunk = record if record.kind == CHUNK else None
                 since, position = position, record.stop
             elif record is not None and record.kind == CHUNK:
                 position = next_record(file, record.start, limit, after_chunk=True)
                 self._add(record.start, record, position)
-                chunk = None
-            elif chunk is not None and not self._is_sound(self.segments[-1]):
-                # Its length may be wrong.
-                last = self.segments.pop()
-                position = next_record(file, last.offset, limit, after_chunk=True)
-                self.segments.append(replace(last, length=position - last.offset))
-                chunk = None
             else:
                 following = next_record(file, position, limit, since=since)
                 self.gaps.append((position, following, "no record begins here"))
-                position, chunk, since = following, None, following
+                position = since = following
         self._end_run()
 
     def _add(self, position: int, record: BagRecord, stop: int) -> None:
@@ -258,13 +249,6 @@ class _Scan:
         if self._run is not None:
             self.segments.append(self._run)
             self._run = None
-
-    def _is_sound(self, segment: Segment) -> bool:
-        """Whether a chunk decompresses to its declared size."""
-        try:
-            return bool(len(borrow_payload(self._file, segment)))
-        except FormatError:
-            return False
 
 
 def recover_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagIndex:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import lz4.frame
 
-from pc2scan.errors import DestinationError, OutputError, UnwritableError
+from pc2scan.errors import OutputError, UnwritableError
 from pc2scan.files.compression import compress
 from pc2scan.files.new_file import FreeIds, NewFile, WriteAhead
 from pc2scan.model import StoredChunk, ros1_type
@@ -18,7 +18,6 @@ from .records import (
     BAG_HEADER,
     CHUNK,
     CHUNK_INFO,
-    COMPRESSIONS,
     CONNECTION,
     FIRST_LINE,
     INDEX_DATA,
@@ -64,19 +63,11 @@ class Rosbag1Writer:
 
     Raises
     ------
-    DestinationError
-        If ``path`` exists, or the compression is not one that bags know.
     OutputError
-        If the file cannot be created; from every method, if it cannot be written.
+        If the file exists or cannot be created; from every method, if it cannot be written.
     """
 
     def __init__(self, path: Path, compression: str = "lz4", chunk_size: int = 768 * 1024) -> None:
-        if compression not in COMPRESSIONS:
-            raise DestinationError(
-                f"a ROS 1 bag cannot be compressed with {compression}, only with {', '.join(COMPRESSIONS)}",
-                path=path,
-                hint="choose lz4 (fast) or bz2 (small), or write MCAP or rosbag2",
-            )
         self.path = path
         self._compression = compression
         self._chunk_size = chunk_size
@@ -90,8 +81,6 @@ class Rosbag1Writer:
         self._ahead = WriteAhead()
         try:
             self._file = NewFile(path)
-        except FileExistsError as err:
-            raise DestinationError("exists already", path=path, hint="remove it, or choose another name") from err
         except OSError as err:
             raise OutputError(f"cannot be created: {err.strerror}", path=path) from err
         self._file.put(FIRST_LINE, _pack_bag_header(0, 0, 0))
@@ -117,26 +106,7 @@ class Rosbag1Writer:
         -------
         int
             The handle that `write` takes, and the connection's id in the bag: 0, 1, 2, ... where it keeps none.
-
-        Raises
-        ------
-        DestinationError
-            If its messages are not serialised as ROS 1 does, or a metadata name has a ``=``.
         """
-        if connection.serialization != "ros1":
-            raise DestinationError(
-                f"a ROS 1 bag holds messages serialised as 'ros1', these are {connection.serialization!r}",
-                path=self.path,
-                topic=connection.topic,
-                hint="convert them first, or write MCAP or rosbag2",
-            )
-        for name in connection.metadata:
-            if "=" in name:
-                raise DestinationError(
-                    f"the metadata name {name!r} has a '=', which a ROS 1 bag cannot hold",
-                    path=self.path,
-                    topic=connection.topic,
-                )
         handle = self._ids.take(connection.id)
         self._connections[handle] = _pack_connection(handle, connection)
         literals = USUAL_LAYOUT.expected
@@ -164,7 +134,7 @@ class Rosbag1Writer:
         Raises
         ------
         UnwritableError
-            If the time or the message is more than the format can hold; nothing is written then.
+            If the time is more than the format can hold; nothing is written then.
         OutputError
             If the file cannot be written.
         """
@@ -179,12 +149,6 @@ class Rosbag1Writer:
             data = data.cast("B")
         declaration = b"" if handle in self._declared else self._connections[handle]
         needed = len(declaration) + USUAL_LAYOUT.layout.size + len(data)
-        if needed > UINT32_MAX:
-            raise UnwritableError(
-                f"a message of {len(data)} bytes does not fit into a ROS 1 bag, whose chunks have at most "
-                f"{UINT32_MAX} bytes",
-                path=self.path,
-            )
         if self._chunk.size + needed > self._chunk_size:
             self._flush()
         chunk = self._chunk

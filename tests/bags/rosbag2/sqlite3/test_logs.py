@@ -97,19 +97,3 @@ def test_behind_damage_in_a_log_nothing_is_read_and_that_is_reported(
         assert damage[0].bytes_lost, place
         with pytest.raises(DamageError, match="not used"):
             Sqlite3Reader(path, strict=True)
-
-
-def test_what_a_log_has_not_yet_overwritten_is_no_damage(tmp_path: Path) -> None:
-    live = tmp_path / "live.db3"
-    rows = build(live, 20)
-    with closing(sqlite3.connect(live, isolation_level=None)) as database:
-        database.execute("PRAGMA journal_mode = WAL")
-        for number in range(30):
-            row = ("/a", 3_000_000 + number, b"\0\1\0\0" + bytes(5000))
-            database.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES (1, ?, ?)", row[1:])
-            rows.append(row)
-            if number == 25:
-                database.execute("PRAGMA wal_checkpoint(RESTART)")
-        shutil.copyfile(live, tmp_path / "a.db3")
-        shutil.copyfile(f"{live}-wal", tmp_path / "a.db3-wal")
-    assert [sorted(recovered(tmp_path / "a.db3")[0]), recovered(tmp_path / "a.db3")[1]] == [sorted(rows), ()]

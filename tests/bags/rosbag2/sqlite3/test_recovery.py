@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections import Counter
 from typing import TYPE_CHECKING
 
@@ -71,15 +70,3 @@ def test_of_an_overwritten_page_only_its_own_rows_are_lost(tmp_path: Path) -> No
         if len(rows) < len(complete):
             assert damage, page
         assert rows == sorted(rows, key=lambda row: row[1])
-
-
-def test_a_row_with_an_impossible_length_loses_no_other(tmp_path: Path) -> None:
-    complete = build(tmp_path / "a.db3")
-    data = bytearray((tmp_path / "a.db3").read_bytes())
-    leaf = [at for at in range(0, len(data), 4096) if data[at] == 0x0D][-3]
-    (cell,) = struct.unpack_from(">H", data, leaf + 12)
-    data[leaf + cell : leaf + cell + 5] = b"\xff\xff\xff\xff\x7f"
-    (tmp_path / "a.db3").write_bytes(data)
-    rows, damage = recovered(tmp_path / "a.db3")
-    assert damage
-    assert len(complete) - 2 <= len(rows) < len(complete)

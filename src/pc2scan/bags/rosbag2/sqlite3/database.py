@@ -135,10 +135,6 @@ class Database:
         declared, stored = _declared_size(self._file), self._file.stat().st_size
         if stored < declared:
             raise self.damage(f"is cut off: it has {stored} of {declared} bytes")
-        if stored > declared:
-            # Appended bytes are harmless; inserted ones shift the pages after them.
-            error = self.damage(f"has {stored} bytes, {stored - declared} more than its header declares")
-            self._noted.note(error, key="size", messages_lost=0)
         if journal := self._logs.get("-journal"):
             # SQLite stops in silence where a journal is damaged.
             with self.ending():

@@ -16,8 +16,7 @@ Source: rosbag2_storage_sqlite3/sqlite_storage.cpp.
 SQLite stores values of any type in any column, whatever the table declares: an INTEGER column keeps 1e300, text and
 blobs as they are. So whatever counts, compares or orders messages does so with `_SOUND` rows only; others are damage.
 
-Facts that a database has twice are compared: small tables with their columns, rows with the index of times. Unlike
-SQLite's own check, which reads the whole file, these checks read no message.
+The number of rows is compared with that of the index of their times. Unlike SQLite's own check, this reads no message.
 """
 
 from __future__ import annotations
@@ -56,10 +55,6 @@ _LOOKED_AT = 1000
 
 #: The condition for rows of ``messages`` that have a place in the recording.
 _SOUND = " AND ".join(f"typeof({column}) = 'integer'" for column in ("id", "topic_id", "timestamp"))
-
-#: A sum over rows that changes if a row has another time or replaces another. It is exact: a sum with one REAL would be
-#: rounded, and neither text nor numbers of 64 bits may end it.
-_TIMES_SUM = "coalesce(sum(CAST(timestamp AS INTEGER) % 2147483647 + CAST(id AS INTEGER) % 2147483647), 0)"
 
 #: Topic, log time, id and data of a message.
 Row = tuple[int, int, int, bytes]
@@ -121,8 +116,6 @@ class Sqlite3Reader(Reader):
         #: The quoted name of an index by time of all messages; None if there is none.
         self._index = _timestamp_index(database)
         with database.ending():
-            if not database.is_rebuilt:
-                _check_small_tables(database, self._log)
             self.connections, span = _read_connections(database, self._log, self._index)
         #: The topics whose messages are compressed one by one.
         self._packed_topics = _find_compressed(database, self.connections, declared=message_compression == "zstd")
@@ -303,24 +296,6 @@ def _check_tables(database: Database) -> None:
         database.refuse_made_up(table)
 
 
-def _check_small_tables(database: Database, noted: DamageLog) -> None:
-    """Check the tables that describe the messages."""
-    # The first one lists all others; if it is damaged, it may list fewer.
-    for table in ("sqlite_master", "topics", "message_definitions"):
-        if not database.columns(table):
-            continue
-        found = [str(text) for (text,) in database.query(f"PRAGMA quick_check({table})")]
-        if found == ["ok"]:
-            continue
-        # The first line only has the name of the database.
-        first = next((line for text in found for line in text.splitlines() if not line.startswith("***")), "no answer")
-        error = database.damage(f"table {table} contradicts itself: {first}")
-        # There may be rows that its tree does not reach.
-        if any(text.startswith("***") for text in found):
-            raise error
-        noted.note(error, key=("table", table), messages_lost=0)
-
-
 def _timestamp_index(database: Database) -> str | None:
     """Return the quoted name of an index by time of all messages."""
     for row in database.query("PRAGMA index_list(messages)"):
@@ -340,24 +315,21 @@ def _read_connections(
     counts = {
         topic_id: numbers
         for topic_id, *numbers in database.query(
-            f"SELECT CASE WHEN {_SOUND} THEN topic_id END, count(*), min(timestamp), max(timestamp), "  # noqa: S608
-            f"{_TIMES_SUM} FROM messages GROUP BY 1 LIMIT ?",
+            f"SELECT CASE WHEN {_SOUND} THEN topic_id END, count(*), min(timestamp), max(timestamp) "  # noqa: S608
+            "FROM messages GROUP BY 1 LIMIT ?",
             (MAX_CONNECTIONS + 2,),
         )
     }
     if index is not None:
-        total, times_sum = (sum(numbers[place] for numbers in counts.values()) for place in (0, 3))
-        sql = f"SELECT count(*), {_TIMES_SUM} FROM messages INDEXED BY {index}"  # noqa: S608
-        indexed, indexed_sum = database.query(sql).fetchone()
+        total = sum(numbers[0] for numbers in counts.values())
+        (indexed,) = database.query(f"SELECT count(*) FROM messages INDEXED BY {index}").fetchone()  # noqa: S608
         if indexed != total:
             raise database.damage(f"the index of timestamps has {indexed} messages, the table {total}")
-        if indexed_sum != times_sum:
-            raise database.damage("the index of timestamps has other times than the messages")
     if unsound := counts.pop(None, None):
         what = f"{counted(unsound[0], 'row')} of messages with an id, a topic or a time that is no integer"
         noted.note(database.damage(f"has {what}"), key="rows", messages_lost=unsound[0])
     ConnectionLimit(database.path).add(count=len(counts))
-    for topic_id, (count, first_ns, last_ns, _) in counts.items():
+    for topic_id, (count, first_ns, last_ns) in counts.items():
         if topic_id not in topics:
             error = database.damage(f"{counted(count, 'message', 'are')} of topic {topic_id}, which is not described")
             noted.note(error, key=("topic", topic_id), messages_lost=count, first_ns=first_ns, last_ns=last_ns)
