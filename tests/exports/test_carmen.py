@@ -21,40 +21,33 @@ if TYPE_CHECKING:
     from pc2scan.messages.laserscan import LaserScan
 
 
-def read_log(path: Path) -> tuple[list[Any], dict[str, str]]:
-    """The laser messages of a log, and its parameters, by the published rules alone (logger_playback.html).
+def read_log(path: Path) -> list[Any]:
+    """The laser messages of a log, by the published rules alone (logger_playback.html).
 
     One message a line: its name, its content, ``ipc_timestamp ipc_hostname logger_timestamp``. A scan's beams: the
-    first at ``start_angle``, each ``angular_resolution`` from the next; of FLASER, as CARMEN guesses.
+    first at ``start_angle``, each ``angular_resolution`` from the next.
     """
-    readings, parameters = [], {}
+    readings = []
     for line in path.read_text("ascii").splitlines():
         name, *words = line.split()
+        if name == "#":
+            continue
+        assert name == "ROBOTLASER1", line
 
         def take(count: int, words: list[str] = words) -> list[float]:
             return [float(words.pop(0)) for _ in range(count)]
 
-        if name == "PARAM":
-            parameters[words[0]] = words[1]
-        if name not in ("ROBOTLASER1", "FLASER"):
-            assert name in ("#", "PARAM"), line
-            continue
-        found = SimpleNamespace(start=-math.pi / 2, view=math.pi, step=0.0, maximum=80.0, remissions=[])
-        if name == "ROBOTLASER1":
-            _, found.start, found.view, found.step, found.maximum, _, _ = take(7)
+        _, start, view, step, maximum, _, _ = take(7)
+        found = SimpleNamespace(start=start, view=view, step=step, maximum=maximum)
         found.ranges = take(int(words.pop(0)))
-        if name == "ROBOTLASER1":
-            found.remissions = take(int(words.pop(0)))
-        else:
-            known = {180: 1.0, 181: 1.0, 360: 0.5, 361: 0.5, 400: 0.25, 401: 0.25}
-            found.step = math.radians(known.get(len(found.ranges), 180 / (len(found.ranges) - 1)))
+        found.remissions = take(int(words.pop(0)))
         found.laser, found.robot = take(3), take(3)
         # laser_tv laser_rv forward_safety_dist side_safety_dist turn_axis
-        take(5 if name == "ROBOTLASER1" else 0)
+        take(5)
         found.stamp, _, found.since_start = words
-        found.angles = [found.start + i * found.step for i in range(len(found.ranges))]
+        found.angles = [start + i * step for i in range(len(found.ranges))]
         readings.append(found)
-    return readings, parameters
+    return readings
 
 
 def written(tmp_path: Path, *scans: LaserScan, name: str = "drive.log", **how: Any) -> Path:
@@ -64,7 +57,7 @@ def written(tmp_path: Path, *scans: LaserScan, name: str = "drive.log", **how: A
 
 
 def test_robotlaser1_says_beams_readings_and_poses(tmp_path: Path) -> None:
-    readings, _ = read_log(written(tmp_path, odom_topic="/odom", pose_frame=""))
+    readings = read_log(written(tmp_path, odom_topic="/odom", pose_frame=""))
     assert [reading.stamp for reading in readings] == [stamp_text(stamp) for stamp in POSED]
     assert [reading.since_start for reading in readings] == [stamp_text(stamp - POSED[0]) for stamp in POSED]
     scans = [scan for scan in pc2scan.scans(tmp_path / "drive.mcap") if scan.stamp_ns in POSED]
@@ -84,35 +77,7 @@ def test_robotlaser1_says_beams_readings_and_poses(tmp_path: Path) -> None:
 def test_beams_that_run_clockwise_are_turned(tmp_path: Path) -> None:
     ranges = np.arange(1, 10, dtype=np.float32)
     scan = replace(PATTERN, stamp_ns=STAMPS[1], angle_min=1.0, angle_max=-1.0, angle_increment=-0.25, ranges=ranges)
-    (reading,), _ = read_log(written(tmp_path, scan))
+    (reading,) = read_log(written(tmp_path, scan))
     assert reading.ranges == ranges[::-1].tolist()
     assert reading.remissions == pytest.approx(PATTERN.intensities[::-1].tolist())
     assert (reading.start, reading.step) == (-1.0, 0.25)
-
-
-def sick(count: int, step: float, **changes: Any) -> LaserScan:
-    ranges = np.linspace(1, 40, count, dtype=np.float32)
-    ranges[3] = np.inf
-    return replace(
-        PATTERN,
-        stamp_ns=STAMPS[2],
-        angle_min=-math.pi / 2,
-        angle_max=-math.pi / 2 + (count - 1) * step,
-        angle_increment=step,
-        range_max=50.0,
-        ranges=ranges,
-        intensities=np.empty(0, np.float32),
-        **changes,
-    )
-
-
-@pytest.mark.parametrize(("count", "degrees"), [(181, 1.0), (360, 0.5), (19, 10.0)])
-def test_flaser_of_beams_that_its_readers_guess(count: int, degrees: float, tmp_path: Path) -> None:
-    scan = sick(count, math.radians(degrees))
-    (reading,), parameters = read_log(written(tmp_path, scan, name="drive.clf"))
-    assert np.allclose(reading.angles, scan.angle_min + np.arange(count) * scan.angle_increment, atol=1e-5)
-    assert reading.ranges[3] > reading.maximum
-    assert np.array(reading.ranges[4:], np.float32).tobytes() == scan.ranges[4:].tobytes()
-    assert float(parameters["laser_front_laser_resolution"]) == degrees
-    assert float(parameters["robot_front_laser_max"]) == reading.maximum
-    assert reading.laser == pytest.approx([2.0 * 0.5 + MOUNT[0], -1.0, 0.0])

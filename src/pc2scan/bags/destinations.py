@@ -31,7 +31,7 @@ _REFUSED_SUFFIXES = {
     ),
     **dict.fromkeys((".html", ".htm"), "pc2scan view writes a page"),
     **dict.fromkeys((".png", ".svg"), "pc2scan plot draws clouds, pc2scan map scans"),
-    **dict.fromkeys((".csv", ".npz", ".tum", ".clf"), "pc2scan export writes such files"),
+    **dict.fromkeys((".csv", ".npz", ".tum"), "pc2scan export writes such files"),
     **dict.fromkeys((".pcd", ".bin"), "pc2scan export writes them, into a folder"),
     **dict.fromkeys(
         (".zip", ".gz", ".tgz", ".bz2", ".xz", ".7z", ".tar", ".lz4", ".zst", ".zstd"),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from pc2scan.errors import UsageError
 
 from .clouds import write_kitti, write_pcd
-from .scans import write_carmen, write_csv, write_flaser, write_npz, write_tum
+from .scans import write_carmen, write_csv, write_npz, write_tum
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -50,7 +50,6 @@ FORMATS = {
         ExportFormat("csv", ".csv", write_csv),
         ExportFormat("tum", ".tum", write_tum, needs_poses=True),
         ExportFormat("carmen", ".log", write_carmen, needs_poses=True),
-        ExportFormat("flaser", ".clf", write_flaser, needs_poses=True),
         ExportFormat("pcd", ".pcd", write_pcd, clouds=True),
         ExportFormat("kitti", ".bin", write_kitti, clouds=True),
     )

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import shutil
 import zipfile
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager
 from tempfile import TemporaryFile
 from typing import IO, TYPE_CHECKING, Any
 
@@ -169,30 +169,15 @@ def write_tum(path: Path) -> Iterator[Write]:
         yield write
 
 
-# CARMEN's logs: ROBOTLASER1 has the directions of beams, for FLASER readers assume them. Sources of the rules: "Logger
-# and Playback" of CARMEN's manual (carmen.sourceforge.net/logger_playback.html), what CARMEN's readlog does (order of
-# the fields, guesses about FLASER), and MRPT's carmen_log_parse_line.
-
-#: What readers of FLASER assume, by the number of readings: degrees from one to the next. For any other number: 180
-#: degrees from the first to the last.
-_GUESSED_DEGREES = {180: 1.0, 181: 1.0, 360: 0.5, 361: 0.5, 400: 0.25, 401: 0.25}
-
-#: The range from which on readers of FLASER see no return, and the range of a SICK laser without a return.
-_FLASER_LIMIT, _FLASER_NONE = 80.0, 81.91
-
-#: How far a beam may be from the place that a reader of FLASER assumes, in beam widths.
-_MOST_OFF = 0.1
+# Sources of CARMEN's rules: "Logger and Playback" of its manual (carmen.sourceforge.net/logger_playback.html), and
+# MRPT's carmen_log_parse_line.
 
 
 @contextmanager
-def write_carmen(path: Path, body: Callable[[Scan], str] | None = None) -> Iterator[Write]:
-    """Write a line for each scan: readings, the poses of the laser and the robot; see `_robotlaser` and `_flaser`."""
+def write_carmen(path: Path) -> Iterator[Write]:
+    """Write a line for each scan: ROBOTLASER1, with the poses of the laser and the robot."""
     first_ns: int | None = None
     with lines_file(path) as file:
-
-        def line(text: str, stamp_ns: int) -> None:
-            assert first_ns is not None
-            file.write(f"{text} {stamp_text(stamp_ns)} pc2scan {stamp_text(stamp_ns - first_ns)}\n")
 
         def write(scan: Scan, posed: Posed | None) -> None:
             nonlocal first_ns
@@ -208,25 +193,17 @@ def write_carmen(path: Path, body: Callable[[Scan], str] | None = None) -> Itera
                     topic=scan.topic,
                     hint="scans that are made of clouds may be in any frame: `target_frame=base_link`",
                 )
-            text = (body or _robotlaser)(scan)
+            text = _robotlaser(scan)
             poses = " ".join(map(repr, (*_planar(laser), *_planar(posed.robot))))
             if first_ns is None:
                 first_ns = scan.stamp_ns
                 file.write("# CARMEN Logfile\n# file format is one message per line\n")
                 file.write("# message_name [message contents] ipc_timestamp ipc_hostname logger_timestamp\n")
-                if body is not None:
-                    degrees = math.degrees(_guess_step(len(scan.ranges)))
-                    line(f"PARAM laser_front_laser_resolution {degrees:.6g}", first_ns)
-                    line(f"PARAM robot_front_laser_max {_FLASER_LIMIT:g}", first_ns)
+            times = f"{stamp_text(scan.stamp_ns)} pc2scan {stamp_text(scan.stamp_ns - first_ns)}"
             # laser_tv, laser_rv, forward_safety_dist, side_safety_dist and turn_axis are of CARMEN's own robot.
-            line(f"{text} {poses}" + (" 0 0 0 0 0" if body is None else ""), scan.stamp_ns)
+            file.write(f"{text} {poses} 0 0 0 0 0 {times}\n")
 
         yield write
-
-
-def write_flaser(path: Path) -> AbstractContextManager[Write]:
-    """Write CARMEN's older lines."""
-    return write_carmen(path, _flaser)
 
 
 def _robotlaser(scan: Scan) -> str:
@@ -244,35 +221,6 @@ def _robotlaser(scan: Scan) -> str:
     # laser_type 99: no laser that CARMEN has a number for. 0.01: accuracy. The last one is the remission_mode.
     numbers = ("99", *_texts([start, sweep, step, scan.range_max]), "0.01", str(int(bool(remissions))))
     return " ".join(("ROBOTLASER1", *numbers, str(len(readings)), *readings, str(len(remissions)), *remissions))
-
-
-def _flaser(scan: Scan) -> str:
-    start, step, order = _counterclockwise(scan)
-    count = len(scan.ranges)
-    guessed = _guess_step(count)
-    off = max(abs(start + math.pi / 2), abs(start + (count - 1) * step + math.pi / 2 - (count - 1) * guessed))
-    if count < 2 or off > _MOST_OFF * guessed:
-        difference = (
-            f"FLASER has no directions of beams: readers assume that {count} readings begin at -90 degrees and are "
-            f"{math.degrees(guessed):.6g} degrees apart, those of this scan begin at {math.degrees(start):.6g} and "
-            f"are {math.degrees(step):.6g} apart"
-        )
-    elif (farthest := float(scan.ranges[scan.valid].max(initial=0))) >= _FLASER_LIMIT:
-        difference = f"a reading of {farthest:.6g} m: in FLASER, readings from {_FLASER_LIMIT:g} m on mean no return"
-    else:
-        readings = np.where(scan.valid, scan.ranges, np.float32(_FLASER_NONE))[order]
-        return " ".join(("FLASER", str(count), *_texts(readings)))
-    raise UsageError(
-        difference,
-        topic=scan.topic,
-        stamp_ns=scan.stamp_ns,
-        hint="`format=carmen` writes ROBOTLASER1, which has the directions and the maximum range",
-    )
-
-
-def _guess_step(count: int) -> float:
-    """Return the radians from one reading to the next, as readers of FLASER assume them."""
-    return math.radians(_GUESSED_DEGREES.get(count, 180 / max(count - 1, 1)))
 
 
 def _counterclockwise(scan: Scan) -> tuple[float, float, slice]:

@@ -36,7 +36,7 @@ class ExportFormat(TypedDict, total=False):
 
     format: Annotated[
         FileFormat | None,
-        "For scans: npz (NumPy arrays), csv (one row per scan), carmen (ROBOTLASER1, .log), flaser (FLASER, .clf). "
+        "For scans: npz (NumPy arrays), csv (one row per scan), carmen (ROBOTLASER1, .log). "
         "For the trajectory only: tum. For clouds, in a folder: pcd, kitti.",
         How(default_text="by OUT's suffix", short="-f"),
     ]
