@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from support.loops import needs_compiled
 from support.tables import rows
-from support.way_of_a_cloud import BOUNDS, way_of
+from support.way_of_a_cloud import way_of
+
+BOUNDS = Path(__file__).with_name("way_of_a_cloud.txt")
 
 
 @needs_compiled
 @pytest.mark.parametrize(
-    ("arguments", "frames", "functions", "files", "classes", "decompressions"), rows(BOUNDS, "bounds")
+    ("arguments", "frames", "functions", "files", "classes", "decompressions"),
+    rows(BOUNDS, "bounds"),
 )
 def test_a_conversion_stays_within_its_bounds(
     arguments: str, frames: int, functions: int, files: int, classes: int, decompressions: int

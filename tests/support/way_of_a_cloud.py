@@ -1,11 +1,8 @@
 """The way of a cloud through the code: what runs between the command and the arithmetic, as the interpreter reports it.
 
-    PYTHONPATH=tests python -m support.way_of_a_cloud
     PYTHONPATH=tests python -m support.way_of_a_cloud fixtures/hall.bag --min-height -0.3 --deskew
 
-Each conversion runs in a process of its own, so that nothing is loaded or remembered before it. The first form runs the
-conversions that the tests have bounds for; the second runs ``pc2scan convert`` with the arguments that follow, and may
-begin with ``--json``.
+runs ``pc2scan convert`` with these arguments, and prints the way as JSON.
 """
 
 from __future__ import annotations
@@ -26,16 +23,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pc2scan
 from support import ROOT
-from support.tables import rows
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from types import CodeType, FrameType
 
-__all__ = ["BOUNDS", "Way", "way_of"]
-
-#: The conversions, and at most how many frames, functions, files and decompressions they may take.
-BOUNDS = Path(__file__).parents[1] / "e2e" / "way_of_a_cloud.txt"
+__all__ = ["Way", "way_of"]
 
 _PACKAGE = f"{Path(pc2scan.__file__).parent}{os.sep}"
 
@@ -49,38 +41,28 @@ class Way(NamedTuple):
         The deepest chain of calls, on one thread, that ends with the projection: name and file of each function.
     functions
         How many functions of pc2scan run. A comprehension or a generator expression is part of its function.
-    codes
-        How many code objects run: functions, and the bodies of modules, classes, comprehensions and generators.
     files
         How many files of pc2scan have functions that run.
     classes
         How many classes of pc2scan have instances whenever a cloud is projected.
-    loaded
-        How many files have any code that runs: also those of which only the module's body does.
     decompressions
         How often each chunk is decompressed, by its offset in the recording.
     """
 
     frames: list[tuple[str, str]]
     functions: int
-    codes: int
     files: int
     classes: int
-    loaded: int
     decompressions: dict[int, int]
 
 
 def way_of(*arguments: str) -> Way:
     """Run ``pc2scan convert`` with these arguments in a process of its own, and return what it ran."""
-    # Not at the top: it loads the command, which is to be watched.
-    from support.command import environment
-
-    paths = [str(Path(__file__).parents[1]), environment().get("PYTHONPATH", "")]
     done = subprocess.run(
-        [sys.executable, "-m", "support.way_of_a_cloud", "--json", *arguments],
+        [sys.executable, "-m", "support.way_of_a_cloud", *arguments],
         capture_output=True,
         text=True,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))},
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
         cwd=ROOT,
         check=False,
     )
@@ -131,10 +113,8 @@ class _Watcher:
         return Way(
             self._deepest,
             sum(map(_is_function, self._codes)),
-            len(self._codes),
             len({code.co_filename for code in self._codes if _is_function(code)}),
             len(self._classes),
-            len({code.co_filename for code in self._codes}),
             dict(sorted(self._decompressed.items())),
         )
 
@@ -150,51 +130,26 @@ def _place(code: CodeType) -> tuple[str, str]:
     return code.co_name, code.co_filename.removeprefix(_PACKAGE).replace(os.sep, "/")
 
 
-def _watch(arguments: list[str]) -> Way:
-    """Run ``pc2scan convert`` in this process."""
-    source = Path(arguments[0]).read_bytes()
-    watcher, said = _Watcher(source), StringIO()
+def main() -> None:
+    """Print what a conversion in this process runs."""
+    arguments = sys.argv[1:]
+    watcher, said = _Watcher(Path(arguments[0]).read_bytes()), StringIO()
     with TemporaryDirectory() as folder:
         sys.argv = ["pc2scan", "convert", *arguments, "-o", str(Path(folder) / "scans.mcap")]
         threading.setprofile(watcher)
         with redirect_stdout(said), redirect_stderr(said), suppress(SystemExit):
             sys.setprofile(watcher)
             try:
-                _command()
+                # Not at the top: it loads the command, which is to be watched.
+                from pc2scan.cli import main as command
+
+                command()
             finally:
                 sys.setprofile(None)
                 threading.setprofile(None)
         made = (Path(folder) / "scans.mcap").is_file()
     assert made, said.getvalue()
-    return watcher.way()
-
-
-def _command() -> None:
-    from pc2scan.cli import main as command
-
-    command()
-
-
-def _text(arguments: str, way: Way) -> Iterator[str]:
-    yield f"pc2scan convert {arguments}"
-    yield f"  {len(way.frames)} frames from the command to the arithmetic:"
-    yield from (f"    {number:2} {name:32} {file}" for number, (name, file) in enumerate(way.frames, 1))
-    yield (
-        f"  {way.functions:,} functions in {way.files} files ({way.codes:,} code objects in {way.loaded}); "
-        f"instances of {way.classes} classes"
-    )
-    yield "  decompressions of the chunk at each offset:"
-    yield from (f"    {offset:10,} {count}" for offset, count in way.decompressions.items())
-
-
-def main() -> None:
-    """Print what conversions run."""
-    arguments = sys.argv[1:]
-    if arguments[:1] == ["--json"]:
-        print(json.dumps(_watch(arguments[1:])._asdict()))  # noqa: T201
-        return
-    for each in [arguments] if arguments else [request.split() for request, *_ in rows(BOUNDS, "bounds")]:
-        print(*_text(" ".join(each), way_of(*each)), sep="\n")  # noqa: T201
+    print(json.dumps(watcher.way()._asdict()))  # noqa: T201
 
 
 if __name__ == "__main__":
