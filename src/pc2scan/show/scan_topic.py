@@ -278,18 +278,16 @@ class ScanTopic:
     first
         The first of them.
     frames
-        All ``frame_id``, with their numbers of scans.
+        All ``frame_id``.
     beams
-        All lengths of ``ranges``, with their numbers of scans.
-    ranges
-        How many ranges there are, and how many of each kind.
+        All lengths of ``ranges``.
     """
 
     def __init__(self) -> None:
         self.scans = 0
         self.first: ConsumerScan | None = None
-        self.frames: Counter[str] = Counter()
-        self.beams: Counter[int] = Counter()
+        self.frames: dict[str, None] = {}
+        self.beams: set[int] = set()
         #: The verdicts of each consumer, by outcome; those about transforms are beside the others.
         self._verdicts: dict[str, dict[str, Counted]] = {consumer: {} for consumer in CONSUMERS}
         self._undecodable = Counted()
@@ -297,7 +295,7 @@ class ScanTopic:
         self._first_of: dict[str, ConsumerScan] = {}
         self._kept_of: dict[tuple[str, str], ConsumerScan] = {}
         self._tallies = {kind: Counted() for kind in _EACH_SCAN}
-        self.ranges: Counter[str] = Counter()
+        self._ranges: Counter[str] = Counter()
         self._median = 0.0
         self._stamps = _Stamps()
         self._sectors = _Sectors()
@@ -325,11 +323,11 @@ class ScanTopic:
             self.first = scan
             finite = message.ranges[np.isfinite(message.ranges)]
             self._median = float(np.median(finite)) if len(finite) else 0.0
-        self.frames[frame] += 1
-        self.beams[scan.beams] += 1
+        self.frames[frame] = None
+        self.beams.add(scan.beams)
         self._judge(scan, frame, stamp_ns, placed)
-        self.ranges += Counter(beams=scan.beams, returns=scan.returns, short=scan.short, long=scan.long, nan=scan.nan)
-        self.ranges += Counter({"zero" if scan.range_min <= 0 else "zero short": scan.zero})
+        self._ranges += Counter(beams=scan.beams, short=scan.short, long=scan.long, nan=scan.nan)
+        self._ranges += Counter({"zero" if scan.range_min <= 0 else "zero short": scan.zero})
         angles = has_angles(scan)
         wrong = {
             "no-frame": not frame,
@@ -399,9 +397,7 @@ class ScanTopic:
         if first is None:
             return
         if len(self.frames) > 1:
-            named = ", ".join(repr(name) for name in list(self.frames)[:5])
-            text = f"{len(self.frames)} frames on one topic: {named}"
-            yield Finding("frames", "notice", text, "use a topic for each sensor")
+            yield Finding("frames", "notice", f"{len(self.frames)} frames on one topic", "use a topic for each sensor")
         increment = f"{first.angle_increment:.6g} rad ({math.degrees(first.angle_increment):.4g} deg)"
         facts = {
             "low": min(self.beams),
@@ -438,9 +434,9 @@ class ScanTopic:
             hint = "ranges are metres; if the clouds are in millimetres: pc2scan convert `cloud_scale=0.001`"
             yield Finding("units", "notice", text, hint)
         for name, (problem, hint) in _EACH_RANGE.items():
-            if count := self.ranges[name]:
-                zeros = f" ({self.ranges['zero short']:,} are 0)" if name == "short" else ""
-                text = f"{count:,} of {self.ranges['beams']:,} ranges {problem}{zeros}"
+            if count := self._ranges[name]:
+                zeros = f" ({self._ranges['zero short']:,} are 0)" if name == "short" else ""
+                text = f"{count:,} of {self._ranges['beams']:,} ranges {problem}{zeros}"
                 yield Finding(f"ranges-{name}", "notice", text, hint)
 
 
