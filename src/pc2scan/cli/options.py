@@ -16,11 +16,8 @@ from pc2scan.request.parameters import plain_scalar
 from .commands import COMMANDS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
     from pathlib import Path
-
-#: The functions that read a parameter's number, by its kind.
-_NUMBERS: Mapping[str, Callable[[str], float]] = {"int": int, "float": float}
 
 
 def arguments_of(command: str, typed: Mapping[str, Any]) -> dict[str, Any]:
@@ -71,23 +68,19 @@ def call_options(name: str, typed: Mapping[str, Any]) -> Options:
     for key, option in options_of(name).items():
         if key not in typed:
             continue
-        text = typed[key]
+        words[key] = text = typed[key]
         if isinstance(option, Parameter):
-            number = _NUMBERS.get(option.value.kind)
-            try:
-                words[key] = number(text) if number else text
-            except ValueError:
-                # In the notation of a parameter file.
-                words[key] = plain_scalar(text)
+            if number := {"int": int, "float": float}.get(option.value.kind):
+                try:
+                    words[key] = number(text)
+                except ValueError:
+                    # In the notation of a parameter file.
+                    words[key] = plain_scalar(text)
             origins[key] = option.negation if text is False else option.spelling
-        elif option.default is True:
-            words[key] = not text
         elif isinstance(option.value, values.Switch):
             words[key] = text == "local" or text
         elif isinstance(option.value, values.Count):
             words[key] = _whole_number(key, text)
-        else:
-            words[key] = text
     return Options(name, words, origins)
 
 
