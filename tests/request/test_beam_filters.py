@@ -43,7 +43,4 @@ def test_the_last_beam_of_a_full_circle_is_beside_the_first() -> None:
 
 def test_filters_are_written_with_their_parameters() -> None:
     assert beam_filter("shadows") == Shadows()
-    assert beam_filter("shadows window=2") == Shadows(10.0, 170.0, 2, 20, False)
-    text = "shadows min_angle=5 max_angle=175 window=2 neighbors=3 remove_shadow_start_point=true"
-    assert beam_filter(text) == Shadows(5.0, 175.0, 2, 3, True)
-    assert beam_filter("speckles filter_type=1 max_range=4") == Speckles("RadiusOutlier", 4.0)
+    assert beam_filter("speckles max_range=4 filter_window=3") == Speckles(4.0, 0.1, 3)

@@ -1,9 +1,8 @@
 """Finds the beams of a scan to remove: shadows behind edges, and speckles.
 
-Source of the rules of `shadows`, `speckles_by_distance` and `speckles_by_neighbors`: ``ScanShadowsFilter`` (with
-``ScanShadowDetector``) and ``LaserScanSpeckleFilter`` of laser_filters 2.0, with the same parameters, in float32 as
-there. Two things differ: laser_filters stops at the first and the last beam, while a full circle has no end here; and
-laser_filters reads past the scan's array, but does not use these values. `veiled_beams` is pc2scan's own rule.
+Source of the rule of `speckles`: ``LaserScanSpeckleFilter`` (by distance) of laser_filters 2.0, with the same
+parameters, in float32 as there; but laser_filters stops at the first and the last beam, while a full circle has no end
+here. `veiled_beams` is pc2scan's own rule.
 
 A beam without a return is inf or NaN here, whatever number the scan has for it.
 """
@@ -105,63 +104,7 @@ def _next(beams: NDArray[np.intp], step: int, count: int, closed: bool) -> tuple
     return places, apart
 
 
-def shadows(
-    ranges: NDArray[np.float32],
-    increment: float,
-    *,
-    min_angle: float,
-    max_angle: float,
-    window: int,
-    neighbors: int,
-    remove_shadow_start_point: bool = False,
-    closed: bool = False,
-) -> NDArray[np.bool_]:
-    """Return which beams are shadows: returns between an edge and the object behind it, which are on neither.
-
-    If the line from a return to another one at most ``window`` beams away is nearly parallel to the beam, those of its
-    ``neighbors`` on both sides that are farther away are removed.
-
-    Parameters
-    ----------
-    ranges
-        (N,) metres.
-    increment
-        Radians from beam to beam.
-    min_angle, max_angle
-        Limits of the angle between the beam and that line, degrees: 0 to 90 and 90 to 180. A smaller or a larger angle
-        is a shadow.
-    window, neighbors
-        Numbers of beams.
-    remove_shadow_start_point
-        Whether to remove the return itself, too.
-    closed
-        Whether the first beam follows the last one.
-    """
-    low, high = (np.float32(math.tan(math.radians(angle))) for angle in (min_angle, max_angle))
-    low, high = abs(low), -abs(high)
-    step = np.float32(increment)
-    included = np.float32(-window) * step
-    begins = np.zeros(ranges.size, np.bool_)
-    with np.errstate(all="ignore"):
-        for away in range(-window, window + 1):
-            angle, included = float(included), included + step
-            if away == 0:
-                continue
-            other, there = _shift(ranges, away, closed)
-            across = other * np.float32(abs(math.sin(angle)))
-            along = ranges - other * np.float32(math.cos(angle))
-            tangent = across / along
-            begins |= there & (tangent < low) & (tangent > high)
-        removed = np.zeros(ranges.size, np.bool_)
-        for away in range(-neighbors, neighbors + 1):
-            # The beam to remove, and its neighbour.
-            edge, there = _shift(ranges, -away, closed)
-            begun, _ = _shift(begins, -away, closed)
-            removed |= there & begun & (edge < ranges)
-    return removed | begins if remove_shadow_start_point else removed
-
-
-def speckles_by_distance(
+def speckles(
     ranges: NDArray[np.float32],
     *,
     max_range: float,
@@ -191,58 +134,10 @@ def speckles_by_distance(
             # The difference of two beams without a return is NaN, which does not count as too large.
             like = ~(np.abs(other - ranges).astype(np.float64) > max_range_difference)
             valid &= there & ~np.isnan(other) & like
-        return _speckles(ranges, valid, max_range, filter_window, closed)
-
-
-def speckles_by_neighbors(
-    ranges: NDArray[np.float32],
-    increment: float,
-    *,
-    max_range: float,
-    max_range_difference: float,
-    filter_window: int,
-    closed: bool = False,
-) -> NDArray[np.bool_]:
-    """Return which beams are speckles: beams with fewer than ``filter_window`` returns near them.
-
-    Returns count as near if they are at most ``filter_window`` beams and ``max_range_difference`` metres away. A beam
-    with enough near returns keeps the next ``filter_window - 1`` beams as well.
-
-    Parameters
-    ----------
-    ranges, max_range, closed
-        As for `speckles_by_distance`.
-    increment
-        Radians from beam to beam.
-    """
-    near = np.zeros(ranges.size, np.int64)
-    step = np.float32(increment)
-    wide = ranges.astype(np.float64)
-    with np.errstate(all="ignore"):
-        for away in range(-filter_window, filter_window + 1):
-            if away == 0:
-                continue
-            other, there = _shift(ranges, away, closed)
-            cosine = np.float32(math.cos(float(np.float32(away) * step)))
-            product = np.float32(2) * ranges * other * cosine
-            squares = wide * wide + other.astype(np.float64) * other.astype(np.float64) - product
-            distance = np.sqrt(squares).astype(np.float32)
-            near += there & (distance.astype(np.float64) <= max_range_difference)
-        valid = near >= filter_window
-        if not closed:
-            # laser_filters does not check the beams from here on.
-            valid[max(0, ranges.size - filter_window + 1) :] = False
-        return _speckles(ranges, valid, max_range, filter_window, closed)
-
-
-def _speckles(
-    ranges: NDArray[np.float32], valid: NDArray[np.bool_], max_range: float, filter_window: int, closed: bool
-) -> NDArray[np.bool_]:
-    """Return the beams that are in no valid run, except those beyond ``max_range``."""
-    kept = ranges.astype(np.float64) > max_range
-    for away in range(filter_window):
-        begun, there = _shift(valid, -away, closed)
-        kept |= there & begun
+        kept = ranges.astype(np.float64) > max_range
+        for away in range(filter_window):
+            begun, there = _shift(valid, -away, closed)
+            kept |= there & begun
     removed: NDArray[np.bool_] = ~kept
     return removed
 

@@ -83,8 +83,8 @@ class PointSelection(TypedDict, total=False):
     remove: Annotated[
         Names | None,
         Texts("BEAMS"),
-        "Remove beams: shadows (returns between an edge and the surface behind it) or speckles. With parameters, the "
-        "filter of laser_filters removes them: 'shadows min_angle=5 neighbors=10', 'speckles filter_window=3'.",
+        "Remove beams: shadows (returns between an edge and the surface behind it) or speckles, as laser_filters finds "
+        "them: 'speckles filter_window=3'.",
     ]
     where: Annotated[
         Names | None,
