@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar
 
 from pc2scan.errors import leading, stamp_text, visible
 from pc2scan.messages.clouds import CLOUDS
@@ -84,28 +84,18 @@ class ValuesFound:
     ----------
     changed, shifted
         Beams or points, as in `pc2scan.core.compare.ArrayDifference`.
-    whole_shifts
-        Messages that are equal to the other side's if shifted by one beam.
     """
 
     name: str
     messages: int = 0
     changed: int = 0
     shifted: int = 0
-    whole_shifts: int = 0
     worst: WorstValue | None = None
 
     @property
     def differing(self) -> int:
         """Beams or points beyond the tolerance."""
         return self.changed + self.shifted
-
-
-class WorstPair(NamedTuple):
-    """The pair of messages with the most differing beams or points, and their number."""
-
-    times: MessageTimes
-    differing: int
 
 
 @dataclass(slots=True)
@@ -128,13 +118,11 @@ class TopicDifference:
         Messages only in A; only in B; in both, but in another order.
     changes, values
         Differences within pairs, by name.
-    worst
-        The pair that differs most; None if all are equal.
     """
 
     json_names: ClassVar[tuple[str, ...]] = (
         *("topic_a", "topic_b", "msgtype", "same", "allow_beams", "messages_a", "messages_b", "matched", "differing"),
-        *("elements", "missing", "extra", "moved", "changes", "values", "worst"),
+        *("elements", "missing", "extra", "moved", "changes", "values"),
     )
 
     topic_a: str | None
@@ -151,8 +139,6 @@ class TopicDifference:
     moved: UnpairedMessages = field(default_factory=UnpairedMessages)
     changes: dict[str, ChangeFound] = field(default_factory=dict)
     values: dict[str, ValuesFound] = field(default_factory=dict)
-    worst: WorstPair | None = None
-    _worst_rank: tuple[int, float] = (0, 0.0)
 
     @property
     def name(self) -> str:
@@ -182,22 +168,16 @@ class TopicDifference:
         self.differing += 1
         for change in difference.changes:
             self.change(change.name, times, change.a, change.b)
-        rank = (0, 0.0)
         for values in difference.values:
             array = values.difference
             found = self.values.setdefault(values.name, ValuesFound(values.name))
             found.messages += 1
             found.changed += array.changed
             found.shifted += array.shifted
-            found.whole_shifts += bool(array.shift)
             worst = array.worst
             if worst is not None and (found.worst is None or worst.difference > found.worst.difference):
                 angle = None if values.beams is None else values.beams[0] + worst.index * values.beams[1]
                 found.worst = WorstValue(times, worst.index, angle, worst.reference, worst.value, worst.difference)
-            rank = max(rank, (array.differing, worst.difference if worst else 0.0))
-        if rank > self._worst_rank:
-            self._worst_rank = rank
-            self.worst = WorstPair(times, rank[0])
 
     def change(self, name: str, times: MessageTimes, a: str, b: str) -> None:
         """Count a change; the first of its name is kept as the example."""
@@ -316,9 +296,6 @@ def _lines(topic: TopicDifference, names: tuple[str, str]) -> Iterator[tuple[str
         yield found.name, _values(found, topic, element, message)
         if found.worst is not None:
             yield "", f"worst {_worst_text(found, element, names)}"
-    if topic.worst is not None and topic.differing > 1:
-        times, differing = topic.worst
-        yield f"worst {message}", f"{_times_text(times)}: {counted(differing, element)}"
 
 
 def _values(found: ValuesFound, topic: TopicDifference, element: str, message: str) -> str:
@@ -330,8 +307,6 @@ def _values(found: ValuesFound, topic: TopicDifference, element: str, message: s
     shown = f"{share:.2%}" if share >= 0.0001 else "under 0.01%"
     differing = f"{counted(found.differing, element)} of {topic.elements:,} ({shown})"
     text = f"in {counted(found.messages, message)}: {differing}, {' and '.join(filter(None, parts))}"
-    if found.whole_shifts:
-        text += f"; {counted(found.whole_shifts, 'whole ' + message)} shifted by one {element}"
     if topic.allow_beams:
         text += f"; {'within' if topic.allows(found) else 'more than'} the allowed {topic.allow_beams:.2%}"
     return text

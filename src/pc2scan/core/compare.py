@@ -85,8 +85,6 @@ class ArrayDifference:
     shifted
         How many elements are beyond the tolerance, but have their value, or their reference, at a neighbour that
         differs, too: returns that fell into the neighbouring beam.
-    shift
-        1 if all of the reference is found one element later, -1 if one earlier, 0 otherwise.
     worst
         The largest difference; None if nothing differs.
     """
@@ -94,7 +92,6 @@ class ArrayDifference:
     elements: int
     changed: int = 0
     shifted: int = 0
-    shift: int = 0
     worst: WorstElement | None = None
 
     @property
@@ -140,11 +137,10 @@ def compare_arrays(
     total = int(np.count_nonzero(rows))
     if not total:
         return ArrayDifference(elements)
-    shifted = shift = 0
+    shifted = 0
     if limits is not None and elements > 1:
         shifted = int(np.count_nonzero(_neighbour_moves(a, b, rows, tolerance, limits)))
-        shift = _whole_shift(a, b, tolerance, limits)
-    return ArrayDifference(elements, total - shifted, shifted, shift, _worst(a, b, differs))
+    return ArrayDifference(elements, total - shifted, shifted, _worst(a, b, differs))
 
 
 @np.errstate(invalid="ignore", over="ignore")
@@ -186,15 +182,6 @@ def _neighbour_moves(
         explained[:-1] |= found
         explained[1:] |= found
     return explained
-
-
-def _whole_shift(a: NDArray[Any], b: NDArray[Any], tolerance: Tolerance, limits: tuple[float, float]) -> int:
-    returns = np.isfinite(a) & (a >= limits[0]) & (a <= limits[1])
-    if returns[:-1].any() and _equal_values(a[:-1], b[1:], tolerance).all():
-        return 1
-    if returns[1:].any() and _equal_values(a[1:], b[:-1], tolerance).all():
-        return -1
-    return 0
 
 
 def _worst(a: NDArray[Any], b: NDArray[Any], differs: NDArray[np.bool_]) -> WorstElement:
