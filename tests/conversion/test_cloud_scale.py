@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import pc2scan
-from pc2scan.errors import UsageError
 from support.builders import CLOUD, T0, Recording, Stream, item, write_mcap, write_rosbag1
 from support.clouds import LIVOX, OLD_CLOUD, livox, livox_points, old_cloud, structured
 
@@ -74,18 +73,3 @@ def test_scaled_clouds_are_those_in_metres(msgtype: str, kind: str, metres: str,
         pc2scan.info(source, cloud_scale=factor) for source, factor in zip(sources, factors, strict=True)
     )
     assert wrong_info.clouds[0].limits == right_info.clouds[0].limits
-
-
-@pytest.mark.parametrize("factor", [0.0, -0.001, float("nan"), float("inf")])
-def test_a_factor_is_positive(factor: float, tmp_path: Path) -> None:
-    source = recorded(tmp_path / "a.mcap", CLOUD, "<f4", 1)
-    for call in (pc2scan.convert, pc2scan.info, pc2scan.view):
-        with pytest.raises(UsageError, match="it must be above 0"):
-            call(source, cloud_scale=factor)
-
-
-def test_scans_have_no_unit_to_change(tmp_path: Path) -> None:
-    made = tmp_path / "scans.mcap"
-    pc2scan.convert(recorded(tmp_path / "a.mcap", CLOUD, "<f4", 1), made, **HEIGHTS)
-    with pytest.raises(UsageError, match="no message has coordinates"):
-        pc2scan.info(made, cloud_scale=0.001)

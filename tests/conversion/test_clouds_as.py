@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import pc2scan
-from pc2scan.errors import UsageError
 from pc2scan.messages.livox import decode_livox
 from pc2scan.messages.pointcloud2 import as_pointcloud2, decode_pointcloud2, encode_cloud
 from support import builders, clouds
@@ -91,30 +90,3 @@ def test_livox_clouds_get_the_fields_of_the_driver(form: str, jobs: int, tmp_pat
         (scan, *_) = pc2scan.scans(source, min_height=-9.0, range_min=0.1, intensity_field="intensity")
         made.append((scan.ranges.tobytes(), scan.intensities.tobytes()))
     assert made[0] == made[1]
-
-
-@pytest.mark.parametrize(
-    ("options", "error"),
-    [
-        ({"clouds_as": "pcd"}, "clouds_as"),
-        (
-            {"clouds_as": "pointcloud2", "min_height": 0.1},
-            "`min_height` would have no effect: `clouds_as` makes no scans",
-        ),
-        ({"clouds_as": "pointcloud2", "topics": "/livox/lidar"}, "`topics` would have no effect"),
-        ({"clouds_as": "pointcloud2", "only_scans": True}, "no effect"),
-        ({"clouds_as": "pointcloud2", "reverse": True}, "`reverse` would have no effect"),
-    ],
-)
-def test_options_that_contradict_each_other_are_refused(options: dict[str, Any], error: str, tmp_path: Path) -> None:
-    path = recording(tmp_path / "a.mcap", LIVOX, livox, 2)
-    with pytest.raises(UsageError, match=error):
-        pc2scan.convert(path, **options)
-    assert [each.name for each in tmp_path.iterdir()] == ["a.mcap"]
-
-
-def test_without_clouds_of_other_types_it_has_no_effect(tmp_path: Path) -> None:
-    path = recording(tmp_path / "a.mcap", Stream("/points", CLOUD), raw, 2)
-    report = pc2scan.convert(path, clouds_as="pointcloud2")
-    assert any("has no effect: there are no clouds of other types" in text for text in report.warnings)
-    assert [each.data for each in opened(Path(report.destination)).of("/points")] == [raw(step, 2) for step in range(3)]

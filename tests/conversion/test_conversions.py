@@ -125,22 +125,3 @@ def test_last_beams_beyond_ros_time_are_an_error(stamp_ns: int, increment: float
     with pytest.raises(DecodeError, match=message) as caught:
         once(ScanToCloud(None, known, deskewed=True), scan([2.0] * 3, stamp_ns, time_increment=increment))
     assert caught.value.stamp_ns == stamp_ns
-
-
-@pytest.mark.parametrize("static", [False, True])
-@pytest.mark.parametrize("stamp_ns", [5 * SECOND, 0])
-def test_a_transformed_cloud_has_the_header_of_the_transform(stamp_ns: int, static: bool) -> None:
-    """And a deskewed one that of the scan."""
-    builder = TransformBuilder()
-    for second in (4, 5, 6) if not static else (5,):
-        builder.add([("odom", "laser", second * SECOND, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)], static=static)
-    known = Placer("odom", "", builder.build(), 0)
-    message = scan([2.0] * 3, stamp_ns)
-    newest = stamp_ns or (0 if static else 6 * SECOND)
-    for conversion, expected in (
-        (ScanToCloud(None, known), (0, newest, "odom")),
-        (ScanToCloud(None, known, deskewed=True), (9, stamp_ns, "odom")),
-        (ScanToCloud(None, Placer()), (9, stamp_ns, "laser")),
-    ):
-        read = decode_pointcloud2(once(conversion, message).message, "ros1")
-        assert (read.sequence, read.stamp_ns, read.frame_id) == expected

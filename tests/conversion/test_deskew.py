@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pc2scan.conversion.deskew import Deskew, MovingCloud
-from pc2scan.core.points import TIME, Points
+from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import DecodeError, TransformError
 from pc2scan.request.point_time import PointTime
@@ -96,18 +96,6 @@ def test_points_without_a_transform_or_a_time_are_counted() -> None:
     assert np.isnan(placed.field("x")[~kept]).all()
 
 
-def test_the_first_and_the_last_points_are_not_lost_by_rounding() -> None:
-    """Seconds computed by multiplying with 1e-9 may lie one bit outside those computed by dividing by 1e9."""
-    known = frames()
-    for nanoseconds in (99_944_444, 99_944_451, 90_000_007, 33_333_333):
-        for times in ([0, 5, nanoseconds], [-nanoseconds, -5, 0], [T0 + 1, T0 + nanoseconds, T0 + 9]):
-            moving = moving_of(Deskew(known, "odom", PointTime()), points(np.ones((3, 3)), times))
-            _, kept, rejected = moving.place(moving.points)
-            assert kept is None
-            assert rejected == {"no_time": 0, "no_transform": 0}
-            assert moving.transform.timed
-
-
 @pytest.mark.parametrize(
     ("kind", "unit", "name"), [("<f8", 1e-9, "time"), ("<f8", 1e-3, "timestamp"), ("<f8", 1.0, "t"), ("<u8", 1.0, "t")]
 )
@@ -134,21 +122,6 @@ def test_a_cloud_before_all_transforms_is_an_error() -> None:
     with pytest.raises(TransformError) as caught:
         Deskew(near, "odom", PointTime())(points([[1, 1, 1]] * 2, [-2_000_000, -1_000_000]))
     assert "`time_offset=auto`" in str(caught.value.hint)
-
-
-def test_points_that_were_not_measured_need_no_time() -> None:
-    xyz = np.ones((4, 3))
-    xyz[1] = np.nan
-    absolute = np.array([T0 / 1e9, 0.0, T0 / 1e9 + 0.05, T0 / 1e9 + 0.02])
-    moving = moving_of(Deskew(frames(), "odom", PointTime()), points(xyz, absolute, "timestamp"))
-    np.testing.assert_allclose(moving.points.fields[TIME][[0, 2, 3]], [0, 0.05, 0.02], atol=1e-6)
-    placed, kept, rejected = moving.place(moving.points)
-    assert kept is None
-    assert sum(rejected.values()) == 0
-    assert np.isnan(placed.field("x")).tolist() == [False, True, False, False]
-    nothing = points(np.full((3, 3), np.nan), [0, 0, 0])
-    assert Deskew(frames(), "odom", PointTime())(nothing) is None
-    assert Deskew(frames(), "odom", PointTime())(points(np.empty((0, 3)), np.empty(0, np.uint32))) is None
 
 
 @pytest.mark.parametrize(("times", "name", "what"), rows(TABLES, "times that cannot be"))

@@ -15,13 +15,12 @@ import pc2scan
 from pc2scan.bags.mcap.write import McapWriter
 from pc2scan.bags.opening import open_recording
 from pc2scan.core.points import Points
-from pc2scan.errors import DecodeError, ParameterError, UsageError
+from pc2scan.errors import DecodeError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.model import Connection, Definition
 from pc2scan.request.filters import Frame
-from pc2scan.request.options import ScanSpec
 from support import builders
 from support.builders import T0
 
@@ -158,26 +157,3 @@ def test_filters_work_in_the_frame_that_they_name(tmp_path: Path, frame: Any) ->
     expected = {"used": 1, "this_side": 4} if frame is Frame.TARGET else {"used": 2, "this_side": 3}
     assert points.total == 5
     assert {name: getattr(points, name) for name in expected} == expected
-
-
-def test_a_filter_that_cannot_be_is_an_error(tmp_path: Path) -> None:
-    @dataclass(frozen=True)
-    class Changed(EveryNth):
-        pass
-
-    for name in ("height", "total", "not a name", ""):
-        Changed.name = name
-        with pytest.raises(UsageError, match="cannot be the name of its count"):
-            ScanSpec(filters=(Changed(2),))
-    source = recorded(tmp_path / "a.mcap", POINTCLOUD2, [cloud()])
-    Changed.name, Changed.fields = "thinned", ("reflectivity",)
-    with pytest.raises(ParameterError, match="`thinned` needs the field 'reflectivity', which the clouds"):
-        pc2scan.convert(source, tmp_path / "b.mcap", params=BAND, filters=[Changed(2)])
-    assert not (tmp_path / "b.mcap").exists()
-
-    class Wrong(EveryNth):
-        def __call__(self, points: Points) -> Any:
-            return np.arange(points.field("x").size)
-
-    with pytest.raises(TypeError, match="thinned returned int64"):
-        pc2scan.convert(source, tmp_path / "b.mcap", params=BAND, filters=[Wrong(1)])

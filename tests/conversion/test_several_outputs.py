@@ -10,7 +10,6 @@ import pytest
 
 import pc2scan
 from pc2scan.bags.opening import open_recording
-from pc2scan.conversion.deskew import Deskew
 from pc2scan.errors import TransformError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
@@ -19,7 +18,6 @@ from support import ROOT
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from pc2scan.core.points import Points
 
 HALL = ROOT / "fixtures" / "hall.mcap"
 BAND = {"min_height": -0.3, "max_height": 1.0}
@@ -80,33 +78,6 @@ def test_a_message_is_decoded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     report = converted(tmp_path / "all.mcap", {**near, "/own": BAND, "/own_near": {**BAND, "range_max": 5.0}})
     # The first cloud is looked at beforehand, once for the fields of all outputs, and once to be judged.
     assert calls["decode"] == made(report)[0].messages_out + 3
-
-
-@pytest.mark.parametrize(
-    ("other", "times"),
-    [
-        ({"max_height": 0.2}, 1),
-        ({"stamp": "middle"}, 2),
-        ({"point_time": "time:s"}, 2),
-        ({"fixed_frame": "base_link"}, 2),
-    ],
-)
-def test_outputs_that_place_points_alike_share_the_work(
-    other: dict[str, Any], times: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    calls: Counter[str] = Counter()
-    track = Deskew.track
-
-    def counted(self: Deskew, points: Points) -> Any:
-        calls["track"] += 1
-        return track(self, points)
-
-    monkeypatch.setattr(Deskew, "track", counted)
-    moved = {**BAND, "deskew": True, "fixed_frame": "odom"}
-    report = converted(tmp_path / "a.mcap", {"/a": moved, "/b": {**moved, **other}}, jobs=1)
-    count = made(report)[0].messages_in
-    # Some first clouds are converted twice.
-    assert times * count <= calls["track"] < times * 2 * count
 
 
 @pytest.mark.parametrize("jobs", [1, 2])

@@ -18,7 +18,6 @@ from pc2scan.messages.pointcloud2 import decode_pointcloud2
 from pc2scan.messages.stamps import move_point_times, set_stamp, stamp_in
 from support.builders import SECOND, cloud, points_of, write_mcap, write_rosbag1
 from support.tables import rows
-from support.worlds.moving import Lidar, write_world
 from support.worlds.posed import recording
 
 TABLES = Path(__file__).with_name("stamps.txt")
@@ -59,15 +58,6 @@ def test_a_corrected_clock_is_the_right_clock_to_the_bit(text: str, suffix: str,
     assert not any("clock" in text for text in report.warnings)
     for topic in ("/scan", "/points", "/tf"):
         assert messages(found, topic) == messages(expected, topic), topic
-    # One topic alone, and every door.
-    found, _ = converted(wrong, "c", time_offset=f"/points={undone}")
-    assert messages(found, "/scan") == messages(expected, "/scan")
-    how: dict[str, Any] = {"target_frame": "base_link"} | HEIGHTS
-    streams = pc2scan.scans(wrong, "/points", time_offset=undone, **how), pc2scan.scans(right, "/points", **how)
-    for one, other in zip(*streams, strict=True):
-        assert (one.stamp_ns, one.ranges.tobytes()) == (other.stamp_ns, other.ranges.tobytes())
-    pages = pc2scan.view(wrong, time_offset=undone, **how), pc2scan.view(right, **how)
-    assert len({str(page).count("2023-11-14") for page in pages}) == 1
 
 
 @pytest.mark.parametrize("suffix", WRITERS)
@@ -113,21 +103,6 @@ def test_a_clock_that_jumps_is_not_corrected_without_a_word(tmp_path: Path) -> N
     assert any("the difference of the clocks is not constant; `stamps=log`" in text for text in report.warnings)
 
 
-@pytest.mark.parametrize("kind", ["turning", "packets"])
-def test_deskewing_follows_the_corrected_clock(kind: str, tmp_path: Path) -> None:
-    """The points' times count from the stamp here; absolute ones are moved, see below."""
-    how: dict[str, Any] = {"deskew": True, "fixed_frame": "odom", "target_frame": "base_link"} | HEIGHTS
-    found = []
-    for clock, options in ((0.0, {}), (250.0, {"time_offset": "-250"})):
-        path = write_world(tmp_path / f"{clock}.mcap", [Lidar(kind=kind, clock=clock)], seconds=0.5)
-        out, _ = converted(path, f"out{clock}", **how, **options)
-        found.append(messages(out, "/scan"))
-    assert found[0] == found[1] != []
-
-
-# --- Bytes ---
-
-
 def test_a_stamp_that_does_not_fit_is_the_nearest_that_does() -> None:
     for form, version, most in (("ros1", 1, 2**32), ("cdr", 2, 2**31)):
         copy = bytearray(cloud(points_of(1), version))
@@ -166,9 +141,6 @@ def test_absolute_point_times_are_moved(kind: str, shift_s: int) -> None:
     assert moved.tolist() == expected.tolist()
 
 
-# --- Wrong options ---
-
-
 @pytest.mark.parametrize(("options", "said"), rows(TABLES, "wrong options"))
 def test_wrong_options_say_what_to_type(options: dict[str, Any], said: str, tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a.mcap", recording("tf"))
@@ -176,40 +148,3 @@ def test_wrong_options_say_what_to_type(options: dict[str, Any], said: str, tmp_
         pc2scan.convert(path, tmp_path / "b.mcap", **options)
     assert said in f"{caught.value} {caught.value.hint}"
     assert not (tmp_path / "b.mcap").exists()
-
-
-# --- What info finds ---
-
-
-#: What a lidar's clock is ahead of the transforms, and what info says and proposes.
-CLOCKS = {
-    "since its start": (-1_699_999_000 * SECOND, "its clock counts from its start", "auto"),
-    "TAI": (37 * SECOND, "PTP counts TAI, which is 37 s ahead of UTC", "-37s"),
-    "GPS": (18 * SECOND, "GPS time is 18 s ahead of UTC", "-18s"),
-    "another year": (-315_360_000 * SECOND, "its clock says", "auto"),
-    "seconds": (-3 * SECOND, "3 s behind those of /tf", "auto"),
-}
-
-
-@pytest.mark.parametrize("name", CLOCKS)
-def test_info_says_which_clock_a_lidar_has_and_proposes_the_option(name: str, tmp_path: Path) -> None:
-    offset_ns, said, proposed = CLOCKS[name]
-    path = write_mcap(tmp_path / "a.mcap", recording("tf", offset_ns=offset_ns))
-    found = pc2scan.info(path)
-    (warning,) = (text for text in found.warnings if "the stamps of" in text)
-    assert said in warning
-    assert f"`time_offset={proposed}`" in warning
-    (call,) = found.proposals
-    assert call.options["time_offset"] == proposed
-    # What is proposed is right.
-    out, report = converted(path, "b", **call.options)
-    assert len(messages(out, "/scan")) == 5
-    assert not any("clock" in text for text in report.warnings)
-
-
-@pytest.mark.parametrize("offset_ns", [0, -300_000_000])
-def test_a_sound_clock_is_no_finding(offset_ns: int, tmp_path: Path) -> None:
-    path = write_mcap(tmp_path / "a.mcap", recording("tf", offset_ns=offset_ns))
-    found = pc2scan.info(path)
-    assert not found.warnings
-    assert all("time_offset" not in call.options for call in found.proposals)

@@ -15,7 +15,7 @@ from pc2scan.bags.mcap.write import McapWriter
 from pc2scan.bags.rosbag1 import read as rosbag1_reader
 from pc2scan.bags.rosbag1.read import Rosbag1Reader
 from pc2scan.bags.rosbag1.write import Rosbag1Writer
-from pc2scan.conversion import cloud_to_scan, engine, recording
+from pc2scan.conversion import cloud_to_scan
 from pc2scan.core.project import Projector
 from pc2scan.core.scene import JUDGED_CLOUDS
 from pc2scan.files import source as files
@@ -164,32 +164,3 @@ def test_the_thread_that_decompressed_clouds_projects_them(
     assert there[JUDGED_CLOUDS:] == [True] * CLOUDS
     assert together.topics == alone.topics
     assert drive.with_name(f"scans{drive.suffix}").read_bytes() == expected
-
-
-@pytest.mark.parametrize("queue_size", [1, 3])
-def test_chunks_in_flight_are_bounded(drive: Path, queue_size: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    read = written = worst = 0
-    work, write = engine.convert, recording._write
-    lock = threading.Lock()
-
-    def working(*args: Any, **options: Any) -> Any:
-        nonlocal read
-        with lock:
-            read += 1
-        return work(*args, **options)
-
-    def writing(*args: Any) -> Any:
-        nonlocal written, worst
-        worst = max(worst, read - written)
-        refused = write(*args)
-        written += 1
-        return refused
-
-    monkeypatch.setattr(engine, "convert", working)
-    monkeypatch.setattr(recording, "_write", writing)
-    params = pc2scan.ProjectionParams(min_height=-2, max_height=2, queue_size=queue_size)
-    convert(drive, jobs=2, params=params)
-    # A chunk has one cloud.
-    assert read == written == CLOUDS
-    # The one that is written has been read too, and so has the one that follows it.
-    assert 1 <= worst <= queue_size + 2

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -98,19 +97,6 @@ def test_without_motion_the_scan_is_that_of_joined_clouds(seed: int, choice: dic
     # Stamps differ, and it makes no difference: the sensors are mounted rigidly.
     clouds = [cloud(rng, frame, T0 + number * 1_000_000) for number, frame in enumerate(MOUNTS)]
     same(together(conversion(params, filters=filters), clouds), scan_of(params, concatenated(clouds), filters))
-
-
-@pytest.mark.parametrize(("choice", "kept"), [({}, set()), ({"reduce": "max"}, {"x", "y", "z"})])
-def test_preparing_keeps_nothing_of_the_message(choice: dict[str, Any], kept: set[str]) -> None:
-    rng = np.random.default_rng(4)
-    made = conversion(ProjectionParams(target_frame="base_link", min_height=-0.5, **choice))
-    clouds = [cloud(rng, frame, T0) for frame in MOUNTS]
-    contribution = [made.steps(topic).project(each) for topic, each in zip(TOPICS, clouds, strict=True)]
-    before = encode_laserscan(made.scan(contribution[0], contribution).message, "cdr")
-    for each in clouds:
-        each.field("x")[:] = 1.0
-    assert encode_laserscan(made.scan(contribution[0], contribution).message, "cdr") == before
-    assert all(each.points.fields.keys() == kept for each in contribution)
 
 
 def test_heights_of_beams_count_only_if_they_are_asked_for() -> None:

@@ -156,38 +156,6 @@ def test_stamps_that_jump_back_begin_a_new_series(tmp_path: Path) -> None:
         assert entry["joined"]["jumped"] == 1
 
 
-@pytest.mark.parametrize("options", [{"every": 1}, {"every": 1, "accumulate": "10clouds"}], ids=["", "count"])
-def test_jitter_moves_no_cloud_into_another_interval(options: dict[str, Any], tmp_path: Path) -> None:
-    jittered = [at + (-0.02, 0.02)[number // 10 % 2] for number, at in enumerate(tenths(1, 9))]
-    source = recorded(tmp_path / "d.mcap", clouds("/front", [0.0, *tenths(0.1, 1), *jittered]))
-    done = made(source, topics="/front:=/scan", **options)
-    assert done.sizes == [10] * 9
-    assert done.stamps == [0.9, *(round(1.9 + number + (-0.02, 0.02)[number % 2], 2) for number in range(8))]
-
-
-def test_a_window_joins_topics_of_clocks_that_are_apart(tmp_path: Path) -> None:
-    rear = clouds("/rear", tenths(0, 20), lambda _: 5 * SECOND)
-    found = sorted([*clouds("/front", tenths(0, 20)), *rear], key=lambda each: each.at)
-    done = made(recorded(tmp_path / "d.mcap", found), **BOTH, window=5)
-    # Equal stamps, which there are after 5 s.
-    assert done.sizes == [1] * 50 + [2] * 150
-    assert not any("jump" in each for each in done.report.warnings)
-
-
-# A scan of an interval has the log time of the message that ends the interval.
-@pytest.mark.parametrize(("options", "lost"), [({"accumulate": 0.5}, 2), ({"every": 0.5}, 3)], ids=str)
-def test_scans_that_the_destination_cannot_hold_are_listed(options: dict[str, Any], lost: int, tmp_path: Path) -> None:
-    # The log times of the last two messages are beyond the 32 bits that a ROS 1 bag has for seconds.
-    late = clouds("/front", [3e9, 3e9 + 1], lambda _: -3_000_000_000 * SECOND + 2 * SECOND)
-    source = recorded(tmp_path / "d.mcap", [*clouds("/front", tenths(0, 1)), *late])
-    report = pc2scan.convert(source, tmp_path / "o.bag", topics="/front:=/scan", **options)
-    (entry,) = (topic for topic in report.topics if topic.topic == "/front")
-    assert (report.exit_status, report.skipped_count, entry.skipped) == (3, lost, lost)
-    assert [each.topic for each in report.skipped] == ["/front"] * lost
-    assert all("that a ROS 1 bag can hold" in each.reason for each in report.skipped)
-    assert len(list(pc2scan.scans(tmp_path / "o.bag"))) == entry.messages_out > 0
-
-
 def test_another_clock_is_one_in_the_whole_recording(tmp_path: Path) -> None:
     rear = clouds("/rear", tenths(0, 10, 0.03), lambda _: DAY)
     source = recorded(tmp_path / "d.mcap", [*clouds("/front", tenths(0, 10)), *rear])
