@@ -64,7 +64,7 @@ def test_skipped_messages_are_all_counted_and_some_listed() -> None:
     route = Route(Connection(1, "/points", POINTCLOUD2, "cdr"), [output])
     tally = Tally({1: route}, strict=False)
     for i in range(MAX_LISTED + 7):
-        tally.count(Item(route, i, i, 0, 0, [(output, MessageError("reason", stamp_ns=i))]))
+        tally.count(Item(route, i, i, 0, [(output, MessageError("reason", stamp_ns=i))]))
     made.skipped = tally.skipped
     assert made.skipped[2] == Skipped("/points", 2, 2, "reason", "", ("/scan",))
     assert (tally.failures, tally.messages) == (MAX_LISTED + 7, MAX_LISTED + 7)

@@ -148,7 +148,6 @@ def convert(routes: Mapping[int, Route], message: RawMessage) -> Item:
         message.log_time_ns,
         message.publish_time_ns,
         message.sequence,
-        len(message.data),
         [(output, made[output.index]) for output in route.outputs],
         passing,
         error,

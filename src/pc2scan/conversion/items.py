@@ -32,8 +32,6 @@ class Item(NamedTuple):
         The route of the message; of a group, that of its leading message.
     log_time_ns, publish_time_ns, sequence
         Of the message. A group has the log time of the message that completes it, and the leading one's sequence.
-    size_in
-        The size of the message in bytes; 0 for a group, whose messages are items of their own.
     results
         Each output with its result, or with the error in its place. The message of an output that makes one scan of
         several waits for its group.
@@ -49,7 +47,6 @@ class Item(NamedTuple):
     log_time_ns: int
     publish_time_ns: int
     sequence: int
-    size_in: int
     results: Sequence[tuple[Output, ConvertedMessage | Contribution | MessageError]] = ()
     passing: Buffer | None = None
     error: MessageError | None = None
@@ -86,8 +83,7 @@ class Tally:
     Attributes
     ----------
     skipped
-        The first `MAX_LISTED` messages that were not converted; the last of them is the one that is farthest from any
-        transform, if that came later.
+        The first `MAX_LISTED` messages that were not converted.
     failures
         How many messages, or groups, have an error.
     is_connected
@@ -98,7 +94,6 @@ class Tally:
     def __init__(self, routes: Mapping[int, Route], *, strict: bool) -> None:
         self.skipped: list[Skipped] = []
         self.failures = 0
-        self._farthest_ns = 0
         self.is_connected = False
         self._routes = routes
         self._strict = strict
@@ -195,10 +190,6 @@ class Tally:
             if self._strict:
                 raise error
             gap_ns = error.gap_ns if isinstance(error, TransformError) else 0
-            if len(self.skipped) >= MAX_LISTED:
-                if gap_ns <= self._farthest_ns:
-                    continue
-                del self.skipped[-1]
-            self._farthest_ns = max(self._farthest_ns, gap_ns)
-            found = (topic, item.log_time_ns, error.stamp_ns, error.message, error.hint or "")
-            self.skipped.append(Skipped(*found, tuple(filter(None, targets)), gap_ns=gap_ns))
+            if len(self.skipped) < MAX_LISTED:
+                found = (topic, item.log_time_ns, error.stamp_ns, error.message, error.hint or "")
+                self.skipped.append(Skipped(*found, tuple(filter(None, targets)), gap_ns=gap_ns))

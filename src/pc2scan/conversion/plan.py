@@ -206,7 +206,8 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
     for spec in specs:
         with spec.naming_errors(f"{spec.place}, " if spec.place else ""):
             if not spec.topics and not any(kind in spec.source_types for kind in kinds):
-                raise _without_sources(connections, types, spec)
+                message, hint = without(short_types(spec.source_types), connections)
+                raise NothingToConvertError(message, hint=_other_direction(types, spec) or hint or None)
             targets[spec] = _targets(types, spec, options)
             together[spec] = _combined(spec, targets[spec], types, options)
     routes = []
@@ -320,21 +321,12 @@ def _matching_topics(name: str, types: dict[str, set[str]], candidates: list[str
         raise
 
 
-def _without_sources(
-    connections: Sequence[Connection], types: dict[str, set[str]], spec: ScanSpec
-) -> NothingToConvertError:
-    """Return the error about a recording with nothing to convert: what it has instead, and what makes clouds of it."""
-    message, hint = without(short_types(spec.source_types), connections)
-    return NothingToConvertError(message, hint=_other_direction(types, spec) or hint or None)
-
-
 def _other_direction(types: dict[str, set[str]], spec: ScanSpec) -> str | None:
     """Return a hint if the recording can be converted in the other direction."""
     there = {kind for kinds in types.values() for kind in kinds}
-    if spec.reverse and (clouds := [kind for kind in CLOUDS if kind in there]):
-        return f"it has {short_types(clouds)} topics; without `reverse` they become scans"
-    if spec.combining.rebin and (clouds := [kind for kind in CLOUDS if kind in there]):
-        return f"it has {short_types(clouds)} topics; without `rebin` they become scans"
+    clouds = [kind for kind in CLOUDS if kind in there]
+    if clouds and (option := "reverse" if spec.reverse else "rebin" if spec.combining.rebin else ""):
+        return f"it has {short_types(clouds)} topics; without `{option}` they become scans"
     if not spec.reverse and not SCANS.keys().isdisjoint(there):
         return (
             "its LaserScans can be used as they are, and pc2scan check judges them; `rebin=True` makes other scans of "

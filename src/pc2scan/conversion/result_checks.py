@@ -535,8 +535,7 @@ def refuse_unsatisfied(report: Report, options: ConvertOptions) -> None:
             raise ResultError(
                 f"{topic.empty_scans:,} of {counted(topic.messages_out, 'scan')} on {topic.target} "
                 f"{agreeing(topic.empty_scans, 'have')} no return "
-                f"(`fail_on={options.fail_on}`)",
-                hint=_reason_in(report.warnings, f"on {topic.target} {agreeing(topic.empty_scans, 'have')} no return"),
+                f"(`fail_on={options.fail_on}`)"
             )
         share = topic.points.used / topic.points.total if topic.points.total else 0.0
         if share < options.min_used:
@@ -552,9 +551,3 @@ def refuse_unsatisfied(report: Report, options: ConvertOptions) -> None:
         raise ResultError(f"{counted(report.skipped_count, 'message', 'were')} skipped (`fail_on=warning`)")
     if report.warnings:
         raise ResultError(f"{report.warnings[0]} (`fail_on=warning`)")
-
-
-def _reason_in(warnings: Sequence[str], part: str) -> str | None:
-    """Return the text after the first colon of the first warning that contains ``part``."""
-    found = next((warning for warning in warnings if part in warning), "")
-    return found.partition(": ")[2] or None

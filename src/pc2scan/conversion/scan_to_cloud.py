@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.rule import PointCounts
 from pc2scan.core.timing import IN_SECONDS, LONGEST
-from pc2scan.core.unproject import UnprojectedScan, UnprojectParams, deskew, last_beam_ns
+from pc2scan.core.unproject import UnprojectParams, deskew, last_beam_ns
 from pc2scan.errors import DecodeError, stamp_text
 from pc2scan.messages.beams import unproject_scan
 from pc2scan.messages.clouds import SCANS
@@ -41,12 +41,7 @@ class ScanToCloud(Conversion):
     encode = encode_cloud
 
     def __init__(
-        self,
-        channels: UnprojectParams | None,
-        placer: Placer,
-        *,
-        deskewed: bool = False,
-        echo: str = "first",
+        self, channels: UnprojectParams | None, placer: Placer, *, deskewed: bool = False, echo: str = "first"
     ) -> None:
         self.channels = channels
         self.placer = placer
@@ -62,26 +57,20 @@ class ScanToCloud(Conversion):
         return Steps(None, None, self._make_cloud)
 
     def _make_cloud(self, scan: LaserScan) -> ConvertedMessage:
-        header, points = self._place(scan, unproject_scan(scan, self.channels))
-        message = structured_cloud(header.sequence, header.stamp_ns, header.frame_id, points.points)
-        counts = PointCounts(points.beam_count, len(points.points), **points.rejected)
-        return ConvertedMessage(message, counts, empty=not len(points.points), stamp_ns=scan.stamp_ns)
-
-    def _place(self, scan: LaserScan, points: UnprojectedScan) -> tuple[_CloudHeader, UnprojectedScan]:
-        """Return the cloud's header, and the points in its frame."""
+        points = unproject_scan(scan, self.channels)
         place = self.placer.place(scan.frame_id, scan.stamp_ns)
-        own = _CloudHeader(scan.sequence, scan.stamp_ns, place.frame_id)
-        start = place.target_from_source
+        sequence, stamp_ns, start = scan.sequence, scan.stamp_ns, place.target_from_source
         if self._deskewed:
             # laser_geometry looks up the identity if both frames are the same, and multiplies by it.
             identity = Rigid.identity()
-            return own, deskew(points, start or identity, self._end(scan) or identity)
-        if start is None:
-            return own, points
-        # Source of the rule: tf2_sensor_msgs gives a cloud the header of the transform, which has no sequence number.
-        stamp_ns = self.placer.transform_stamp(scan.frame_id, scan.stamp_ns)
-        moved = points.with_xyz(start.apply(points.xyz), start.translation)
-        return _CloudHeader(0, stamp_ns, place.frame_id), moved
+            points = deskew(points, start or identity, self._end(scan) or identity)
+        elif start is not None:
+            # As tf2_sensor_msgs: a cloud gets the header of the transform, which has no sequence number.
+            sequence, stamp_ns = 0, self.placer.transform_stamp(scan.frame_id, scan.stamp_ns)
+            points = points.with_xyz(start.apply(points.xyz), start.translation)
+        message = structured_cloud(sequence, stamp_ns, place.frame_id, points.points)
+        counts = PointCounts(points.beam_count, len(points.points), **points.rejected)
+        return ConvertedMessage(message, counts, empty=not len(points.points), stamp_ns=scan.stamp_ns)
 
     def _end(self, scan: LaserScan) -> Rigid | None:
         """Return the transform at the time of the last beam."""
@@ -103,11 +92,3 @@ class ScanToCloud(Conversion):
             err.stamp_ns = scan.stamp_ns
             raise
         return self.placer.place(scan.frame_id, end_ns).target_from_source
-
-
-class _CloudHeader(NamedTuple):
-    """The header of a cloud."""
-
-    sequence: int
-    stamp_ns: int
-    frame_id: str

@@ -92,7 +92,7 @@ class Combiner:
         except MessageError as err:
             made = err
             err.stamp_ns = err.stamp_ns or contribution.stamp_ns
-        return Item(route, log_time_ns, log_time_ns, sequence, 0, [(output, made)], is_group=True)
+        return Item(route, log_time_ns, log_time_ns, sequence, [(output, made)], is_group=True)
 
     def is_quick(self, group: Group) -> bool:
         """Whether making a scan takes less time than handing it to another thread: all points are projected already."""

@@ -227,20 +227,10 @@ class MessagesToScan(Conversion):
             selected = self._early.apply(points, Placement(target, mount) if self._rigid else Placement("", None))
             points, rejected = selected.points, rejected | selected.rejected
             mount = cast("Rigid | None", selected.transform) if self._rigid else mount
+        name = target if level is None else level.name
+        poses = mount, target_from_fixed, fixed_from_source
         contribution = Contribution(
-            number,
-            stamp_ns,
-            reference_ns,
-            points,
-            target if level is None else level.name,
-            mount,
-            target_from_fixed,
-            fixed_from_source,
-            gap_ns,
-            track,
-            level,
-            rejected,
-            flat,
+            number, stamp_ns, reference_ns, points, name, *poses, gap_ns, track, level, rejected, flat
         )
         # The place of these points does not depend on the time of a scan that another message leads.
         is_certain = self._rigid or (self._once and number == 0)
@@ -266,10 +256,7 @@ class MessagesToScan(Conversion):
         if not contribution.flat and self._intensity:
             # A missing field is an error of this message, not of the scan.
             points.field(self._intensity)
-        names = {
-            *self._kept,
-            *(() if track is None else (track.time_field,)),
-        }
+        names = self._kept if track is None else self._kept | {track.time_field}
         views = {name: points.field(name) for name in dict.fromkeys(("x", "y", "z", *points.fields)) if name in names}
         size = _OVERHEAD + sum(each.nbytes for each in views.values())
         if self.grouper is not None:
@@ -318,8 +305,7 @@ class MessagesToScan(Conversion):
         level = None if lead.level is None else lead.level.at(lead.reference_ns)
         counts = sum(others, scan.counts)
         result = ConvertedMessage(
-            *(message, counts, empty, largest, level, None, scan.removed),
-            stamp_ns=lead.reference_ns,
+            message, counts, empty, largest, level, removed=scan.removed, stamp_ns=lead.reference_ns
         )
         return result if self._remove is None else self._remove(result)
 
@@ -436,10 +422,6 @@ class SourceFacts:
         return (median_low(own), median_low(other)) if own and other else None
 
 
-def _surely_differ(one_ns: int, other_ns: int) -> bool:
-    return abs(one_ns - other_ns) > _SURELY_ANOTHER_NS
-
-
 def measure_sources(
     sources: SourceFacts, placer: Placer
 ) -> tuple[Measurements, Callable[[], Grouper] | None, list[str], list[str]]:
@@ -544,7 +526,7 @@ def _clocks(sources: SourceFacts, windows: Sequence[int] | None) -> list[str]:
             continue
         how = f"{abs(behind_ns) / 1e9:.4g} s {'behind' if behind_ns > 0 else 'ahead of'}"
         said = f"the stamps of {topic} are {how} those of {lead}, compared with their log times"
-        if _surely_differ(own_ns, lead_ns):
+        if abs(behind_ns) > _SURELY_ANOTHER_NS:
             raise UsageError(
                 f"{said}: they are of different clocks",
                 hint=f"{MEASURES}; or convert them to scans of their own: `topics={topic}:=/scan_2`",
