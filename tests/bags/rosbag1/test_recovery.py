@@ -66,7 +66,6 @@ class Kept(NamedTuple):
 
 NEVER_CLOSED = bag_header(0, 0, 0)
 FIRST = chunk(connection_record() + message(5), "bz2")
-WITHOUT_HEADER = b"\xff" * 4 + chunk(connection_record() + messages(*range(1, 9)))[4:]
 
 #: Those times are all that there is.
 KEPT = {
@@ -78,7 +77,6 @@ KEPT = {
         [5, 9],
         {"offset": FIRST_CHUNK + len(FIRST), "bytes_lost": 333, "first_ns": 5, "last_ns": 9},
     ),
-    "an uncompressed chunk without a header": Kept(NEVER_CLOSED + WITHOUT_HEADER, list(range(1, 9)), {}),
 }
 
 

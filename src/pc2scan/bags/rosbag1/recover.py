@@ -49,8 +49,9 @@ _WINDOW = 1 << 20
 #: Limit of a record's header, except for connections with longer topics.
 _MAX_HEADER = 4096
 
-#: The beginning of another bag, or the field with the kind of a record; the fields before it are few and short.
-_BEGINNING = re.compile(re.escape(FIRST_LINE) + rb"|\x04\0\0\0op=[\x02-\x07]")
+#: The beginning of another bag, or the field with the kind of a record that is not inside chunks; the fields before it
+#: are few and short.
+_BEGINNING = re.compile(re.escape(FIRST_LINE) + rb"|\x04\0\0\0op=[\x03-\x06]")
 _REACH = 72
 
 #: The required fields of each kind of record, so that other text is not detected as a record.
@@ -62,9 +63,6 @@ _NEEDED = {
     CONNECTION: {b"conn", b"topic"},
     BAG_HEADER: {b"index_pos"},
 }
-
-#: Messages outside chunks, which only damaged bags have, are read in segments of about this size, bytes.
-_RUN_SIZE = 4 << 20
 
 
 class BagRecord(NamedTuple):
@@ -101,7 +99,7 @@ def record_at(read: Callable[[int, int], bytes], position: int, size: int) -> Ba
     return BagRecord(fields, start, start + body)
 
 
-def next_record(file: BagFile, failed: int, end: int, *, since: int | None = None, after_chunk: bool = False) -> int:
+def next_record(file: BagFile, failed: int, end: int, *, since: int | None = None) -> int:
     """Search behind damage for the beginning of a record; ``end`` if there is none.
 
     The record before it, from ``since`` on, may have taken the beginning of another bag.
@@ -119,7 +117,7 @@ def next_record(file: BagFile, failed: int, end: int, *, since: int | None = Non
             if match[0] == FIRST_LINE:
                 if start + match.start() >= first:
                     raise AnotherRecordingError(start + match.start())
-            elif not (after_chunk and match[0][-1] in (MESSAGE, CONNECTION)):
+            else:
                 # ``op`` is the header's first field, or after ``conn``, ``compression``...
                 for back in range(4, _REACH):
                     position = start + match.start() - back
@@ -170,85 +168,61 @@ def _indexed_chunks(file: BagFile) -> list[int]:
     return sorted(places)
 
 
-class _Scan:
-    """A pass over the records of a file; the results are attributes.
+class _Walk(NamedTuple):
+    """What a walk over the records of a file finds.
 
     Attributes
     ----------
     segments
-        Chunks without times, and the messages outside chunks.
+        Chunks without times.
     described
         The records of connections outside chunks.
     gaps
         Where no record is, and why.
     """
 
-    def __init__(self, file: BagFile) -> None:
-        self._file = file
-        self.segments = Segments()
-        self.described: list[BagRecord] = []
-        self.gaps: list[tuple[int, int, str]] = []
-        self._run: Segment | None = None
+    segments: Segments
+    described: list[BagRecord]
+    gaps: list[tuple[int, int, str]]
 
-    def run(self) -> None:
-        """Pass over the file.
 
-        Raises
-        ------
-        AnotherRecordingError
-            If another bag begins behind damage.
-        """
-        file, places = self._file, _indexed_chunks(self._file)
-        header = record_at(file.nearby, len(FIRST_LINE), file.size)
-        position, since = len(FIRST_LINE), 0
-        if header is not None and header.kind == BAG_HEADER:
-            is_followed = record_at(file.nearby, header.stop, file.size) is not None
-            position = header.stop if is_followed else next_record(file, header.start, file.size)
-        while position < file.size:
-            following = bisect_right(places, position)
-            limit = places[following] if following < len(places) else file.size
-            record = record_at(file.nearby, position, file.size)
-            if record is not None and record.kind == INDEX_DATA:
-                # A real recorder declares 20 bytes for each entry, where there are 12.
-                stop = record.start + 12 * number_field(record.fields, "count")
-                if record_at(file.nearby, record.stop, file.size) is None:
-                    record = record._replace(stop=stop)
-            if record is not None and record.stop <= limit:
-                self._add(position, record, record.stop)
-                since, position = position, record.stop
-            elif record is not None and record.kind == CHUNK:
-                position = next_record(file, record.start, limit, after_chunk=True)
-                self._add(record.start, record, position)
-            else:
-                following = next_record(file, position, limit, since=since)
-                self.gaps.append((position, following, "no record begins here"))
-                position = since = following
-        self._end_run()
+def _walk(file: BagFile) -> _Walk:
+    """Walk over the records of a file.
 
-    def _add(self, position: int, record: BagRecord, stop: int) -> None:
-        if record.kind == MESSAGE:
-            stamp_ns = time_field(record.fields, "time")
-            run = self._run
-            if run is None or position != run.offset + run.length or stop - run.offset > _RUN_SIZE:
-                self._end_run()
-                run = self._run = Segment(position, 0, 0, stamp_ns, stamp_ns, connection_ids=frozenset())
-            run.length = run.uncompressed_size = stop - run.offset
-            run.start_ns, run.end_ns = min(run.start_ns, stamp_ns), max(run.end_ns, stamp_ns, 1)
-            run.connection_ids = (run.connection_ids or frozenset()) | {number_field(record.fields, "conn")}
-            return
-        self._end_run()
-        try:
-            if record.kind == CHUNK:
-                self.segments.append(chunk_segment(position, record.fields, record.start, stop))
-            elif record.kind == CONNECTION:
-                self.described.append(record)
-        except FormatError as err:
-            self.gaps.append((position, stop, str(err)))
-
-    def _end_run(self) -> None:
-        if self._run is not None:
-            self.segments.append(self._run)
-            self._run = None
+    Raises
+    ------
+    AnotherRecordingError
+        If another bag begins behind damage.
+    """
+    found, places = _Walk(Segments(), [], []), _indexed_chunks(file)
+    header = record_at(file.nearby, len(FIRST_LINE), file.size)
+    position, since = len(FIRST_LINE), 0
+    if header is not None and header.kind == BAG_HEADER:
+        is_followed = record_at(file.nearby, header.stop, file.size) is not None
+        position = header.stop if is_followed else next_record(file, header.start, file.size)
+    while position < file.size:
+        following = bisect_right(places, position)
+        limit = places[following] if following < len(places) else file.size
+        record = record_at(file.nearby, position, file.size)
+        if record is None or record.kind == MESSAGE or (record.stop > limit and record.kind != CHUNK):
+            stop = next_record(file, position, limit, since=since)
+            found.gaps.append((position, stop, "no record begins here"))
+            position = since = stop
+            continue
+        stop = record.stop
+        if record.kind == INDEX_DATA and record_at(file.nearby, stop, file.size) is None:
+            # A real recorder declares 20 bytes for each entry, where there are 12.
+            stop = record.start + 12 * number_field(record.fields, "count")
+        elif record.kind == CHUNK:
+            stop = stop if stop <= limit else next_record(file, record.start, limit)
+            try:
+                found.segments.append(chunk_segment(position, record.fields, record.start, stop))
+            except FormatError as err:
+                found.gaps.append((position, stop, str(err)))
+        elif record.kind == CONNECTION:
+            found.described.append(record)
+        since, position = position, stop
+    return found
 
 
 def recover_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagIndex:
@@ -263,10 +237,9 @@ def recover_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagInd
     """
     if log.strict:
         raise problem
-    scan = _Scan(file)
-    scan.run()
+    found = _walk(file)
     connections, segments = Connections(file), Segments()
-    for segment in scan.segments:
+    for segment in found.segments:
         timed = _with_times(file, segment, connections)
         if timed is not None:
             segments.append(timed)
@@ -274,14 +247,14 @@ def recover_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagInd
             error = file.damage_error(f"the chunk with data at byte {segment.offset} has no complete message")
             lost = {"bytes_lost": segment.uncompressed_size, **times_around(segments)(segment.offset, segment.offset)}
             log.note(error, offset=segment.offset, **lost)
-    for record in scan.described:
+    for record in found.described:
         try:
             connections.add(record.fields, file.nearby(record.start, record.stop - record.start))
         except FormatError as err:
-            scan.gaps.append((record.start, record.stop, str(err)))
+            found.gaps.append((record.start, record.stop, str(err)))
     around = times_around(segments)
     log.note(problem, **around(file.size, file.size))
-    for start, stop, what in scan.gaps:
+    for start, stop, what in found.gaps:
         error = file.damage_error(f"{what} (bytes {start} to {stop})")
         log.note(error, offset=start, bytes_lost=stop - start, **around(start, stop))
     by_id = {key: replace(item, message_count=None) for key, item in sorted(connections.by_id.items())}
@@ -293,8 +266,6 @@ def _with_times(file: BagFile, segment: Segment, connections: Connections) -> Se
 
     They are in its index records, but a chunk of unknown connections is read, because it describes these.
     """
-    if segment.connection_ids is not None:
-        return segment
     times = {identity: [time for time, _ in entries] for identity, entries in indexed_entries(file, segment)}
     if not times or not times.keys() <= connections.by_id.keys():
         times = times_in(file, segment, connections)
