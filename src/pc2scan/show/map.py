@@ -50,7 +50,7 @@ from pc2scan.transforms.world_frames import find_body_motion
 from .recording import open_recording
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -322,12 +322,8 @@ def _draw(
                 drawing.skip(result.topic, error)
             for scan, level in result.items:
                 drawing.add(scan, level)
-    made = drawing.result(converted=converted)
-    return replace(
-        made,
-        warnings=tuple(dict.fromkeys((*stream.notes, *warnings, *made.warnings))),
-        damage=tuple(dict.fromkeys((*damage, *stream.damage))),
-    )
+    texts, places = (*stream.notes, *warnings), (*damage, *stream.damage)
+    return drawing.result(texts, places, converted=converted)
 
 
 def _converts(options: ConvertOptions) -> bool:
@@ -444,8 +440,8 @@ class _Drawing:
         known = f"the frames are {name_list(sorted(frames))}" if frames else "the recording has no transforms"
         return UsageError(f"there is no frame {self.odom!r} to draw a map in; {known}", hint=hint)
 
-    def result(self, *, converted: bool) -> Map:
-        """Return the map.
+    def result(self, warnings: Iterable[str], damage: Iterable[Damage], *, converted: bool) -> Map:
+        """Return the map, with these warnings and its own.
 
         Raises
         ------
@@ -477,7 +473,8 @@ class _Drawing:
                 Skipped(topic, None, None, reason, messages=number)
                 for (topic, reason), number in self.skipped.most_common()
             ),
-            warnings=tuple(self._doubts(path[:, 1:])),
+            warnings=tuple(dict.fromkeys((*warnings, *self._doubts(path[:, 1:])))),
+            damage=tuple(dict.fromkeys(damage)),
         )
 
     def _doubts(self, path: NDArray[np.float64]) -> Iterator[str]:

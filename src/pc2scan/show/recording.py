@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import heapq
 from collections import deque
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from functools import partial
 from itertools import islice
-from operator import attrgetter
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.damage import mention
@@ -214,18 +212,8 @@ def sampled(
     Yields
     ------
     RawMessage
-        By log time. Those of one topic do not depend on the other topics.
+        Those of one topic by log time; they do not depend on the other topics.
     """
-    # A recording with chunks is read once; of one with rows, each topic is read by itself.
-    together = [list(topics.values())] if reader.has_chunks else [[own] for own in topics.values()]
-    found = [_sampled_together(reader, each, samples, start_ns, stop_ns) for each in together]
-    # Merging keeps two messages of each.
-    return found[0] if len(found) == 1 else heapq.merge(*found, key=attrgetter("log_time_ns"))
-
-
-def _sampled_together(
-    reader: Reader, topics: Sequence[Sequence[Connection]], samples: int, start_ns: int, stop_ns: int
-) -> Iterator[RawMessage]:
     found: deque[RawMessage] = deque()
     observers = [
         Observer(
@@ -236,7 +224,7 @@ def _sampled_together(
             keep=found.append,
             spread=spread_over(own, samples, start_ns, stop_ns),
         )
-        for own in topics
+        for own in topics.values()
     ]
     for _ in observing(reader, observers):
         while found:
