@@ -12,7 +12,6 @@ import pytest
 
 from pc2scan.bags.rosbag2.metadata import recorded_in
 from pc2scan.errors import DestinationError, OutputError
-from pc2scan.files.new_file import NewFile
 from pc2scan.files.outputs import files_output
 from pc2scan.files.ownership import Permission
 from pc2scan.files.staging import staged_output as output_anywhere
@@ -168,22 +167,19 @@ def test_what_a_dead_run_left_is_removed(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["expected", "out", "precious"]
 
 
-# --- Places where nothing can be written ---
-
-
 # --- Several files ---
 
 
 @pytest.mark.parametrize("failing", [0, 1, 2, 3])
 def test_several_files_appear_all_or_none(failing: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    finish, calls = NewFile.finish, iter(range(1, 4))
+    write_bytes, calls = Path.write_bytes, iter(range(1, 4))
 
-    def fails(self: NewFile) -> None:
+    def fails(self: Path, data: bytes) -> int:
         if next(calls) == failing:
-            raise OutputError("cannot be written: no space")
-        finish(self)
+            raise OSError(28, "no space")
+        return write_bytes(self, data)
 
-    monkeypatch.setattr(NewFile, "finish", fails)
+    monkeypatch.setattr(Path, "write_bytes", fails)
     paths = [tmp_path / name for name in "abc"]
 
     def run() -> None:

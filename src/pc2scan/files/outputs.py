@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, OutputError
 
-from .new_file import NewFile
 from .ownership import Permission, is_of_kind
 from .staging import check_destination, staged
 from .urls import exists, is_dir
@@ -15,9 +14,6 @@ from .urls import exists, is_dir
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
-
-#: Characters of a text that are encoded at a time: a page is large.
-_PIECE = 1 << 20
 
 
 @contextmanager
@@ -75,19 +71,10 @@ def files_output(
 
 def _put(content: str | bytes, partial: Path, path: Path) -> None:
     try:
-        file = NewFile(partial)
-        try:
-            for start in range(0, len(content), _PIECE):
-                piece = content[start : start + _PIECE]
-                file.put(piece.encode() if isinstance(piece, str) else piece)
-            file.finish()
-        finally:
-            file.abort()
+        partial.write_bytes(content.encode() if isinstance(content, str) else content)
     except OSError as err:
-        raise OutputError(f"cannot be written: {err.strerror}", path=path) from err
-    except OutputError as err:
         # The error names the final path, which the user knows.
-        raise OutputError(err.message, path=path) from err
+        raise OutputError(f"cannot be written: {err.strerror}", path=path) from err
 
 
 def check_file_output(path: Path, *, overwrite: bool, beginning: bytes | None = None) -> None:

@@ -108,7 +108,7 @@ def read_record(folder: Path) -> Record | str:
     try:
         path = folder / RECORD
         if not stat.S_ISREG(path.lstat().st_mode) or path.stat().st_size > _MAX_RECORD_BYTES:
-            return f"its {RECORD} is not a record of pc2scan"
+            raise ValueError("it is not a record")
         noted = json.loads(path.read_bytes())
         if noted["pc2scan files"] != _RECORD_VERSION:
             return f"its {RECORD} is of another version of pc2scan"
@@ -117,10 +117,8 @@ def read_record(folder: Path) -> Record | str:
         }
     except FileNotFoundError:
         return f"it has no {RECORD}, which lists what an export wrote"
-    except OSError as err:
-        return f"its {RECORD} cannot be read: {err.strerror}"
-    except (ValueError, LookupError, TypeError, AttributeError):
-        return f"its {RECORD} is not a record of pc2scan"
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return f"its {RECORD} cannot be read as a record of pc2scan"
     return Record({**files, RECORD: None}, RECORD)
 
 

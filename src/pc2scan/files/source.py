@@ -109,23 +109,13 @@ def refuse_pointer(data: bytes, path: Path) -> None:
 
 
 def _open_regular(path: str, flags: int) -> int:
-    # Checked before, because merely opening some devices has an effect; and after, because the file may be replaced.
-    _refuse_special(os.stat(path), path)  # noqa: PTH116  # an opener's paths are text
-    descriptor = os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
-    try:
-        _refuse_special(os.fstat(descriptor), path)
-    except OSError:
-        os.close(descriptor)
-        raise
-    return descriptor
-
-
-def _refuse_special(found: os.stat_result, path: str) -> None:
-    """Raise if this is a special file. For a directory, opening raises."""
+    """Open a file; a special file is not even opened, which may have an effect. For a directory, opening raises."""
+    mode = os.stat(path).st_mode  # noqa: PTH116  # an opener's paths are text
     kinds = {stat.S_ISFIFO: "FIFO", stat.S_ISSOCK: "socket", stat.S_ISCHR: "device", stat.S_ISBLK: "device"}
     for is_kind, name in kinds.items():
-        if is_kind(found.st_mode):
+        if is_kind(mode):
             raise OSError(errno.EINVAL, f"it is a {name}, not a file; save it as a file first", path)
+    return os.open(path, flags)
 
 
 #: Buffers have multiples of this size, so that one serves chunks of different sizes.

@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import DestinationError, MissingError, RecordingError, name_list
+from pc2scan.errors import DestinationError, RecordingError, name_list
 from pc2scan.text import size
 
 from .ownership import check_existing
@@ -98,7 +98,8 @@ def _commit(partial: Path, dst: UrlPath, may: Permission) -> None:
     if partial.is_dir():
         new = {f"{dst.name}/{name}": partial / name for name in files_below(partial)}
     check_existing(dst, may)
-    present = _present(dst)
+    below = [f"{dst.name}/{path.relative_to(dst).as_posix()}" for path in dst.below()]
+    present = below or [dst.name] * dst.exists()
     if kept := [name for name in present if name not in new and name not in (may.owned or ())]:
         raise DestinationError(
             f"has something that this batch did not write, and is not replaced: {name_list(kept, 3)}",
@@ -122,14 +123,3 @@ def _commit(partial: Path, dst: UrlPath, may: Permission) -> None:
             with suppress(Exception):
                 place.remote.delete()
         raise
-
-
-def _present(dst: UrlPath) -> list[str]:
-    """Return the files at a destination, by their paths relative to its folder."""
-    try:
-        if dst.is_dir():
-            return [f"{dst.name}/{path.relative_to(dst).as_posix()}" for path in dst.below()]
-        dst.known()
-    except MissingError:
-        return []
-    return [dst.name]

@@ -47,29 +47,25 @@ def _parse(text: str) -> bytes:
         deepest = max(deepest, depth)
     if deepest > _MAX_BRACKETS:
         raise ValueError(f"is not valid YAML: it is nested more than {_MAX_BRACKETS} levels deep")
+    document, size = None, 0
     try:
         yaml = YAML(typ="safe", pure=True)
         # A repeated anchor is legal.
         yaml.composer.warn_double_anchors = False
         node = yaml.compose(text)
-        if node is not None and _unfolded_size(node, {}) > len(text):
-            raise ValueError("is not valid YAML: its aliases multiply to more values than it has characters")
-        return pickle.dumps(None if node is None else _construct(yaml, node))
-    except OverflowError as err:
-        raise ValueError(f"is not valid YAML: {err}") from err
-    except (YAMLError, RecursionError) as err:
+        size = 0 if node is None else _unfolded_size(node, {})
+        if 0 < size <= len(text):
+            document = yaml.constructor.construct_document(node)
+    except (YAMLError, RecursionError, ValueError, ArithmeticError, LookupError, TypeError, AttributeError) as err:
+        # Besides its own, the library raises errors for, say, a mapping as a key, or a tag on a value of another type.
         mark = getattr(err, "problem_mark", None)
         place = f" in line {mark.line + 1}" if mark is not None else ""
-        raise ValueError(f"is not valid YAML{place}: {getattr(err, 'problem', None) or err}") from err
-
-
-def _construct(yaml: Any, node: Any) -> Any:
-    try:
-        return yaml.constructor.construct_document(node)
-    except (ValueError, ArithmeticError, LookupError, TypeError, AttributeError) as err:
-        # The library raises other errors for, say, a mapping as a key, or a tag on a value of another type.
         # Without Python's advice about long integers.
-        raise ValueError(f"is not valid YAML: {str(err).partition(';')[0]}") from err
+        reason = getattr(err, "problem", None) or str(err).partition(";")[0]
+        raise ValueError(f"is not valid YAML{place}: {reason}") from err
+    if size > len(text):
+        raise ValueError("is not valid YAML: its aliases multiply to more values than it has characters")
+    return pickle.dumps(document)
 
 
 def _unfolded_size(node: Any, sizes: dict[int, int]) -> int:
