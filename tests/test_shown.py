@@ -48,10 +48,11 @@ def test_results_are_text_and_a_page_and_a_line(tmp_path: Path, capfd: pytest.Ca
 
 
 def test_what_went_wrong_is_shown(tmp_path: Path) -> None:
-    data = HALL.read_bytes()
-    (tmp_path / "cut.bag").write_bytes(data[: len(data) * 3 // 4])
-    report = pc2scan.convert(tmp_path / "cut.bag", tmp_path / "out.bag")
-    for result in (report, pc2scan.info(tmp_path / "cut.bag"), pc2scan.tf(tmp_path / "cut.bag")):
+    data = HALL.with_suffix(".mcap").read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(data[: len(data) * 3 // 4])
+    report = pc2scan.convert(cut, tmp_path / "out.bag")
+    for result in (report, pc2scan.info(cut), pc2scan.tf(cut)):
         assert "damaged: " in str(result)
     assert report.exit_status == 3
     assert "warning: /scan: " in str(report)
