@@ -43,31 +43,23 @@ console.log(JSON.stringify(drawn));
 
 def reference(cloud: Any, view: Any, size: int, ranks: list[int] | None) -> list[int]:
     """The points of the pixels, plus one: the last of rank 0, else the last; without ranks the nearest."""
-    points = [0] * (WIDTH * HEIGHT)
-    depths = [-np.inf] * (WIDTH * HEIGHT)
+    points, depths = np.zeros((HEIGHT, WIDTH), int), np.full((HEIGHT, WIDTH), -np.inf)
     right, down, near = view
-    shift = (1 - size) / 2
-
-    def along(row: list[float], point: list[float]) -> float:
-        return row[0] * point[0] + row[1] * point[1] + row[2] * point[2]
-
     # The value of an axis along which the view looks does not matter.
     seen = [bool(a or b) for a, b in zip(right[:3], down[:3], strict=True)]
-    order = range(len(cloud))
-    for n in order if ranks is None else sorted(order, key=lambda n: ranks[n] == 0):
-        point = [float(value) for value in cloud[n]]
+
+    def along(row: list[float], x: float, y: float, z: float) -> float:
+        return row[0] * x + row[1] * y + row[2] * z
+
+    for n, point in enumerate(cloud.tolist()):
         flat = [value if shown else 0.0 for value, shown in zip(point, seen, strict=True)]
-        left, top = along(right, flat) + right[3] + shift, along(down, flat) + down[3] + shift
-        if not (0 <= left < WIDTH - size + 1 and 0 <= top < HEIGHT - size + 1):
-            continue
-        depth = along(near, point)
-        for row in range(int(top), int(top) + size):
-            for place in range(row * WIDTH + int(left), row * WIDTH + int(left) + size):
-                if ranks is None and depth < depths[place]:
-                    continue
-                depths[place] = float(np.float32(depth))
-                points[place] = n + 1
-    return points
+        left, top = (along(row, *flat) + row[3] + (1 - size) / 2 for row in (right, down))
+        if 0 <= left < WIDTH - size + 1 and 0 <= top < HEIGHT - size + 1:
+            box = np.s_[int(top) : int(top) + size, int(left) : int(left) + size]
+            depth = float(ranks[n] == 0) if ranks else along(near, *point)
+            front = ~(depth < depths[box])
+            points[box][front], depths[box][front] = n + 1, np.float32(depth)
+    return [int(point) for point in points.flat]
 
 
 @pytest.mark.parametrize("by_rank", [True, False], ids=["by rank", "the nearest"])

@@ -31,7 +31,7 @@ _HERE = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
 def scans_page(
     reader: Reader,
     topics: Mapping[str, Sequence[Connection]],
-    buffer: TransformBuffer | None,
+    buffer: TransformBuffer,
     options: ConvertOptions,
     *,
     count: int,
@@ -48,7 +48,7 @@ def scans_page(
     topics
         The connections of each topic.
     buffer
-        The transforms; None if there are none.
+        The transforms.
     options
         The options of a conversion, of which the target frame, ``start`` and ``end`` are used.
     count
@@ -98,15 +98,13 @@ def scans_page(
     return {"kind": "scans", "notes": [], "warnings": warnings, "moments": moments, "findings": []}, blobs
 
 
-def _pose(buffer: TransformBuffer | None, target: str, source: str, stamp_ns: int) -> list[float] | None:
+def _pose(buffer: TransformBuffer, target: str, source: str, stamp_ns: int) -> list[float] | None:
     """Return the 2 x 3 matrix that maps x, y and 1 in the scan's frame to x and y in another frame, row by row.
 
     None if there is no transform.
     """
     if target.removeprefix("/") == source.removeprefix("/"):
         return _HERE
-    if buffer is None:
-        return None
     try:
         rigid = buffer.lookup(target, source, stamp_ns)
     except TransformError:

@@ -12,6 +12,7 @@ import numpy as np
 from pc2scan.advice.checks import clouds as checks
 from pc2scan.advice.checks import found_by
 from pc2scan.advice.measurements import Measurements
+from pc2scan.bags.topics import by_topic
 from pc2scan.conversion.cloud_to_scan import CloudToScan
 from pc2scan.conversion.plan import make_plan
 from pc2scan.conversion.stages import PlaceStage, SelectStage
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from pc2scan.conversion.stages import PlacedCloud
     from pc2scan.core.params import ProjectionParams
     from pc2scan.core.points import Points
-    from pc2scan.model import Connection, RawMessage
+    from pc2scan.model import RawMessage
     from pc2scan.request.options import ConvertOptions, ScanSpec
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.placing import Placement, Placer
@@ -144,19 +145,13 @@ def take_shots(
     prepared = recording.prepare(plan, options)
     conversion = prepared.conversions[options.scan, ""]
     assert isinstance(conversion, CloudToScan)
-    topics: dict[str, list[Connection]] = {}
-    for connection in plan.converted:
-        topics.setdefault(connection.topic, []).append(connection)
+    topics = by_topic(plan.converted)
     placer = conversion.placer if level else conversion.placer._replace(up=None)
     stages = {topic: _Stages.of(conversion, topic, placer) for topic in topics}
     shots: list[Shot] = []
     samples: dict[str, list[CloudSample]] = {}
     failed: list[str] = []
-    seen: set[tuple[str, int]] = set()
     for message in chosen_messages(reader, topics, options, count, at_ns):
-        if at_ns and (message.connection.topic, message.log_time_ns) in seen:
-            continue
-        seen.add((message.connection.topic, message.log_time_ns))
         try:
             shot = _shot(message, stages[message.connection.topic], samples)
             shots.append(shot if keep is None else keep(shot))

@@ -35,9 +35,7 @@ if TYPE_CHECKING:
     from pc2scan.options.call import Options
     from pc2scan.request.options import ConvertOptions
     from pc2scan.requests import Warn
-    from pc2scan.transforms.buffer import TransformBuffer
 
-    from .recording import ShownRecording
 
 #: Clouds and scans of a topic on one page. They share its size.
 _MOST_CLOUDS = 1_000
@@ -135,7 +133,7 @@ def _page(sources: Sequence[Path], options: ConvertOptions, asked: Options, warn
             described, blobs = clouds_page(sources, taken, packed, shown, heights, preset=asked.preset or "")
         else:
             names = [each.source for each in options.scan.topics]
-            topics, buffer = scan_connections(reader, names), _transforms(recording)
+            topics, buffer = scan_connections(reader, names), recording.transforms().buffer
             if options.clock:
                 own = [each for connections in topics.values() for each in connections]
                 reader, _ = corrected(reader, own, options.clock, options.frames.tf_topics)
@@ -188,17 +186,6 @@ def _as_proposed(reader: Reader, options: ConvertOptions) -> tuple[ConvertOption
 def _texts(value: str | tuple[str, ...]) -> tuple[str, ...]:
     """Return the values of an option that may be given once or several times."""
     return (value,) if isinstance(value, str) else tuple(value)
-
-
-def _transforms(recording: ShownRecording) -> TransformBuffer | None:
-    """Return all transforms; None if it is not clear which to use, and none are needed."""
-    try:
-        buffer = recording.transforms().buffer
-    except UsageError:
-        if recording.options.scan.needs_transforms:
-            raise
-        return None
-    return buffer
 
 
 def _subtitle(reader: Reader) -> str:
