@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from contextlib import closing
 from dataclasses import replace
 from functools import cache
@@ -232,21 +231,3 @@ def test_the_last_scan_was_logged_with_its_last_message(name: str, world: Callab
 
 
 # Other commands, and files
-
-
-def test_a_file_of_several_outputs_may_join_sources(world: Callable[..., Path], tmp_path: Path) -> None:
-    source = world(SMALL_FRONT, SMALL_REAR, seconds=0.8)
-    low, moved = {"min_height": 0.1}, {"target_frame": "base_link", "fixed_frame": "odom"}
-    scans = {
-        "/both": {"sources": ["/front", "/rear"], **moved, **low},
-        "/front_scan": {"sources": "/front", **low},
-        "/dense": {"sources": "/rear", **low, "accumulate": "3clouds", "fixed_frame": "odom"},
-    }
-    (tmp_path / "scans.json").write_text(json.dumps({"scans": scans}))
-    done = converted(tmp_path, source, "--scans", str(tmp_path / "scans.json"))
-    out = {(topic["topic"], topic["target"]): topic["messages_out"] for topic in done.report["topics"]}
-    assert out["/front", "/both"] == out["/front", "/front_scan"] == 8
-    assert out["/rear", "/both"] == out["/rear", "/dense"] == 7
-    alone = converted(tmp_path, source, *two_topics(), *MOVED, *LOW)
-    both = [scan for scan in done.scans if scan.frame_id == "base_link"]
-    assert [scan.ranges.tobytes() for scan in both] == [scan.ranges.tobytes() for scan in alone.scans]

@@ -11,7 +11,6 @@ import pytest
 from mcap.reader import make_reader
 from ruamel.yaml import YAML
 
-from support import sampled
 from support.builders import (
     CONTENT,
     MOUNT,
@@ -120,15 +119,3 @@ def test_a_topic_has_one_row_in_rosbag2(source: str, storage: str, tmp_path: Pat
         assert len(durabilities(found["/tf"])) == 1
     for name, _, text in stored:
         assert durabilities(text or []) == durabilities(found[name] or [])
-
-
-@pytest.mark.parametrize(
-    ("source", "destination"), sampled([(s, d) for s in SOURCES for d in ("out.bag", "out.mcap")], 3)
-)
-def test_elsewhere_publishers_stay_apart(source: str, destination: str, tmp_path: Path) -> None:
-    path = SOURCES[source](tmp_path)
-    done = run("convert", path, "-o", tmp_path / destination, "--keep-clouds", "--min-height", "-9")
-    assert done.status == 0, done.stderr
-    names = [publisher.topic for publisher in opened(tmp_path / destination).publishers]
-    expected = {"/tf": 3, "/tf_static": 3, "/points": 2, "/scan": 2, "/imu": 1}
-    assert {name: names.count(name) for name in expected} == expected

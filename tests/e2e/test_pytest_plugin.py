@@ -91,11 +91,8 @@ def pytest_run(folder: Path, *arguments: str) -> tuple[int, dict[str, str], str]
             ),
             # The ini option takes the folder where pytest comes by; what pytest prints can be given to it again.
             ("-c asked.ini", 1, {**OWN, **CASES}, ()),
-            ("-c asked.ini tests", 1, OWN, ()),
             # What is not asked for is not collected, and nothing is loaded for it.
             ("unasked golden", 0, {"unasked/test_own.py::test_nothing_is_loaded": "PASSED"}, ()),
-            ("-c asked.ini golden/tf_static", 0, {"golden/tf_static": "PASSED"}, ()),
-            ("--pc2scan-golden goldfish", 4, {}, ("goldfish",)),
         ],
         2,
     ),

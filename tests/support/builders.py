@@ -347,39 +347,6 @@ def md5sum(msgtype: str) -> str:
     return str(typestore(1).generate_msgdef(msgtype, ros_version=1)[1])
 
 
-def _idl(name: str, members: str) -> str:
-    package, _, kind = name.split("/")
-    body = f"module {package} {{\n  module msg {{\n    struct {kind} {{\n{members}    }};\n  }};\n}};\n"
-    return f"{_RULE}\nIDL: {name}\n{body}"
-
-
-_TIME_IDL = _idl("builtin_interfaces/msg/Time", "      int32 sec;\n      uint32 nanosec;\n")
-_HEADER_IDL = (
-    _idl("std_msgs/msg/Header", "      builtin_interfaces::msg::Time stamp;\n      string frame_id;\n") + _TIME_IDL
-)
-IDL = {
-    STRING: _idl(STRING, '      @verbatim (language="comment", text="said aloud")\n      string data;\n'),
-    BATTERY: _idl(
-        BATTERY,
-        "      std_msgs::msg::Header header;\n      double voltage;\n"
-        "      sequence<uint8> cells;\n      builtin_interfaces::msg::Duration uptime;\n",
-    )
-    + _HEADER_IDL
-    + _idl("builtin_interfaces/msg/Duration", "      int32 sec;\n      uint32 nanosec;\n"),
-    CLOUD: _idl(
-        CLOUD,
-        "      std_msgs::msg::Header header;\n      uint32 height;\n      uint32 width;\n"
-        "      sequence<sensor_msgs::msg::PointField> fields;\n      boolean is_bigendian;\n"
-        "      uint32 point_step;\n      uint32 row_step;\n      sequence<uint8> data;\n      boolean is_dense;\n",
-    )
-    + _idl(
-        "sensor_msgs/msg/PointField",
-        "      string name;\n      uint32 offset;\n      uint8 datatype;\n      uint32 count;\n",
-    )
-    + _HEADER_IDL,
-}
-
-
 def ros1_name(msgtype: str) -> str:
     return msgtype.replace("/msg/", "/")
 
@@ -459,7 +426,6 @@ class Mcap:
     profile: str = "ros2"
     compression: str = "zstd"
     chunked: bool = True
-    idl: bool = False
     pack: Callable[[bytes], bytes] = bytes
     joined: bool = False
     by_name: bool = False
@@ -526,8 +492,6 @@ def _schema(writer: McapLibraryWriter, msgtype: str, form: Mcap) -> int:
     name, encoding = msgtype, f"ros{form.ros_version}msg"
     if form.ros_version == 1:
         name, text = ros1_name(msgtype), definition(msgtype, 1)
-    elif form.idl and msgtype in IDL:
-        encoding, text = "ros2idl", IDL[msgtype]
     else:
         text = definition(msgtype, 2)
     return int(writer.register_schema(name, encoding, text.encode()))
@@ -714,7 +678,6 @@ SOURCES: dict[str, Build] = {
     "mcap-ros1": _mcap(ros_version=1, profile="ros1"),
     "mcap-ros1-unchunked-no-profile": _mcap(ros_version=1, profile="", chunked=False),
     "mcap-no-profile": _mcap(profile=""),
-    "mcap-ros2idl": _mcap(idl=True),
 }
 """Every kind of source, by name: takes a folder and the recording, returns the source's path."""
 

@@ -17,7 +17,6 @@ from support.builders import (
     CHARGE,
     CHATTER,
     CONTENT,
-    IDL,
     INERTIA,
     ODOMETRY,
     POINTS,
@@ -99,11 +98,8 @@ def check_publishers(name: str, kind: Kind, output: Output) -> None:
             assert publisher.msgtype == stream.msgtype
             continue
         assert publisher.msgtype == stream.type_in(source)
-        if name == "mcap-ros2idl" and stream.msgtype in IDL:
-            assert (publisher.encoding, publisher.definition) == ("ros2idl", IDL[stream.msgtype])
-        else:
-            assert publisher.encoding == f"ros{source}msg"
-            assert publisher.definition == definition(stream.type_in(source), source)
+        assert publisher.encoding == f"ros{source}msg"
+        assert publisher.definition == definition(stream.type_in(source), source)
     # rosbag2 has one row, or channel, a topic.
     static = [publisher.callerid for publisher in output.publishers if publisher.topic == "/tf_static"]
     if source == output.ros_version and name.startswith(("bag", "mcap")) and kind.container != "rosbag2":
@@ -118,7 +114,7 @@ def test_all_is_kept_from_container_to_container(name: str, kind_name: str, tmp_
     destination.parent.mkdir()
     number = list(SOURCES).index(name)
     clouds = number % 2 == 1
-    lost = name in {*WITHOUT_DEFINITIONS, "mcap-ros2idl"} and kind.ros_version == 1
+    lost = name in WITHOUT_DEFINITIONS and kind.ros_version == 1
     if number % 3:
         report = pc2scan.convert(
             path, destination, params=PARAMS, keep_clouds=clouds, jobs=number % 3, **kind.options

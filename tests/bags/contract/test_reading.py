@@ -19,7 +19,7 @@ from pc2scan.bags.opening import open_recording, sniff
 from pc2scan.errors import RecordingError
 from pc2scan.model import Attachment, Definition, Metadata
 from support import sampled
-from support.builders import CONTENT, IDL, SOURCES, Recording, definition, ros_version_of
+from support.builders import CONTENT, SOURCES, Recording, definition, ros_version_of
 from support.containers import FORMATS, KINDS, Row, recorded
 from support.mcap_files import LIBRARY_OPTIONS, SAMPLE, library_file
 from support.rosbag1_files import ROS1, SCRIPT, ros1, ros1_missing, string
@@ -103,9 +103,7 @@ def test_recordings_of_others_are_read(name: str, tmp_path: Path) -> None:
             found = [c for c in reader.connections if c.topic == stream.topic]
             assert {c.ros_type for c in found} == {stream.type_in(ros_version)}
             texts = {c.definition.text for c in found}
-            if name == "mcap-ros2idl" and stream.msgtype in IDL:
-                assert texts == {IDL[stream.msgtype]}
-            elif not name.startswith(("rosbag2-sqlite3-v2", "rosbag2-sqlite3-v4", "rosbag2-sqlite3-v5")):
+            if not name.startswith(("rosbag2-sqlite3-v2", "rosbag2-sqlite3-v4", "rosbag2-sqlite3-v5")):
                 assert texts == {definition(stream.type_in(ros_version), ros_version)}
 
 
