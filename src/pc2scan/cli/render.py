@@ -119,11 +119,8 @@ def print_json(document: object) -> None:
     """Print JSON on standard output."""
     # Everything else that is not text for a terminal or a CI system is escaped in JSON anyway.
     text = json.dumps(document, indent=2).replace("##", r"\u0023\u0023")
-    if isinstance(sys.stdout, Screen):
-        sys.stdout.write_as_it_is(f"{text}\n")
-        sys.stdout.flush()
-    else:
-        typer.echo(text)
+    getattr(sys.stdout, "write_as_it_is", sys.stdout.write)(f"{text}\n")
+    sys.stdout.flush()
 
 
 def show(
@@ -278,17 +275,18 @@ class Screen:
 
     def write_as_it_is(self, text: str) -> int:
         """Write text for programs, such as JSON, unchanged."""
-        try:
+        with self._guard():
             return self._stream.write(text)
-        except OSError as err:
-            if self._guarded:
-                raise StdoutError(err) from err
-            raise
 
     def flush(self) -> None:
         """Flush."""
-        try:
+        with self._guard():
             self._stream.flush()
+
+    @contextmanager
+    def _guard(self) -> Iterator[None]:
+        try:
+            yield
         except OSError as err:
             if self._guarded:
                 raise StdoutError(err) from err
