@@ -23,7 +23,7 @@ BASE: dict[str, Any] = {"params": ProjectionParams(target_frame="base_link")}
 def plan(topics: dict[str, str], requests: str = "", **options: Any) -> Plan:
     connections = [Connection(i, each, KINDS.get(kind, kind), "ros1") for i, (each, kind) in enumerate(topics.items())]
     own = {name: options.pop(name) for name in ("params", "reverse") if name in options}
-    combining = Combining.of(**{name: options.pop(name) for name in ("rebin",) if name in options})
+    combining = Combining.of({name: options.pop(name) for name in ("rebin",) if name in options})
     scan = ScanSpec(topics=tuple(map(TopicRequest.parse, requests.split())), combining=combining, **own)
     return make_plan(connections, ConvertOptions(scans=(scan,), **options))
 

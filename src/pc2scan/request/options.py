@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from pc2scan.core.rule import Rejection
     from pc2scan.core.unproject import UnprojectParams
     from pc2scan.options.moment import TimeBound
-    from pc2scan.options.option import Period
 
     from .beam_filters import BeamFilter
     from .filters import Filter
@@ -101,27 +100,15 @@ class Combining(NamedTuple):
     is_bare: bool = False
 
     @classmethod
-    def of(
-        cls,
-        *,
-        window: Period | None = None,
-        accumulate: Period | None = None,
-        every: Period | None = None,
-        rebin: bool = False,
-        **_others: object,
-    ) -> Combining:
-        """Parse the values that a user gives; other options are ignored.
-
-        Parameters
-        ----------
-        accumulate
-            A time, or a number of clouds as ``10clouds``.
+    def of(cls, values: Mapping[str, Any]) -> Combining:
+        """Parse the options ``window``, ``accumulate``, ``every`` and ``rebin``; others are ignored.
 
         Raises
         ------
         UsageError
             If a value cannot be parsed, or is out of range.
         """
+        accumulate = values.get("accumulate")
         count = span_ns = 0
         if isinstance(accumulate, str) and (written := re.fullmatch(_CLOUDS, accumulate.strip())):
             count = int(written[1])
@@ -129,10 +116,10 @@ class Combining(NamedTuple):
                 raise UsageError(f"`accumulate` is {accumulate!r}, it must be 1 to {_MOST_MESSAGES:,} clouds")
         elif accumulate is not None:
             span_ns = nanoseconds_of("accumulate", accumulate, "; or a number of clouds (10clouds)")
-        every_ns = 0 if every is None else nanoseconds_of("every", every)
-        window_ns = None if window is None else nanoseconds_of("window", window)
+        every_ns = nanoseconds_of("every", values["every"]) if "every" in values else 0
+        window_ns = nanoseconds_of("window", values["window"]) if "window" in values else None
         is_bare = isinstance(accumulate, str) and accumulate.strip().isdecimal()
-        return cls(window_ns, span_ns, count, every_ns, rebin, is_bare)
+        return cls(window_ns, span_ns, count, every_ns, values.get("rebin", False), is_bare)
 
     @property
     def accumulates(self) -> bool:
@@ -225,7 +212,7 @@ class ScanSpec:
         refuse_idle({*values, "reverse"} if found.reverse else values)
         read = {name: values[name] for name in cls.__dataclass_fields__ if name in values and name not in _MADE}
         if values.keys() & CloudCombination.__annotations__.keys():
-            read["combining"] = Combining.of(**values)
+            read["combining"] = Combining.of(values)
         if values.keys() & PointSelection.__annotations__.keys():
             read["filters"] = (*filters_of(values, found.params.min_height), *values.get("filters", ()))
         if "remove" in values:
