@@ -3,7 +3,7 @@
 import { commandLine, commandWords, parameterFile, staticText } from "./commands.mjs";
 import { Controls } from "./controls.mjs";
 import { columns } from "./data.mjs";
-import { band, beamsFromAbove, endsOf, frameMarks, rings, sector } from "./draw.mjs";
+import { band, beamsFromAbove, endsOf, frameMarks, rings, sector, squares } from "./draw.mjs";
 import { Flat, GRAB } from "./flat.mjs";
 import { Orbit } from "./orbit.mjs";
 import {
@@ -147,9 +147,9 @@ export function showClouds(recording) {
     const before = given();
     topic = recording.topics[topics.selectedIndex];
     // Heights that the user has set are kept.
-    const { min_height, max_height } = params;
-    if (min_height === before.min_height && max_height === before.max_height)
-      params = { ...params, ...heightsOf(given()) };
+    const { min_height, max_height } = given();
+    if (params.min_height === before.min_height && params.max_height === before.max_height)
+      params = { ...params, min_height, max_height };
     fitted = false;
     void go(0);
   });
@@ -254,12 +254,7 @@ export function showClouds(recording) {
     frameMarks(pen, (x, _y, z) => [side.px(x), side.py(z)], entry.frames, axis);
     pen.restore();
     pen = orbit.stage.pen();
-    pen.fillStyle = beam;
-    for (let n = 0; n < ends.length; n += 2) {
-      if (ends[n] !== ends[n]) continue;
-      const [x, y] = orbit.place(ends[n], ends[n + 1], 0);
-      pen.fillRect(x - 1, y - 1, 2, 2);
-    }
+    squares(pen, ends, (x, y) => orbit.place(x, y, 0), beam, 2);
     frameMarks(pen, (x, y, z) => orbit.place(x, y, z), entry.frames, 40 / orbit.scale);
     unrolled.draw(
       [
@@ -363,13 +358,8 @@ export function showClouds(recording) {
     // Values that the user has set are kept.
     const own = Object.entries(params).filter(([name, value]) => base[name] !== value);
     base = { ...defaults, ...(recording.presets[chosen] ?? {}) };
-    params = /** @type {Params} */ ({ ...pickParams(base), ...Object.fromEntries(own) });
+    params = /** @type {Params} */ ({ ...base, ...Object.fromEntries(own) });
     update();
-  }
-
-  /** @param {Values} values */
-  function pickParams(values) {
-    return Object.fromEntries(Object.keys(recording.params).map((name) => [name, values[name]]));
   }
 
   function reset() {
@@ -403,7 +393,8 @@ export function showClouds(recording) {
           const near = bandEdges().some((edge) => Math.abs(edge - y) <= GRAB);
           side.stage.element.style.cursor = near ? "ns-resize" : "";
         }
-        const angle = view === top ? Math.atan2(...flipped(top.world([x, y]))) : NaN;
+        const [ahead, left] = top.world([x, y]);
+        const angle = view === top ? Math.atan2(left, ahead) : NaN;
         describe(point, point >= 0 && scan.outcomes[point] === 0 ? scan.bins[point] : beamAt(angle));
       });
     }
@@ -476,9 +467,6 @@ function revived(values) {
   );
 }
 
-/** @param {Params} params */
-const heightsOf = ({ min_height, max_height }) => ({ min_height, max_height });
-
 /**
  * @param {number} points
  * @returns {Cloud}
@@ -486,9 +474,6 @@ const heightsOf = ({ min_height, max_height }) => ({ min_height, max_height });
 function emptyCloud(points) {
   return { x: new Float32Array(points), y: new Float32Array(points), z: new Float32Array(points) };
 }
-
-/** @param {[number, number]} pair */
-const flipped = ([x, y]) => /** @type {[number, number]} */ ([y, x]);
 
 /**
  * The counts, and what can be copied.

@@ -38,16 +38,6 @@ const GROUPS = {
   "Range of a beam": ["reduce", ["min_points", "", 1, 20, 1], "no_return", "angle_rounding", "intensity_field"],
 };
 
-/** @type {Record<string, Spec>} */
-const MOUNT_SPECS = {
-  x: ["x", "m", -3, 3, 0.01],
-  y: ["y", "m", -3, 3, 0.01],
-  z: ["z", "m", -3, 3, 0.01],
-  roll: ["roll", "deg", -180, 180, 0.1],
-  pitch: ["pitch", "deg", -90, 90, 0.1],
-  yaw: ["yaw", "deg", -180, 180, 0.1],
-};
-
 /** One parameter's row: a slider and a number that agree. */
 class NumberRow {
   /**
@@ -171,7 +161,9 @@ export class Controls {
     const mount = make("fieldset", {}, make("legend", { textContent: title }));
     for (const key of MOUNT_KEYS) {
       const help = "Pose of the sensor in the target frame; see --static-tf.";
-      const made = new NumberRow(MOUNT_SPECS[key], help, (value) => on.mount(key, value));
+      /** @type {Spec} */
+      const spec = key.length === 1 ? [key, "m", -3, 3, 0.01] : [key, "deg", -180, 180, 0.1];
+      const made = new NumberRow(spec, help, (value) => on.mount(key, value));
       made.number.id = `mount-${key}`;
       made.element.querySelector("label")?.setAttribute("for", made.number.id);
       this.rows.set(`mount-${key}`, made);

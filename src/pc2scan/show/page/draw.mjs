@@ -68,8 +68,23 @@ export function beamsFromAbove(pen, view, ends, colour, origin, lines, size = 3)
     pen.stroke();
     pen.globalAlpha = 1;
   }
+  squares(pen, ends, (x, y) => [view.px(x), view.py(y)], colour, size);
+}
+
+/**
+ * A square at each place that is known.
+ * @param {CanvasRenderingContext2D} pen
+ * @param {Float64Array} ends
+ * @param {(x: number, y: number) => [number, number]} place
+ * @param {string} colour
+ * @param {number} size pixels
+ */
+export function squares(pen, ends, place, colour, size) {
+  pen.fillStyle = colour;
   for (let n = 0; n < ends.length; n += 2) {
-    if (ends[n] === ends[n]) pen.fillRect(view.px(ends[n]) - size / 2, view.py(ends[n + 1]) - size / 2, size, size);
+    if (ends[n] !== ends[n]) continue;
+    const [x, y] = place(ends[n], ends[n + 1]);
+    pen.fillRect(x - size / 2, y - size / 2, size, size);
   }
 }
 
