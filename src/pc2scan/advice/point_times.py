@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from pc2scan.core.percentiles import median
-from pc2scan.core.points import TIME
 from pc2scan.core.timing import IN_SECONDS, TIME_UNITS, fit_sweep, increment_doubt, is_brief, median_interval_ns
 from pc2scan.request.point_time import BY_AZIMUTH
 from pc2scan.request.turn import TURN_CLOUDS, measure_turn, turn_sample
@@ -122,7 +121,8 @@ def increment_warning(facts: TopicFacts) -> str:
     """Return the warning that scans take far too long or too short by their time_increment; empty if not."""
     turn = median([each.turn for each in facts.headers]) if facts.headers else 0.0
     period = (median_interval_ns(each.stamp_ns for each in facts.headers) or 0) / 1e9
-    return _increment_doubt(facts.topic, turn, period) if turn else ""
+    doubt = increment_doubt(turn, period) if turn else ""
+    return f"{facts.topic}: {doubt}: {IN_SECONDS}" if doubt else ""
 
 
 def times_of(point_time: PointTime) -> Fact[PointTimes]:
@@ -170,19 +170,12 @@ def _are_ordered(angles: NDArray[np.float64], seconds: NDArray[np.float64], whol
     return bool((off < _NEAR).mean() >= _FOLLOWS)
 
 
-def _increment_doubt(topic: str, turn: float, period: float) -> str:
-    doubt = increment_doubt(turn, period)
-    return f"{topic}: {doubt}: {IN_SECONDS}" if doubt else ""
-
-
 def _duration_doubt(topic: str, clouds: Sequence[PointTimes]) -> str:
     period = (median_interval_ns(each.stamp_ns for each in clouds) or 0) / 1e9
     whole = median([each.high - each.low for each in clouds]) if len(clouds) >= _FEWEST else 0.0
     if not (period and whole > 0) or 1 / _OFF < whole / period < _OFF:
         return ""
     name, unit = clouds[0].field, clouds[0].unit
-    if name == TIME:
-        return _increment_doubt(topic, whole, period)
     takes = f"a cloud takes {whole:.3g} s, but clouds come every {period:.3g} s"
     likely = [other for other, size in TIME_UNITS.items() if _ABOUT[0] < whole / unit * size / period < _ABOUT[1]]
     used = next(other for other, size in TIME_UNITS.items() if size == unit)

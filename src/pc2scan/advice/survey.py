@@ -163,12 +163,6 @@ class TopicFacts:
         if (are_enough := fact.are_enough) is not None:
             observer.is_needless = lambda: are_enough(observer.found)
 
-    def delays_from(self, start_ns: int, most: int) -> Observer[int]:
-        """Return the observer of the delays from stamps to log times of so many messages, from a log time on."""
-        return Observer(
-            self.connections, lambda message: self._header(message).delay_ns, most, start_ns, self._span.stop_ns
-        )
-
     @property
     def headers(self) -> Sequence[Header]:
         """The headers, in the order of log time: as many as any caller of `ask_headers` wants."""

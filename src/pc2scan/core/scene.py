@@ -76,6 +76,8 @@ _ROUGHEST = 0.3
 #: above the sensor, metres, and seen from nearer than so many times that.
 _FEWEST_CELLS, _SMALL_SURFACE, _FEW_BEHIND, _NARROW, _GOES_ON = 20, 0.015, 0.02, 0.4, 0.4
 _OVERHEAD, _FLATTEST = 0.3, 6.0
+#: All points of one ring are in a plane: so many are on nothing overhead.
+_ONE_RING = 0.9
 
 #: A floor is seen from nearer than so many times its distance; a smaller one may be the outer ring's.
 _FARTHEST = 12.0
@@ -556,7 +558,8 @@ def outermost(cells: _Points, side: int) -> Plane | None:
             continue
         if (plane.tilt if side < 0 else math.pi - plane.tilt) > LEVEL or plane.height < _LEAST_HEIGHT:
             continue
-        if side > 0 and (plane.height < _OVERHEAD or plane.nearest > _FLATTEST * plane.height):
+        far = plane.nearest > _FLATTEST * plane.height
+        if side > 0 and (plane.height < _OVERHEAD or far or plane.share > _ONE_RING):
             continue
         at = np.abs(cells @ np.array(plane.up) + plane.height) < tolerance
         if _is_surface(cells, at, tolerance, plane.height, side):

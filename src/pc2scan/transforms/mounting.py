@@ -479,6 +479,7 @@ def suitable_heights(
             "proposed; `pc2scan view` shows them"
         )
         return Heights(low, low, floor, ceiling, question, doubt)
+    doubt = ""
     if ((z >= low) & (z <= high)).mean() < _FEWEST_SHARE:
         # There is no object on the ground, or the sensor is above all of them.
         higher = np.sort(z[(z > high) & (z < top)])
@@ -488,8 +489,9 @@ def suitable_heights(
                 "proposed; `pc2scan view` shows them"
             )
             return Heights(low, low, floor, ceiling, question, doubt)
+        doubt = f"no point is up to {high:.2f} m, above the floor at z = {floor:.2f} m: scans show what is above that"
         high = min(top, float(higher[len(higher) // 4]) + _THINNEST)
-    return Heights(_round_down(low + 0.005), _round_down(high + 0.005), floor, ceiling, question)
+    return Heights(_round_down(low + 0.005), _round_down(high + 0.005), floor, ceiling, question, doubt)
 
 
 def _is_large(ground: Ground, points: NDArray[np.float64]) -> bool:
