@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import pc2scan
-from pc2scan.bags.formats import FORMATS, Format, ReadOptions, WriteOptions
+from pc2scan.bags.formats import FORMATS, Format
 from pc2scan.bags.opening import open_recording
 from pc2scan.model import Writer
 from support import ROOT
@@ -26,15 +26,16 @@ FIXTURES = ROOT / "fixtures"
 MAGIC = b"#TOY\n"
 
 
-def toy_reader(path: Path, _: ReadOptions) -> MemoryReader:
+def toy_reader(path: Path, *, strict: bool) -> MemoryReader:
+    assert not strict
     return MemoryReader(path, *pickle.loads(path.read_bytes()[len(MAGIC) :]), container="toy")
 
 
 class ToyWriter(Writer):
     """Writes connections and messages as Python's pickles, and nothing else."""
 
-    def __init__(self, path: Path, options: WriteOptions) -> None:
-        assert options.compression == "none"
+    def __init__(self, path: Path, compression: str) -> None:
+        assert compression == "none"
         self._file = path.open("xb")
         self._connections: list[Connection] = []
         self._rows: list[tuple[int, int, bytes]] = []

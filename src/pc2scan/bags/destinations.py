@@ -10,13 +10,11 @@ from pc2scan.errors import DestinationError
 from pc2scan.files.places import LEFTOVERS
 
 from . import zstd
-from .formats import FORMATS, Format, WriteOptions, destinations
-from .rosbag2 import metadata
+from .formats import FORMATS, Format, destinations
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pc2scan.files.records import Record
     from pc2scan.model import Summary, Writer
 
 
@@ -273,11 +271,6 @@ def source_form(path: Path, summaries: Sequence[Summary]) -> tuple[str | None, s
     return storage, kept
 
 
-def recorded_in(folder: Path) -> Record | str:
-    """Return the record of the files in a rosbag2 directory; text if it has none: the reason."""
-    return metadata.recorded_in(folder)
-
-
 def open_writer(destination: Destination, staged_path: Path, name: str) -> Writer:
     """Start writing.
 
@@ -295,12 +288,11 @@ def open_writer(destination: Destination, staged_path: Path, name: str) -> Write
     OutputError
         If it cannot be created.
     """
-    options = WriteOptions(
-        name=name,
-        compression=destination.compression,
-        storage=destination.file_format.name if destination.format.storages else "",
-        profile=destination.profile,
-    )
+    options = {"compression": destination.compression}
+    if destination.format.storages:
+        options |= {"name": name, "storage": destination.file_format.name}
+    if destination.format.profiles:
+        options["profile"] = destination.profile
     writer = destination.format.open_writer
     assert writer is not None  # a destination without one is never planned
-    return writer(staged_path, options)
+    return writer(staged_path, **options)

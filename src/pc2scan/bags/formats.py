@@ -19,33 +19,6 @@ if TYPE_CHECKING:
     from .reader import Reader
 
 
-class ReadOptions(NamedTuple):
-    """How a recording is read.
-
-    Attributes
-    ----------
-    strict
-        Whether damage is an error; otherwise it is reported and the rest is recovered.
-    message_compression
-        For a storage file: the compression of each message by metadata.yaml.
-    """
-
-    strict: bool = False
-    message_compression: str = "none"
-
-
-class WriteOptions(NamedTuple):
-    """How a recording is written; see `pc2scan.bags.destinations.Destination`.
-
-    ``name`` is the final name of the recording.
-    """
-
-    name: str
-    compression: str = "none"
-    storage: str = ""
-    profile: str = ""
-
-
 class Format(NamedTuple):
     """A kind of container.
 
@@ -58,9 +31,11 @@ class Format(NamedTuple):
     readable_one
         The name of one such recording.
     open_reader
-        Opens a recording.
+        Opens a recording: takes its path, and ``strict``, whether damage is an error, which otherwise is in `damage` of
+        the reader. With `packs_messages`, it takes ``message_compression``, too: that of each message by metadata.yaml.
     open_writer
-        Starts a recording; None if it cannot be a destination by itself.
+        Starts a recording: takes its path and ``compression``, with `storages` also ``name`` and ``storage``, with
+        `profiles` also ``profile``. None if it cannot be a destination by itself.
     magic
         The first bytes of every such file; empty for a directory.
     is_magic_shared
@@ -77,8 +52,8 @@ class Format(NamedTuple):
     is_recording
         For a directory: whether everything in a directory is one recording.
     open_storage
-        Starts a file of a directory; returns its writer, and a function that takes the directory's metadata as text.
-        None if it is not a storage of a directory.
+        Starts a file of a directory with a compression; returns its writer, and a function that takes the directory's
+        metadata as text. None if it is not a storage of a directory.
     storages
         For a directory: the formats that its files may have, the default first.
     written_as
@@ -108,8 +83,8 @@ class Format(NamedTuple):
     name: str
     readable: str
     readable_one: str
-    open_reader: Callable[[Path, ReadOptions], Reader]
-    open_writer: Callable[[Path, WriteOptions], Writer] | None = None
+    open_reader: Callable[..., Reader]
+    open_writer: Callable[..., Writer] | None = None
     magic: bytes = b""
     is_magic_shared: bool = False
     suffix: str = ""
@@ -117,7 +92,7 @@ class Format(NamedTuple):
     play: str = ""
     holds_recording: Callable[[Path], bool] | None = None
     is_recording: Callable[[Path], bool] | None = None
-    open_storage: Callable[[Path, WriteOptions], tuple[Writer, Callable[[str], None]]] | None = None
+    open_storage: Callable[[Path, str], tuple[Writer, Callable[[str], None]]] | None = None
     storages: tuple[str, ...] = ()
     written_as: str = ""
     compressions: tuple[str, ...] = ("none",)
@@ -141,8 +116,8 @@ def _late(place: str) -> Callable[..., Any]:
     """Return a function whose module is imported by the first call, because each format imports its libraries."""
     module, _, name = place.partition(":")
 
-    def call(*args: object) -> Any:
-        return getattr(import_module(module, __package__), name)(*args)
+    def call(*args: object, **options: object) -> Any:
+        return getattr(import_module(module, __package__), name)(*args, **options)
 
     return call
 
@@ -152,8 +127,8 @@ _ENTRIES = (
         name="rosbag1",
         readable="ROS 1 bags",
         readable_one="ROS 1 bag",
-        open_reader=_late(".rosbag1.read:open_reader"),
-        open_writer=_late(".rosbag1.write:open_writer"),
+        open_reader=_late(".rosbag1.read:Rosbag1Reader"),
+        open_writer=_late(".rosbag1.write:Rosbag1Writer"),
         magic=b"#ROSBAG V2.0\n",
         suffix=".bag",
         to="bag",
@@ -168,8 +143,8 @@ _ENTRIES = (
         name="rosbag2",
         readable="rosbag2 directories",
         readable_one="rosbag2 directory",
-        open_reader=_late(".rosbag2.read:open_reader"),
-        open_writer=_late(".rosbag2.write:open_writer"),
+        open_reader=_late(".rosbag2.read:Rosbag2Reader"),
+        open_writer=_late(".rosbag2.write:Rosbag2Writer"),
         to="rosbag2",
         play="ros2 bag play {} --clock",
         holds_recording=_late(".rosbag2.metadata:holds_recording"),
@@ -182,7 +157,7 @@ _ENTRIES = (
         name="sqlite3",
         readable=".db3 files",
         readable_one=".db3 file",
-        open_reader=_late(".rosbag2.sqlite3.read:open_reader"),
+        open_reader=_late(".rosbag2.sqlite3.read:Sqlite3Reader"),
         magic=b"SQLite format 3\0",
         is_magic_shared=True,
         suffix=".db3",
@@ -196,8 +171,8 @@ _ENTRIES = (
         name="mcap",
         readable="MCAP",
         readable_one="MCAP file",
-        open_reader=_late(".mcap.read:open_reader"),
-        open_writer=_late(".mcap.write:open_writer"),
+        open_reader=_late(".mcap.read:McapReader"),
+        open_writer=_late(".mcap.write:McapWriter"),
         magic=b"\x89MCAP0\r\n",
         suffix=".mcap",
         to="mcap",

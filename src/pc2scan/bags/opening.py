@@ -16,7 +16,7 @@ from pc2scan.files.urls import UrlPath
 
 from . import zstd
 from .folders import recordings_in, several_recordings
-from .formats import FORMATS, ReadOptions, and_list
+from .formats import FORMATS, and_list
 from .merged import MergedReader
 
 if TYPE_CHECKING:
@@ -104,10 +104,9 @@ def open_recording(path: Path, *, strict: bool = False) -> Reader:
         With ``strict``, if it is damaged; without, if nothing of it can be recovered.
     """
     name, _, packed = sniff(path).partition("+")
-    options = ReadOptions(strict=strict)
     if packed:
-        return zstd.open_packed(path, FORMATS[name], options)
-    return FORMATS[name].open_reader(path, options)
+        return zstd.open_packed(path, FORMATS[name], strict=strict)
+    return FORMATS[name].open_reader(path, strict=strict)
 
 
 def open_recordings(paths: Iterable[Path], stack: ExitStack, *, strict: bool = False) -> list[Reader]:

@@ -16,7 +16,7 @@ from .damage import RECOVER, DamageLog
 if TYPE_CHECKING:
     from pc2scan.model import Buffer, RawMessage
 
-    from .formats import Format, ReadOptions
+    from .formats import Format
     from .reader import Reader
 
 #: Bytes that are decompressed at a time. The result, which may be 30,000 times as large, is held in memory.
@@ -177,7 +177,7 @@ def without_suffix(name: str) -> str:
     return name
 
 
-def open_packed(path: Path, inner: Format, options: ReadOptions) -> Reader:
+def open_packed(path: Path, inner: Format, *, strict: bool, **options: str) -> Reader:
     """Open a file that is compressed as a whole: its reader reads a temporary copy.
 
     Parameters
@@ -186,13 +186,13 @@ def open_packed(path: Path, inner: Format, options: ReadOptions) -> Reader:
         The compressed file.
     inner
         The format of the decompressed file.
-    options
+    strict, **options
         Options for reading that.
     """
-    damage = DamageLog(strict=options.strict)
+    damage = DamageLog(strict=strict)
     temporary = private_folder(path)
     try:
-        reader = inner.open_reader(decompress_file(path, Path(temporary.name), damage), options)
+        reader = inner.open_reader(decompress_file(path, Path(temporary.name), damage), strict=strict, **options)
     except BaseException as err:
         temporary.cleanup()
         if isinstance(err, RecordingError):

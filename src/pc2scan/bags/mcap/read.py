@@ -29,14 +29,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.bags.chunks import Salvage, Segment, Selection
-    from pc2scan.bags.formats import ReadOptions
-    from pc2scan.bags.reader import Reader
     from pc2scan.model import RawMessage
-
-
-def open_reader(path: Path, options: ReadOptions) -> Reader:
-    """Open an MCAP file; see `pc2scan.bags.formats.Format`."""
-    return McapReader(path, strict=options.strict)
 
 
 class McapReader(ChunkedReader):

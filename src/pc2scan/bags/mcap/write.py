@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
     from pathlib import Path
 
-    from pc2scan.bags.formats import WriteOptions
     from pc2scan.model import Attachment, Buffer, Connection, Metadata
     from pc2scan.threads import Threads
 
@@ -46,11 +45,6 @@ _SUMMARY_GROUPS = (
     Opcode.ATTACHMENT_INDEX,
     Opcode.METADATA_INDEX,
 )
-
-
-def open_writer(path: Path, options: WriteOptions) -> McapWriter:
-    """Start an MCAP file; see `pc2scan.bags.formats.Format`."""
-    return McapWriter(path, options.compression, options.profile)
 
 
 class McapWriter:

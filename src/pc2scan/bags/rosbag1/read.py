@@ -45,17 +45,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.bags.chunks import Numbers, Salvage, Segment, Segments, Selection
-    from pc2scan.bags.formats import ReadOptions
-    from pc2scan.bags.reader import Reader
     from pc2scan.errors import DamageError
     from pc2scan.model import Buffer, ChunkRule
 
     from .index import BagIndex
-
-
-def open_reader(path: Path, options: ReadOptions) -> Reader:
-    """Open a ROS 1 bag; see `pc2scan.bags.formats.Format`."""
-    return Rosbag1Reader(path, strict=options.strict)
 
 
 class Rosbag1Reader(ChunkedReader):

@@ -34,16 +34,10 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
     from pathlib import Path
 
-    from pc2scan.bags.formats import WriteOptions
     from pc2scan.model import Attachment, Buffer, Connection, Metadata
     from pc2scan.threads import Threads
 
 _TRIPLE = struct.Struct("<III")
-
-
-def open_writer(path: Path, options: WriteOptions) -> Rosbag1Writer:
-    """Start a ROS 1 bag; see `pc2scan.bags.formats.Format`."""
-    return Rosbag1Writer(path, options.compression)
 
 
 class Rosbag1Writer:

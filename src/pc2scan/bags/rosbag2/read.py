@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from pc2scan.bags import zstd
 from pc2scan.bags.damage import RECOVER, DamageLog
 from pc2scan.bags.folders import refuse_unrelated
-from pc2scan.bags.formats import ReadOptions, and_list, storages
+from pc2scan.bags.formats import and_list, storages
 from pc2scan.bags.merged import MergedReader
 from pc2scan.bags.opening import sniff
 from pc2scan.bags.reader import ConnectionLimit
@@ -25,11 +25,6 @@ if TYPE_CHECKING:
     from pc2scan.bags.formats import Format
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, Metadata
-
-
-def open_reader(path: Path, options: ReadOptions) -> Rosbag2Reader:
-    """Open a rosbag2 directory; see `pc2scan.bags.formats.Format`."""
-    return Rosbag2Reader(path, strict=options.strict)
 
 
 class Rosbag2Reader(MergedReader):
@@ -116,8 +111,10 @@ class Rosbag2Reader(MergedReader):
 
     def _open(self, file: Path) -> Reader:
         storage, is_packed = _storage_of(file)
-        options = ReadOptions(strict=self._log.strict, message_compression=self._info.message_compression)
-        return zstd.open_packed(file, storage, options) if is_packed else storage.open_reader(file, options)
+        packing = {"message_compression": self._info.message_compression} if storage.packs_messages else {}
+        if is_packed:
+            return zstd.open_packed(file, storage, strict=self._log.strict, **packing)
+        return storage.open_reader(file, strict=self._log.strict, **packing)
 
     def _compare_types(self) -> None:
         """Note a topic that is of another type in a file than in metadata.yaml: a flipped byte may be in either."""

@@ -6,7 +6,7 @@ import os
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.bags.formats import WriteOptions, storages
+from pc2scan.bags.formats import storages
 from pc2scan.bags.mcap.write import McapWriter
 from pc2scan.bags.qos import MAX_CHARACTERS, respell_qos
 from pc2scan.errors import OutputError, UnwritableError
@@ -24,19 +24,9 @@ if TYPE_CHECKING:
     from pc2scan.threads import Threads
 
 
-def open_writer(path: Path, options: WriteOptions) -> Rosbag2Writer:
-    """Start a rosbag2 directory; see `pc2scan.bags.formats.Format`."""
-    return Rosbag2Writer(
-        path,
-        options.name,
-        storage=options.storage,
-        compression=options.compression,
-    )
-
-
-def open_mcap_storage(path: Path, options: WriteOptions) -> tuple[McapWriter, Callable[[str], None]]:
+def open_mcap_storage(path: Path, compression: str) -> tuple[McapWriter, Callable[[str], None]]:
     """Start the MCAP file of a directory, which repeats metadata.yaml; see `pc2scan.bags.formats.Format`."""
-    writer = McapWriter(path, options.compression, "ros2")
+    writer = McapWriter(path, compression)
     return writer, lambda text: writer.add_metadata(Metadata(RECORD_NAME, {"serialized_metadata": text}))
 
 
@@ -82,10 +72,9 @@ class Rosbag2Writer:
             path.mkdir()
         except OSError as err:
             raise self._write_error(err) from err
-        options = WriteOptions(name=name, compression=compression)
         assert entry.open_storage is not None
         self._file = path / f"{name}_0{entry.suffix}"
-        self._storage, self._keep_info = entry.open_storage(self._file, options)
+        self._storage, self._keep_info = entry.open_storage(self._file, compression)
 
     def keep_ids(self, connections: Collection[Connection]) -> None:
         """Reserve the ids of these connections, so that they keep them when they are declared."""

@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
     from pathlib import Path
 
-    from pc2scan.bags.formats import ReadOptions
     from pc2scan.model import ChunkRule
 
 #: Limits of a chunk's bytes and rows. Loading less takes less time than handing it to another thread.
@@ -63,11 +62,6 @@ _DATA = itemgetter(3)
 
 #: Without the constructor, which takes longer than reading a small row.
 _make_message: Callable[[Iterable[object]], RawMessage] = partial(tuple.__new__, RawMessage)
-
-
-def open_reader(path: Path, options: ReadOptions) -> Sqlite3Reader:
-    """Open a ``.db3`` file; see `pc2scan.bags.formats.Format`."""
-    return Sqlite3Reader(path, message_compression=options.message_compression, strict=options.strict)
 
 
 class Sqlite3Reader(Reader):

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from pc2scan.bags.formats import WriteOptions
     from pc2scan.model import Buffer, Connection
     from pc2scan.threads import Threads
 
@@ -53,9 +52,9 @@ _BATCH_BYTES = 1 << 20
 _ZSTD_LEVEL = 1
 
 
-def open_storage(path: Path, options: WriteOptions) -> tuple[Sqlite3Writer, Callable[[str], None]]:
+def open_storage(path: Path, compression: str) -> tuple[Sqlite3Writer, Callable[[str], None]]:
     """Start the file of a directory; see `pc2scan.bags.formats.Format`."""
-    writer = Sqlite3Writer(path, compression=options.compression)
+    writer = Sqlite3Writer(path, compression=compression)
     return writer, writer.add_bag_metadata
 
 
