@@ -160,16 +160,8 @@ class ScanFrames:
                 frame.pose = frame.pose or (x, y, yaw)
                 first_x, first_y, first_yaw = frame.pose
                 turned, moved = math.remainder(yaw - first_yaw, TURN), math.hypot(x - first_x, y - first_y)
-        return ScanTransforms(
-            frame_id=frame_id,
-            odometry=odometry is not None,
-            robot=known,
-            up=up,
-            turned=turned,
-            moved=moved,
-            missing=missing or why,
-            cure="" if odometry is not None and known is not False else self._cure(name, hint or how),
-        )
+        cure = "" if odometry is not None and known is not False else self._cure(name, hint or how)
+        return ScanTransforms(frame_id, odometry is not None, known, up, turned, moved, missing or why, cure)
 
     def _known_ns(self, name: str, frame: _Frame, stamp_ns: int) -> int:
         """Return the log time from which on a frame's transform to the odometry was known at a stamp; 0: always."""
