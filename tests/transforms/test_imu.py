@@ -98,7 +98,6 @@ def test_messages_out_of_order_repeated_and_damaged() -> None:
     found = read(recording(*messages, messages[7], {"raw": b"\0\1\0\0abc"}))
     assert found.directions.tobytes() == whole.directions.tobytes()
     assert any("1 message cannot be decoded" in warning for warning in found.warnings)
-    assert any("1 message ignored: the stamp of another one" in warning for warning in found.warnings)
 
 
 def test_an_orientation_in_a_world_whose_z_is_down_is_reported() -> None:
@@ -147,13 +146,3 @@ def test_garbage_is_a_direction_or_an_error(seed: int) -> None:
         return
     assert np.isfinite(found.directions).all()
     assert len(found.directions) == len(found.stamps_ns)
-
-
-def test_frames() -> None:
-    messages = of(simulated(1))
-    with pytest.raises(UsageError, match="have no frame_id") as refused:
-        read(recording(*(each | {"frame_id": ""} for each in messages)))
-    assert refused.value.hint == "give it: `imu=/imu:imu_link`"
-    assert read(recording(*(each | {"frame_id": ""} for each in messages)), "/imu:body").frame == "body"
-    with pytest.raises(UsageError, match="have several frames: a, imu_link"):
-        read(recording(messages[0] | {"frame_id": "a"}, *messages[1:]))

@@ -206,19 +206,17 @@ class TransformBuffer:
 
     def is_rigid(self, one: str, other: str) -> bool:
         """Return whether there are only static transforms between two frames; False if they are not connected."""
-        numbers = [self._numbers.get(name.removeprefix("/")) for name in (one, other)]
-        if numbers[0] is None or numbers[1] is None:
-            return False
-        chain = self._timeless_chain(numbers[0], numbers[1])
+        chain = self._chain_of(one, other)
         return chain is not None and all(link.static for link in chain.links)
 
     def moving_links(self, one: str, other: str) -> tuple[FrameHistory, ...]:
         """Return the frames between two that move; none if these are not connected, or frames change their parents."""
-        numbers = [self._numbers.get(name.removeprefix("/")) for name in (one, other)]
-        if numbers[0] is None or numbers[1] is None:
-            return ()
-        chain = self._timeless_chain(numbers[0], numbers[1])
+        chain = self._chain_of(one, other)
         return () if chain is None else tuple(link for link in chain.links if not link.static)
+
+    def _chain_of(self, one: str, other: str) -> Chain | None:
+        numbers = [self._numbers.get(name.removeprefix("/")) for name in (one, other)]
+        return None if numbers[0] is None or numbers[1] is None else self._timeless_chain(numbers[0], numbers[1])
 
     @cached_property
     def infos(self) -> tuple[FrameInfo, ...]:

@@ -161,18 +161,11 @@ class ImuReading:
                 f"there are no messages on {topic}{why}", hint="give another topic to `imu`, or `fixed_frame`"
             )
         stamps, order = np.unique(np.array(self._stamps_ns, np.int64), return_index=True)
-        if not stamps[-1]:
-            raise UsageError(
-                f"the messages on {topic} have no stamps: all are 0",
-                hint="give another topic to `imu`, or `fixed_frame`",
-            )
         directions, turning, acceleration = (
             np.array(values, np.float64).reshape(-1, 3)[order]
             for values in (self._directions, self._turning, self._acceleration)
         )
         warnings = [f"{topic}: {lost}"] if self._undecoded else []
-        if repeated := len(self._stamps_ns) - len(stamps):
-            warnings.append(f"{topic}: {counted(repeated, 'message')} ignored: the stamp of another one")
         frame = frame or _only_frame(topic, self._frames)
         known, directions, notes, further = _estimate_up(topic, stamps, directions, turning, acceleration)
         return UpEstimate(topic, frame, stamps[known], directions, tuple(notes), (*warnings, *further))
@@ -306,8 +299,5 @@ def _disagreement(
         angle = float(np.degrees(np.arccos(np.clip(np.nanmedian(cosines), -1.0, 1.0))))
     if angle < _MAX_DISAGREEMENT:
         return []
-    text = (
-        f"{topic}: up by its orientations is {angle:.0f} degrees from up by its accelerometer (median): "
-        "orientations must refer to a world whose z is up, and an accelerometer at rest must point up"
-    )
-    return [text]
+    what = f"{topic}: up by its orientations is {angle:.0f} degrees from up by its accelerometer (median)"
+    return [f"{what}: orientations must refer to a world whose z is up, and an accelerometer at rest must point up"]

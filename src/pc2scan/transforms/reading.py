@@ -180,11 +180,9 @@ class TransformReading:
             If a recording cannot be read.
         """
         missing = {frame.removeprefix("/") for frame in needed if frame}
-        candidates = _pose_connections(reader.connections) if missing else {}
-        if not candidates:
-            return
+        candidates = by_topic(c for c in reader.connections if c.ros_type in POSES and c.ros_version is not None)
         missing -= {frame for pair in self._pairs() for frame in pair}
-        if not missing:
+        if not missing or not candidates:
             return
         trials = {topic: PoseReading(PoseTopic(topic), own) for topic, own in candidates.items()}
         firsts = [Observer(each.connections, copied_message, 1, keep=each.add) for each in trials.values()]
@@ -260,13 +258,14 @@ class TransformReading:
         builder, notes, static = self._builder, [*self._notes], [*self._options.static]
         texts = [f"{text} ({count} times)" if count > 1 else text for text, count in self._warnings.items()]
         if self._models:
-            joints = self._joints()
+            joints = [*joints_to_add(self._models, builder.pairs)]
             static += joints
             builder.add((joint.row(0) for joint in joints), static=True)
             if joints:
                 shown = name_list([f"{joint.child} in {joint.parent}" for joint in joints], 5)
                 names = name_list([model.name for model in self._models])
-                notes.append(f"{counted(len(joints), 'fixed joint')} of {names} {_are(joints)} used: {shown}")
+                are = "is" if len(joints) == 1 else "are"
+                notes.append(f"{counted(len(joints), 'fixed joint')} of {names} {are} used: {shown}")
         poses: tuple[AddedPoses, ...] = ()
         if self._poses or self._options.trajectory is not None:
             poses, further = self._add_poses(notes)
@@ -277,10 +276,6 @@ class TransformReading:
             for r in buffer.rejections
         ]
         return FoundTransforms(buffer, texts, notes, poses, tuple(static))
-
-    def _joints(self) -> list[StaticTransform]:
-        """Return the joints of models that connect what nothing else does."""
-        return [*joints_to_add(self._models, self._builder.pairs)]
 
     def _add_poses(self, notes: list[str]) -> tuple[tuple[AddedPoses, ...], list[str]]:
         """Add poses as transforms; return them and warnings, and append notes."""
@@ -313,15 +308,6 @@ class TransformReading:
                 notes += (f"{name} replaces the transforms of {frame} in {old}" for frame, old in replaced.items())
             added.append(AddedPoses(name, own, trajectories, attachments))
         return tuple(added), texts
-
-
-def _are(items: Sequence[object]) -> str:
-    return "is" if len(items) == 1 else "are"
-
-
-def _pose_connections(connections: Sequence[Connection]) -> dict[str, list[Connection]]:
-    """Return the connections of topics with poses."""
-    return by_topic(c for c in connections if c.ros_type in POSES and c.ros_version is not None)
 
 
 def _model_connections(connections: Sequence[Connection], options: FrameOptions) -> list[Connection]:

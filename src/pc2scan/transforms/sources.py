@@ -35,9 +35,6 @@ if TYPE_CHECKING:
 #: The frame of reference of odometry whose messages do not name it.
 _UNNAMED = "odom"
 
-#: How many pairs of frames a topic with poses may have: of one, each takes its own arrays.
-_MOST_PAIRS = 1_000
-
 
 class PoseTopic(NamedTuple):
     """A requested topic with poses.
@@ -131,7 +128,7 @@ class PoseReading:
         self.connections = connections
         self._asked = asked
         self._found: dict[tuple[str, str], _Poses] = {}
-        self._wrong = self._further = 0
+        self._wrong = 0
 
     def frames_of(self, parent: str, child: str) -> tuple[str, str]:
         """Return the frames of the poses of a message with these frames."""
@@ -150,20 +147,15 @@ class PoseReading:
             return
         parent, child, stamp_ns, *pose = row
         frames = self.frames_of(parent, child)
-        found = self._found.get(frames)
-        if found is None:
-            if len(self._found) >= _MOST_PAIRS:
-                self._further += 1
-                return
-            found = self._found[frames] = _Poses()
+        if frames not in self._found:
+            self._found[frames] = _Poses()
+        found = self._found[frames]
         found.stamps.append(stamp_ns)
         found.poses.extend(pose)
 
     def finish(self) -> tuple[list[Trajectory], list[str]]:
         """Return the poses by their frames, and warnings."""
         texts = [f"{self.topic}: {counted(self._wrong, 'message')} cannot be decoded"] if self._wrong else []
-        if self._further:
-            texts.append(f"{self.topic}: poses of more than {_MOST_PAIRS:,} pairs of frames; the others are not used")
         return [
             Trajectory(
                 self.topic,

@@ -6,11 +6,11 @@ checked.
 
 from __future__ import annotations
 
+from array import array
 from dataclasses import dataclass, replace
 from decimal import Decimal, InvalidOperation
 from functools import partial
-from itertools import islice
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,13 +20,9 @@ from pc2scan.errors import UsageError
 from .text_files import open_bounded
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
-
-#: The number of a line, and its words.
-Line: TypeAlias = tuple[int, list[str]]
 
 #: The largest file: some million poses.
 _MAX_BYTES = 500_000_000
@@ -40,8 +36,7 @@ _NANOSECONDS = 100_000_000_000
 #: Stamps are before this: sums of them and offsets fit into 64 bits. It is in the year 2116.
 _MOST_NS = 1 << 62
 
-#: Lines that are read at a time, and characters of one; a longer one has too many values.
-_PIECE_LINES = 10_000
+#: Characters of a line; a longer one has too many values.
 _MAX_LINE = 1 << 16
 
 
@@ -115,61 +110,39 @@ def load_trajectory(path: Path, frames: tuple[str, str]) -> Trajectory:
     UsageError
         If a file cannot be read, or a line is not a pose; the error has the line.
     """
-    stamps: list[NDArray[np.int64]] = []
-    poses: list[NDArray[np.float64]] = []
-    for lines in _pieces(path):
-        stamps.append(np.array([_stamp(words[0], path, number) for number, words in lines], np.int64))
-        poses.append(_poses(path, lines))
-    if not poses:
-        raise UsageError("has no pose", path=path)
-    return Trajectory(str(path), *frames, np.concatenate(stamps), np.concatenate(poses))
-
-
-def _pieces(path: Path) -> Iterator[list[Line]]:
-    """Yield the lines of a file that have words, some thousand at a time: they take ten times as much as numbers."""
+    stamps, numbers, values = array("q"), array("q"), array("d")
     with open_bounded(path, _MAX_BYTES, "a trajectory", (".tum", ".txt")) as file:
-        numbered = enumerate(iter(partial(file.readline, _MAX_LINE), ""), 1)
-        split = ((number, line.partition("#")[0].replace(",", " ").split()) for number, line in numbered)
-        lines = (line for line in split if line[1])
-        while piece := list(islice(lines, _PIECE_LINES)):
-            yield piece
-
-
-def _poses(path: Path, lines: Sequence[Line]) -> NDArray[np.float64]:
-    """Return the poses of lines, as `Trajectory` has them."""
-    values = _numbers(path, lines)
-    wrong = np.flatnonzero(~are_accepted(values[:, 4:]))
-    if wrong.size:
-        shown = " ".join(f"{value:g}" for value in values[wrong[0], 4:])
+        for number, line in enumerate(iter(partial(file.readline, _MAX_LINE), ""), 1):
+            words = line.partition("#")[0].replace(",", " ").split()
+            if not words:
+                continue
+            if len(words) != _COLUMNS:
+                raise UsageError(
+                    f"line {number}: has {len(words)} values; a pose has {_COLUMNS} (TUM: stamp x y z qx qy qz qw)",
+                    path=path,
+                    hint="KITTI's format has 12, and no stamps: evo_traj makes a TUM file of it"
+                    if len(words) == 12
+                    else None,
+                )
+            stamps.append(_stamp(words[0], path, number))
+            numbers.append(number)
+            try:
+                values.extend(map(float, words[1:]))
+            except ValueError:
+                raise UsageError(f"line {number}: {' '.join(words)[:80]!r} are not numbers", path=path) from None
+    if not stamps:
+        raise UsageError("has no pose", path=path)
+    poses = np.array(values).reshape(-1, _COLUMNS - 1)
+    if (wrong := np.flatnonzero(~np.isfinite(poses).all(axis=1))).size:
+        raise UsageError(f"line {numbers[wrong[0]]}: has a number that is not finite", path=path)
+    if (wrong := np.flatnonzero(~are_accepted(poses[:, 3:]))).size:
+        shown = " ".join(f"{value:g}" for value in poses[wrong[0], 3:])
         raise UsageError(
-            f"line {lines[int(wrong[0])][0]}: the quaternion {shown} is not of unit length",
+            f"line {numbers[wrong[0]]}: the quaternion {shown} is not of unit length",
             path=path,
             hint="its order is qx qy qz qw; if that is right, normalise it",
         )
-    return values[:, 1:]
-
-
-def _numbers(path: Path, lines: Sequence[Line]) -> NDArray[np.float64]:
-    """Return the numbers of lines."""
-    rows = []
-    for number, words in lines:
-        if len(words) != _COLUMNS:
-            raise UsageError(
-                f"line {number}: has {len(words)} values; a pose has {_COLUMNS} (TUM: stamp x y z qx qy qz qw)",
-                path=path,
-                hint="KITTI's format has 12, and no stamps: evo_traj makes a TUM file of it"
-                if len(words) == 12
-                else None,
-            )
-        try:
-            rows.append([float(word) for word in words])
-        except ValueError:
-            raise UsageError(f"line {number}: {' '.join(words)[:80]!r} are not numbers", path=path) from None
-    values = np.array(rows, np.float64)
-    wrong = np.flatnonzero(~np.isfinite(values).all(axis=1))
-    if wrong.size:
-        raise UsageError(f"line {lines[int(wrong[0])][0]}: has a number that is not finite", path=path)
-    return values
+    return Trajectory(str(path), *frames, np.array(stamps), poses)
 
 
 def _stamp(word: str, path: Path, number: int) -> int:
