@@ -125,20 +125,14 @@ def compress(compression: str, data: Buffer, level: int | None = None) -> Buffer
 
 
 class Decoder:
-    """Decompresses ``bz2``, ``lz4`` or ``zstd`` piece by piece.
+    """Decompresses ``bz2`` or ``zstd`` piece by piece.
 
     A piece that fails is lost as a whole, so small pieces lose less.
     """
 
     def __init__(self, compression: str) -> None:
-        self._takes_limit = compression != "zstd"
-        self._codec: Any
-        if compression == "bz2":
-            self._codec = bz2.BZ2Decompressor()
-        elif compression == "lz4":
-            self._codec = import_module("lz4.frame").LZ4FrameDecompressor()
-        else:
-            self._codec = zstandard.ZstdDecompressor().decompressobj()
+        self._takes_limit = compression == "bz2"
+        self._codec: Any = bz2.BZ2Decompressor() if self._takes_limit else zstandard.ZstdDecompressor().decompressobj()
 
     @property
     def eof(self) -> bool:
@@ -163,7 +157,7 @@ class Decoder:
         """
         try:
             return bytes(self._codec.decompress(piece, limit) if self._takes_limit else self._codec.decompress(piece))
-        except (OSError, EOFError, RuntimeError, zstandard.ZstdError) as err:
+        except (OSError, EOFError, zstandard.ZstdError) as err:
             raise CompressionError(str(err)) from err
 
 
