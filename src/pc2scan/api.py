@@ -534,7 +534,7 @@ def scans(
     Returns
     -------
     Scans
-        An iterable; each loop begins at the start. ``to_xarray`` and ``to_dataframe`` make one table of all scans.
+        An iterable; each loop begins at the start. ``to_dataframe`` makes one table of all scans.
 
     Raises
     ------

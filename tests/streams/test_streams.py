@@ -22,7 +22,6 @@ from pc2scan.errors import (
     MessageError,
     RecordingError,
     TopicError,
-    UsageError,
 )
 from pc2scan.messages.laserscan import encode_laserscan
 from support import ROOT, sampled
@@ -306,17 +305,8 @@ def test_messages_and_streams_go_to_other_processes(container: str) -> None:
 @pytest.mark.slow
 def test_tables(recording: Path) -> None:
     pytest.importorskip("pandas")
-    pytest.importorskip("xarray")
     stream = pc2scan.scans(recording)
     scans = list(stream)
-    dataset = stream.to_xarray()
-    assert dataset.sizes == {"time": 5, "beam": 360}
-    assert np.array_equal(dataset["ranges"], [scan.ranges for scan in scans])
-    assert np.array_equal(dataset["intensities"], [scan.intensities for scan in scans])
-    assert list(dataset["time"].to_numpy()) == [scan.stamp for scan in scans]
-    assert dataset.attrs["frame"] == "lidar"
-    # Labels select.
-    assert dataset.sel(time="2023-11-14T22:13:20.1")["ranges"].shape[-1] == 360
     table = stream.to_dataframe()
     assert list(table.columns) == ["stamp", "beam", "angle", "range", "intensity"]
     assert len(table) == 5 * 360
@@ -332,18 +322,12 @@ def test_tables(recording: Path) -> None:
     assert points["stamp"].nunique() == 5
 
 
-def test_scans_that_differ_make_no_dataset_but_a_table(tmp_path: Path) -> None:
+def test_scans_that_differ_make_one_table(tmp_path: Path) -> None:
     pytest.importorskip("pandas")
-    pytest.importorskip("xarray")
     pc2scan.convert(HALL, tmp_path / "a.mcap", topics="/points:=/a", only_scans=True)
     pc2scan.convert(HALL, tmp_path / "b.mcap", topics="/points:=/b", only_scans=True, beams=90)
     stream = pc2scan.scans([tmp_path / "a.mcap", tmp_path / "b.mcap"], topics=["/a", "/b"])
-    with pytest.raises(UsageError, match=r"360 from .* on /a .* but 90 from .* on /b") as raised:
-        stream.to_xarray()
-    assert "to_dataframe" in str(raised.value.hint)
     table = stream.to_dataframe()
     assert table["topic"].value_counts().to_dict() == {"/a": 1800, "/b": 450}
     empty = pc2scan.scans(tmp_path / "a.mcap", start=0.31, end=0.38)
     assert len(empty.to_dataframe()) == 0
-    with pytest.raises(UsageError, match="no scan"):
-        empty.to_xarray()

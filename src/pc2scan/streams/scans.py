@@ -17,12 +17,12 @@ from pc2scan.conversion.report import Report
 from pc2scan.conversion.result_checks import result_findings
 from pc2scan.conversion.stamps import corrected_for
 from pc2scan.core.unproject import UnprojectParams, unproject
-from pc2scan.errors import UsageError, stamp_text, visible
+from pc2scan.errors import stamp_text, visible
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, as_message, decode_laserscan
 from pc2scan.result import tell_early
 
-from .stream import Hint, Message, Stream, StreamSource, package
+from .stream import Hint, Message, Stream, StreamSource
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -37,10 +37,6 @@ if TYPE_CHECKING:
     from pc2scan.progress import Meter
     from pc2scan.request.options import ConvertOptions
     from pc2scan.transforms.buffer import TransformBuffer
-
-#: The attributes that all scans of one Dataset must share, because they describe the beams.
-_GEOMETRY = ("angle_min", "angle_max", "angle_increment")
-_LIMITS = ("range_min", "range_max", "time_increment", "scan_time")
 
 _HINT_CLOUDS = Hint(
     CLOUDS,
@@ -246,58 +242,6 @@ class Scans(Stream[Scan]):
             report.warnings,
             conclude,
         )
-
-    def to_xarray(self) -> Any:
-        """Return an ``xarray.Dataset`` of all scans. Reads them into memory.
-
-        Variables: ``ranges`` and, if all scans have them, ``intensities``, with the dimensions ``time`` and ``beam``.
-        Coordinates: ``time`` (the stamps), ``log_time``, ``angle`` (of each beam), and ``topic`` if there are several.
-        Attributes: ``frame``, ``angle_min`` and the other numbers of the messages, as far as all scans agree in them.
-
-        Raises
-        ------
-        ImportError
-            If xarray is not installed.
-        UsageError
-            If there is no scan, or the beams of the scans are not the same. `to_dataframe` accepts any scans.
-        """
-        xarray = package("xarray", "to_xarray")
-        scans = list(self)
-        if not scans:
-            raise UsageError("there is no scan to make a Dataset of", hint="check topic, `start` and `end`")
-        first = scans[0]
-        if others := [scan for scan in scans if _beams_of(scan) != _beams_of(first)]:
-            raise UsageError(
-                f"the scans do not have the same beams: {_layout_text(first)}, but {_layout_text(others[0])}",
-                hint="to_dataframe() accepts any scans; or choose one with topics=",
-            )
-        data = {"ranges": (("time", "beam"), np.stack([scan.ranges for scan in scans]), {"units": "m"})}
-        if all(len(scan.intensities) == len(first.ranges) for scan in scans):
-            data["intensities"] = (("time", "beam"), np.stack([scan.intensities for scan in scans]), {})
-        coordinates: dict[str, Any] = {
-            "time": ("time", np.array([scan.stamp for scan in scans], "datetime64[ns]")),
-            "log_time": ("time", np.array([scan.log_time for scan in scans], "datetime64[ns]")),
-            "angle": ("beam", first.angles, {"units": "rad"}),
-        }
-        if len({scan.topic for scan in scans}) > 1:
-            coordinates["topic"] = ("time", np.array([scan.topic for scan in scans], object))
-        common = {
-            name: getattr(first, name)
-            for name in ("topic", "frame", *_GEOMETRY, *_LIMITS)
-            if len({getattr(scan, name) for scan in scans}) == 1
-        }
-        return xarray.Dataset(data, coordinates, common)
-
-
-def _beams_of(scan: Scan) -> tuple[float, ...]:
-    return len(scan.ranges), *(getattr(scan, name) for name in _GEOMETRY)
-
-
-def _layout_text(scan: Scan) -> str:
-    return (
-        f"{len(scan.ranges)} from {scan.angle_min:.6g} to {scan.angle_max:.6g} rad on {scan.topic} "
-        f"at {stamp_text(scan.stamp_ns)}"
-    )
 
 
 def _decode(serialization: str, data: Buffer) -> LaserScan:
