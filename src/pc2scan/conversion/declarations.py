@@ -86,8 +86,13 @@ def _by_layout(publishers: Mapping[int, Connection]) -> Iterable[list[int]]:
 
 
 def _layout(connection: Connection) -> str:
-    """Return a definition's text without comments and space."""
-    return b" ".join(re.sub(_COMMENT, b"", connection.definition.data).split()).decode("utf-8", "replace")
+    """Return the type's hash, as ROS 2 computes it; of an unreadable definition its text without comments and space."""
+    from pc2scan.messages.transcode import ros2_hash  # noqa: PLC0415  # only where publishers' definitions differ
+
+    try:
+        return ros2_hash(connection.msgtype, connection.definition)
+    except MessageError:
+        return b" ".join(re.sub(_COMMENT, b"", connection.definition.data).split()).decode("utf-8", "replace")
 
 
 def _merge_connections(publishers: Sequence[Connection]) -> Connection:
