@@ -82,6 +82,12 @@ def scans_only(path: Path) -> None:
     assert run("convert", ROOT / "fixtures" / "hall.bag", "-o", path, "--min-height", "-0.3").status == 0
 
 
+def plain(path: Path) -> None:
+    """The hall, uncompressed: of a cut chunk there is what comes before the cut."""
+    source = ROOT / "fixtures" / f"hall{path.suffix}"
+    assert run("repair", source, "-o", path, "--compression", "none").status == 0
+
+
 def once(make: Callable[..., None], *args: object, **options: object) -> Callable[[Path], object]:
     """Make a recording once in a process, and write it wherever it is asked for."""
 
@@ -136,5 +142,7 @@ MISTAKES: dict[str, Callable[[Path], object]] = {
     "namespaced.mcap": once(drive, names="robot1/{}".format),
     "ahead.mcap": once(drive, ahead=1.5),
     "pointer.bag": pointer,
+    "plain.bag": plain,
+    "plain.mcap": plain,
     "scans_only.mcap": scans_only,
 }
