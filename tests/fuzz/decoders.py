@@ -56,7 +56,7 @@ def _cloud(data: bytes, kind: str = "") -> None:
 
     content, serialization = _serialization(data)
     conversion = CloudToScan(ScanSpec(params=ProjectionParams(min_height=-9.0)), Placer())
-    place, _, project = conversion.steps("/points")
+    place, project = conversion.steps("/points")
     assert place is not None
     conversion.serialise("cdr", project(place(conversion.decoder(serialization, kind)(content))))
     if kind:

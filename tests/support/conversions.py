@@ -29,7 +29,7 @@ def serialized_by(conversion: Conversion, topic: str, source: str, target: str) 
 def stepped(conversion: Conversion, topic: str, decoded: Any) -> Any:
     """Do all steps with a decoded message."""
     for step in conversion.steps(topic):
-        decoded = decoded if step is None else step(decoded)
+        decoded = step(decoded)
     return decoded
 
 

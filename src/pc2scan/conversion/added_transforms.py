@@ -25,7 +25,7 @@ from pc2scan.transforms.reading import tf_connections
 
 from .plan import Output
 from .report import TopicReport
-from .steps import ConvertedMessage, Steps, as_it_is
+from .steps import ConvertedMessage, as_it_is
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
@@ -140,7 +140,7 @@ def add_poses(
                 entries.remove(route.report)
                 route.report = None
             made = partial(_as_transform, each.reading, each.attachments, connection, target.serialization)
-            route.decode, route.steps = as_it_is, [Steps(None, None, made)]
+            route.decode, route.steps = as_it_is, [(made,)]
             route.outputs.append(Output(None, shared.topic, report=entry))
             outputs.append(route.outputs[-1])
     topics.add(shared, *outputs, *files)

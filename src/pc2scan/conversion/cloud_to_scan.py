@@ -121,7 +121,8 @@ class CloudToScan(Conversion):
         """Return what is done with the clouds of one topic; see `Conversion`."""
         measured = self.measurements.get(topic, self._default)
         project = partial(self._make_scan, measured.first_beam_ns, Beams(self.spec.params, measured))
-        return Steps(PlaceStage(self.placer, self.deskews.get(topic)), self._select, project)
+        place = PlaceStage(self.placer, self.deskews.get(topic))
+        return (place, project) if self._select is None else (place, self._select, project)
 
     def _make_scan(self, first_beam_ns: int, beams: Beams, placed: PlacedCloud) -> ConvertedMessage:
         points, stamp_ns, name = placed.points, placed.stamp_ns, self.spec.params.intensity_field

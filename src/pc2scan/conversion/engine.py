@@ -125,15 +125,14 @@ def convert(routes: Mapping[int, Route], message: RawMessage) -> Item:
             passing = own_data(message.data) if route.reencode is None else route.reencode(message.data)
         decoded = route.decode(message.data) if route.steps else None
         done: dict[Any, Any] = {}
-        for place, select, project in route.steps:
+        for steps in route.steps:
             try:
-                points = decoded
+                result = decoded
                 # Equal steps of several conversions are done once.
-                if place is not None:
-                    points = done[place] = done.get(place) or place(points)
-                if select is not None:
-                    points = done[place, select] = done.get((place, select)) or select(points)
-                result = project(points)
+                for number, step in enumerate(steps[:-1], 1):
+                    begun = steps[:number]
+                    result = done[begun] = done.get(begun) or step(result)
+                result = steps[-1](result)
                 made.append(route.finish(result) if isinstance(result, ConvertedMessage) else result)
             except MessageError as err:
                 if len(route.steps) == 1:

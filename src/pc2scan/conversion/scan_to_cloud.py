@@ -54,7 +54,7 @@ class ScanToCloud(Conversion):
 
     def steps(self, topic: str) -> Steps:  # noqa: ARG002
         """Return the only step, which is the same for all topics; see `Conversion`."""
-        return Steps(None, None, self._make_cloud)
+        return (self._make_cloud,)
 
     def _make_cloud(self, scan: LaserScan) -> ConvertedMessage:
         points = unproject_scan(scan, self.channels)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from pc2scan.core.rule import PointCounts
     from pc2scan.model import Buffer
@@ -49,20 +50,10 @@ class ConvertedMessage:
     stamp_ns: int | None = None
 
 
-class Steps(NamedTuple):
-    """What is done with a decoded message. Each step takes what the one before returns, on any thread.
-
-    Attributes
-    ----------
-    place, select
-        Finds the place of its points, and keeps some of them; None: nothing is done.
-    project
-        Makes the new message, or what a message contributes to a scan of several.
-    """
-
-    place: Callable[[Any], Any] | None
-    select: Callable[[Any], Any] | None
-    project: Callable[[Any], Any]
+#: What is done with a decoded message, on any thread: each step takes what the one before returns. The first ones place
+#: points and select some; conversions that begin with equal steps share them. The last one makes the new message, or
+#: what a message contributes to a scan of several.
+Steps: TypeAlias = tuple[Callable[[Any], Any], ...]
 
 
 def as_it_is(value: Any) -> Any:

@@ -22,7 +22,7 @@ from pc2scan.conversion.preparation import span_of
 from pc2scan.conversion.report import TopicReport
 from pc2scan.conversion.source_checks import refuse_no_messages
 from pc2scan.conversion.stamps import corrected
-from pc2scan.conversion.steps import ConvertedMessage, Steps, as_it_is
+from pc2scan.conversion.steps import ConvertedMessage, as_it_is
 from pc2scan.core.rule import NO_POINTS
 from pc2scan.errors import NothingToConvertError, Pc2ScanError, RecordingWarning, TopicError, name_list, visible
 from pc2scan.messages.clouds import usual_topics
@@ -279,7 +279,7 @@ class Stream(ABC, Generic[Item]):
             for each in connections:
                 decode = _step(decoder(each))
                 # A message is decoded at once: its object takes no more memory.
-                routes[each.id] = Route(each, [output], decode=decode, steps=[Steps(None, None, as_it_is)])
+                routes[each.id] = Route(each, [output], decode=decode, steps=[(as_it_is,)])
         # One thread: objects are as large as their messages, and others would hold many of them ahead of the loop.
         return StreamSource(stack, [reader], tuple(chosen), routes, span)
 
