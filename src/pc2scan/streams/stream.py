@@ -57,14 +57,14 @@ _SHOWN = 3
 Item = TypeVar("Item")
 
 
-def _pandas() -> Any:
-    """Return the package that tables need; raise an ImportError with what to install if it is missing."""
+def _package(name: str) -> Any:
+    """Return a package that tables need; raise an ImportError with what to install if it is missing."""
     try:
-        return import_module("pandas")
+        return import_module(name)
     except ModuleNotFoundError as err:
-        if err.name != "pandas":
+        if err.name != name:
             raise
-        raise ImportError("to_dataframe() needs the package pandas: pip install pandas", name="pandas") from err
+        raise ImportError(f"to_dataframe() needs the package {name}: pip install {name}", name=name) from err
 
 
 def datetime64(nanoseconds: int) -> np.datetime64:
@@ -95,7 +95,7 @@ class Message:
         ImportError
             If pandas is not installed.
         """
-        return _pandas().DataFrame(self.columns())
+        return _package("pandas").DataFrame(self.columns())
 
 
 class Hint(NamedTuple):
@@ -423,7 +423,7 @@ class Stream(ABC, Generic[Item]):
         ImportError
             If pandas is not installed.
         """
-        pandas = _pandas()
+        pandas = _package("pandas")
         items: list[Any] = list(self)
         parts = [item.columns() for item in items]
         sizes = [len(next(iter(part.values()), ())) for part in parts]
