@@ -142,7 +142,7 @@ MISTAKES: dict[str, Callable[[Path], object]] = {
     "namespaced.mcap": once(drive, names="robot1/{}".format),
     "ahead.mcap": once(drive, ahead=1.5),
     "pointer.bag": pointer,
-    "plain.bag": plain,
-    "plain.mcap": plain,
+    "uncompressed.bag": plain,
+    "uncompressed.mcap": plain,
     "scans_only.mcap": scans_only,
 }
