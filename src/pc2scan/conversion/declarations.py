@@ -17,6 +17,7 @@ from pc2scan.model import LATCHED_QOS, NEW_ID, Connection, Definition
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
+    from types import ModuleType
 
     from pc2scan.bags.destinations import Destination
     from pc2scan.model import Writer
@@ -85,12 +86,17 @@ def _by_layout(publishers: Mapping[int, Connection]) -> Iterable[list[int]]:
     return groups.values()
 
 
+def _transcode() -> ModuleType:
+    """Return the module for definitions that differ, are missing, or are of another ROS version; few recordings do."""
+    from pc2scan.messages import transcode  # noqa: PLC0415
+
+    return transcode
+
+
 def _layout(connection: Connection) -> str:
     """Return the type's hash, as ROS 2 computes it; of an unreadable definition its text without comments and space."""
-    from pc2scan.messages.transcode import ros2_hash  # noqa: PLC0415  # only where publishers' definitions differ
-
     try:
-        return ros2_hash(connection.msgtype, connection.definition)
+        return str(_transcode().ros2_hash(connection.msgtype, connection.definition))
     except MessageError:
         return b" ".join(re.sub(_COMMENT, b"", connection.definition.data).split()).decode("utf-8", "replace")
 
@@ -190,18 +196,15 @@ class RecordingTopics:
         if as_it_is or (connection.ros_version == target.ros_version and defined_already):
             self.add(connection, route)
             return
-        # Imported only for recordings without definitions, or for another ROS version.
-        from pc2scan.messages.transcode import transcoder, with_definition  # noqa: PLC0415
-
         if connection.ros_version == target.ros_version:
-            self.add(with_definition(connection), route)
+            self.add(_transcode().with_definition(connection), route)
             return
         try:
             if foreign:
                 holding = " or ".join(each.suffix for each in FORMATS.values() if each.holds_any)
                 form = connection.serialization or "unspecified"
                 raise MessageError(f"{form} messages can only be stored in an {holding} file")
-            transcoding = transcoder(connection, target.ros_version)
+            transcoding = _transcode().transcoder(connection, target.ros_version)
         except MessageError as err:
             if options.strict and connection.message_count != 0:
                 err.topic = connection.topic
