@@ -112,24 +112,6 @@ def test_the_way_of_a_robot_tells_which_way_round_its_odometry_is() -> None:
     assert told >= 6
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_robot_that_goes_to_any_side_may_be_either_way_round(seed: int) -> None:
-    poses = driven(seed, wheels=False)
-    for each in (poses, [pose.inverse() for pose in poses]):
-        assert direction(each).doubt == ""
-        assert "if the poses are not inverted" in direction(each, **SWAPPED).doubt
-
-
-@pytest.mark.parametrize(("way", "turn"), [((1.0, 0.0), 0.0), ((0.0, 1.0), 0.0), ((0.3, 0.0), 0.1)])
-def test_a_way_that_is_straight_or_short_tells_nothing(way: tuple[float, float], turn: float) -> None:
-    """A platform on rails, across its own frame, too."""
-    steps = np.linspace(0.0, 3.0 if turn == 0 else 1.0, 60)
-    for yaw in (0.0, 1.5):
-        poses = [Rigid.from_rpy(0.0, 0.0, yaw + turn * t, (way[0] * t, way[1] * t, 0.0)) for t in steps.tolist()]
-        assert direction(poses).doubt == ""
-        assert direction([pose.inverse() for pose in poses]).doubt == ""
-
-
 @pytest.mark.parametrize(("clock", "deskew"), [(-0.06, True), (0.03, False)])
 def test_clocks_of_two_lidars_that_differ_are_said(clock: float, deskew: bool, tmp_path: Path) -> None:
     lidars = [RINGS, replace(REAR, clock=clock)]

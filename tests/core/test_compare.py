@@ -32,7 +32,6 @@ def test_exact_means_every_bit(data: st.DataObject) -> None:
 INF, NAN = math.inf, math.nan
 PAYLOAD, SIGNALLING = np.array([0x7FC0_0001, 0x7FA0_0000], np.uint32).view(np.float32)
 LIMITS = (0.1, 30.0)
-SCAN = np.linspace(1, 9, 50, dtype=np.float32)
 
 
 @pytest.mark.parametrize(

@@ -53,10 +53,3 @@ def test_after_a_gap_it_begins_again() -> None:
         world.stamps_ns[kept], (world.turning * turned)[kept], (world.acceleration * turned)[kept], GRAVITY
     )
     assert errors(found, (world.ups * turned)[kept]).max() < 0.7
-
-
-def test_blocks_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:
-    world = simulated(10)
-    whole = filtered(world)
-    monkeypatch.setattr("pc2scan.core.gravity._BLOCK", 7)
-    assert filtered(world).tobytes() == whole.tobytes()

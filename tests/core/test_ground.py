@@ -55,7 +55,7 @@ def verdict(found: Ground, sensor: str, roll: float, pitch: float) -> str:
 
 #: In the quick run; each of them is left alone or named for another reason.
 TELLING = {
-    ("empty hall", "camera, optical"), ("corridor", "scattering, ahead"), ("ramp up", "camera"),
+    ("hall", "camera, optical"), ("corridor", "scattering, ahead"), ("ramp up", "camera"),
     ("warehouse", "64 rings"), ("hall", "16 rings"), ("street", "32 rings"),
 }  # fmt: skip
 

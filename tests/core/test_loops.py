@@ -130,14 +130,6 @@ def test_angles_are_atan2_rounded_to_float32() -> None:
                 np.testing.assert_array_equal(angles(x[:size], y[:size]).view(np.int32), bits[:size])
 
 
-def test_where_two_roundings_are_not_one() -> None:
-    """What the docs say of one point in a billion; should this fail, they are no longer true."""
-    x, y = np.array([-8.08657455, 36.3], np.float32), np.array([5.3598547, 0.0], np.float32)
-    # The angle is 2.556265473365783883: above the middle of two float32, and rounded to it in float64.
-    assert math.atan2(float(y[0]), float(x[0])).hex() == "0x1.4733b50000000p+1"
-    assert float(angles(x, y)[0]).hex() == "0x1.4733b40000000p+1"
-
-
 # Points at one time.
 
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from core.reference import reference_moved, reference_rotation
+from core.reference import reference_rotation
 from pc2scan.core.rigid import (
     Rigid,
     interpolate_poses,
@@ -130,16 +130,6 @@ def test_the_float32_matrix_is_eigens(quaternion: Quaternion) -> None:
     np.testing.assert_array_equal(rotation, reference_rotation(quaternion))
     assert translation.dtype == np.float32
     assert translation.tolist() == [0, np.float32(0.1), math.inf]
-
-
-def test_apply_to_float32_rounds_as_tf2_sensor_msgs() -> None:
-    rng = np.random.default_rng(5)
-    points = (rng.normal(size=(2000, 3)) * 50).astype(np.float32)
-    rigid = Rigid.from_rpy(0.3, -1.2, 2.5, (10.1, -3.3, 0.7))
-    moved = reference_moved(points.tolist(), reference_rotation(rigid.quaternion.tolist()), rigid.translation)
-    result = rigid.apply(points)
-    assert result.dtype == np.float32
-    np.testing.assert_array_equal(result, moved)
 
 
 def test_quaternions_stay_as_they_are_where_tf2_takes_them() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import closing
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -10,10 +9,7 @@ import numpy as np
 import pytest
 
 import pc2scan
-from pc2scan.bags.destinations import open_writer, plan_destination
-from pc2scan.bags.opening import open_recording
 from pc2scan.core.rigid import Rigid
-from pc2scan.model import TF_QOS
 from support import conversions, sampled
 from support.command import run
 from support.worlds import moving
@@ -216,24 +212,3 @@ def test_a_2d_lidar_that_tilts_is_made_level(tmp_path: Path) -> None:
     assert {scan.frame_id for scan in level.scans} == {"base_link_stabilized"}
     assert far_off(level).max() < 0.02
     assert sum(row[1] == "base_link_stabilized" for _, row in level.transforms) == len(level.scans)
-
-
-def test_transforms_go_where_those_of_the_robot_are(tmp_path: Path) -> None:
-    robots = write_world(tmp_path / "world.mcap", [replace(LIDAR, columns=200)], TILTING, seconds=0.2)
-    spaced = tmp_path / "spaced.mcap"
-    writer = open_writer(plan_destination(spaced, source_ros_version=2), spaced, spaced.name)
-    with closing(open_recording(robots)) as reader:
-        moved = {"/tf": "/robot1/tf", "/tf_static": "/robot1/tf_static"}
-        handles = {
-            c.id: writer.add_connection(replace(c, topic=moved.get(c.topic, c.topic))) for c in reader.connections
-        }
-        for message in reader.messages():
-            writer.write(handles[message.connection.id], message.log_time_ns, bytes(message.data), 0)
-    writer.finish()
-    made = converted(tmp_path, spaced, "--level", "--fixed-frame", "odom")
-    assert made.done.status == 0, made.done.stderr
-    assert not made.transforms
-    (entry,) = (topic for topic in made.report["topics"] if topic["action"] == "added")
-    assert (entry["topic"], entry["messages_out"]) == ("/robot1/tf", 20)
-    with closing(open_recording(tmp_path / "b.mcap")) as reader:
-        assert TF_QOS in [each.qos for each in reader.connections if each.topic == "/robot1/tf"]

@@ -91,13 +91,6 @@ def _ramp() -> Scene:
     return _hall(1.0, ramp)._replace(height_at=lambda x, _: np.maximum(0, (x - 5) * slope))
 
 
-def _stairs() -> Scene:
-    found = room(-8, 10, -6, 7, 3.5)
-    for step in range(8):
-        found += box(3 + 0.28 * step, 3.28 + 0.28 * step, -2, 2, 0, 0.17 * (step + 1))
-    return Scene(found, lambda x, _: np.zeros_like(x), 0.4)
-
-
 def _boxes(height: float) -> Scene:
     """Boxes of one height all round, of 0.3 to 1.2 m, from 2 to 16 m away."""
     found = [_floor(-150, 150, 0)]
@@ -163,7 +156,6 @@ PLACES = {
     "hall": _hall(),
     "hall from above": _hall(1.0),
     "ramp": _ramp(),
-    "stairs": _stairs(),
     **{f"boxes of {height} m": _boxes(height) for height in (0.2, 0.3, 0.4, 0.6)},
     **{f"scattered boxes {seed}": _scattered(seed, [_floor(-150, 150, 0)]) for seed in (1, 3)},
     **{f"boxes in a room {seed}": _scattered(seed, room(-12, 15, -9, 10, 4.0)) for seed in (1, 3)},
@@ -174,23 +166,20 @@ PLACES = {
 }
 
 
-def labelled(
-    place: str, sensor: str, *, pitch: float = 0.0, floor: bool = True, lidar: float | None = None
-) -> Labelled:
+def labelled(place: str, sensor: str, *, pitch: float = 0.0, lidar: float | None = None) -> Labelled:
     """The returns of one sweep, in a frame on the floor beneath the lidar whose z axis points up.
 
     ``lidar`` is its height, if it is not the place's own.
     """
     random = np.random.default_rng(5)
     scene = PLACES[place]
-    surfaces = [each for each in scene.surfaces if floor or each.part not in {"floor", "kerb"}]
     tilt = mounted(0, pitch)
     turn = mounted(0, 0, scene.heading)
     rays = SENSORS[sensor]() @ tilt.T
     origin = np.array([0.0, 0.0, scene.lidar if lidar is None else lidar])
     nearest, label = np.full(len(rays), np.inf), np.full(len(rays), -1)
     world = rays @ turn.T
-    for number, surface in enumerate(surfaces):
+    for number, surface in enumerate(scene.surfaces):
         corner, one, other = (np.array(part, float) for part in (surface.corner, surface.one, surface.other))
         with np.errstate(divide="ignore", invalid="ignore"):
             normal = np.cross(one, other)
@@ -204,7 +193,7 @@ def labelled(
     distance = nearest[seen]
     distance = distance + random.normal(0, 0.02, distance.size) * (distance / 3 if "camera" in sensor else 1)
     points = rays[seen] * distance[:, None] + origin
-    parts = np.array([surface.part for surface in surfaces])[label[seen]]
+    parts = np.array([surface.part for surface in scene.surfaces])[label[seen]]
     placed = points @ turn.T
     above = points[:, 2] - scene.height_at(placed[:, 0], placed[:, 1])
     return Labelled(points.astype(np.float32), np.isin(parts, ["floor", "kerb"]), above)

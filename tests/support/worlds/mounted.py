@@ -109,10 +109,8 @@ _TALL = (0.6, 1.2, 1.8)
 #: Where the simulated robot stands.
 PLACES = {
     "hall": Place(tuple(room(-5, 6, -4, 4, 3.0) + _PILLARS + _TABLE)),
-    "empty hall": Place(tuple(room(-5, 6, -4, 4, 3.0))),
     "office": Place(tuple(room(-2, 2.5, -1.8, 2.2, 2.5) + _scattered(3, 4, 1.8, 0.2, 0.6, 0.4))),
     "corridor": Place(tuple(room(-12, 20, -0.9, 1.2, 2.5)), stands=((0, 0, 0.05), (1, 0.1, -0.05), (2, 0.1, 0.1))),
-    "wide corridor": Place(tuple(room(-12, 20, -1.2, 1.6, 3.0)), stands=((0, 0, 0.05), (1, 0.1, -0.05), (2, 0.1, 0.1))),
     "warehouse": Place(
         tuple(
             room(-20, 25, -15, 15, 8.0)
@@ -143,24 +141,8 @@ PLACES = {
         ),
         heights=(0.6, 1.8, 2.2),
     ),
-    "yard": Place(
-        tuple(ground() + box(-60, 60, 3.0, 10, 0, 6) + _scattered(9, 12, 25, 0.3, 2.0, 2.0)), rough=0.01, heights=_TALL
-    ),
     "ramp up": Place(tuple(ramp(6, 9) + _scattered(11, 6, 12, 0.3, 1.5, 2.0)), heights=_TALL),
     "ramp down": Place(tuple(ramp(5, -8)), heights=_TALL),
-    "wood": Place(
-        tuple(
-            ground()
-            + [
-                r
-                for x, y in np.random.default_rng(4).uniform(-25, 25, (60, 2)).tolist()
-                if math.hypot(x, y) > 2
-                for r in box(x, x + 0.3, y, y + 0.3, 0, 8)
-            ]
-        ),
-        rough=0.08,
-        heights=_TALL,
-    ),
 }
 
 
