@@ -115,10 +115,3 @@ def test_no_static_transform_is_lost(name: str, tmp_path: Path) -> None:
     rows = [row for each in static for row in decode_transforms(each.data, each.connection.serialization)]
     assert {row[1]: round(row[5], 6) for row in rows} == {"lidar": 0.85, "camera": 0.7, "imu": 0.6}
     assert len(rows) == 3
-
-
-@pytest.mark.parametrize("name", ["h.bag", "h"])
-def test_a_latched_cloud_becomes_a_scan_at_the_start(name: str, tmp_path: Path) -> None:
-    source = WRITERS[name](tmp_path / name, HOUR)
-    scans = list(pc2scan.scans(source, "/map_points:=/scan", start=3550, end=3560, min_height=-9))
-    assert [(each.log_time_ns, each.stamp_ns) for each in scans] == [(START, T0 + 2400 * SECOND)]

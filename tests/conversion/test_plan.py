@@ -81,10 +81,3 @@ def test_an_output_without_sources_has_the_only_topic() -> None:
     two = [Connection(i, topic, CLOUD, "ros1") for i, topic in enumerate(("/a", "/b"))]
     with pytest.raises(TopicError, match=r"scans.yaml, line 3, /low: it has no 'sources', and the recording has sev"):
         make_plan(two, options)
-
-
-def test_two_outputs_cannot_have_one_topic() -> None:
-    topics = (TopicRequest("/a", "/scan"),)
-    specs = (ScanSpec(name="/scan", place="here", topics=topics, **each) for each in ({}, BASE))
-    with pytest.raises(TopicError, match=r"/scan \(here\) and /scan \(here\) would both become /scan"):
-        make_plan([Connection(1, "/a", CLOUD, "ros1")], ConvertOptions(scans=tuple(specs)))

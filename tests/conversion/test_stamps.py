@@ -15,8 +15,8 @@ import pc2scan
 from pc2scan.bags.opening import open_recording
 from pc2scan.messages.laserscan import decode_laserscan
 from pc2scan.messages.pointcloud2 import decode_pointcloud2
-from pc2scan.messages.stamps import move_point_times, set_stamp, stamp_in
-from support.builders import SECOND, cloud, points_of, write_mcap, write_rosbag1
+from pc2scan.messages.stamps import move_point_times
+from support.builders import SECOND, write_mcap, write_rosbag1
 from support.tables import rows
 from support.worlds.posed import recording
 
@@ -101,15 +101,6 @@ def test_a_clock_that_jumps_is_not_corrected_without_a_word(tmp_path: Path) -> N
     path = write_mcap(tmp_path / "w.mcap", replace(made, items=tuple(items)))
     _, report = converted(path, "b", time_offset="100s")
     assert any("the difference of the clocks is not constant; `stamps=log`" in text for text in report.warnings)
-
-
-def test_a_stamp_that_does_not_fit_is_the_nearest_that_does() -> None:
-    for form, version, most in (("ros1", 1, 2**32), ("cdr", 2, 2**31)):
-        copy = bytearray(cloud(points_of(1), version))
-        assert not set_stamp(copy, form, -5)
-        assert stamp_in(copy, form) == 1
-        assert not set_stamp(copy, form, 2**70)
-        assert stamp_in(copy, form) == most * SECOND - 1
 
 
 @pytest.mark.parametrize("kind", ["<f8", "<u4", "<f4"])

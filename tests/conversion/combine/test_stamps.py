@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -12,7 +11,7 @@ import pytest
 
 import pc2scan
 from pc2scan.conversion.combine import grouping
-from pc2scan.errors import UsageError, stamp_text
+from pc2scan.errors import stamp_text
 from support import sampled
 from support.builders import CLOUD, SECOND, TF, Item, Recording, Stream, cloud, transforms, write_mcap
 from support.tables import rows
@@ -82,20 +81,6 @@ def made(source: Path, **options: Any) -> Made:
     return Made(stamps, [int(np.isfinite(scan.ranges).sum()) for scan in scans], report)
 
 
-@pytest.mark.parametrize(
-    ("jobs", "fixed"), sampled(product([3, 1], [{"fixed_frame": "odom", "target_frame": "base_link"}, {}]), 1)
-)
-def test_the_last_clouds_of_each_interval_are_all_that_is_held(
-    jobs: int, fixed: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(grouping, "MAX_HELD_BYTES", 120_000)
-    # Some 14 kB each.
-    source = recorded(tmp_path / "d.mcap", clouds("/front", tenths(0, 15)), 1000, moving=16.0)
-    found = made(source, topics="/front:=/scan", every=1, accumulate="2clouds", jobs=jobs, **fixed)
-    assert found.stamps == [round(0.9 + number, 1) for number in range(15)]
-    assert found.sizes == [2] * 15
-
-
 GATHERED: list[tuple[dict[str, Any], int, int]] = [
     ({"accumulate": 1}, 10, 20), ({"every": 1}, 1, 20), ({"accumulate": "3clouds"}, 10, 6), ({}, 10, 2)
 ]  # fmt: skip
@@ -154,10 +139,3 @@ def test_stamps_that_jump_back_begin_a_new_series(tmp_path: Path) -> None:
         )
         (entry,) = (topic for topic in done.report.as_dict()["topics"] if topic["topic"] == "/front")
         assert entry["joined"]["jumped"] == 1
-
-
-def test_another_clock_is_one_in_the_whole_recording(tmp_path: Path) -> None:
-    rear = clouds("/rear", tenths(0, 10, 0.03), lambda _: DAY)
-    source = recorded(tmp_path / "d.mcap", [*clouds("/front", tenths(0, 10)), *rear])
-    with pytest.raises(UsageError, match="of different clocks"):
-        made(source, **BOTH)
