@@ -17,7 +17,7 @@ from pc2scan.core.points import Points
 from pc2scan.errors import DecodeError
 from pc2scan.files.compression import CompressionError, allowed_bytes, decompress_within
 
-from .pointcloud2 import DATATYPES, CloudDecoder, CloudFields, bytes_of
+from .pointcloud2 import DATATYPES, CloudDecoder, CloudFields, PointCloud2, bytes_of
 from .wire import Cursor
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Buffer
 
-    from .pointcloud2 import PointCloud2, PointField
+    from .pointcloud2 import PointField
 
 #: Draco's header and metadata, and what describes the attributes, are shorter.
 _MOST_HEAD = 1 << 16
@@ -62,7 +62,7 @@ def compressed_cloud_decoder(serialization: str) -> Callable[[Buffer], Points]:
         cloud = decode(data, cursor)
         name = cursor.string() if cursor.position < len(cursor.data) else "draco"
         try:
-            _decompress(cloud, name)
+            cloud = _decompressed(cloud, name)
         except CompressionError as err:
             raise DecodeError(f"its data cannot be decompressed with {name}: {err}", stamp_ns=cloud.stamp_ns) from err
         fields = CloudFields(cloud, further={"format": name})
@@ -71,23 +71,23 @@ def compressed_cloud_decoder(serialization: str) -> Callable[[Buffer], Points]:
     return points
 
 
-def _decompress(cloud: PointCloud2, name: str) -> None:
-    """Replace the data of a cloud by what they are decompressed to."""
+def _decompressed(cloud: PointCloud2, name: str) -> PointCloud2:
+    """Return a cloud with what its data are decompressed to."""
     if name in _LOSSLESS:
         limit = allowed_bytes(len(cloud.data))
         cloud.data = memoryview(decompress_within(name, cloud.data, limit) if cloud.data else b"")
-    elif name == "draco":
-        _from_draco(cloud)
-    else:
-        raise DecodeError(
-            f"its data are compressed with {name!r}; zlib, zstd and draco are read",
-            stamp_ns=cloud.stamp_ns,
-            hint=_CLOUDINI if name.startswith("cloudini") else None,
-        )
+        return cloud
+    if name == "draco":
+        return _from_draco(cloud)
+    raise DecodeError(
+        f"its data are compressed with {name!r}; zlib, zstd and draco are read",
+        stamp_ns=cloud.stamp_ns,
+        hint=_CLOUDINI if name.startswith("cloudini") else None,
+    )
 
 
-def _from_draco(cloud: PointCloud2) -> None:
-    """Replace the data by the points that Draco has kept, in its order: it may round, reorder and merge points."""
+def _from_draco(cloud: PointCloud2) -> PointCloud2:
+    """Return the points that Draco has kept, in its order: it may round, reorder and merge points."""
     try:
         import DracoPy  # noqa: PLC0415  # an optional package
     except ModuleNotFoundError as err:
@@ -113,11 +113,8 @@ def _from_draco(cloud: PointCloud2) -> None:
         if values.shape[0] != count or field.offset + values.shape[1] > cloud.point_step:
             raise CompressionError(f"the attribute of the field {field.name!r} does not fit into the cloud")
         data[:, field.offset : field.offset + values.shape[1]] = values
-    cloud.height, cloud.width, cloud.row_step = 1, count, count * cloud.point_step
-    cloud.is_bigendian = False
-    cloud.data = bytes_of(data)
-    # The table of layouts is shared with messages of other sizes.
-    cloud.forget_layouts()
+    layout = 1, count, cloud.fields, False, cloud.point_step, count * cloud.point_step
+    return PointCloud2(cloud.sequence, cloud.stamp_ns, cloud.frame_id, *layout, bytes_of(data), cloud.is_dense)
 
 
 def _read_draco_head(data: Buffer) -> tuple[int, list[int]]:

@@ -199,10 +199,7 @@ class PointCloud2:
         count = max(field.count, 1)
         size = first.dtype.itemsize
         if self.points and field.offset + count * size > self.point_step:
-            raise self._error(
-                f"field {field.name!r} takes bytes {field.offset} to {field.offset + count * size} of a point, but "
-                f"point_step is {self.point_step}"
-            )
+            raise self._outside(field, count * size)
         if not first.size:
             return np.empty((0, count), first.dtype)
         return np.ndarray((*first.shape, count), first.dtype, self.data, field.offset, (*first.strides, size))
@@ -218,10 +215,7 @@ class PointCloud2:
         if not self.points:
             return _FieldLayout(dtype, found.offset, (0,), (0,), 0)
         if found.offset + dtype.itemsize > self.point_step:
-            raise self._error(
-                f"field {name!r} takes bytes {found.offset} to {found.offset + dtype.itemsize} of a point, "
-                f"but point_step is {self.point_step}"
-            )
+            raise self._outside(found, dtype.itemsize)
         row, row_step = self.width * self.point_step, self.row_stride
         if row_step < row:
             raise self._error(
@@ -243,10 +237,6 @@ class PointCloud2:
         self.check_size()
         return self.field("x"), self.field("y"), self.field("z")
 
-    def forget_layouts(self) -> None:
-        """Begin a table of layouts of its own, after the description was changed."""
-        self._layouts = {}
-
     def check_size(self) -> None:
         """Raise if the cloud has too many tiny points.
 
@@ -260,6 +250,10 @@ class PointCloud2:
                 f"the cloud declares {self.points:,} points of {self.point_step} bytes, "
                 f"at most {MAX_SMALL_POINTS:,} of fewer than {_SMALL} bytes are allowed"
             )
+
+    def _outside(self, field: PointField, size: int) -> DecodeError:
+        place = f"bytes {field.offset} to {field.offset + size} of a point"
+        return self._error(f"field {field.name!r} takes {place}, but point_step is {self.point_step}")
 
     def _error(self, message: str) -> DecodeError:
         return DecodeError(message, stamp_ns=self.stamp_ns)

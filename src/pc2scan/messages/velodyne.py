@@ -65,15 +65,6 @@ def decode_velodyne(data: Buffer, serialization: str) -> Points:
     cursor = Cursor(data, serialization)
     sequence, stamp_ns, frame_id = cursor.header()
     (count,) = cursor.read("I")
-    # In CDR, a packet's time follows at once: the header and the number end at a multiple of four bytes.
-    step = 8 + _PACKET + (0 if cursor.ros1 else -_PACKET % 4)
-    start = cursor.position
-    end = start + max(0, count * step - (step - 8 - _PACKET))
-    if end > len(cursor.data):
-        raise DecodeError(
-            f"message ends after {len(cursor.data)} bytes, but {count:,} packets take bytes {start} to {end}",
-            stamp_ns=stamp_ns,
-        )
     packets = []
     for _ in range(count):
         seconds, nanoseconds = cursor.read("II" if cursor.ros1 else "iI")
