@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cmath
 import math
 from array import array
 from collections import Counter
@@ -59,9 +58,12 @@ _FAR_NS = 1_000_000_000
 #: clock than the one before.
 _JUMP_NS = 10_000_000_000
 
-#: A scan is a part of a turn if all its returns are in a sector of less than this share of its directions, and less
-#: than this share of them in directions in which the scan before it has returns.
+#: A scan is a part of a turn if returns are in less than this share of its directions, and less than this share of them
+#: in directions in which the scan before it has returns.
 _PART = 0.5
+
+#: ... and if the mean of these directions is longer than that of half a turn: they are in one sector.
+_HALF_TURN = 2 / math.pi
 
 #: Fewer returns than these, as of two posts in a field while the robot turns, are no part of a turn.
 _FEWEST_RETURNS = 4
@@ -500,8 +502,8 @@ class _Sectors:
     """The directions that scans with returns fill: packets are parts of a turn."""
 
     def __init__(self) -> None:
-        #: By frame: the last scan's directions with a return; None if it is no part.
-        self._last: dict[str, NDArray[np.bool_] | None] = {}
+        #: By frame: which directions of the last scan have a return, and their mean; None if it is no part.
+        self._last: dict[str, tuple[NDArray[np.bool_], complex] | None] = {}
         self._pairs = 0
         self._parts = Counted()
         self._steps = 0j
@@ -514,15 +516,17 @@ class _Sectors:
         last, self._last[frame_id] = self._last.get(frame_id), None
         if not _FEWEST_RETURNS <= scan.returns < _PART * scan.beams:
             return
-        self._last[frame_id] = returns = are_returns(ranges, scan.range_min, scan.range_max)
-        if last is None or len(last) != len(returns):
+        returns = are_returns(ranges, scan.range_min, scan.range_max)
+        mean = complex(np.exp(1j * TURN / scan.beams * np.flatnonzero(returns)).mean())
+        if abs(mean) < _HALF_TURN:
             return
-        if np.count_nonzero(last & returns) >= _PART * min(np.count_nonzero(last), np.count_nonzero(returns)):
+        self._last[frame_id] = returns, mean
+        if last is None or len(last[0]) != len(returns):
             return
-        (start, size), (other, other_size) = _sector(returns), _sector(last)
-        if max(size, other_size) < _PART * len(returns):
+        before, earlier = last
+        if np.count_nonzero(before & returns) < _PART * min(np.count_nonzero(before), np.count_nonzero(returns)):
             self._parts.add(stamp_ns)
-            self._steps += cmath.rect(1.0, (start - other) / len(returns) * TURN)
+            self._steps += mean / earlier / abs(mean / earlier)
 
     def findings(self) -> Iterator[Finding]:
         """Yield the problem."""
@@ -531,14 +535,6 @@ class _Sectors:
             text = f"{parts:,} of {self._pairs:,} scans are parts of a turn: returns are in another sector each time"
             hint = "for scans made from clouds: pc2scan convert `accumulate=0.1`, the time of a turn"
             yield self._parts.finding("parts", "defect", text, hint)
-
-
-def _sector(returns: NDArray[np.bool_]) -> tuple[int, int]:
-    """Return the first beam and the number of beams of the smallest sector with all returns; the beams are a circle."""
-    filled = np.flatnonzero(returns)
-    gaps = np.diff(filled, prepend=filled[-1] - len(returns))
-    widest = int(gaps.argmax())
-    return int(filled[widest]), len(returns) - int(gaps[widest]) + 1
 
 
 def _turn(scan: ConsumerScan) -> float:
