@@ -34,6 +34,7 @@ def outcomes(folder: Path) -> dict[str, str]:
     return {key: line["outcome"] for key, line in manifest_of(folder).items()}
 
 
+@pytest.mark.slow
 def test_a_cluster_converts_what_this_process_converts(drives: Path, tmp_path: Path) -> None:
     batch(drives / "0.bag", tmp_path / "here")
     assert batch(drives / "0.bag", tmp_path / "there", dask=True, jobs=1).exit_status == 0

@@ -86,6 +86,7 @@ else:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="what the system does about signals is looked at as Linux has it")
 def test_a_host_finds_everything_as_it_was(tmp_path: Path) -> None:
     source = write_recording(tmp_path, FORMS["MCAP, zstd"], 10_000_000)

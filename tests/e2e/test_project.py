@@ -56,6 +56,7 @@ def test_scripts_are_shell(name: str) -> None:
     subprocess.run(["bash", "-n", str(ROOT / name)], check=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("broken", sampled([True, False], 1))
 def test_the_step_of_the_action_shows_the_cases(tmp_path: Path, broken: bool) -> None:
     """Its script, as the runner runs it."""

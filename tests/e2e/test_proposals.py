@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from support import sampled
 from support.worlds.scenes import World, outcome
 
 if TYPE_CHECKING:
@@ -67,7 +68,7 @@ WORLDS = {
 }
 
 
-@pytest.mark.parametrize("name", WORLDS)
+@pytest.mark.parametrize("name", sampled(WORLDS, 8))
 def test_a_proposed_command_sees_what_is_there(name: str, tmp_path: Path) -> None:
     world, said = WORLDS[name]
     found = outcome(world, tmp_path)

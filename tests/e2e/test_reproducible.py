@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from support.builders import CONTENT, POINTS, SECOND, SOURCES, T0, Mcap, Recording, cloud, item, points_of, write_mcap
 from support.command import environment
-from support.containers import ATTACHMENTS, KINDS, METADATA
+from support.containers import ATTACHMENTS, FORMATS, METADATA
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -61,7 +61,7 @@ def test_the_bytes_are_the_same_whenever_and_wherever(tmp_path: Path) -> None:
     # Beside the usual content enough large clouds for several chunks, and for every job.
     stamp = T0 + SECOND
     clouds = [
-        item(POINTS, stamp + n, lambda g, s: cloud(points_of(s, 15_000), g, seq=s, stamp_ns=stamp), n) for n in range(8)
+        item(POINTS, stamp + n, lambda g, s: cloud(points_of(s, 8_000), g, seq=s, stamp_ns=stamp), n) for n in range(8)
     ]
     recording = Recording(CONTENT.streams, (*CONTENT.items, *clouds))
     form = Mcap(attachments=ATTACHMENTS, metadata=METADATA)
@@ -72,7 +72,7 @@ def test_the_bytes_are_the_same_whenever_and_wherever(tmp_path: Path) -> None:
         place = tmp_path / ("x" * (run + 1))
         commands, destinations = [], {}
         # Each kind from one of the sources, the ROS versions in turn.
-        for number, (name, kind) in enumerate(KINDS.items()):
+        for number, (name, kind) in enumerate(FORMATS.items()):
             destinations[name] = place / name / kind.name
             destinations[name].parent.mkdir(parents=True)
             words = ["convert", str(sources[(number + number // 3) % 2]), "-o", str(destinations[name])]

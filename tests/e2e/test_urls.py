@@ -168,6 +168,7 @@ def test_a_web_server_that_fails_leaves_nothing(
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_an_s3_server(monkeypatch: pytest.MonkeyPatch) -> None:
     with s3_server() as variables:
         for name, value in variables.items():

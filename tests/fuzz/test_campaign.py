@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 #: From one place to the next in the quick run; a prime number. The long one has all others.
-_STEP = 41
+_STEP = 97
 
 
 def test_no_mutant_is_lost_without_a_word(tmp_path: Path) -> None:
     seeds = make_seeds()
-    for number in range(10_000, 10_060):
+    for number in range(10_000, 10_020):
         attempt(mutant_of(number, seeds), tmp_path / str(number))
 
 

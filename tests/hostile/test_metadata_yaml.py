@@ -76,12 +76,12 @@ BOMBS = {
     "dashes": "a:\n " + "- " * 100_000 + "\n",
     "digits": "a: " + "9" * 100_000 + "\n",
     "length": "# a comment\n" * 100_000,
-    "values": "".join(f"a{n}: v\n" for n in range(30_000)),
+    "values": "".join(f"a{n}: v\n" for n in range(5_000)),
     "nul": "a: \x00\n",
 }
 
 
-@pytest.mark.parametrize("bomb", sampled(BOMBS, 5))
+@pytest.mark.parametrize("bomb", sampled(BOMBS, 3))
 def test_yaml_that_unfolds(bomb: str, drive: Path) -> None:
     path = drive / "metadata.yaml"
     path.write_text(path.read_text() + BOMBS[bomb])

@@ -46,6 +46,7 @@ def tree(path: Path, count: int, *, loop: bool = False) -> Path:
     return write_rosbag1(path, Recording((MOUNT, POINTS), (*items, Item(POINTS, T0 + len(items), {1: last}))), "lz4")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("count", "command"), sampled([(101_000, "convert"), (1_000_000, "tf"), (1_000_000, "convert")], 1)
 )

@@ -22,6 +22,7 @@ def _pages(monkeypatch: pytest.MonkeyPatch) -> None:
     rosbag2_pages(monkeypatch)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pages", sampled([9, 2], 1))
 def test_cut_at_every_page(pages: int, tmp_path: Path) -> None:
     complete = build(tmp_path / "a.db3")
