@@ -482,7 +482,7 @@ class _Stamps:
             yield self._jumps.finding("clocks", "notice", f"the stamps jump {times}; the log times do not", hint)
         if self._offsets and max(map(abs, self._offsets)) > _FAR_NS:
             low, high = (offset / 1e9 for offset in self._offsets)
-            text = f"log times lie {low:,.3f} to {high:,.3f} s after the stamps"
+            text = f"log times minus stamps are {low:,.3f} to {high:,.3f} s"
             hint = "transforms are looked up by stamp: they must come from the same clock"
             yield Finding("stamps-far", "notice", text, hint)
         median = self.interval_ns
