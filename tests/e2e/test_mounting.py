@@ -13,11 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from pc2scan.conversion.run import OutputOptions
-from pc2scan.conversion.run import run as convert
-from pc2scan.core.params import ProjectionParams
 from pc2scan.core.rigid import Rigid
-from pc2scan.request.options import ConvertOptions, ScanSpec
 from pc2scan.text import shell_word
 from support import RECORDINGS, needs_shared, sampled
 from support.command import run
@@ -254,36 +250,6 @@ def test_points_at_the_sensor(tf: Sequence[Any], tmp_path: Path) -> None:
     assert (proposed.status, proposed.stderr) == (0, "")
     # In the lidar's own frame the preset does.
     assert not tf or " ".join(map(shell_word, words)) in shown
-
-
-def test_the_warning_comes_after_the_first_clouds(tmp_path: Path) -> None:
-    tilted = cloud(PLACES["hall"], "32 rings", mounted(20, 0), 0.6)
-    level = cloud(PLACES["hall"], "32 rings", mounted(0, 0), 0.6)
-    source = write_clouds(tmp_path / "a.mcap", [tilted] * 4 + [level] * 60)
-    told: list[tuple[str, int]] = []
-    read = [0]
-
-    def progress(done: int, total: int, messages: int) -> None:
-        assert done <= total
-        read[0] = messages
-
-    # Whatever the number of threads.
-    for jobs in (1, 2):
-        told.clear()
-        read[0] = 0
-        options = ConvertOptions(scans=(ScanSpec(params=ProjectionParams(min_height=-0.5)),), jobs=jobs)
-        report = convert(
-            [source],
-            tmp_path / "b.mcap",
-            options,
-            OutputOptions(overwrite=True),
-            progress=progress,
-            warn=lambda text: told.append((text, read[0])),
-        )
-        ((text, after),) = told
-        assert "tilted by 20" in text
-        assert after < 50
-        assert text in report.warnings
 
 
 @pytest.mark.parametrize("place", sampled(PLACES, 4))

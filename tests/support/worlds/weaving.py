@@ -24,14 +24,12 @@ __all__ = ["REAR", "RINGS", "Fault", "Weaving", "write_weaving"]
 
 @dataclass(frozen=True, slots=True)
 class Weaving(Drive):
-    """A robot that turns to and fro by 0.8 rad, ``hertz`` times a second, on its way through the room."""
-
-    hertz: float = 0.4
+    """A robot that turns to and fro by 0.8 rad, every 2.5 s, on its way through the room."""
 
     def angles(self, times: Floats) -> tuple[Floats, Floats, Floats]:
         """Roll, pitch and yaw; see `Drive`."""
         phase = 2 * math.pi * self.tilt_hz * times
-        yaw = 0.8 * np.sin(2 * math.pi * self.hertz * times)
+        yaw = 0.8 * np.sin(2 * math.pi * 0.4 * times)
         return self.tilt * np.sin(phase), self.tilt * np.cos(phase), yaw
 
     def positions(self, times: Floats) -> Floats:
@@ -94,7 +92,6 @@ def write_weaving(
     fault: Fault = _SOUND,
     drive: Drive = _WEAVING,
     *,
-    odometry_hz: float = 100.0,
     frames: Callable[[str], str] = str,
 ) -> Path:
     """Write three seconds of a robot that drives, with odometry that has a fault."""
@@ -108,13 +105,4 @@ def write_weaving(
         pose = Rigid.from_rpy(roll, pitch, fault.scale * yaw + turned, (x + dx, y + dy, 0.0))
         return pose.inverse() if fault.inverted else pose
 
-    return write_world(
-        path,
-        lidars or [RINGS],
-        drive,
-        seconds=3.0,
-        odometry_hz=odometry_hz,
-        odometry=odometry,
-        frames=frames,
-        pair=fault.pair,
-    )
+    return write_world(path, lidars or [RINGS], drive, seconds=3.0, odometry=odometry, frames=frames, pair=fault.pair)
