@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 
 from pc2scan.bags.damage import Damage
-from pc2scan.cli.render import say, show, show_error, show_parts
+from pc2scan.cli.render import say, show, show_error
 from pc2scan.conversion.report import Report
 from pc2scan.errors import DecodeError, UsageError
 from pc2scan.request.options import ScanSpec
-from pc2scan.tables import Table, fitted
+from pc2scan.tables import fitted
 from support.tables import rows
 
 TABLES = Path(__file__).with_name("shown_text.txt")
@@ -32,12 +32,6 @@ def test_an_error_says_where_what_and_what_to_do(capsys: pytest.CaptureFixture[s
         "hint: look",
         "error: no",
     ]
-
-
-def test_a_table_lines_up_and_escapes(capsys: pytest.CaptureFixture[str]) -> None:
-    show_parts([Table(("topic", "in"), [("/a\x1b", "1"), ("/longer", "1,000")], left=("topic",))])
-    lines = ["topic        in", "---------------", "/a\\x1b        1", "/longer   1,000"]
-    assert capsys.readouterr().out.splitlines() == lines
 
 
 PATH = Path("drive.bag")

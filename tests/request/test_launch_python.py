@@ -103,13 +103,6 @@ def test_arguments_are_given(tmp_path: Path) -> None:
         load_params_file(path, arguments={"low": "1", "lwo": "2"})
 
 
-def test_what_is_ignored_is_said(tmp_path: Path) -> None:
-    body = "return LaunchDescription([IncludeLaunchDescription('b.launch.py'), N(parameters=[{'reliability': 'x'}])])"
-    path = described(tmp_path, body)
-    included = f"{path}, line 13, IncludeLaunchDescription('b.launch.py')"
-    assert load_params_file(path).ignored == (included, f"{path}, line 13, reliability")
-
-
 @pytest.mark.parametrize(("pieces", "said"), rows(TABLE, "hostile"))
 def test_files_made_to_harm(pieces: tuple[str, str, str, int], said: str, tmp_path: Path) -> None:
     first, repeated, last, count = pieces

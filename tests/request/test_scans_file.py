@@ -13,7 +13,6 @@ from pc2scan.core.presets import PRESETS
 from pc2scan.errors import UsageError
 from pc2scan.request.ground import MinHeightSlope
 from pc2scan.request.options import TopicRequest
-from pc2scan.request.parameters import Setting
 from pc2scan.request.scans_file import load_scans
 from pc2scan.request.where import Where
 
@@ -38,13 +37,6 @@ def test_outputs_have_what_they_say_and_else_the_defaults() -> None:
     assert scan.origins["min_height"] == f"{FILE}, line 5, min_height"
     assert scan.origins["range_max"] == "--preset slam_toolbox"
     assert scan.place == f"{FILE}, line 8"
-
-
-def test_parameters_beside_the_file_beat_all_outputs() -> None:
-    settings = [Setting("min_height", -0.5, "--min-height")]
-    found = load_scans(FILE, settings)
-    assert {each.params.min_height for each in found.specs} == {-0.5}
-    assert {each.origins["min_height"] for each in found.specs} == {"--min-height"}
 
 
 def test_python_has_dicts() -> None:
