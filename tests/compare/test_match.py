@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import tracemalloc
 from collections import Counter, defaultdict
-from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,7 +17,7 @@ from pc2scan.messages.wire import Packer
 from pc2scan.model import Connection, RawMessage
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
 CONNECTION = Connection(0, "/scan", "sensor_msgs/msg/LaserScan", "cdr")
 
@@ -90,41 +88,3 @@ def test_every_message_once_with_the_partner_of_its_stamp(a: list[int], b: list[
 )
 def test_stamps_and_log_times(a: TopicStream, b: TopicStream, pairs: set[tuple[int | None, int | None]]) -> None:
     assert {(i, j) for i, j, _ in places(match_messages(a, b))} == pairs
-
-
-@dataclass(frozen=True)
-class Endless:
-    """Messages made when they are asked for: what is held is what the matching holds."""
-
-    stamps: tuple[int, ...]
-    path: Path = Path("made")
-    connections: tuple[Connection, ...] = (CONNECTION,)
-
-    def messages(
-        self,
-        connections: Collection[Connection] | None = None,  # noqa: ARG002 - there is one
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
-    ) -> Iterator[RawMessage]:
-        for time, stamp in enumerate(self.stamps):
-            if (start_ns is None or time >= start_ns) and (stop_ns is None or time < stop_ns):
-                yield RawMessage(CONNECTION, time, header(stamp) + bytes(200_000), time)
-
-    def close(self) -> None:
-        pass
-
-
-@pytest.mark.parametrize("change", ["none", "gap", "reversed ends"])
-def test_memory_does_not_grow_with_the_recording(change: str) -> None:
-    stamps = tuple(range(1, 301))
-    other = {"none": stamps, "gap": stamps[:5] + stamps[250:], "reversed ends": (300, *stamps[1:-1], 1)}[change]
-    streams = [TopicStream(Endless(s), (CONNECTION,)) for s in (stamps, other)]
-    tracemalloc.start()
-    try:
-        pairs = sum(m.a is not None and m.b is not None for m in match_messages(*streams))
-        peak = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-    assert pairs == len(other)
-    # 60 MB pass on either side.
-    assert peak < 3_000_000

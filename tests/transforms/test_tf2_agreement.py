@@ -133,22 +133,6 @@ def zeros_keep_their_signs() -> Case:
     )
 
 
-def nearly_equal_rotations() -> Case:
-    """They take another branch of tf2's slerp."""
-    rng = np.random.default_rng(14)
-    rows: Rows = []
-    questions: list[Question] = []
-    for number, step in enumerate(np.logspace(-9, -7, 200).tolist()):
-        pose = np.array(random_pose(rng))
-        moved = pose.copy()
-        moved[3:] += rng.normal(size=4) * step
-        moved[3:] /= np.linalg.norm(moved[3:])
-        for stamp_ns, each in ((EPOCH, pose), (EPOCH + SECOND, moved)):
-            rows.append((row("a", f"b{number}", stamp_ns, tuple(each.tolist())), False))
-        questions.append(("a", f"b{number}", EPOCH + int(rng.integers(SECOND))))
-    return Case(rows, questions, {})
-
-
 def loops_for_a_while() -> Case:
     """Odometry in both directions, at stamps of their own, above two lidars."""
     rows = [
@@ -172,7 +156,7 @@ CASES: dict[str, Callable[[], Case]] = {
         for case in (
             equal_stamps_and_what_they_leave_behind,
             transforms_that_are_ignored, a_stamp_of_zero_is_the_latest_common_time, rotations_of_any_length,
-            zeros_keep_their_signs, nearly_equal_rotations, loops_for_a_while,
+            zeros_keep_their_signs, loops_for_a_while,
         )
     },
 }  # fmt: skip

@@ -285,10 +285,10 @@ class BatchFolder:
 
     def _push(self, *, at_once: bool = False) -> None:
         """Upload the manifest to a store if it has new lines, and the last upload is long enough ago."""
-        path, began = self.path / MANIFEST, time.monotonic()
+        path = self.path / MANIFEST
         if not isinstance(path, UrlPath) or len(self._lines) == self._whole:
             return
-        if began < self._next_push and not at_once:
+        if time.monotonic() < self._next_push and not at_once:
             return
         if self._stored_version() != self._version:
             raise DestinationError(
@@ -298,7 +298,7 @@ class BatchFolder:
             )
         path.remote.write(self._lines)
         self._version, self._whole = self._stored_version(), len(self._lines)
-        self._next_push = time.monotonic() + max(_PUSH_SECONDS, 10 * (time.monotonic() - began))
+        self._next_push = time.monotonic() + _PUSH_SECONDS
 
     def _stored_version(self) -> str | None:
         """Return the version of the manifest in a store; None if there is none."""

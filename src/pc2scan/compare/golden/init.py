@@ -96,7 +96,10 @@ def make_case(
         options = ConvertOptions(repair=True, start=start, end=end, keep=tuple(kept))
         report = run([source], partial / name, options, OutputOptions(), progress=progress)
         if params is not None:
-            _copy_topics(params, partial / "params.yaml")
+            try:
+                shutil.copyfile(params, partial / "params.yaml")
+            except OSError as err:
+                raise OutputError(f"cannot be copied: {err.strerror}", path=params) from err
         result = check_case(folder.name, partial, command, update=True)
         if result.outcome != "updated":
             raise ResultError(
@@ -117,10 +120,3 @@ def _needed_topics(reader: Reader, topics: Sequence[str]) -> list[str]:
     candidates = sorted(topic for topic, names in types.items() if names & {*kinds})
     chosen = {name for asked in topics for name in find_topics(asked, types, candidates, *kinds)} or {*candidates}
     return sorted(chosen | {topic for topic, names in types.items() if names & _ALSO_READ})
-
-
-def _copy_topics(source: Path, target: Path) -> None:
-    try:
-        shutil.copyfile(source, target)
-    except OSError as err:
-        raise OutputError(f"cannot be copied: {err.strerror}", path=source) from err
