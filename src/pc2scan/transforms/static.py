@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pc2scan.core.layout import FULL_TURN
 from pc2scan.core.quantities import quantity
 from pc2scan.core.rigid import Rigid
-from pc2scan.errors import ParameterError, Pc2ScanError, UsageError
+from pc2scan.errors import ParameterError, UsageError
 from pc2scan.files.yaml import MAX_CHARACTERS, load_yaml
-from pc2scan.text import did_you_mean
 
 from .text_files import text_of
 
@@ -57,19 +56,14 @@ class StaticTransform:
         if len(words) not in (8, 9):
             raise UsageError(f"{text!r} has {len(words)} values, a static transform has 8 or 9", hint=usage)
         _refuse_ros1_order(words)
-        return cls.read(words[:2], words[2:])
-
-    @classmethod
-    def read(cls, frames: Sequence[str], words: Sequence[str]) -> StaticTransform:
-        """Read the numbers of a transform, each with a unit if it has one; see `parse`."""
-        units = ("m",) * 3 + (("rad",) * 3 if len(words) == 6 else ("",) * 4)
+        units = ("m",) * 3 + (("rad",) * 3 if len(words) == 8 else ("",) * 4)
         numbers = []
-        for word, unit in zip(words, units, strict=True):
+        for word, unit in zip(words[2:], units, strict=True):
             number = number_in(word, unit)
             if number is None:
-                raise UsageError(f"{' '.join((*frames, *words))!r} is not a static transform: {word!r} is not a number")
+                raise UsageError(f"{' '.join(words)!r} is not a static transform: {word!r} is not a number")
             numbers.append(number)
-        return cls.of(frames[0], frames[1], numbers[:3], numbers[3:])
+        return cls.of(words[0], words[1], numbers[:3], numbers[3:])
 
     @classmethod
     def of(cls, parent: str, child: str, translation: Sequence[float], rotation: Sequence[float]) -> StaticTransform:
@@ -166,11 +160,7 @@ def added_transforms(given: Iterable[str | Path | StaticTransform]) -> tuple[Sta
 
 
 def load_static_transforms(path: Path) -> tuple[StaticTransform, ...]:
-    """Read a YAML list of static transforms.
-
-    Each entry is a text that `StaticTransform.parse` reads, or a mapping of ``parent`` (or ``frame_id``), ``child``
-    (or ``child_frame_id``), ``translation: [x, y, z]`` and ``rotation: [qx, qy, qz, qw]`` or
-    ``rpy: [roll, pitch, yaw]``; metres and radians, or with a unit (``20cm``, ``90deg``).
+    """Read a YAML list of texts as `StaticTransform.parse` reads them.
 
     Raises
     ------
@@ -182,41 +172,16 @@ def load_static_transforms(path: Path) -> tuple[StaticTransform, ...]:
         document = load_yaml(text)
     except ValueError as err:
         raise UsageError(str(err), path=path) from err
-    if not isinstance(document, list):
-        raise UsageError("is not a YAML list of static transforms", path=path)
+    if not isinstance(document, list) or not all(isinstance(entry, str) for entry in document):
+        raise UsageError(
+            "is not a YAML list of static transforms",
+            path=path,
+            hint="each line is '- parent child x y z roll pitch yaw'",
+        )
     transforms = []
     for number, entry in enumerate(document, 1):
         try:
-            transforms.append(_static_transform(entry))
-        except Pc2ScanError as err:
+            transforms.append(StaticTransform.parse(entry))
+        except UsageError as err:
             raise UsageError(f"entry {number}: {err.message}", path=path, hint=err.hint) from err
-        except (ValueError, OverflowError) as err:
-            # An integer that is too large to be a float, or to be text.
-            raise UsageError(f"entry {number}: {str(err).partition(';')[0]}", path=path) from err
     return tuple(transforms)
-
-
-def _static_transform(entry: Any) -> StaticTransform:
-    if isinstance(entry, str):
-        return StaticTransform.parse(entry)
-    if not isinstance(entry, dict):
-        raise UsageError(f"{entry!r} is not a transform")
-    if unknown := entry.keys() - _KEYS:
-        key = min(map(str, unknown))
-        hint = f"{did_you_mean(key, _KEYS)} the keys are {', '.join(_KEYS)}".strip()
-        raise UsageError(f"unknown key {key!r}", hint=hint)
-    key = "rpy" if "rpy" in entry else "rotation"
-    words: list[Any] = []
-    for name, default in (("translation", [0, 0, 0]), (key, [0, 0, 0] if key == "rpy" else [0, 0, 0, 1])):
-        values = entry.get(name, default)
-        if not isinstance(values, list) or len(values) != len(default):
-            raise UsageError(f"{name} is {values!r}, expected {len(default)} numbers")
-        words += values
-    names = [
-        str(entry.get(name, entry.get(ros, ""))) for name, ros in (("parent", "frame_id"), ("child", "child_frame_id"))
-    ]
-    return StaticTransform.read(names, list(map(str, words)))
-
-
-#: The keys of a transform in a YAML file.
-_KEYS = ("parent", "frame_id", "child", "child_frame_id", "translation", "rotation", "rpy")
