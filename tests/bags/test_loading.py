@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 
 from pc2scan.bags.chunks import MIN_WHOLE_BYTES, Segment, Segments, segment_chunks, whole_chunks
 from pc2scan.bags.loading import AHEAD_BYTES, LARGEST_AHEAD, Chunk, merge_by_time
-from pc2scan.errors import RecordingError
 from pc2scan.model import ChunkRule, Connection, RawMessage, StoredChunk
 from pc2scan.threads import Threads
 
@@ -99,16 +98,6 @@ def test_an_index_finds_the_order_of_the_source_in_whole_chunks(
 
 
 # --- Bounds ---
-
-
-def test_what_would_be_loaded_again_and_again_is_refused() -> None:
-    def overlapping(count: int) -> list[Chunk]:
-        return [chunk(n, range(n, 2 * count, 2))._replace(size=1 << 26) for n in range(2)]
-
-    # A gigabyte, and four times their size: one of them may be loaded 24 times more.
-    assert len(list(merge_by_time(overlapping(25), max_open_bytes=1))) == 50
-    with pytest.raises(RecordingError, match="overlap in time"):
-        list(merge_by_time(overlapping(26), max_open_bytes=1))
 
 
 @pytest.mark.parametrize("jobs", [2, 4])

@@ -16,7 +16,7 @@ from pc2scan.bags.opening import open_recording
 from pc2scan.bags.rosbag1.write import Rosbag1Writer
 from pc2scan.bags.rosbag2.sqlite3.write import Sqlite3Writer
 from pc2scan.errors import UnwritableError
-from pc2scan.model import Attachment, Definition, Metadata
+from pc2scan.model import Definition
 from support.containers import FORMATS, KINDS, connection_for, read, recorded
 from support.outputs import opened
 
@@ -141,19 +141,6 @@ def test_buffers_may_be_reused_after_the_call(kind: Any, tmp_path: Path) -> None
         buffer.clear()  # a view that is still held makes this a BufferError
     writer.finish()
     assert [data for _, _, data in read(tmp_path / kind.name)] == [b"x" * size for size in sizes]
-
-
-@pytest.mark.parametrize("name", FORMATS)
-def test_attachments_are_kept_or_left_out(name: str, tmp_path: Path) -> None:
-    attachments = [Attachment("a.bin", "x/y", 3, 4, bytes(range(256))), Attachment("", "", 0, 0, b"")]
-    records = [Metadata("first", {"k": "v", "ü": "ß"}), Metadata("second", {})]
-    own = Metadata("rosbag2", {"serialized_metadata": "of another file"})
-    path = recorded(FORMATS[name], tmp_path, [("/a", 1, b"\0")], extras=[*attachments, *records, own])
-    kept = "mcap" in name
-    with closing(open_recording(path, strict=True)) as reader:
-        assert list(reader.attachments()) == attachments * kept
-        # A directory's storage has rosbag2's record of its own.
-        assert list(reader.metadata()) == [*records, *[own] * (name == "mcap")] * kept
 
 
 # --- What cannot be written ---

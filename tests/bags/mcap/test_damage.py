@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import struct
 from contextlib import closing
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import lz4.frame
 import pytest
 
 from pc2scan.bags.mcap.read import McapReader
-from pc2scan.bags.mcap.records import MAGIC
 from pc2scan.bags.mcap.write import McapWriter
 from pc2scan.errors import RecordingError
 from pc2scan.model import Attachment
-from support import sampled
 from support.mcap_files import (
     BODY,
     SAMPLE,
-    altered_index,
-    content,
     failing,
     library_file,
     raw_channel,
@@ -33,19 +29,6 @@ from support.mcap_files import (
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-
-def test_what_is_no_mcap_file_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    for data, told in (
-        (b"", "begins with nothing"),
-        (b"#ROSBAG V2.0\n", "begins with 23 52 4f 53"),
-        (MAGIC + record(3, b"ab"), "HEADER"),
-    ):
-        path.write_bytes(data)
-        failing(path, told)
-    failing(tmp_path / "none.mcap", "No such file")
-    failing(tmp_path, "directory")
 
 
 def lz4_packed(data: bytes) -> bytes:
@@ -111,28 +94,3 @@ def test_the_summary_has_a_crc(tmp_path: Path) -> None:
     data[at + 6] = ord("9")
     path.write_bytes(data)
     failing(path, "the summary's CRC is")
-
-
-def test_wrong_channels_in_the_index_lose_no_message(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.mcap", SAMPLE)
-
-    def change(index: Any) -> None:
-        index.message_index_offsets = {7: min(index.message_index_offsets.values())}
-
-    with closing(McapReader(altered_index(path, "ChunkIndex", change))) as reader:
-        assert len(content(reader)) == len(content(reader, connections=reader.connections)) == len(SAMPLE)
-
-
-@pytest.mark.parametrize("kind", ["AttachmentIndex", "MetadataIndex"])
-@pytest.mark.parametrize("chunked", sampled([False, True], 1))
-def test_wrong_offsets_of_attachments_do_no_harm(kind: str, chunked: bool, tmp_path: Path) -> None:
-    """Files without chunks that @mcap/core 2.2.2 wrote have them."""
-    path = library_file(tmp_path / "a.mcap", SAMPLE, extras=True, use_chunking=chunked)
-
-    def change(index: Any) -> None:
-        index.offset = 28
-
-    with closing(McapReader(altered_index(path, kind, change))) as reader:
-        assert len(content(reader)) == 60
-        assert [each.name for each in reader.attachments()] == ["calibration.yaml"]
-        assert [each.name for each in reader.metadata()] == ["robot"]

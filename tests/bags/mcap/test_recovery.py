@@ -224,22 +224,6 @@ def made(path: Path, options: str = "default") -> Path:
     return library_file(path / "a.mcap", MESSAGES, chunk_size=300, **LIBRARY_OPTIONS[options])
 
 
-@pytest.mark.parametrize(("options", "lost"), [("default", 0), ("no summary", None)])
-@pytest.mark.parametrize("header", ["removed", "overwritten"])
-def test_without_a_header_everything_is_kept(header: str, options: str, lost: int | None, tmp_path: Path) -> None:
-    path = made(tmp_path, options)
-    magic, first, *others = pieces(path)
-    path.write_bytes(b"".join((magic, *([b"\x40" + first[1:]] if header == "overwritten" else []), *others)))
-    rows, damage = recovered(path)
-    assert len(rows) == len(MESSAGES)
-    if header == "overwritten":
-        # Only statistics tell that it was no message.
-        assert [place.messages_lost for place in damage] == [lost]
-    else:
-        (place,) = [place for place in damage if "HEADER" in place.what]
-        assert (place.offset, place.bytes_lost, place.messages_lost) == (len(MAGIC), 0, None)
-
-
 def test_chunks_that_the_index_misplaces_are_found(tmp_path: Path) -> None:
     path = made(tmp_path)
     sound, _ = recovered(path)

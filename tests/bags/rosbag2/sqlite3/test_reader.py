@@ -89,18 +89,6 @@ def test_without_an_index_memory_does_not_grow(tmp_path: Path) -> None:
     assert peak < 2_000_000
 
 
-@pytest.mark.parametrize("script", ["", WITHOUT_INDEX])
-def test_a_unit_may_be_loaded_again(script: str, tmp_path: Path) -> None:
-    """Its rows are not kept for that."""
-    rows = [(1, TIMES[-1] + 5, bytes([number]) * 300_000) for number in range(9)]
-    with closing(Sqlite3Reader(build(tmp_path / "x.db3", script=script, rows=rows))) as reader:
-        units = list(reader.chunks(start_ns=TIMES[-1]))
-        loaded = [unit.load(lambda message: message) for unit in units]
-        assert [len(found) for found in loaded] == [5, 2, 2, 2, 1]  # type: ignore[arg-type]
-        assert [unit.load(lambda message: message) for unit in reversed(units)] == loaded[::-1]
-        assert [message for found in loaded for message in found] == list(reader.messages(start_ns=TIMES[-1]))  # type: ignore[union-attr]
-
-
 @pytest.mark.parametrize("content_size", [True, False])
 @pytest.mark.parametrize("declared", ["zstd", "none"])
 def test_compressed_messages_are_recognised(declared: str, content_size: bool, tmp_path: Path) -> None:
