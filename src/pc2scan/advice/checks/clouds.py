@@ -148,12 +148,6 @@ class CloudFacts:
         return min(sum(outside), self.total.height)
 
     @property
-    def are_nearly_empty(self) -> bool:
-        """Whether the scans have nearly no points."""
-        beams = len(self.samples) * self.spec.params.length
-        return self.total.total > 0 and self.total.used < _NEARLY_EMPTY * beams
-
-    @property
     def lack_heights(self) -> bool:
         """Whether a preset leaves the heights to the user, who gives none."""
         presets = any(map(preset_of, self.spec.origins.values()))
@@ -375,9 +369,9 @@ def clouds_in_another_unit(clouds: CloudFacts) -> Iterator[str]:
 
 def nearly_empty_scans(clouds: CloudFacts) -> Iterator[str]:
     """Yield a warning of the limits that reject all points, with the clouds' own values."""
-    if not clouds.are_nearly_empty:
-        return
     params, counts = clouds.spec.params, clouds.total
+    if not counts.total or counts.used >= _NEARLY_EMPTY * len(clouds.samples) * params.length:
+        return
     placed = np.concatenate([sample.placed for sample in clouds.samples])
     observed = (
         ("height", placed[:, 2], f"z in {clouds.samples[0].judged_in!r}", "m"),
