@@ -216,7 +216,9 @@ class ScanFrames:
     def _gap_cure(self) -> str:
         """What to do if there are no transforms at the time of scans."""
         if self._clock is not None:
-            return f"the clocks differ; pc2scan convert `time_offset={self._clock.time_offset}` for scans made from clouds"
+            return (
+                f"the clocks differ; pc2scan convert `time_offset={self._clock.time_offset}` for scans made from clouds"
+            )
         return f"record /tf as long as the scans; pc2scan convert `start` and `end` leave out clouds without; {_HINT}"
 
     @property
