@@ -142,12 +142,12 @@ def scans_without_return(topic: TopicReport, report: Report) -> Iterator[str]:
     if _is_made(topic) and topic.empty_scans:
         scans = f"{counted(topic.messages_out, 'scan')} on {topic.target}"
         empty = f"{topic.empty_scans:,} of {scans} {agreeing(topic.empty_scans, 'have')} no return at all"
-        yield f"{empty}: {_blame(topic, _spec_of(topic, report), report.rejections)}"
+        yield f"{empty}: {_blame(topic, topic.spec or report.scans[0], report.rejections)}"
 
 
 def points_rejected_by_default(topic: TopicReport, report: Report) -> Iterator[str]:
     """Yield a warning for each default that rejects many points."""
-    points = topic.points
+    points, spec = topic.points, topic.spec or report.scans[0]
     if not _is_made(topic) or topic.empty_scans:
         return
     for each in report.rejections.values():
@@ -155,8 +155,8 @@ def points_rejected_by_default(topic: TopicReport, report: Report) -> Iterator[s
         no_returns = topic.no_returns if each.name == "height" else 0.0
         if 0 < no_returns < 1:
             share = (share - no_returns) / (1 - no_returns)
-        least = notable_share(_spec_of(topic, report)) if each.name == "height" else NOTABLE_SHARE
-        if share >= least and _surprises(_spec_of(topic, report), each):
+        least = notable_share(spec) if each.name == "height" else NOTABLE_SHARE
+        if share >= least and _surprises(spec, each):
             advice = f": {topic.advice}" if topic.advice and each.name == "height" else ""
             of = "returns" if no_returns else "points"
             yield f"{topic.target}: {share:.0%} of the {of} were {each.by_default[1]}{advice}"
@@ -182,7 +182,7 @@ def faults_without_number(topic: TopicReport, report: Report) -> Iterator[str]:
         return
     faulty = [(each.name, each.explanation, each.remedy) for each in report.rejections.values() if each.remedy]
     removals = [(points.rejected.get(name, 0), points.total, "point", what, remedy) for name, what, remedy in faulty]
-    remedies = {"sparse": _OF_SPARSE} | {each.name: each.remedy for each in _spec_of(topic, report).remove}
+    remedies = {"sparse": _OF_SPARSE} | {each.name: each.remedy for each in (topic.spec or report.scans[0]).remove}
     removals += [
         (beams[name], beams["returns"], "beam", f"removed as {name}", remedy)
         for name, remedy in remedies.items()
@@ -381,11 +381,6 @@ def tilt_of_frame(topic: TopicReport, report: Report) -> Iterator[str]:
 def _is_made(topic: TopicReport) -> bool:
     """Whether messages were converted."""
     return topic.action == "converted" and topic.messages_out > 0
-
-
-def _spec_of(topic: TopicReport, report: Report) -> ScanSpec:
-    """Return the request of a topic; that of the first output for a topic without a request of its own."""
-    return topic.spec or report.scans[0]
 
 
 def _levelled(topic: TopicReport, report: Report) -> tuple[str, str]:
