@@ -58,11 +58,12 @@ class Way(NamedTuple):
 
 def way_of(*arguments: str) -> Way:
     """Run ``pc2scan convert`` with these arguments in a process of its own, and return what it ran."""
+    paths = [str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
     done = subprocess.run(
         [sys.executable, "-m", "support.way_of_a_cloud", *arguments],
         capture_output=True,
         text=True,
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))},
         cwd=ROOT,
         check=False,
     )
