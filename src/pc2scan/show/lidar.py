@@ -307,7 +307,9 @@ class Lidar:
 
     def in_target(self, points: NDArray[np.floating[Any]], frame: str = "") -> NDArray[np.float64]:
         """Return points of a frame, (3, N), in the frame of the scans, (N, 3)."""
-        found, frame = points.T.astype(np.float64), frame or self.mounting.judged_in
+        with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
+            found = points.T.astype(np.float64)
+        frame = frame or self.mounting.judged_in
         target, static = self.target, self.mounting.static_tf
         if static and frame == self.mounting.frame:
             return np.asarray(StaticTransform.parse(static).parent_from_child.apply(found))
