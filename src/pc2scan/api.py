@@ -103,8 +103,8 @@ def convert(
     >>> report.exit_status  # doctest: +SKIP
     0
     """
-    asked = Options("convert", options)
-    return convert_by(paths_in("sources", sources), destination, asked, progress=asked.progress)
+    call = Options("convert", options)
+    return convert_by(paths_in("sources", sources), destination, call, progress=call.progress)
 
 
 @takes_options
@@ -144,11 +144,11 @@ def batch(
     >>> result.counts  # doctest: +SKIP
     {'failed': 2, 'converted': 998}
     """
-    asked = Options("batch", options)
-    watch = BatchCallbacks() if asked.progress is None else BatchCallbacks(progress=asked.progress)
+    call = Options("batch", options)
+    watch = BatchCallbacks() if call.progress is None else BatchCallbacks(progress=call.progress)
     names = [str(path) for path in paths_in("sources", sources)]
     out = path_of("destination", destination)
-    return run_batch(names, out, asked.of_conversions, BatchOptions.of(asked), origins=asked.origins, watch=watch)
+    return run_batch(names, out, call.of_conversions, BatchOptions.of(call), origins=call.origins, watch=watch)
 
 
 @takes_options
@@ -181,8 +181,8 @@ def repair(
     OutputError
         If the destination cannot be written.
     """
-    asked = Options("repair", options)
-    return repair_by(path_of("source", source), destination, asked, progress=asked.progress)
+    call = Options("repair", options)
+    return repair_by(path_of("source", source), destination, call, progress=call.progress)
 
 
 @takes_options
@@ -323,8 +323,8 @@ def map(  # noqa: A001  # the command's name
     >>> import pc2scan
     >>> pc2scan.map("drive.bag", min_height=0.1, max_height=1.5).save("map.yaml")  # doctest: +SKIP
     """
-    asked = Options("map", options)
-    return draw_map(paths_in("sources", sources), None, asked, progress=asked.progress)
+    call = Options("map", options)
+    return draw_map(paths_in("sources", sources), None, call, progress=call.progress)
 
 
 @takes_options
@@ -352,9 +352,9 @@ def check(
     RecordingError
         If a source cannot be read.
     """
-    asked = Options("check", options)
-    rules = asked.among(("consumers", "topics", "odom_frame", "base_frame", "echo"))
-    return judge(paths_in("sources", sources), frames=frames_of(asked), **rules)
+    call = Options("check", options)
+    rules = call.among(("consumers", "topics", "odom_frame", "base_frame", "echo"))
+    return judge(paths_in("sources", sources), frames=frames_of(call), **rules)
 
 
 @takes_options
@@ -415,12 +415,12 @@ def golden(
     -----
     While a case runs, the output of this process is captured, and on SIGTERM temporary files are removed first.
     """
-    path, asked = path_of("folder", folder), Options("golden", options)
-    if asked.init is not None:
-        part = {"start": asked.start, "end": asked.end, "topics": asked.topics, "params": asked.params_file}
-        make_case(path, asked.init, run_command, **part)
-    refuse_idle(asked.given, "golden")
-    return check_cases(path, pattern, run_command, update=asked.update)
+    path, call = path_of("folder", folder), Options("golden", options)
+    if call.init is not None:
+        part = {"start": call.start, "end": call.end, "topics": call.topics, "params": call.params_file}
+        make_case(path, call.init, run_command, **part)
+    refuse_idle(call.given, "golden")
+    return check_cases(path, pattern, run_command, update=call.update)
 
 
 @takes_options
@@ -455,10 +455,10 @@ def diff(
     >>> found = pc2scan.diff("expected.bag", "scans.mcap", rtol=1e-5)  # doctest: +SKIP
     >>> assert found.same, found  # doctest: +SKIP
     """
-    asked = Options("diff", options)
-    pairs = [TopicPair.parse(topic) for topic in asked.topics]
+    call = Options("diff", options)
+    pairs = [TopicPair.parse(topic) for topic in call.topics]
     other = None if b is None else path_of("b", b)
-    return compare(path_of("a", a), other, topics=pairs, all_topics=asked.all_topics, rules=Rules.of(asked))
+    return compare(path_of("a", a), other, topics=pairs, all_topics=call.all_topics, rules=Rules.of(call))
 
 
 @takes_options
@@ -507,8 +507,8 @@ def export(
     >>> pc2scan.export("drive.bag", "scans.npz", pose_frame="odom")  # doctest: +SKIP
     >>> pc2scan.export("drive.bag", "scans.csv", preset="slam_toolbox", min_height=-0.3)  # doctest: +SKIP
     """
-    asked = Options("export", options)
-    return write(paths_in("sources", sources), destination, asked, progress=asked.progress)
+    call = Options("export", options)
+    return write(paths_in("sources", sources), destination, call, progress=call.progress)
 
 
 @takes_options
@@ -555,20 +555,20 @@ def scans(
     >>> for scan in pc2scan.scans("drive.bag", preset="slam_toolbox", min_height=-0.5):  # doctest: +SKIP
     ...     print(scan)
     """
-    names, asked = names_in("topics", topics), Options("scans", options)
+    names, call = names_in("topics", topics), Options("scans", options)
     conversion = None
-    if asked.makes_scans:
-        given = {**asked.given, "topics": names, "only_scans": True}
+    if call.makes_scans:
+        given = {**call.given, "topics": names, "only_scans": True}
         conversion = conversion_of(Options("convert", given))
         if conversion.scan.reverse:
             raise UsageError("the parameter file is for laserscan_to_pointcloud, which does not make scans")
-    elif asked.given.keys() - options_of("clouds").keys() - {"jobs"}:
+    elif call.given.keys() - options_of("clouds").keys() - {"jobs"}:
         raise UsageError(
             "transforms, filters, `node`, `deskew`, `level` and `remove` have no effect: no clouds are converted",
             hint="to convert clouds, give `preset`, `params_file`, or a parameter by name, `target_frame=base_link`",
         )
     paths = paths_in("sources", sources)
-    return Scans(paths, conversion or reading_of(names, asked), conversion is not None)
+    return Scans(paths, conversion or reading_of(names, call), conversion is not None)
 
 
 @takes_options
@@ -611,5 +611,5 @@ def clouds(
     >>> for cloud in pc2scan.clouds("drive.bag", topics="/points"):  # doctest: +SKIP
     ...     print(cloud.stamp, cloud.xyz().shape, cloud["intensity"].max())
     """
-    asked = reading_of(names_in("topics", topics), Options("clouds", options))
-    return Clouds(paths_in("sources", sources), asked)
+    reading = reading_of(names_in("topics", topics), Options("clouds", options))
+    return Clouds(paths_in("sources", sources), reading)

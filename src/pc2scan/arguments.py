@@ -34,11 +34,11 @@ def names_in(name: str, values: object) -> tuple[str, ...]:
         return (values,)
     if isinstance(values, bytes) or not isinstance(values, Iterable):
         raise TypeError(f"{name} is {value_and_type(values)}, it must be a str or several")
-    found = tuple(values)
-    for value in found:
+    names = tuple(values)
+    for value in names:
         if not isinstance(value, str):
             raise TypeError(f"{name} has {value_and_type(value)}, it must be a str or several")
-    return found
+    return names
 
 
 def refuse_unknown(

@@ -349,8 +349,8 @@ def normalized_type(msgtype: str) -> str:
     >>> normalized_type("tf/tfMessage"), normalized_type("std_msgs::msg::dds_::Header_")
     ('tf/msg/tfMessage', 'std_msgs/msg/Header')
     """
-    if found := re.fullmatch(r"(\w+)::msg::dds_::(\w+)_", msgtype):
-        return f"{found[1]}/msg/{found[2]}"
+    if match := re.fullmatch(r"(\w+)::msg::dds_::(\w+)_", msgtype):
+        return f"{match[1]}/msg/{match[2]}"
     package, _, name = msgtype.rpartition("/")
     if not package or "/" in package:
         return msgtype

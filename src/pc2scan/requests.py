@@ -117,8 +117,8 @@ def conversion_of(options: Options, warn: Warn | None = None) -> ConvertOptions:
     moved: tuple[str, ...] = ()
     if options.scans is not None:
         refuse_beside(options.of_one_output)
-        found, where = load_scans(options.scans, [*settings, *parse_params(options.param)]), "scans"
-        specs, ignored, paths = found.specs, found.ignored, found.files
+        scans_file, where = load_scans(options.scans, [*settings, *parse_params(options.param)]), "scans"
+        specs, ignored, paths = scans_file.specs, scans_file.ignored, scans_file.files
     else:
         outputs, where = _outputs(options, settings), "params_file"
         specs = tuple(output.spec for output in outputs)
@@ -212,13 +212,13 @@ def _remapped(options: Options) -> set[str]:
 
 def named_files(options: Options) -> dict[str, Path]:
     """Return the files that options name and that are read, by option."""
-    found = {}
+    files = {}
     for name in NAMED_FILES:
         value = getattr(options, name)
         for number, path in enumerate(value if isinstance(value, tuple) else (value,)):
             if isinstance(path, Path):
-                found[f"`{name}`" + (f" ({number + 1})" if number else "")] = path
-    return found
+                files[f"`{name}`" + (f" ({number + 1})" if number else "")] = path
+    return files
 
 
 def _changed_params(options: Options) -> ResolvedParams:
@@ -305,5 +305,5 @@ def convert(
 def repair(source: Path, destination: PathText | None, options: Options, *, progress: Progress | None = None) -> Report:
     """Write what can be recovered of a recording; see `pc2scan.repair`."""
     path, folder = destination_of(destination)
-    asked = ConvertOptions(repair=True)
-    return run([source], path, asked, output_of(options, folder=folder), progress=progress)
+    conversion = ConvertOptions(repair=True)
+    return run([source], path, conversion, output_of(options, folder=folder), progress=progress)

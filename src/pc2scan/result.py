@@ -335,13 +335,13 @@ def recovery_text(damage: Sequence[Damage], read: int, declared: int | None) -> 
     read, declared
         How many messages were read, and how many the recordings declare; None if that is unknown.
     """
-    found = counted(read, "message")
+    recovered = counted(read, "message")
     if declared is not None and declared > read:
-        found = f"{read:,} of the {declared:,} messages that the source declares"
+        recovered = f"{read:,} of the {declared:,} messages that the source declares"
     missing = [place for place in damage if place.loses]
     lost = _lost(missing) if missing else "no bytes are known to be lost"
     span = _spanned(missing) if missing else "no message is known to be missing"
-    return f"{found}; {lost}; {span}"
+    return f"{recovered}; {lost}; {span}"
 
 
 def _lost(damage: Sequence[Damage]) -> str:

@@ -28,7 +28,7 @@ class _TooLateError(Exception):
 def offered(offers: Sequence[str], incomplete: str) -> list[str]:
     """Return what the shell offers: see `pc2scan.options.values.Value.offers`; or ``words`` and the words."""
     kind, *words = offers
-    found = set(words if kind == "words" else ())
+    names = set(words if kind == "words" else ())
     with _patiently():
         for path in () if kind == "words" else _typed():
             from pc2scan.show.naming import frames_in, topics_in
@@ -36,9 +36,9 @@ def offered(offers: Sequence[str], incomplete: str) -> list[str]:
             with suppress(Pc2ScanError):
                 # Added one by one, so that those found within the time limit are offered.
                 for name in frames_in([path]) if kind == "frames" else topics_in([path], tuple(words)):
-                    found.add(name)
+                    names.add(name)
     # Names with control characters are not offered: the shell would send them to the terminal unescaped.
-    return sorted(name for name in found if name.startswith(incomplete) and name.isprintable())
+    return sorted(name for name in names if name.startswith(incomplete) and name.isprintable())
 
 
 def frames(incomplete: str) -> list[str]:

@@ -28,7 +28,7 @@ def arguments_of(command: str, typed: Mapping[str, Any]) -> dict[str, Any]:
     UsageError
         If one is missing or empty, or if an option is typed twice.
     """
-    found: dict[str, Any] = {}
+    arguments: dict[str, Any] = {}
     for argument in COMMANDS[command].arguments:
         value = typed.get(argument.name)
         shown = argument.shown
@@ -41,8 +41,8 @@ def arguments_of(command: str, typed: Mapping[str, Any]) -> dict[str, Any]:
             value = value[0]
         if value is not None and argument.is_path:
             value = _paths(value, shown, is_output=bool(argument.spellings))
-        found[argument.name] = value
-    return found
+        arguments[argument.name] = value
+    return arguments
 
 
 def _paths(value: Any, shown: str, *, is_output: bool) -> Any:

@@ -216,8 +216,8 @@ def width_of(stream: Any) -> int | None:
     try:
         if not stream.isatty():
             return None
-        asked = os.environ.get("COLUMNS", "")
-        columns = int(asked) if asked.isdecimal() else os.get_terminal_size(stream.fileno()).columns
+        width = os.environ.get("COLUMNS", "")
+        columns = int(width) if width.isdecimal() else os.get_terminal_size(stream.fileno()).columns
     except (OSError, ValueError):
         return None
     return max(columns or 80, _NARROWEST)
@@ -315,6 +315,6 @@ def _wrapped(line: str, width: int) -> str:
 
 def _coloured(line: str) -> str:
     for pattern, colour in _COLOURS:
-        if found := re.match(pattern, line):
-            return f"{colour}{found[0]}{_PLAIN}{line[found.end() :]}"
+        if match := re.match(pattern, line):
+            return f"{colour}{match[0]}{_PLAIN}{line[match.end() :]}"
     return line

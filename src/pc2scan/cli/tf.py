@@ -31,9 +31,9 @@ def tf(sources: list[Path], lookup: tuple[str, str] | None, at: str | None, *, o
                 err.hint = f"--at counts from 1970; {at} s after the first transform is --at {meant}"
             raise
         place, rotation = rigid.translation.tolist(), rigid.quaternion.tolist()
-        found = Lookup(lookup[0], lookup[1], stamp_ns or None, place, rotation, rigid.rpy, tree.damage)
-        show(found, as_json=options.as_json)
-        return found.exit_status
+        result = Lookup(lookup[0], lookup[1], stamp_ns or None, place, rotation, rigid.rpy, tree.damage)
+        show(result, as_json=options.as_json)
+        return result.exit_status
     show(tree, as_json=options.as_json)
     return tree.exit_status
 

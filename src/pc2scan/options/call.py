@@ -135,7 +135,7 @@ def _option_words(spelling: str, value: Any) -> Iterator[str]:
     if value is True:
         yield spelling
     elif isinstance(value, tuple):
-        for each in value:
-            yield from _option_words(spelling, each)
+        for item in value:
+            yield from _option_words(spelling, item)
     else:
         yield from (spelling, f"{value:.15g}" if isinstance(value, float) else str(value))

@@ -101,28 +101,28 @@ class TimeBound(NamedTuple):
                 hint = "give it one: `.replace(tzinfo=timezone.utc)`, or `.astimezone()` for local time"
                 raise UsageError(f"{value!r} has no time zone", hint=hint)
             return cls(_nanoseconds(value - _EPOCH), absolute=True)
-        found = None
+        bound = None
         if isinstance(value, timedelta):
-            found = cls(_nanoseconds(value))
+            bound = cls(_nanoseconds(value))
         elif (kind := type(value).__name__) in {"datetime64", "timedelta64"} and str(value) != "NaT":
             # NumPy's times, without importing NumPy. Beyond 64 bits, they would wrap around.
             exact: Any = value.astype(f"{kind}[ns]")  # type: ignore[union-attr]
             if exact.astype(value.dtype) == value:  # type: ignore[union-attr]
-                found = cls(int(exact.astype("int64")), absolute=kind == "datetime64")
+                bound = cls(int(exact.astype("int64")), absolute=kind == "datetime64")
         elif isinstance(value, Integral) and not isinstance(value, bool) and value >= 0:
-            found = cls.parse(str(int(value)))
+            bound = cls.parse(str(int(value)))
         # Nanoseconds since 1970 do not fit into a float.
         elif isinstance(value, Real) and not isinstance(value, bool) and 0 <= value < _ABSOLUTE_NANOSECONDS:
             # By its decimal text: 0.1 means a tenth, not the nearest float.
             text = repr(float(value))
-            found = cls.parse(f"{float(value):.9f}" if "e" in text else text)
-        if found is None or (found.nanoseconds < 0 and not found.absolute):
+            bound = cls.parse(f"{float(value):.9f}" if "e" in text else text)
+        if bound is None or (bound.nanoseconds < 0 and not bound.absolute):
             raise UsageError(
                 f"{value!r} is not a time",
                 hint="give seconds from the beginning (12.5), seconds or whole nanoseconds since 1970, a datetime with "
                 "a time zone, a numpy.datetime64, or text like on the command line",
             )
-        return found
+        return bound
 
     def resolve(self, beginning_ns: int) -> int:
         """Return the log time in nanoseconds, given that of the recording's beginning."""

@@ -227,10 +227,10 @@ def options_in(
     declared: type, panel: str = "", scope: str = Scope.CALL_ONLY, kind: type[Option] = Option
 ) -> dict[str, Any]:
     """Return the options of a group, by name."""
-    found = {}
+    options = {}
     for name, annotation in declared.__annotations__.items():
         key = name, *(part for part in annotation.__metadata__ if not isinstance(part, Value))
         if key not in _KNOWN:
             _KNOWN[key] = kind(name, annotation, panel, scope)
-        found[name] = _KNOWN[key]
-    return found
+        options[name] = _KNOWN[key]
+    return options

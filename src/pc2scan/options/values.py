@@ -165,14 +165,14 @@ class Texts(Value):
 
     def read(self, name: str, value: Any) -> Any:
         """Return the texts as a tuple."""
-        found = names_in(name, value)
-        for text in found:
+        texts = names_in(name, value)
+        for text in texts:
             if self.words and text not in self.words:
                 raise UsageError(
                     f"`{name}` has {text!r}, its values must be among {', '.join(self.words)}",
                     hint=did_you_mean(text, self.words) or None,
                 )
-        return found
+        return texts
 
 
 class TransformTexts(Texts):
@@ -385,14 +385,14 @@ class Tolerances(Value):
         """Return the numbers by name; the empty name is for all others."""
         if isinstance(value, list | tuple):
             return self._typed(name, value)
-        found = value if isinstance(value, Mapping) else {"": value}
-        if not all(map(_is_number, found.values())):
+        tolerances = value if isinstance(value, Mapping) else {"": value}
+        if not all(map(_is_number, tolerances.values())):
             raise TypeError(f"{name} is {value!r}, it must be a number, or a dict of numbers")
-        return found
+        return tolerances
 
     def _typed(self, name: str, texts: Iterable[str]) -> dict[str, float]:
         """Read tolerances as they are typed."""
-        found: dict[str, float] = {}
+        tolerances: dict[str, float] = {}
         for text in texts:
             field, _, number = text.rpartition("=")
             try:
@@ -401,10 +401,10 @@ class Tolerances(Value):
                 raise UsageError(
                     f"`{name}`: {text!r} is not a tolerance", hint=f"write `{name}=0.001` or `{name}=intensities=0.5`"
                 ) from None
-            if field in found:
+            if field in tolerances:
                 raise UsageError(f"`{name}` is given twice for {field or 'all values'}")
-            found[field] = tolerance
-        return found
+            tolerances[field] = tolerance
+        return tolerances
 
 
 class Instance(Value):
@@ -420,14 +420,14 @@ class Filters(Instance):
 
     def read(self, name: str, value: Any) -> tuple[Any, ...]:
         """Return the filters as a tuple."""
-        found = tuple(value) if isinstance(value, Iterable) and not isinstance(value, str | bytes) else (value,)
-        for each in found:
-            if isinstance(each, type) or not hasattr(each, "explanation"):
-                text = "; a condition as text is the argument `where`" if isinstance(each, str) else ""
+        filters = tuple(value) if isinstance(value, Iterable) and not isinstance(value, str | bytes) else (value,)
+        for item in filters:
+            if isinstance(item, type) or not hasattr(item, "explanation"):
+                text = "; a condition as text is the argument `where`" if isinstance(item, str) else ""
                 raise TypeError(
-                    f"{name} has {value_and_type(each)}, it must be a filter, such as pc2scan.Where('ring < 8'){text}"
+                    f"{name} has {value_and_type(item)}, it must be a filter, such as pc2scan.Where('ring < 8'){text}"
                 )
-        return found
+        return filters
 
 
 class Function(Instance):

@@ -138,13 +138,13 @@ class Entry(NamedTuple):
 
     def mapping(self, what: str, known: Collection[str], hint: str) -> dict[str, Entry]:
         """Return the entries by key; raise UsageError if it is no mapping, or a key is unknown."""
-        found = {} if self.value is None else self.value
-        if not isinstance(found, dict):
+        entries = {} if self.value is None else self.value
+        if not isinstance(entries, dict):
             raise UsageError(f"{self.place}: {what} must be a mapping, got {self.shown}", hint=hint)
-        for key, entry in found.items():
+        for key, entry in entries.items():
             if key not in known:
                 raise UsageError(f"{entry.place}: unknown key {key!r}", hint=did_you_mean(key, known) or hint)
-        return found
+        return entries
 
     def read(self, key: str, kind: Value, folder: Path) -> Any:
         """Return the value of an option, in which paths are relative to a folder.
@@ -210,7 +210,7 @@ def entries_in(text: str, path: Path | str, example: str, scalar: Callable[..., 
             return Entry(scalar(node, name, place), place, str(node.value) if node.style or node.value else None)
         if node.id == "sequence":
             return Entry([entry(each, name, depth + 1, each.start_mark.line + 1) for each in node.value], place)
-        found: dict[str, Entry] = {}
+        entries: dict[str, Entry] = {}
         for key, value in node.value:
             at = key.start_mark.line + 1
             if key.id != "scalar":
@@ -220,10 +220,10 @@ def entries_in(text: str, path: Path | str, example: str, scalar: Callable[..., 
                 raise ParameterError(
                     f"{path}, line {at}: YAML's merge key (<<) is not supported", hint="write its values out"
                 )
-            if text in found:
-                raise ParameterError(f"{path}, line {at}: {text!r} is given twice, first in {found[text].place}")
-            found[text] = entry(value, text, depth + 1, at)
-        return Entry(found, place)
+            if text in entries:
+                raise ParameterError(f"{path}, line {at}: {text!r} is given twice, first in {entries[text].place}")
+            entries[text] = entry(value, text, depth + 1, at)
+        return Entry(entries, place)
 
     return entry(root, "", 0, 1)
 

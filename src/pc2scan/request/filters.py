@@ -99,5 +99,5 @@ def filters_of(values: Mapping[str, Any], min_height: float) -> Iterator[Filter]
             module, _, kind = option.makes.partition(":")
             parse = getattr(import_module(f".{module}", __package__), kind).parse
             for value in values[name] if option.value.repeats else (values[name],):
-                if (made := parse(value, min_height)) is not None:
-                    yield made
+                if (point_filter := parse(value, min_height)) is not None:
+                    yield point_filter

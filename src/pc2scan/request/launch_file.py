@@ -52,7 +52,7 @@ def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str |
     for unused in sorted(arguments.keys() - file.arguments):
         known = f"{did_you_mean(unused, file.arguments)} its arguments are {name_list(sorted(file.arguments))}"
         raise ParameterError(f"{path}: it has no argument {unused!r}", hint=known.strip())
-    names = [each.name or f"one without a readable name (line {each.line})" for each in file.nodes]
+    names = [candidate.name or f"one without a readable name (line {candidate.line})" for candidate in file.nodes]
     if not names:
         hint = f"not followed: {name_list(file.ignored)}; name the file that has the node" if file.ignored else None
         raise ParameterError(f"{path}: no node of pointcloud_to_laserscan in it", hint=hint)
@@ -61,22 +61,22 @@ def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str |
         raise ParameterError(message, hint=ELSEWHERE)
     chosen = file.nodes
     if node is not None:
-        chosen = [each for each in chosen if f"{each.name}/".endswith(f"/{node.strip('/')}/")]
+        chosen = [candidate for candidate in chosen if f"{candidate.name}/".endswith(f"/{node.strip('/')}/")]
         if not chosen:
             message = f"{path}: no node {node!r} (from `node`); found {name_list(names)}"
             raise ParameterError(message, hint=did_you_mean(node, names) or None)
-    for each in chosen if node is None else ():
-        if each.doubt:
-            message = f"{path}, line {each.line}: {each.name or 'a node'} is {each.doubt}"
-            hint = each.hint or (f"`node={each.name}`" if names.count(each.name) == 1 else ELSEWHERE)
+    for candidate in chosen if node is None else ():
+        if candidate.doubt:
+            message = f"{path}, line {candidate.line}: {candidate.name or 'a node'} is {candidate.doubt}"
+            hint = candidate.hint or (f"`node={candidate.name}`" if names.count(candidate.name) == 1 else ELSEWHERE)
             raise ParameterError(f"{message}, and read only if `node` names it", hint=hint)
     if len(chosen) > 1:
-        nodes = tuple(each.name for each in chosen)
+        nodes = tuple(candidate.name for candidate in chosen)
         message = f"{path}: several nodes match: {name_list(nodes)}"
         if len({*nodes}) < len(nodes):
             raise ParameterError(message, hint=ELSEWHERE)
         hint = f"choose one, for example `node={nodes[0]}`"
-        if any(each.direction == "laserscan_to_pointcloud" for each in chosen):
+        if any(candidate.direction == "laserscan_to_pointcloud" for candidate in chosen):
             raise ParameterError(message, hint=hint)
         raise SeveralNodesError(message, nodes=nodes, hint=hint)
     return chosen[0], file

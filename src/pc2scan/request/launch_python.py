@@ -146,14 +146,14 @@ class _PythonReader:
         try:
             for part in ("remappings", "parameters"):
                 for item in self._items(given.get(part)):
-                    match found := self._value(item):
+                    match setting := self._value(item):
                         case ast.Tuple([source, target]) | ast.List([source, target]) if part == "remappings":
                             yield LaunchValue("remap", self._text(source), self._read(target), item.lineno)
                         case ast.Dict(keys, values) if part == "parameters":
                             for key, value in zip(keys, values, strict=True):
                                 yield LaunchValue("value", self._text(key or value), self._read(value), value.lineno)
                         case ast.expr() if part == "parameters":
-                            yield LaunchValue("file", part, str(self._path.parent / self._text(found)), item.lineno)
+                            yield LaunchValue("file", part, str(self._path.parent / self._text(setting)), item.lineno)
                         case _:
                             raise _unread(item)
         except UnreadError as err:
@@ -168,10 +168,10 @@ class _PythonReader:
         return self._value(self._values[node.id])
 
     def _items(self, node: ast.expr | None) -> list[ast.expr]:
-        found = ast.List([]) if node is None else self._value(node)
-        if isinstance(found, ast.List | ast.Tuple):
-            return found.elts
-        raise _unread(found)
+        value = ast.List([]) if node is None else self._value(node)
+        if isinstance(value, ast.List | ast.Tuple):
+            return value.elts
+        raise _unread(value)
 
     def _read(self, node: ast.expr) -> str | UnreadError:
         try:
@@ -182,7 +182,7 @@ class _PythonReader:
     def _text(self, node: ast.expr) -> str:
         """Return the text of a literal; a list with substitutions is their concatenation, as in ROS."""
         self._texts += 1
-        match found := self._value(node):
+        match value := self._value(node):
             case ast.Constant(str() as text):
                 return text
             case ast.Constant(int() | float() as number) if number < 1 << 63:
@@ -192,8 +192,8 @@ class _PythonReader:
             case ast.List(items) if not all(isinstance(item, ast.Constant) for item in items):
                 return "".join(map(self._text, items))
             case ast.Call() if self._texts < _MAX_TEXTS:
-                return self._called(found)
-        raise _unread(found)
+                return self._called(value)
+        raise _unread(value)
 
     def _called(self, call: ast.Call) -> str:
         first = _argument(call, 0, "variable_name", "package", "package_name", "substitutions")
@@ -223,8 +223,8 @@ class _PythonReader:
     def _argument(self, call: ast.Call) -> str:
         """Return the name of the argument that a call is about; empty if that is not read."""
         name = _argument(call, 0, "name", "variable_name")
-        found = self._read(name) if name else ""
-        return found if isinstance(found, str) else ""
+        text = self._read(name) if name else ""
+        return text if isinstance(text, str) else ""
 
     def _calls(self, *names: str) -> list[ast.Call]:
         return [node for node in self._tree if isinstance(node, ast.Call) and self._function(node) in names]
@@ -252,8 +252,8 @@ def _bound(node: ast.AST) -> list[str]:
             bound = {alias.asname or alias.name.partition(".")[0] for alias in names}
             return [*(bound - _PACKAGES)]
     # Names, functions, classes, arguments, exceptions that are caught, and patterns.
-    found = [getattr(node, attribute, None) for attribute in ("id", "name", "arg", "rest")]
-    return [name for name in (*found, *getattr(node, "names", ())) if isinstance(name, str)]
+    candidates = [getattr(node, attribute, None) for attribute in ("id", "name", "arg", "rest")]
+    return [name for name in (*candidates, *getattr(node, "names", ())) if isinstance(name, str)]
 
 
 def _returns(statement: ast.stmt) -> bool:

@@ -37,12 +37,12 @@ def remaps_of_node(texts: Iterable[str], node: str) -> list[str]:
     >>> remaps_of_node(["front:scan:=/a", "/rear:scan:=/b", "cloud_in:=/points"], "/robot/front")
     ['front:scan:=/a', 'cloud_in:=/points']
     """
-    found = []
+    remaps = []
     for text in texts:
         own, colon, _ = text.partition(":=")[0].rpartition(":")
         if not colon or f"/{own.strip('/')}" == node or (not own.startswith("/") and node.endswith(f"/{own}")):
-            found.append(text)
-    return found
+            remaps.append(text)
+    return remaps
 
 
 def read_remaps(texts: Iterable[str], *, reverse: bool = False) -> Remappings:
@@ -67,7 +67,7 @@ def read_remaps(texts: Iterable[str], *, reverse: bool = False) -> Remappings:
         If a text is not a remapping, or the node has no such topic.
     """
     source_name, target_name = _NAMES[reverse]
-    found: dict[str, str] = {}
+    remaps: dict[str, str] = {}
     for text in texts:
         left, assigned, right = text.partition(":=")
         name = left.rpartition(":")[2].strip().lstrip("~/")
@@ -83,15 +83,15 @@ def read_remaps(texts: Iterable[str], *, reverse: bool = False) -> Remappings:
             if name in PARAMETERS:
                 hint = f"it is a parameter: `param={name}:={right}`"
             raise UsageError(f"{text!r}: {node} has no topic {name!r}", hint=hint)
-        found[name] = right if right.startswith(("/", "~")) else f"/{right}"
+        remaps[name] = right if right.startswith(("/", "~")) else f"/{right}"
     topics: tuple[str, ...] = ()
-    if source_name in found or target_name in found:
-        source, target = found.get(source_name, "*"), found.get(target_name)
+    if source_name in remaps or target_name in remaps:
+        source, target = remaps.get(source_name, "*"), remaps.get(target_name)
         topics = (str(source) if target is None else f"{source}:={target}",)
         TopicRequest.parse(topics[0])
     # If only one of the two topics is remapped, the other one keeps its name.
-    moved = [found[name] for name in _TF if name in found]
-    tf_topics = tuple(found.get(name, f"/{name}") for name in _TF) if len(moved) == 1 else tuple(moved)
+    moved = [remaps[name] for name in _TF if name in remaps]
+    tf_topics = tuple(remaps.get(name, f"/{name}") for name in _TF) if len(moved) == 1 else tuple(moved)
     return Remappings(topics, tf_topics)
 
 

@@ -436,13 +436,13 @@ def _offset_of(text: str, value: str) -> int | None:
     if value == "auto":
         return None
     sign, number = re.fullmatch(r"([+-]?)(.*)", value.strip()).groups()  # type: ignore[union-attr]
-    found = duration_ns(number if re.search("[a-z]", number) else f"{number}s")
-    if found is None or found > _MOST_OFFSET_NS:
+    offset_ns = duration_ns(number if re.search("[a-z]", number) else f"{number}s")
+    if offset_ns is None or offset_ns > _MOST_OFFSET_NS:
         raise UsageError(
             f"`time_offset`: {text!r} is not an offset",
             hint="write seconds (3.2, -37s), 120ms, 48us, auto, or with a topic /rear=0.12s",
         )
-    return -found if sign == "-" else found
+    return -offset_ns if sign == "-" else offset_ns
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

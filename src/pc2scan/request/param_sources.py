@@ -53,26 +53,26 @@ def resolve_sources(
     UsageError
         If a parameter, the file or the preset is not valid, or the file is for the other direction.
     """
-    found = list(settings)
+    merged = list(settings)
     ignored: tuple[str, ...] = ()
     remaps: tuple[str, ...] = ()
     files: tuple[Path, ...] = ()
     if assignments:
-        found += parse_params(assignments)
+        merged += parse_params(assignments)
     if file is not None:
-        given = {ALIASES.get(setting.name, setting.name) for setting in found}
+        given = {ALIASES.get(setting.name, setting.name) for setting in merged}
         loaded = load_params_file(
             file, node=node, arguments=_launch_arguments(launch_args), overridden={*given, *remapped}
         )
-        found += loaded.settings
+        merged += loaded.settings
         ignored, remaps, files = loaded.ignored, loaded.remaps, loaded.files
         if reverse and loaded.direction == "pointcloud_to_laserscan":
             raise UsageError(f"{loaded.node} is for pointcloud_to_laserscan, `reverse=True` is not", path=file)
         reverse = reverse or loaded.direction == "laserscan_to_pointcloud"
     if preset is not None:
-        found += [Setting(name, value, f"--preset {preset}", "preset") for name, value in PRESETS[preset].items()]
+        merged += [Setting(name, value, f"--preset {preset}", "preset") for name, value in PRESETS[preset].items()]
     direction: Direction = "laserscan_to_pointcloud" if reverse else "pointcloud_to_laserscan"
-    return resolve(found, direction=direction)._replace(ignored=ignored, remaps=remaps, files=files)
+    return resolve(merged, direction=direction)._replace(ignored=ignored, remaps=remaps, files=files)
 
 
 def _launch_arguments(texts: Sequence[str]) -> dict[str, str]:
@@ -88,8 +88,8 @@ def _launch_arguments(texts: Sequence[str]) -> dict[str, str]:
 
 def parse_params(texts: Sequence[str]) -> list[Setting]:
     """Read parameters as `parse_param` does, the last one first, but for those that every node has."""
-    found = [parse_param(text) for text in reversed(texts)]
-    return [setting for setting in found if not is_every_nodes(setting.name)]
+    settings = [parse_param(text) for text in reversed(texts)]
+    return [setting for setting in settings if not is_every_nodes(setting.name)]
 
 
 def parse_param(text: str) -> Setting:

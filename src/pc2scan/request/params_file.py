@@ -130,23 +130,23 @@ def _from_launch(
     text: str, path: Path, node: str | None, arguments: Mapping[str, str], overridden: Collection[str]
 ) -> ParamsFile:
     """Read a node's parameters from a launch file; a later value replaces an earlier one."""
-    found, file = launch_node(text, path, arguments, node)
+    chosen, file = launch_node(text, path, arguments, node)
     settings: dict[str, Setting] = {}
     remaps: list[str] = []
     ignored, files = file.ignored, list[Path]()
-    for param in found.values:
+    for param in chosen.values:
         place, name = f"{path}, line {param.line}", param.name.strip("~/")
-        if param.kind == "remap" and name not in _REMAPPED[found.direction]:
+        if param.kind == "remap" and name not in _REMAPPED[chosen.direction]:
             continue
         if isinstance(param.value, UnreadError):
             name = ALIASES.get(name, name)
             if name not in overridden and (param.kind != "value" or name in PARAMETERS):
                 raise _unread(param, name, param.value, path)
         elif param.kind == "remap":
-            remaps.append(f"{name}:={qualified(found.namespace, param.value)}")
+            remaps.append(f"{name}:={qualified(chosen.namespace, param.value)}")
         elif param.kind == "file":
             named = Path(param.value)
-            loaded = _named_file(named, place, found)
+            loaded = _named_file(named, place, chosen)
             files.append(named)
             # Their names are content of the file.
             ignored += [re.sub(r"(, line \d+), .*", r"\1", origin) for origin in loaded.ignored]
@@ -154,15 +154,15 @@ def _from_launch(
         else:
             for written, value in _launch_values(param, param.value, place):
                 name, origin = ALIASES.get(written, written), f"{place}, {written}"
-                if name in names_of(found.direction):
+                if name in names_of(chosen.direction):
                     settings[name] = Setting(name, _as_bool(name, value), origin, "file")
                 elif written not in TOPICS and nearest(written, PARAMETERS):
-                    raise unknown_parameter(written, origin, found.direction)
+                    raise unknown_parameter(written, origin, chosen.direction)
                 elif not is_every_nodes(written):
                     # The node ignores a parameter that it does not declare.
                     ignored.append(origin)
     return ParamsFile(
-        found.direction, tuple(settings.values()), found.name, tuple(ignored), tuple(remaps), tuple(files)
+        chosen.direction, tuple(settings.values()), chosen.name, tuple(ignored), tuple(remaps), tuple(files)
     )
 
 
@@ -180,11 +180,11 @@ def _named_file(file: Path, place: str, node: LaunchNode) -> ParamsFile:
         text = read_text(file, _EXAMPLE)
         if not is_launch_xml(text):
             try:
-                found = _from_yaml(text, file, node.name)
+                params = _from_yaml(text, file, node.name)
             except ParameterError:
-                found = _from_yaml(text, file, None)
-            resolve(found.settings, direction=node.direction)
-            return found
+                params = _from_yaml(text, file, None)
+            resolve(params.settings, direction=node.direction)
+            return params
     raise ParameterError(f"{file}: is a launch file, where parameters are expected (from {place})")
 
 
@@ -227,8 +227,8 @@ class _Leaf(NamedTuple):
         """Return its value as that of a parameter."""
         value = self.entry.value
         if isinstance(value, dict | list):
-            found = "a mapping" if isinstance(value, dict) else "a list"
-            raise ParameterError(expected_message(name, found, self.origin), name=name)
+            kind = "a mapping" if isinstance(value, dict) else "a list"
+            raise ParameterError(expected_message(name, kind, self.origin), name=name)
         return scalar_value(value, name, self.origin, ros1=ros1)
 
 
@@ -252,8 +252,8 @@ def _leaves_in(text: str, path: Path | str) -> Iterator[_Leaf]:
     """Return every value of a file."""
     root = entries_in(text, path, _EXAMPLE, scalar=lambda node, *_: node)
     if not isinstance(root.value, dict):
-        found = "a list" if isinstance(root.value, list) else "only a text"
-        raise ParameterError(f"{path}: expected parameters as 'name: value', got {found}")
+        kind = "a list" if isinstance(root.value, list) else "only a text"
+        raise ParameterError(f"{path}: expected parameters as 'name: value', got {kind}")
     return _leaves(root, ())
 
 
@@ -296,23 +296,23 @@ def _ros2_name(leaf: _Leaf) -> tuple[str, str]:
 
 def _node_to_read(sections: _Sections, node: str | None, file: Path) -> str:
     """Return the name of the node to read: a key of ``sections``, or a name that wildcards match."""
-    found = _matching_nodes(sections, node)
-    found = [full for full in found if "*" not in full] or found
-    if len(found) == 1:
-        return found[0]
-    names = sorted(found or sections)
+    matches = _matching_nodes(sections, node)
+    matches = [full for full in matches if "*" not in full] or matches
+    if len(matches) == 1:
+        return matches[0]
+    names = sorted(matches or sections)
     listed = ", ".join(names[:10]) + (f" and {len(names) - 10} more" if names[10:] else "")
     hint = f"choose one, for example `node={names[0]}`"
-    if not found and node is not None:
+    if not matches and node is not None:
         message = f"{file}: no section is for the node {node!r} (from `node`); found {listed}"
         raise ParameterError(message, hint=did_you_mean(node, names) or None)
-    if not found:
+    if not matches:
         message = f"{file}: no section is named pointcloud_to_laserscan or laserscan_to_pointcloud, and none has only "
         raise ParameterError(f"{message}their parameters; found {listed}", hint=hint)
-    message = f"{file}: several nodes match: {', '.join(found)}"
-    if node or any("*" in full or _direction_of(full) == "laserscan_to_pointcloud" for full in found):
+    message = f"{file}: several nodes match: {', '.join(matches)}"
+    if node or any("*" in full or _direction_of(full) == "laserscan_to_pointcloud" for full in matches):
         raise ParameterError(message, hint=hint)
-    raise SeveralNodesError(message, nodes=tuple(found), hint=hint)
+    raise SeveralNodesError(message, nodes=tuple(matches), hint=hint)
 
 
 def _matching_nodes(sections: _Sections, node: str | None) -> list[str]:

@@ -35,11 +35,11 @@ def not_quoting(files: Iterable[tuple[str | PathLike[str], str, str]]) -> Genera
         for file, named_in, option in files:
             # If the file cannot be read, there is nothing to quote.
             if str(file) in said and not isinstance(err.__cause__, OSError):
-                found = re.search(re.escape(str(file)) + r"(?:, |: )((?:line|entry) \d+(?:, column \d+)?)", said)
+                position = re.search(re.escape(str(file)) + r"(?:, |: )((?:line|entry) \d+(?:, column \d+)?)", said)
                 # Any other name is content.
                 name = err.name if isinstance(err, ParameterError) and err.name in PARAMETERS else ""
                 what = f"{name}: expected another value" if name else "not valid"
-                message = f"{file}{f', {found[1]}' if found else ''}: {what} (named in {named_in}"
+                message = f"{file}{f', {position[1]}' if position else ''}: {what} (named in {named_in}"
                 hint = f"`{option}={file}` shows what is wrong"
                 raise ParameterError(f"{message}, so nothing of it is shown)", name=name, hint=hint) from None
         raise

@@ -85,8 +85,8 @@ def load_scans(asked: Path | Mapping[str, Any], overriding: Sequence[Setting] = 
 def _outputs(scans: Entry) -> Iterator[tuple[str, Entry]]:
     """Yield the topic and the entry of each output."""
     if not isinstance(scans.value, dict) or not scans.value:
-        found = f"got {scans.shown}" if scans.value else "there are none"
-        raise UsageError(f"{scans.place}: expected outputs under 'scans', {found}", hint=_EXAMPLE)
+        problem = f"got {scans.shown}" if scans.value else "there are none"
+        raise UsageError(f"{scans.place}: expected outputs under 'scans', {problem}", hint=_EXAMPLE)
     seen: dict[str, str] = {}
     for topic, entry in scans.value.items():
         full = topic if topic.startswith(("/", "~")) else f"/{topic}"
@@ -112,15 +112,15 @@ def _output(
     settings: list[Setting] = []
     values: dict[str, Any] = {}
     places: dict[str, str] = {}
-    for each, source in ((entry, topic), (defaults, "'defaults'")):
-        for key, found in each.mapping(source, known, hint).items():
+    for section, source in ((entry, topic), (defaults, "'defaults'")):
+        for key, item in section.mapping(source, known, hint).items():
             name = ALIASES.get(key, key)
             if name in PARAMETERS:
-                value = found.read(key, PARAMETERS[name].value, folder)
-                settings.append(Setting(name, value, f"{found.place}, {key}", source))
+                value = item.read(key, PARAMETERS[name].value, folder)
+                settings.append(Setting(name, value, f"{item.place}, {key}", source))
             elif key not in values:
-                values[key] = found.read(key, kinds[key], folder)
-                places[key] = f"{found.place}, {topic}"
+                values[key] = item.read(key, kinds[key], folder)
+                places[key] = f"{item.place}, {topic}"
     sources = values.pop("sources", None)
     options = Options("convert", values, known=known_options)
     file, place = options.params_file, f"{entry.place}, {topic}"

@@ -186,14 +186,14 @@ def measure_turn(topic: str, asked: Turn, clouds: Sequence[TurnSample]) -> tuple
         If the turn cannot be measured in the first clouds; the hint is what to type.
     """
     period, how = _period(topic, asked, clouds)
-    found, said = replace(asked, period=period), [how]
-    if not found.direction:
-        found, words = _with_direction(topic, found, clouds)
+    turn, said = replace(asked, period=period), [how]
+    if not turn.direction:
+        turn, words = _with_direction(topic, turn, clouds)
         said.append(words)
-    if found.ended is None:
-        found, words = _with_stamp(topic, found, clouds)
+    if turn.ended is None:
+        turn, words = _with_stamp(topic, turn, clouds)
         said.append(words)
-    return found, f"{topic}: the times of points are computed from their azimuth: {found}; measured: {', '.join(said)}"
+    return turn, f"{topic}: the times of points are computed from their azimuth: {turn}; measured: {', '.join(said)}"
 
 
 def _error(topic: str, why: str, typed: str) -> ParameterError:
@@ -226,8 +226,8 @@ def _period(topic: str, asked: Turn, clouds: Sequence[TurnSample]) -> tuple[floa
     if median_ns > _LONGEST * 1e9:
         raise _error(topic, f"the clouds come every {median_ns / 1e9:.4g} s, a turn takes at most {_LONGEST:g} s", give)
     # Rounded to the digits that are shown, so that typing the shown period gives the same scans.
-    found = replace(asked, period=float(f"{median_ns / 1e9:.4g}"))
-    give = f"if a turn takes as long as from cloud to cloud: {_typed(found)}"
+    turn = replace(asked, period=float(f"{median_ns / 1e9:.4g}"))
+    give = f"if a turn takes as long as from cloud to cloud: {_typed(turn)}"
     covered = median([cloud.directions.bit_count() for cloud in clouds]) / DIRECTIONS
     union = reduce(or_, (cloud.directions for cloud in clouds)).bit_count() / DIRECTIONS
     if covered < max(_SEEN, _OF_ALL * union):
@@ -236,14 +236,14 @@ def _period(topic: str, asked: Turn, clouds: Sequence[TurnSample]) -> tuple[floa
     turns = median([abs(cloud.turns) for cloud in clouds])
     if _TWO_OR_THREE[0] <= turns < _TWO_OR_THREE[1]:
         raise _error(topic, f"the points of its clouds go round {turns:.1f} times", give)
-    return found.period, f"the period (median interval of the first {len(stamps)} stamps)"
+    return turn.period, f"the period (median interval of the first {len(stamps)} stamps)"
 
 
 def _with_direction(topic: str, turn: Turn, clouds: Sequence[TurnSample]) -> tuple[Turn, str]:
     ways = [1 if cloud.turns > 0 else -1 for cloud in clouds if cloud.turns]
     if 2 * len(ways) <= len(clouds) or len(set(ways)) > 1:
-        each = f"{ways.count(-1)} are clockwise, {ways.count(1)} counter-clockwise, {len(clouds) - len(ways)} neither"
-        why = f"the order of the points does not show the direction: of {len(clouds)} clouds, {each}"
+        counts = f"{ways.count(-1)} are clockwise, {ways.count(1)} counter-clockwise, {len(clouds) - len(ways)} neither"
+        why = f"the order of the points does not show the direction: of {len(clouds)} clouds, {counts}"
         give = f"clockwise, seen from above: {_typed(replace(turn, ended=None), 'cw')}, or else ccw"
         raise _error(topic, why, give)
     return replace(turn, direction=ways[0]), f"the direction (order of the points of {len(ways)} clouds)"

@@ -133,8 +133,8 @@ class _Condition:
         text = self._text
         if len(text) > _LONGEST:
             raise UsageError(f"`where` has {len(text):,} characters, at most {_LONGEST:,} are allowed")
-        if found := _FOREIGN.search(text):
-            raise self._error(found.start() + 1, f"unexpected {found[0]!r}", _INSTEAD[found[0][0]])
+        if match := _FOREIGN.search(text):
+            raise self._error(match.start() + 1, f"unexpected {match[0]!r}", _INSTEAD[match[0][0]])
         try:
             # Python warns of some expressions that it accepts, such as `3and 4`.
             with warnings.catch_warnings():
@@ -203,12 +203,12 @@ class _Condition:
         """Return what compares two values, or a value with several numbers."""
         if isinstance(sign, ast.In | ast.NotIn):
             numbers = right.elts if isinstance(right, ast.Tuple | ast.List | ast.Set) else [right]
-            for each in numbers:
-                if _number_of(each) is None:
-                    raise self._error(each, "expected a number")
+            for element in numbers:
+                if _number_of(element) is None:
+                    raise self._error(element, "expected a number")
             if not numbers:
                 raise self._error(right, "expected a number in the parentheses")
-            equal = [self._comparison(left, ast.Eq(), each, depth) for each in numbers]
+            equal = [self._comparison(left, ast.Eq(), element, depth) for element in numbers]
             is_in = isinstance(sign, ast.In)
             return lambda points: reduce(np.logical_or, (check(points) for check in equal)) == is_in
         compare = _COMPARISONS.get(type(sign))

@@ -179,7 +179,7 @@ def check(
     -----
     The scans are read once, and are not held in memory; the transforms are read before them.
     """
-    asked = tuple(dict.fromkeys(consumers))
+    consumer_names = tuple(dict.fromkeys(consumers))
     options = frames or FrameOptions()
     with ExitStack() as stack:
         readers = open_recordings(sources, stack)
@@ -225,14 +225,16 @@ def check(
         checked = []
         for name, (scans, places) in read.items():
             own = [tilted[frame] for frame in scans.frames if frame in tilted]
-            found = [*scans.findings(), *(places.findings(scans.interval_ns) if scans.scans else ())]
-            if any(each.kind == "clock" for each in found):
+            findings = [*scans.findings(), *(places.findings(scans.interval_ns) if scans.scans else ())]
+            if any(each.kind == "clock" for each in findings):
                 # This says more than that the stamps are far from the log times.
-                found = [each for each in found if each.kind != "stamps-far"]
-            found.sort(key=lambda finding: finding.level)
-            checked.append(scans.result(name, scans.interval_ns, [*own, *shared, *found]))
+                findings = [each for each in findings if each.kind != "stamps-far"]
+            findings.sort(key=lambda finding: finding.level)
+            checked.append(scans.result(name, scans.interval_ns, [*own, *shared, *findings]))
         damage = tuple(place for each in (reader, *others) for place in each.damage)
-    return Check(tuple(map(str, sources)), asked, tuple(checked), (*transforms.warnings, *transforms.notes), damage)
+    return Check(
+        tuple(map(str, sources)), consumer_names, tuple(checked), (*transforms.warnings, *transforms.notes), damage
+    )
 
 
 def scan_connections(reader: Reader, topics: Iterable[str]) -> dict[str, list[Connection]]:
@@ -248,6 +250,6 @@ def scan_connections(reader: Reader, topics: Iterable[str]) -> dict[str, list[Co
             raise TopicError("the recording has no LaserScan topic", hint="pc2scan convert makes scans of its clouds")
         message, hint = without("LaserScan", reader.connections)
         raise TopicError(message, hint=hint or None)
-    asked = (find_topics(topic, types, sorted(scans), *SCANS) for topic in topics)
-    names = {name for found in asked for name in found} or scans.keys()
+    topic_lists = (find_topics(topic, types, sorted(scans), *SCANS) for topic in topics)
+    names = {name for matched in topic_lists for name in matched} or scans.keys()
     return {name: scans[name] for name in sorted(names)}

@@ -142,30 +142,30 @@ class CloudLook:
         """Return the properties of the clouds in the frame of scans, with the mounting of the first clouds."""
         placed: list[_Sampled] = []
         while self._clouds:
-            each = self._clouds.pop(0)
+            sample = self._clouds.pop(0)
             try:
-                place = places.place(each.frame_id, each.stamp_ns)
+                place = places.place(sample.frame_id, sample.stamp_ns)
             except TransformError as err:
                 self._problems[_problem(err)] = None
                 continue
             if place.target_from_source is not None:
-                points = place.target_from_source.apply(each.points.T).T
+                points = place.target_from_source.apply(sample.points.T).T
                 # Of infinite coordinates.
-                each = each._replace(points=points[:, ~np.isnan(points).any(axis=0)])
-            placed.append(each)
+                sample = sample._replace(points=points[:, ~np.isnan(points).any(axis=0)])
+            placed.append(sample)
         result = CloudInfo(
             self._topic,
             self._sampled,
-            tuple(dict.fromkeys(each.frame_id for each in placed)),
+            tuple(dict.fromkeys(sample.frame_id for sample in placed)),
             target_frame=places.target_frame,
             problems=tuple(self._problems),
         )
         if placed:
             result.shape, result.point_step, result.fields = placed[0].layout
-            result.points_min = min(each.size for each in placed)
-            result.points_max = max(each.size for each in placed)
-            self.parts = [each.points for each in placed]
-            returns, zeros = (sum(getattr(each, name) for each in placed) for name in ("returns", "zeros"))
+            result.points_min = min(sample.size for sample in placed)
+            result.points_max = max(sample.size for sample in placed)
+            self.parts = [sample.points for sample in placed]
+            returns, zeros = (sum(getattr(sample, name) for sample in placed) for name in ("returns", "zeros"))
             count, total = sum(part.shape[1] for part in self.parts), max(1, returns + zeros)
             result.nan_share, result.zero_share = (returns - count) / total, zeros / total
             result.above_zero_share = sum(int((part[2] > 0).sum()) for part in self.parts) / max(1, count)

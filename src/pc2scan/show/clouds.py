@@ -81,8 +81,8 @@ class Packing:
 
     def described(self, number: int) -> dict[str, Any]:
         """Return what the page knows of the points of a cloud."""
-        found = {key: self._descriptions.get(f"{name}-{number}") for key, name in _BLOBS.items()}
-        return {**found, "total": self._totals[number]}
+        descriptions = {key: self._descriptions.get(f"{name}-{number}") for key, name in _BLOBS.items()}
+        return {**descriptions, "total": self._totals[number]}
 
 
 def clouds_page(

@@ -85,19 +85,19 @@ def edge_cuts(
     tolerance_ns = round(_TOLERANCE * 1e9)
     lost: list[list[tuple[int, int]]] = [[], []]
     kept: list[list[int]] = [[], []]
-    for each in topics:
-        links = buffer.moving_links(fixed, each.frame)
+    for clouds in topics:
+        links = buffer.moving_links(fixed, clouds.frame)
         if not links:
             return
         begin_ns, stop_ns = max(link.first_ns for link in links), min(link.last_ns for link in links)
-        for header in each.first:
-            if header.stamp_ns + tolerance_ns < begin_ns or _point_ns(header, each.after) < begin_ns:
-                lost[0].append((header.log_time_ns, begin_ns - _point_ns(header, min(each.before, 0.0))))
+        for header in clouds.first:
+            if header.stamp_ns + tolerance_ns < begin_ns or _point_ns(header, clouds.after) < begin_ns:
+                lost[0].append((header.log_time_ns, begin_ns - _point_ns(header, min(clouds.before, 0.0))))
             else:
                 kept[0].append(header.log_time_ns)
-        for header in each.last:
-            if header.stamp_ns - tolerance_ns > stop_ns or _point_ns(header, each.before) > stop_ns:
-                lost[1].append((header.log_time_ns, _point_ns(header, max(each.after, 0.0)) - stop_ns))
+        for header in clouds.last:
+            if header.stamp_ns - tolerance_ns > stop_ns or _point_ns(header, clouds.before) > stop_ns:
+                lost[1].append((header.log_time_ns, _point_ns(header, max(clouds.after, 0.0)) - stop_ns))
             else:
                 kept[1].append(header.log_time_ns)
     if lost[0]:

@@ -99,9 +99,9 @@ def _collect(name: str, modules: dict[str, str]) -> None:
     if name in modules:
         return
     text = (_folder() / f"{name}.mjs").read_text("utf-8")
-    for found in _IMPORT.finditer(text):
-        _collect(found["module"], modules)
-    exports = ", ".join(found["name"] for found in _EXPORT.finditer(text))
+    for match in _IMPORT.finditer(text):
+        _collect(match["module"], modules)
+    exports = ", ".join(match["name"] for match in _EXPORT.finditer(text))
     body = _EXPORT.sub("", _IMPORT.sub(r"const \g<names> = module_\g<module>;", text))
     modules[name] = f"const module_{name} = (() => {{\n{body}return {{ {exports} }};\n}})();\n"
 

@@ -228,8 +228,8 @@ def _reasons(call: Call) -> Iterator[str]:
     """Yield a line for each option that has a reason."""
     for name, reason in call.reasons.items():
         value = call.options[name]
-        for each in value if isinstance(value, tuple) else (value,):
-            shown = f"{each:.15g}" if isinstance(each, float) else shlex.quote(str(each))
+        for item in value if isinstance(value, tuple) else (value,):
+            shown = f"{item:.15g}" if isinstance(item, float) else shlex.quote(str(item))
             yield f"  `{name}={shown}`: {reason}"
 
 
@@ -304,25 +304,25 @@ def info_of(
     TopicError
         If there is no such topic.
     """
-    asked = frames or FrameOptions()
+    frame_options = frames or FrameOptions()
     with ExitStack() as stack:
         reader = scaled(as_one(readers), cloud_scale)
         counts, start_ns, end_ns = _message_counts(reader)
         topics = _topic_infos(reader.connections, counts, start_ns, end_ns)
-        asked, given = _with_odometry(reader, counts, asked, given or {})
-        others = open_recordings(asked.tf_from, stack)
+        frame_options, given = _with_odometry(reader, counts, frame_options, given or {})
+        others = open_recordings(frame_options.tf_from, stack)
         shown = _described(topics, described)
         has_clouds = start_ns is not None and any(topic.msgtype in CLOUDS for topic in shown)
         imus = [topic.topic for topic in topics if has_clouds and topic.msgtype == IMU and topic.messages]
         names = {each.topic for each in shown}
         connections = [each for each in reader.connections if each.topic in names]
-        survey = Survey(reader, others, asked, Span(None, None, start_ns or 0))
+        survey = Survey(reader, others, frame_options, Span(None, None, start_ns or 0))
         of_clouds, of_scans = _looks(survey, shown, samples, start_ns, end_ns)
-        places = Placer(target_frame, asked.source_frame, None, ProjectionParams().tolerance_ns)
-        reads_all = bool(target_frame or others or asked.adds_poses)
-        found = _Surveyed(survey, connections, imus, end_ns, places, reads_all=reads_all)
-        mountings, rates = found.mountings(), {topic.topic: topic.rate_hz for topic in shown}
-        clouds = tuple(look.described(found.places, mountings.get(topic)) for topic, look in of_clouds.items())
+        places = Placer(target_frame, frame_options.source_frame, None, ProjectionParams().tolerance_ns)
+        reads_all = bool(target_frame or others or frame_options.adds_poses)
+        surveyed = _Surveyed(survey, connections, imus, end_ns, places, reads_all=reads_all)
+        mountings, rates = surveyed.mountings(), {topic.topic: topic.rate_hz for topic in shown}
+        clouds = tuple(look.described(surveyed.places, mountings.get(topic)) for topic, look in of_clouds.items())
         scans = tuple(
             each.result(
                 topic,
@@ -331,24 +331,24 @@ def info_of(
             )
             for topic, each in of_scans.items()
         )
-        warnings = [*log_times_of_centuries(reader.summary), *found.warnings]
+        warnings = [*log_times_of_centuries(reader.summary), *surveyed.warnings]
         is_known = any(topic.msgtype in {*CLOUDS, *SCANS} for topic in topics)
         if not is_known and (instead := instead_of_clouds(reader.connections)):
             warnings.append(f"the recording has no clouds, but {instead[0]}; {instead[1]}")
         warnings += (each.mounting.warning for each in clouds if each.mounting and each.mounting.warning)
-        on_robot = {each.topic: found.on_robot(each.mounting) for each in clouds if each.mounting is not None}
+        on_robot = {each.topic: surveyed.on_robot(each.mounting) for each in clouds if each.mounting is not None}
         lidars = [
             Lidar(
-                found.facts[each.topic],
+                surveyed.facts[each.topic],
                 on_robot[each.topic],
-                found.buffer,
+                surveyed.buffer,
                 # Where the robot moves in the frame of these points, its own body is not at one place.
                 of_clouds[each.topic].parts
-                if on_robot[each.topic] is each.mounting and not found.registered(each.mounting.frame)
+                if on_robot[each.topic] is each.mounting and not surveyed.registered(each.mounting.frame)
                 else (),
                 bool(each.zero_share),
                 ((end_ns or 0) - (start_ns or 0)) / 1e9,
-                (start_ns or 0, end_ns if found.knows_end else None),
+                (start_ns or 0, end_ns if surveyed.knows_end else None),
             )
             for each in clouds
             if each.mounting is not None
@@ -358,7 +358,9 @@ def info_of(
             for each in lidars
             if each.mounting.heights and each.mounting.heights.doubt
         )
-        warnings += dict.fromkeys(text for each in clouds for text in found.moving_frames(found.facts[each.topic]))
+        warnings += dict.fromkeys(
+            text for each in clouds for text in surveyed.moving_frames(surveyed.facts[each.topic])
+        )
         warnings += (text for each in lidars for text in time_warnings(each.facts, PointTime()))
         warnings += (*missing_mounts(lidars), *odometry_doubts(lidars), *reader.remarks)
         # Landmarks and the like are no lidar's, if there is one.
@@ -368,8 +370,8 @@ def info_of(
             [each for each in lidars if described or each.topic in usual],
             [str(each.path) for each in readers],
             given or {},
-            found.ups,
-            found.clocks,
+            surveyed.ups,
+            surveyed.clocks,
             lambda topic: str(default_destination(readers[0].path, readers[0].summary.container, _mark(topic))),
             reader.summary,
             warnings,
@@ -388,7 +390,7 @@ def info_of(
             tuple(reader.damage),
             tuple(warnings),
             ""
-            if asked.adds_poses or asked.tf_from
+            if frame_options.adds_poses or frame_options.tf_from
             else _lacking([each for each in reader.connections if counts[each.id]]),
         )
 
@@ -473,11 +475,11 @@ class _Surveyed:
         clouds = survey.topics(each for each in connections if each.ros_type in CLOUDS)
         flat = survey.topics(each for each in connections if each.ros_type in SCANS and each.topic not in clouds)
         self.facts: Mapping[str, TopicFacts] = {**clouds, **flat}
-        for each in self.facts.values():
-            each.ask_headers(HEADERS)
-            each.ask_samples(moved=moved)  # of LaserScans there are none
-        for each in clouds.values():
-            ask_facts(each, end_ns)
+        for facts in self.facts.values():
+            facts.ask_headers(HEADERS)
+            facts.ask_samples(moved=moved)  # of LaserScans there are none
+        for facts in clouds.values():
+            ask_facts(facts, end_ns)
         clocks = Clocks(survey, clouds.values())
         readings = {topic: survey.imu(topic, _MAX_IMU) for topic in imus}
         if reads_all:
@@ -489,8 +491,8 @@ class _Surveyed:
         self.warnings: list[str] = []
         self.knows_end = True
         if survey.transforms is not None:
-            found = survey.transforms.finish()
-            self.buffer, self.warnings = found.buffer, [*found.warnings, *found.notes]
+            transforms = survey.transforms.finish()
+            self.buffer, self.warnings = transforms.buffer, [*transforms.warnings, *transforms.notes]
         elif survey.robot is not None:
             self.buffer, self.knows_end = survey.robot.finish(), not survey.robot.is_cut
         self.clocks = clocks.findings()
@@ -507,14 +509,14 @@ class _Surveyed:
     def mountings(self) -> dict[str, Mounting | None]:
         """Return how the clouds of each topic are mounted."""
         moved = bool(self.places.target_frame)
-        found: dict[str, Mounting | None] = {}
-        for topic, each in self.facts.items():
-            body = "" if moved else self.registered(each.frame)
+        mountings: dict[str, Mounting | None] = {}
+        for topic, facts in self.facts.items():
+            body = "" if moved else self.registered(facts.frame)
             places = self.places._replace(target_frame=body, buffer=self.buffer) if body else self.places
-            found[topic] = each.mounting(places, self.buffer, moved=moved)
+            mountings[topic] = facts.mounting(places, self.buffer, moved=moved)
             if not moved and not body:
-                found[topic] = self._in_body(topic, found[topic])
-        return found
+                mountings[topic] = self._in_body(topic, mountings[topic])
+        return mountings
 
     def registered(self, frame: str) -> str:
         """Return the robot's frame if clouds in a frame are registered in a world's; else nothing."""
@@ -549,10 +551,10 @@ class _Surveyed:
         body = next((name for name in named if name in self.buffer.frames), "")
         if not body or body == own.frame.removeprefix("/"):
             return own
-        there = self.facts[topic].mounting(
+        mounting = self.facts[topic].mounting(
             self.places._replace(target_frame=body, buffer=self.buffer), self.buffer, moved=False
         )
-        return own if there is None or not there.fault else there
+        return own if mounting is None or not mounting.fault else mounting
 
 
 def _message_counts(reader: Reader) -> tuple[Counter[int], int | None, int | None]:
@@ -607,8 +609,8 @@ def _described(topics: Sequence[TopicInfo], names: Sequence[str]) -> list[TopicI
         types.setdefault(topic.topic, set()).add(topic.msgtype)
     known = [topic for topic in topics if topic.msgtype in (*CLOUDS, *SCANS) and topic.messages]
     candidates = sorted({topic.topic for topic in known})
-    found = {each for name in names for each in find_topics(name, types, candidates, *CLOUDS, *SCANS)}
-    return [topic for topic in known if topic.topic in found] if names else known
+    matched = {each for name in names for each in find_topics(name, types, candidates, *CLOUDS, *SCANS)}
+    return [topic for topic in known if topic.topic in matched] if names else known
 
 
 def _looks(

@@ -287,9 +287,9 @@ def draw_map(
     paths = _paths(destination)
     refuse_overlap(inputs_of(sources, options.tf_from, request.files), [OutputPath(path) for path in paths])
     with files_output(paths, overwrite=options.overwrite) as deliver:
-        made = _draw(sources, request, options, warn, progress)
-        deliver(made.contents(destination))
-    return made
+        result = _draw(sources, request, options, warn, progress)
+        deliver(result.contents(destination))
+    return result
 
 
 def _draw(
@@ -307,9 +307,9 @@ def _draw(
         buffer = stream.transforms
         if buffer is None:
             # Recorded scans are read as they are.
-            found = recording.transforms(frames, meter)
-            buffer = found.buffer
-            tell(*found.warnings, *found.notes)
+            transforms = recording.transforms(frames, meter)
+            buffer = transforms.buffer
+            tell(*transforms.warnings, *transforms.notes)
         damage = recording.damage
     if not converted and _converts(options):
         tell("recorded scans are drawn: options about clouds have no effect")
@@ -342,17 +342,17 @@ def _topics(reader: Reader, options: ConvertOptions) -> tuple[tuple[TopicRequest
         types.setdefault(connection.topic, set()).add(connection.ros_type)
     scans = sorted(topic for topic, kinds in types.items() if LASERSCAN in kinds)
     clouds = [topic for topic, kinds in types.items() if not kinds.isdisjoint(CLOUDS)]
-    asked = options.scan.topics
-    names = [request.source for request in asked]
+    requests = options.scan.topics
+    names = [request.source for request in requests]
     if options.scan.may_share:
-        return asked, True
+        return requests, True
     if options.scan.combining.rebin:
-        return asked or tuple(map(TopicRequest, scans)), True
+        return requests or tuple(map(TopicRequest, scans)), True
     of_scans, of_clouds = (any(matches(topic, names) for topic in kind) for kind in (scans, clouds))
     if of_scans and of_clouds:
         raise UsageError(f"`topics` has scans and clouds: {name_list(names)}", hint="a map is drawn of either")
     if of_clouds or (clouds and not names and (_converts(options) or not scans)):
-        return asked or tuple(map(TopicRequest, sorted(usual_topics(types, CLOUDS)))), True
+        return requests or tuple(map(TopicRequest, sorted(usual_topics(types, CLOUDS)))), True
     # Without scans the stream raises an error that lists the topics.
     chosen = [topic for name in names for topic in find_topics(name, types, scans, LASERSCAN)] or scans
     return tuple(map(TopicRequest, dict.fromkeys(chosen))), False

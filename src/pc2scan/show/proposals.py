@@ -206,17 +206,17 @@ def _tried(options: Mapping[str, Any], group: Sequence[Lidar], summary: Summary)
     most = max(_MOST_GROUND, min(_STILL_ON, trial.on_ground / 4))
     for way in ([remove], [remove, above], [steep]):
         more = {each.name: each.value for each in way}
-        found = _worst([tried({**options, **more}, lidar, summary, grounds) for lidar in group])
-        if found.on_ground <= most and found.seen > _STILL_SEEN * trial.seen:
-            return way, found.findings
+        outcome = _worst([tried({**options, **more}, lidar, summary, grounds) for lidar in group])
+        if outcome.on_ground <= most and outcome.seen > _STILL_SEEN * trial.seen:
+            return way, outcome.findings
     said = f"{trial.on_ground:.0%} of the returns are on the ground, which rises; `pc2scan view` shows it"
     return [], (*trial.findings, said)
 
 
 def _worst(trials: Sequence[Trial]) -> Trial:
     """Return the trial of the lidar that sees most of the ground, with what is said of all."""
-    found = max(trials, key=lambda trial: trial.on_ground)
-    return found._replace(findings=tuple(dict.fromkeys(text for each in trials for text in each.findings)))
+    worst = max(trials, key=lambda trial: trial.on_ground)
+    return worst._replace(findings=tuple(dict.fromkeys(text for each in trials for text in each.findings)))
 
 
 def _with_common_heights(lidar: Lidar, lidars: Sequence[Lidar]) -> Lidar:
@@ -412,17 +412,17 @@ def _exclusions(group: Sequence[Lidar]) -> Iterator[Choice]:
     boxes: list[str] = []
     reasons: list[str] = []
     heights = lidar.mounting.heights
-    for each in group:
+    for member in group:
         body = None
-        if heights is not None and each.seconds >= _LONG:
-            body = body_of(each.placed, heights.low, heights.high)
+        if heights is not None and member.seconds >= _LONG:
+            body = body_of(member.placed, heights.low, heights.high)
         if body is not None:
             boxes.append(body.text(lidar.target or lidar.mounting.frame))
             reasons = ["returns of the robot's own body"]
-    for each in group:
+    for member in group:
         # The preset rejects points at the origin of the scans' own frame.
-        option, value = sensor_exclusion(each.mounting.frame, lidar.target)
-        if each.has_zeros and option == "exclude_box":
+        option, value = sensor_exclusion(member.mounting.frame, lidar.target)
+        if member.has_zeros and option == "exclude_box":
             boxes.append(value)
             reasons.append("(0, 0, 0) is no return")
     if boxes:
@@ -431,7 +431,7 @@ def _exclusions(group: Sequence[Lidar]) -> Iterator[Choice]:
 
 def odometry_doubts(lidars: Iterable[Lidar]) -> Iterator[str]:
     """Yield what is wrong with the transforms that move the robot, by the frame that a conversion would deskew in."""
-    found: set[str] = set()
+    doubts: set[str] = set()
     for lidar in lidars:
         if (buffer := lidar.buffer) is None:
             continue
@@ -439,8 +439,8 @@ def odometry_doubts(lidars: Iterable[Lidar]) -> Iterator[str]:
         # Frames that are the wrong way round move nothing.
         fixed = motion.fixed if motion is not None else next((name for name in WORLDS if name in buffer.frames), "")
         doubt = odometry_of(buffer, fixed, lidar.mounting.frame).doubt
-        if doubt and doubt not in found:
-            found.add(doubt)
+        if doubt and doubt not in doubts:
+            doubts.add(doubt)
             yield doubt
 
 

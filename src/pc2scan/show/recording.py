@@ -125,8 +125,8 @@ class ShownRecording:
         RecordingError
             If a recording cannot be read.
         """
-        found, self.others = corrected_transforms(self.reader, self.options, self.stack, needed, meter)
-        return found
+        transforms, self.others = corrected_transforms(self.reader, self.options, self.stack, needed, meter)
+        return transforms
 
 
 @contextmanager
@@ -214,21 +214,21 @@ def sampled(
     RawMessage
         Those of one topic by log time; they do not depend on the other topics.
     """
-    found: deque[RawMessage] = deque()
+    messages: deque[RawMessage] = deque()
     observers = [
         Observer(
             own,
             copied_message,
             start_ns=start_ns,
             stop_ns=stop_ns,
-            keep=found.append,
+            keep=messages.append,
             spread=spread_over(own, samples, start_ns, stop_ns),
         )
         for own in topics.values()
     ]
     for _ in observing(reader, observers):
-        while found:
-            yield found.popleft()
+        while messages:
+            yield messages.popleft()
 
 
 def spread_over(connections: Sequence[Connection], samples: int, start_ns: int, stop_ns: int) -> Spread | None:

@@ -135,7 +135,7 @@ def _layer(name: str, colour: int, scan: LaserScan, blobs: dict[str, bytes], pos
 
 def findings(check: Check) -> list[dict[str, Any]]:
     """Return the results of `pc2scan check` for each topic."""
-    found = []
+    sections = []
     for topic in check.topics:
         lines = [
             {"text": f"{consumer.consumer}: {consumer.outcome}", "wrong": consumer.outcome != "accepted"}
@@ -144,8 +144,8 @@ def findings(check: Check) -> list[dict[str, Any]]:
         lines += [
             {"text": f"{entry.level}: {entry.text}", "wrong": entry.level == "defect"} for entry in topic.findings
         ]
-        found.append({"heading": f"pc2scan check: {topic.topic}", "lines": lines})
-    return found
+        sections.append({"heading": f"pc2scan check: {topic.topic}", "lines": lines})
+    return sections
 
 
 def _finite(value: float, largest: float = 0.0) -> float:

@@ -165,7 +165,9 @@ def take_shots(
     number = counted(len(failed) + len(shots), "cloud")
     warnings = [*recording.warnings, *_doubts(samples, options.scan, prepared.known)]
     warnings += [f"Not shown: {len(failed)} of {number}; {failed[0]}."] if failed else []
-    measured = next((each for topic in topics if (each := conversion.measurements.get(topic))), Measurements(0.0))
+    measured = next(
+        (measurements for topic in topics if (measurements := conversion.measurements.get(topic))), Measurements(0.0)
+    )
     params = measured.resolve(conversion.spec.params)
     return Shots(shots, params, prepared.transforms, [*notes, *prepared.notes], warnings)
 

@@ -213,6 +213,12 @@ def frame_tree(sources: Sequence[Path], options: FrameOptions | None = None) -> 
     read = [*sources, *options.tf_from]
     with ExitStack() as stack:
         readers = open_recordings(read, stack)
-        found = read_transforms(readers, options)
+        transforms = read_transforms(readers, options)
         damage = tuple(damage for reader in readers for damage in reader.damage)
-    return FrameTree(found.buffer.infos, found.buffer.trees, found.buffer, (*found.warnings, *found.notes), damage)
+    return FrameTree(
+        transforms.buffer.infos,
+        transforms.buffer.trees,
+        transforms.buffer,
+        (*transforms.warnings, *transforms.notes),
+        damage,
+    )

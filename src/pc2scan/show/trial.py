@@ -125,8 +125,8 @@ def tried(
 
 
 def _on_ground(points: NDArray[np.floating[Any]], floor: float | None) -> NDArray[np.bool_]:
-    found = on_ground(*points)
-    return found if floor is None else found | on_rising_plane(points.T.astype(np.float64), floor)
+    mask = on_ground(*points)
+    return mask if floor is None else mask | on_rising_plane(points.T.astype(np.float64), floor)
 
 
 def _slope(ground: NDArray[np.floating[Any]], low: float) -> float:
@@ -168,12 +168,12 @@ def _scans(
         chosen = [replace(chosen[0], points=points, rejected=rejected)]
     ranges: list[NDArray[np.float64]] = []
     counts = [PointCounts()] * len(whole)
-    for number, each in enumerate(chosen):
-        made = project(each)
-        read = made.message.ranges.astype(np.float64)
+    for number, selected in enumerate(chosen):
+        scan = project(selected)
+        read = scan.message.ranges.astype(np.float64)
         read[~((read >= params.range_min) & (read <= params.range_max))] = np.inf
         ranges.append(read)
-        counts[number] = made.counts
+        counts[number] = scan.counts
     place = placer.place(frame, 0)
     samples = [CloudSample.of(points).placed_in(place.frame_id, place.target_from_source) for points in whole]
     return ranges, [FirstCloud(*both) for both in zip(samples, counts, strict=True)]

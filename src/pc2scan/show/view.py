@@ -157,15 +157,15 @@ def _as_proposed(reader: Reader, options: ConvertOptions) -> tuple[ConvertOption
         return options, {}
     try:
         # Heights are of the first clouds, however many are sampled.
-        found = info_of(
+        info = info_of(
             [reader],
             samples=1,
             described=[request.source for request in options.scan.topics],
             target_frame=params.target_frame,
             frames=options.frames,
         )
-        calls = [each.options for each in found.proposals]
-        first = next((each for each in calls if params.target_frame in ("", each.get("target_frame", ""))), {})
+        calls = [call.options for call in info.proposals]
+        first = next((call for call in calls if params.target_frame in ("", call.get("target_frame", ""))), {})
         if "min_height" not in first:
             return options, {}
         static = added_transforms(_texts(first.get("static_tf", ())))
@@ -173,11 +173,11 @@ def _as_proposed(reader: Reader, options: ConvertOptions) -> tuple[ConvertOption
         # What is wrong may matter for the page, too, which says so then.
         return options, {}
     heights: dict[str, dict[str, float]] = {}
-    for each in calls:
-        if all(each.get(name) == first.get(name) for name in ("target_frame", "static_tf")):
-            topics = [text.partition(":=")[0] for text in _texts(each.get("topics", ()))]
-            own = {name: each[name] for name in ("min_height", "max_height") if name in each}
-            heights |= dict.fromkeys(topics or [cloud.topic for cloud in found.clouds], own)
+    for call in calls:
+        if all(call.get(name) == first.get(name) for name in ("target_frame", "static_tf")):
+            topics = [text.partition(":=")[0] for text in _texts(call.get("topics", ()))]
+            own = {name: call[name] for name in ("min_height", "max_height") if name in call}
+            heights |= dict.fromkeys(topics or [cloud.topic for cloud in info.clouds], own)
     chosen = {name: first[name] for name in ("target_frame", "min_height", "max_height") if name in first}
     frames = replace(options.frames, static=(*options.frames.static, *static))
     return replace(options.with_scan(params=replace(params, **chosen)), frames=frames), heights

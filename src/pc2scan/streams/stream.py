@@ -270,16 +270,16 @@ class Stream(ABC, Generic[Item]):
         chosen = self._choose(reader, kinds, hint)
         span = span_of(reader, options)
         if options.clock:
-            wanted = [each for connections in chosen.values() for each in connections]
+            wanted = [connection for connections in chosen.values() for connection in connections]
             reader, notes = corrected(reader, wanted, options.clock, (), start_ns=span.start_ns, stop_ns=span.stop_ns)
             self.notes = tuple(notes)
         routes = {}
         for topic, connections in chosen.items():
             output = Output(None, topic, report=TopicReport(topic, connections[0].ros_type, topic, "converted"))
-            for each in connections:
-                decode = _step(decoder(each))
+            for connection in connections:
+                decode = _step(decoder(connection))
                 # A message is decoded at once: its object takes no more memory.
-                routes[each.id] = Route(each, [output], decode=decode, steps=[(as_it_is,)])
+                routes[connection.id] = Route(connection, [output], decode=decode, steps=[(as_it_is,)])
         # One thread: objects are as large as their messages, and others would hold many of them ahead of the loop.
         return StreamSource(stack, [reader], tuple(chosen), routes, span)
 
@@ -318,9 +318,9 @@ class Stream(ABC, Generic[Item]):
             for result in results:
                 objects = result.items
                 del result
-                for each, _ in objects:
-                    yield each
-                    del each
+                for item, _ in objects:
+                    yield item
+                    del item
                 del objects
 
     def results(self) -> Generator[StreamedResult]:
