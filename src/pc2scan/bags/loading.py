@@ -14,7 +14,7 @@ from contextlib import closing
 from functools import partial
 from itertools import islice
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar, cast
 
 from pc2scan.errors import RecordingError
 from pc2scan.model import RawMessage, StoredChunk, own_message
@@ -40,6 +40,8 @@ _PIECE_BYTES = 1 << 20
 
 #: The start of a chunk with an unknown first log time: it is due at once.
 UNKNOWN_START_NS = -1 << 63
+
+_LOG_TIME = attrgetter("log_time_ns")
 
 #: Later than everything.
 _NEVER = (1 << 64, ())
@@ -233,7 +235,9 @@ def merge_by_time(
                     most += chunk.length - len(loaded) if chunk.file else 0
                     if most < 0:
                         raise RecordingError("has more messages than bytes, which no recording does", path=path)
-                    heapq.heappush(heap, _OpenChunk(chunk, _sort(loaded), max_open_bytes if holds_chunks else 0))
+                    # A stable sort, which takes almost no time if the messages are in order.
+                    loaded.sort(key=_LOG_TIME)
+                    heapq.heappush(heap, _OpenChunk(chunk, loaded, max_open_bytes if holds_chunks else 0))
                     _evict(heap, max_open_bytes)
                 if meter is not None:
                     meter.add(chunk.stored)
@@ -250,7 +254,7 @@ def merge_by_time(
                         path=path,
                     )
                 _evict(heap, max_open_bytes - current.chunk.size)
-                current.items = _sort(current.chunk.load(callback))
+                current.items = sorted(cast("list[Any]", current.chunk.load(callback)), key=_LOG_TIME)
             # All items up to the next chunk's turn are from this one, without a heap operation for each.
             limit = min(heap[0].key if heap else _NEVER, coming[0].due if coming else _NEVER)
             items, position, place = current.items, current.position, current.chunk.place
@@ -267,13 +271,6 @@ def merge_by_time(
                 _evict(heap, max_open_bytes)
             # The generator's frame must not keep a used chunk in memory while the next one is loaded.
             del items, current
-
-
-def _sort(items: Any) -> Any:
-    """Return items sorted by log time."""
-    # A stable sort, which takes almost no time if the messages are in order.
-    items.sort(key=attrgetter("log_time_ns"))
-    return items
 
 
 def _evict(heap: list[_OpenChunk], max_open_bytes: int) -> None:

@@ -112,7 +112,12 @@ def read_index(file: BagFile) -> BagIndex:
         segments.append(entry)
     del located
     segments.sort()
-    _refuse_overlaps(segments, file.size)
+    # Otherwise the index of a short file could repeat its chunks without limit.
+    if (segments.rows["offset"][1:] == segments.rows["offset"][:-1]).any():
+        raise FormatError("the index names a chunk twice")
+    # One damaged length may reach into the next chunk, but not all lengths.
+    if (stored := int(segments.rows["length"].sum())) > 2 * file.size:
+        raise FormatError(f"the chunks have {stored} bytes together, in a bag of {file.size}")
     unlisted = frozenset(counts) - connections.keys()
     _compare_connections(file, segments, set(unlisted), found)
     return BagIndex(
@@ -158,16 +163,6 @@ def chunk_segment(chunk_pos: int, fields: Mapping[bytes, bytes], start: int, sto
         )
     size = number_field(fields, "size")
     return Segment(start, stop - start, size, start_ns=0, end_ns=0, compression=compression)
-
-
-def _refuse_overlaps(segments: Segments, size: int) -> None:
-    """Raise if chunks overlap: otherwise the index of a short file could repeat its chunks without limit."""
-    rows = segments.rows
-    if (rows["offset"][1:] == rows["offset"][:-1]).any():
-        raise FormatError("the index names a chunk twice")
-    # One damaged length may reach into the next chunk, but not all lengths.
-    if (stored := int(rows["length"].sum())) > 2 * size:
-        raise FormatError(f"the chunks have {stored} bytes together, in a bag of {size}")
 
 
 def indexed_entries(file: BagFile, segment: Segment) -> Iterator[tuple[int, list[tuple[int, int]]]]:
