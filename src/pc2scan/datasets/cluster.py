@@ -112,7 +112,9 @@ def _connect(address: str, workers: int, stack: ExitStack) -> Any:
     for name in ("distributed", "distributed.client"):
         logging.getLogger(name).setLevel(_SILENT)
     if not address:
-        stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": 1}))
+        # Dask counts every task that a dead worker held as tried. So no worker holds a second, waiting task.
+        settings = {"distributed.scheduler.allowed-failures": 1, "distributed.scheduler.worker-saturation": 1.0}
+        stack.enter_context(dask.config.set(settings))
         cluster = LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
