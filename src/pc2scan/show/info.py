@@ -162,8 +162,10 @@ class Info(Result):
 
     @property
     def exit_status(self) -> int:
-        """The exit status of the command: 1 if no cloud can be moved into the target frame, else 0."""
-        return int(bool(self.clouds) and all(c.target_frame and c.problems and not c.limits for c in self.clouds))
+        """The exit status of the command: 1 if no cloud can be moved into the target frame; 3 if there is damage."""
+        if self.clouds and all(cloud.target_frame and cloud.problems and not cloud.limits for cloud in self.clouds):
+            return 1
+        return 3 if self.damage else 0
 
     def body(self, *, verbose: bool = False) -> Iterator[Part]:
         """Yield files, times and topics, the clouds and scans of each topic, and conversions that suit them."""
