@@ -147,7 +147,7 @@ class Clocks:
         Stamps are compared with those of moving transforms; without any, with those of other topics. If all stamps are
         far from the log times (a simulation, or a recording that was played back), none are wrong.
         """
-        found = {}
+        findings = {}
         motion = {topic: _nearest(each.found) for topic, each in self._motion.items() if each.found}
         others = [median_low(_nearest(each.found)) for each in self._others.values() if each.found]
         for facts in self._topics:
@@ -169,8 +169,8 @@ class Clocks:
             cause = _cause(facts.headers[0].stamp_ns, behind_ns) if scale is None else f" ({_TIME_SCALES[scale]})"
             text = f"the stamps of {facts.topic} are {how}{cause}"
             short = f"its stamps are {_duration_text(behind_ns)} {'behind' if behind_ns > 0 else 'ahead'}"
-            found[facts.topic] = ClockFinding(text, offset, short + cause, topic)
-        return found
+            findings[facts.topic] = ClockFinding(text, offset, short + cause, topic)
+        return findings
 
 
 def _cause(stamp_ns: int, behind_ns: int) -> str:
@@ -283,30 +283,30 @@ def measure_offsets(
     fitting = {topic: delays for topic, delays in known.items() if delays}
     reference = min(fitting, key=lambda topic: abs(median_low(fitting[topic])), default="")
     others = fitting.get(reference, [0])
-    found = {}
+    offsets = {}
     for topic, observer in ends.items():
         delays = observer.found
         against = f"the stamps of {reference}" if reference else "the log times"
         number = counted(len(delays), "message")
         if not delays or not are_doubtful(median_low(delays), median_low(others)):
             note = f"{topic}: time_offset is 0: its first stamps fit to {against} ({number})"
-            found[topic] = Offset(0, reference, note)
+            offsets[topic] = Offset(0, reference, note)
             continue
         offset_ns = round((min(delays) - min(others)) / 1e6) * 1_000_000
         note = (
             f"{topic}: time_offset is {offset_ns / 1e9:.3f} s, measured against {against} in the first {number}, whose "
             f"delays differ by {(max(delays) - min(delays)) / 1e9:.3f} s; `time_offset={topic}={offset_ns / 1e9:.3f}s`"
         )
-        found[topic] = Offset(offset_ns, reference, note)
-    return found
+        offsets[topic] = Offset(offset_ns, reference, note)
+    return offsets
 
 
 def moving(connections: Sequence[Connection], tf_topics: Sequence[str]) -> list[Connection]:
     """Return the connections with moving transforms; without any, or if it is not clear which, those with poses."""
-    found: list[Connection] = []
+    transforms: list[Connection] = []
     with suppress(UsageError):
-        found = [each for each in tf_connections(connections, tf_topics) if not each.is_static]
-    return found or [each for each in connections if each.ros_type in POSES and each.ros_version is not None]
+        transforms = [each for each in tf_connections(connections, tf_topics) if not each.is_static]
+    return transforms or [each for each in connections if each.ros_type in POSES and each.ros_version is not None]
 
 
 def _nearest(messages: Iterable[Delays]) -> list[int]:

@@ -64,10 +64,10 @@ def judge(topic: str, spec: ScanSpec, clouds: Sequence[FirstCloud], known: Known
     with np.errstate(all="ignore"):
         if any(cloud.sample.zeros for cloud in clouds):
             no_returns = facts.no_returns / max(facts.total.total, 1)
-        found = found_by(FIRST_CLOUDS, facts, label)
-        if facts.are_fine and not found:
+        findings = found_by(FIRST_CLOUDS, facts, label)
+        if facts.are_fine and not findings:
             return Judgement(warnings, no_returns=no_returns)
-        warnings += (*found_by(FRAME, facts), *found)
+        warnings += (*found_by(FRAME, facts), *findings)
         return Judgement(warnings, found_by(FIRST_CLOUDS_NOTES, facts, label), facts.advice, no_returns)
 
 

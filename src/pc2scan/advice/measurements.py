@@ -166,12 +166,12 @@ def measure(topics: Iterable[TopicFacts], spec: ScanSpec, placer: Placer) -> tup
         If none of the first clouds of a topic has the ``intensity_field``, or a field that a filter or deskewing
         needs; or if ``beams`` is auto, and the points are not in regular rings.
     """
-    found: dict[str, Measurements] = {}
+    measurements: dict[str, Measurements] = {}
     notes: list[str] = []
     for facts in topics:
         _require_fields(facts, spec)
-        found[facts.topic] = _timing(facts, spec, placer, notes)
-    return found, notes
+        measurements[facts.topic] = _timing(facts, spec, placer, notes)
+    return measurements, notes
 
 
 def require_fields(
@@ -193,11 +193,11 @@ def require_fields(
         The field with the times of points; empty: none is requested by its name.
     """
     name = spec.params.intensity_field
-    asked = [("intensity_field", f"intensity_field is {name!r}", name)] if name else []
-    asked += [(f.name, f"`{f.name}` needs the field {field!r}", field) for f in spec.filters for field in f.fields]
+    requests = [("intensity_field", f"intensity_field is {name!r}", name)] if name else []
+    requests += [(f.name, f"`{f.name}` needs the field {field!r}", field) for f in spec.filters for field in f.fields]
     if point_time:
-        asked.append(("point_time", f"`point_time` is {spec.point_time!r}", point_time))
-    for option, request, field in asked:
+        requests.append(("point_time", f"`point_time` is {spec.point_time!r}", point_time))
+    for option, request, field in requests:
         if field not in fields:
             raise ParameterError(f"{request}, which {what} do not have", name=option, hint=hint(field))
 
@@ -214,13 +214,13 @@ def _require_fields(facts: TopicFacts, spec: ScanSpec) -> None:
         return
     topic = facts.topic
     fields = list(dict.fromkeys(name for each in facts.headers for name in each.fields))
-    there = f"their fields are: {', '.join(fields) or 'none'}"
+    listed = f"their fields are: {', '.join(fields) or 'none'}"
     time = spec.point_time.partition(":")[0]
     require_fields(
         spec,
         fields,
         f"the clouds on {topic}",
-        lambda field: f"{did_you_mean(field, fields)} {there}".strip(),
+        lambda field: f"{did_you_mean(field, fields)} {listed}".strip(),
         "" if time == "azimuth" else time,
     )
     if spec.deskew and not spec.point_time and not time_field(fields):
@@ -228,7 +228,7 @@ def _require_fields(facts: TopicFacts, spec: ScanSpec) -> None:
             f"the clouds on {topic} have no times of their points: no field {', '.join(TIME_FIELDS)}",
             name="point_time",
             hint="name the field that has them: `point_time=FIELD`; of a lidar that turns once in 0.1 s: "
-            f"`point_time=azimuth:0.1`, or `point_time=azimuth` to measure it; {there}",
+            f"`point_time=azimuth:0.1`, or `point_time=azimuth` to measure it; {listed}",
         )
 
 
@@ -251,8 +251,8 @@ def _timing(facts: TopicFacts, spec: ScanSpec, placer: Placer, notes: list[str])
             f"{'its' if len(stamps) < STAMPS else 'the first'} {len(stamps)} stamps"
         )
     if time_increment == "auto":
-        time_increment, first_beam_ns, found = _beams(shapes, layout, [each.stamp_ns for each in facts.headers], placer)
-        notes.append(f"{topic}: {found}")
+        time_increment, first_beam_ns, note = _beams(shapes, layout, [each.stamp_ns for each in facts.headers], placer)
+        notes.append(f"{topic}: {note}")
     return Measurements(scan_time, time_increment, first_beam_ns, step)
 
 
@@ -294,14 +294,14 @@ def _beams(
     if is_brief(takes, period):
         wrong = f"by the times of points ({field}) a cloud takes {takes:.3g} s, but clouds come every {period:.3g} s"
         return 0.0, 0, f"time_increment is 0, because {wrong}: their unit is probably another one"
-    found = [times for sweep in sweeps if (times := beam_times(sweep, layout)) is not None]
-    if len(found) < len(sweeps):
+    timings = [times for sweep in sweeps if (times := beam_times(sweep, layout)) is not None]
+    if len(timings) < len(sweeps):
         lowest = median_low(sweep.lowest for sweep in sweeps)
         advice = f"`angle_min={lowest:.4f}` `angle_max={lowest + TURN:.4f}`"
         note = "time_increment is 0, because the clouds begin inside the scan's sector; let the scan begin there"
         return 0.0, 0, f"{note}: {advice}"
-    first_beam_ns = round(median_low(first for first, _ in found) * 1e9)
-    increment = median_low(step for _, step in found)
+    first_beam_ns = round(median_low(first for first, _ in timings) * 1e9)
+    increment = median_low(step for _, step in timings)
     way = "clockwise, so the first beam is the last in time" if increment < 0 else "counter-clockwise"
     note = f"time_increment is {increment:.4g} s, from {field}: the lidar turns {way}"
     return (

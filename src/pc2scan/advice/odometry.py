@@ -323,7 +323,7 @@ class Surroundings:
     def _seen_on(self, topic: str) -> dict[Window, _Seen]:
         """Return what a topic shows of walls in each window; windows with too few points are left out."""
         clouds = sorted(self._clouds.get(topic, ()), key=lambda cloud: cloud.stamp_ns)
-        found: dict[Window, _Seen] = {}
+        walls: dict[Window, _Seen] = {}
         for window in self._windows:
             own = [
                 each
@@ -343,8 +343,8 @@ class Surroundings:
             seen = seen.select(np.arange(len(stamps))[:: 1 + len(stamps) // _OF_WINDOW])
             seen = seen.select(np.flatnonzero(_are_walls(seen.here)))
             if len(seen.points) >= _FEWEST:
-                found[window] = seen
-        return found
+                walls[window] = seen
+        return walls
 
     def _path(self, frame: str, window: Window) -> _Path | None:
         reach_ns = round((_SHIFTS[-1] + 0.2) * 1e9)
@@ -402,11 +402,11 @@ class Surroundings:
         def gain(seconds: float) -> float:
             return _gain((each, each.placed(seconds), known) for known, each in pairs)
 
-        found, shift = _best_shift(gain)
-        if found >= _SHARPER and abs(shift) >= _LEAST_SHIFT:
+        sharpness, shift = _best_shift(gain)
+        if sharpness >= _SHARPER and abs(shift) >= _LEAST_SHIFT:
             yield (
                 f"{lead} and {other}: in {counted(len(pairs), 'second')} of the strongest motion, what both see fits "
-                f"better ({found:.2g} times as sharp) if {other} was measured {1000 * abs(shift):.0f} ms "
+                f"better ({sharpness:.2g} times as sharp) if {other} was measured {1000 * abs(shift):.0f} ms "
                 f"{'later' if shift > 0 else 'earlier'} than its stamps say: the clocks of the two lidars differ; "
                 f"`time_offset={other}={shift:.2f}s` corrects them"
             )

@@ -353,7 +353,7 @@ class Survey:
         UsageError
             If it is not clear which transforms to use.
         """
-        asked: list[tuple[Reader, list[Observer[Any]]]] = []
+        passes: list[tuple[Reader, list[Observer[Any]]]] = []
         for reader in (self.reader, *self.others):
             observers: list[Observer[Any]] = []
             if self.transforms is not None:
@@ -364,7 +364,7 @@ class Survey:
                 observers += [] if self.robot is None else self.robot.observers
                 observers += (each for facts in self._facts.values() for each in facts.observers)
                 observers += self.observers
-            asked.append((reader, observers))
-        observe(*asked, meter=meter)
+            passes.append((reader, observers))
+        observe(*passes, meter=meter)
         if self.transforms is not None:
             self.transforms.supply(self.reader, self._needed, use=self._use)

@@ -116,7 +116,7 @@ def add_poses(
         The cut.
     """
     target = topics.target
-    children = {name for each in added for attachment in each.attachments.values() for name in attachment.replaced}
+    children = {name for poses in added for attachment in poses.attachments.values() for name in attachment.replaced}
     for connection in tf_connections(reader.connections, frames.tf_topics):
         route = routes[connection.id]
         if route.handle >= 0 and not connection.is_static:
@@ -124,14 +124,14 @@ def add_poses(
     shared = tf_connection(reader, frames, target)
     files: list[TrajectoryWriter] = []
     outputs: list[Output] = []
-    for each in added:
-        if each.reading is None:
-            rows, count = _rows_in(each, span, reader.summary.end_ns)
-            entry = TopicReport(shared.topic, TFMESSAGE, shared.topic, "added", f"from {each.name}")
+    for poses in added:
+        if poses.reading is None:
+            rows, count = _rows_in(poses, span, reader.summary.end_ns)
+            entry = TopicReport(shared.topic, TFMESSAGE, shared.topic, "added", f"from {poses.name}")
             entries.append(entry)
             files.append(TrajectoryWriter(rows, count, target.serialization, entry, span.first_ns))
             continue
-        for connection in each.reading.connections:
+        for connection in poses.reading.connections:
             entry = TopicReport(connection.topic, connection.ros_type, shared.topic, "added", "its poses as transforms")
             entries.append(entry)
             route = routes[connection.id]
@@ -139,8 +139,8 @@ def add_poses(
                 # Only counted until now.
                 entries.remove(route.report)
                 route.report = None
-            made = partial(_as_transform, each.reading, each.attachments, connection, target.serialization)
-            route.decode, route.steps = as_it_is, [(made,)]
+            step = partial(_as_transform, poses.reading, poses.attachments, connection, target.serialization)
+            route.decode, route.steps = as_it_is, [(step,)]
             route.outputs.append(Output(None, shared.topic, report=entry))
             outputs.append(route.outputs[-1])
     topics.add(shared, *outputs, *files)
@@ -153,11 +153,11 @@ def between(
     """Yield items, and write transforms of files before each that is logged later; all others at the end."""
     for item in items:
         if not isinstance(item, StoredChunk):
-            for each in trajectories:
-                each.write_until(item.log_time_ns, writer)
+            for trajectory in trajectories:
+                trajectory.write_until(item.log_time_ns, writer)
         yield item
-    for each in trajectories:
-        each.write_until(LAST_NS, writer)
+    for trajectory in trajectories:
+        trajectory.write_until(LAST_NS, writer)
 
 
 def _as_transform(
@@ -196,9 +196,9 @@ def _rows_in(added: AddedPoses, span: Span, end_ns: int | None) -> tuple[Iterato
     poses = np.concatenate([np.empty((0, 7)), *(each.poses for each in used)])
 
     def row(place: int) -> TransformRow:
-        each = used[owners[place]]
+        trajectory = used[owners[place]]
         pose = cast("Pose", tuple(poses[place].tolist()))
-        return added.attachments[each.parent, each.child].row(int(stamps_ns[place]), pose)
+        return added.attachments[trajectory.parent, trajectory.child].row(int(stamps_ns[place]), pose)
 
     return map(row, places), len(places)
 

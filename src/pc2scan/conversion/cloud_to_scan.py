@@ -140,8 +140,8 @@ class CloudToScan(Conversion):
         motion = None if placed.moving is None else placed.moving.motion
         level = None if placed.place.level is None else placed.place.level.at(stamp_ns)
         used = self._gather_used(placed, beams.projector, transform) if self.spec.keep_used else None
-        made = ConvertedMessage(message, counts, empty, motion, level, used, scan.removed, stamp_ns=placed.stamp_ns)
-        return made if self._remove is None else self._remove(made)
+        result = ConvertedMessage(message, counts, empty, motion, level, used, scan.removed, stamp_ns=placed.stamp_ns)
+        return result if self._remove is None else self._remove(result)
 
     def _gather_used(
         self, placed: PlacedCloud, projector: Projector, transform: Transform | MovingTransform | None

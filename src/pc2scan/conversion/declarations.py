@@ -65,19 +65,19 @@ def _by_layout(publishers: Mapping[int, Connection]) -> Iterable[list[int]]:
 
     Two definitions may have the same name; messages of one cannot be decoded with the other.
     """
-    if len({(each.digest, each.definition) for each in publishers.values()}) == 1:
+    if len({(publisher.digest, publisher.definition) for publisher in publishers.values()}) == 1:
         return [list(publishers)]
     digests: dict[Definition, str] = {}
-    for each in publishers.values():
-        if each.digest:
-            digests.setdefault(each.definition, each.digest)
+    for publisher in publishers.values():
+        if publisher.digest:
+            digests.setdefault(publisher.definition, publisher.digest)
     # A connection without a definition has the same topic and type as the others, so it joins the first group.
     digests[Definition()] = ""
     groups: dict[str, list[int]] = {}
-    for place, each in publishers.items():
-        if each.definition not in digests:
-            digests[each.definition] = _layout(each)
-        groups.setdefault(each.digest or digests[each.definition], []).append(place)
+    for place, publisher in publishers.items():
+        if publisher.definition not in digests:
+            digests[publisher.definition] = _layout(publisher)
+        groups.setdefault(publisher.digest or digests[publisher.definition], []).append(place)
     unknown = groups.pop("", [])
     if not groups:
         return [unknown]

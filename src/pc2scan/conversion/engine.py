@@ -118,7 +118,7 @@ def _chunks_of_cut(
 def convert(routes: Mapping[int, Route], message: RawMessage) -> Item:
     """Decode a message, and for each conversion of its route place its points, select some, and project them."""
     route = routes[message.connection.id]
-    made: list[ConvertedMessage | Contribution | MessageError] = []
+    results: list[ConvertedMessage | Contribution | MessageError] = []
     passing = error = None
     try:
         if route.handle >= 0:
@@ -133,21 +133,21 @@ def convert(routes: Mapping[int, Route], message: RawMessage) -> Item:
                     begun = steps[:number]
                     result = done[begun] = done.get(begun) or step(result)
                 result = steps[-1](result)
-                made.append(route.finish(result) if isinstance(result, ConvertedMessage) else result)
+                results.append(route.finish(result) if isinstance(result, ConvertedMessage) else result)
             except MessageError as err:
                 if len(route.steps) == 1:
                     raise
                 # The error of one does not stop the others.
-                made.append(err)
+                results.append(err)
     except MessageError as err:
         error = err
-        made = [err] * len(route.steps)
+        results = [err] * len(route.steps)
     return Item(
         route,
         message.log_time_ns,
         message.publish_time_ns,
         message.sequence,
-        [(output, made[output.index]) for output in route.outputs],
+        [(output, results[output.index]) for output in route.outputs],
         passing,
         error,
     )
@@ -171,12 +171,14 @@ def latched_at(messages: Iterable[RawMessage], start_ns: int) -> Chunk:
     for number, message in enumerate(messages):
         newest |= dict.fromkeys(_names(message), (number, copied_message(message)))
     by_number = dict(newest.values())
-    found = [by_number[number]._replace(log_time_ns=start_ns, publish_time_ns=start_ns) for number in sorted(by_number)]
+    latched = [
+        by_number[number]._replace(log_time_ns=start_ns, publish_time_ns=start_ns) for number in sorted(by_number)
+    ]
 
     def load(callback: Callable[[RawMessage], Any]) -> list[Any]:
-        return [callback(message) for message in found]
+        return [callback(message) for message in latched]
 
-    size = sum(message.size for message in found)
+    size = sum(message.size for message in latched)
     return Chunk(start_ns, (), size, load, is_quick=True)
 
 

@@ -58,13 +58,13 @@ def judge_first(
         clouds: dict[ScanSpec, list[FirstCloud]] = {spec: [] for spec in specs if spec and not spec.reverse}
         if tally is None and not clouds:
             continue
-        read = made = 0
+        read = successes = 0
         unconnected: list[UnconnectedError] = []
         with closing(reader.messages(connections, prepared.span.start_ns, prepared.span.stop_ns)) as messages:
             for message in messages:
                 item = convert(routes, message)
                 item = item._replace(results=[(output, _alone(output, result)) for output, result in item.results])
-                read, made = read + 1, made + (item.failure is None)
+                read, successes = read + 1, successes + (item.failure is None)
                 unconnected += [item.failure] if isinstance(item.failure, UnconnectedError) else []
                 if tally is not None:
                     tally.count(item)
@@ -80,7 +80,7 @@ def judge_first(
                     own and len(own[0].sample.points) < WHOLE_POINTS for own in clouds.values()
                 )
                 most = PARTS if are_parts else JUDGED_CLOUDS
-                if made == most or (read >= max(most, _MOST_READ) and (tally is None or tally.is_connected)):
+                if successes == most or (read >= max(most, _MOST_READ) and (tally is None or tally.is_connected)):
                     break
         for spec, own in clouds.items():
             if own:
@@ -143,8 +143,8 @@ def count_by_index(reader: Reader, recording: OpenRecording, prepared: Preparati
             length_ns = min(last_ns, span.stop_ns or last_ns) - max(first_ns, span.start_ns or first_ns)
             entry.messages_out = min(entry.messages_out, length_ns // every_ns + 1)
     if recording.levels is not None:
-        made = (each.messages_out for each in report.topics if each.spec is not None and each.spec.level)
-        recording.levels.report.messages_out = max(made, default=0)
+        scan_counts = (each.messages_out for each in report.topics if each.spec is not None and each.spec.level)
+        recording.levels.report.messages_out = max(scan_counts, default=0)
     for trajectory in recording.trajectories:
         trajectory.report.messages_out = trajectory.count
     if uncounted:

@@ -55,8 +55,8 @@ class Item(NamedTuple):
     @property
     def size(self) -> int:
         """The size of what was made, in bytes."""
-        made = (result for output, result in self.results if not (output.used or isinstance(result, MessageError)))
-        return len(self.passing or b"") + sum(result.size for result in made)
+        results = (result for output, result in self.results if not (output.used or isinstance(result, MessageError)))
+        return len(self.passing or b"") + sum(result.size for result in results)
 
     @property
     def errors(self) -> Sequence[MessageError]:
@@ -191,5 +191,5 @@ class Tally:
                 raise error
             gap_ns = error.gap_ns if isinstance(error, TransformError) else 0
             if len(self.skipped) < MAX_LISTED:
-                found = (topic, item.log_time_ns, error.stamp_ns, error.message, error.hint or "")
-                self.skipped.append(Skipped(*found, tuple(filter(None, targets)), gap_ns=gap_ns))
+                fields = (topic, item.log_time_ns, error.stamp_ns, error.message, error.hint or "")
+                self.skipped.append(Skipped(*fields, tuple(filter(None, targets)), gap_ns=gap_ns))

@@ -251,9 +251,9 @@ def _combined(
     for topic, names in targets.items() if spec.may_combine else ():
         for name in names:
             sources.setdefault(name, []).append(topic)
-    asked = spec.combining
+    combining = spec.combining
     for target, topics in list(sources.items()):
-        if len(topics) == 1 and not (asked.accumulates or asked.rebin):
+        if len(topics) == 1 and not (combining.accumulates or combining.rebin):
             # Only topics that share a target may have scans instead of clouds.
             find_topic(topics[0], types, [topic for topic in types if topic in targets], *spec.source_types)
             del sources[target]
@@ -297,14 +297,14 @@ def _targets(types: dict[str, set[str]], spec: ScanSpec, options: ConvertOptions
             )
         return dict.fromkeys(requests, (spec.name,))
     name = "cloud" if spec.reverse else "scan"
-    found = {}
-    for topic, asked in requests.items():
+    targets = {}
+    for topic, names in requests.items():
         own = f"/{name}" if single else f"{topic.rstrip('/')}/{name}"
         if spec.combining.rebin:
             own = f"{topic}_rebinned" if options.keep_clouds else topic
         # A topic that is requested twice is converted once.
-        found[topic] = tuple(dict.fromkeys(target or own for target in asked))
-    return found
+        targets[topic] = tuple(dict.fromkeys(target or own for target in names))
+    return targets
 
 
 def _matching_topics(name: str, types: dict[str, set[str]], candidates: list[str], spec: ScanSpec) -> list[str]:
@@ -323,11 +323,11 @@ def _matching_topics(name: str, types: dict[str, set[str]], candidates: list[str
 
 def _other_direction(types: dict[str, set[str]], spec: ScanSpec) -> str | None:
     """Return a hint if the recording can be converted in the other direction."""
-    there = {kind for kinds in types.values() for kind in kinds}
-    clouds = [kind for kind in CLOUDS if kind in there]
+    recorded_types = {kind for kinds in types.values() for kind in kinds}
+    clouds = [kind for kind in CLOUDS if kind in recorded_types]
     if clouds and (option := "reverse" if spec.reverse else "rebin" if spec.combining.rebin else ""):
         return f"it has {short_types(clouds)} topics; without `{option}` they become scans"
-    if not spec.reverse and not SCANS.keys().isdisjoint(there):
+    if not spec.reverse and not SCANS.keys().isdisjoint(recorded_types):
         return (
             "its LaserScans can be used as they are, and pc2scan check judges them; `rebin=True` makes other scans of "
             "them, `reverse=True` clouds"

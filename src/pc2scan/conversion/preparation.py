@@ -128,18 +128,18 @@ def prepare(
     meter
         Counts the work of the preparation and of the conversion that follows; None: nothing is reported.
     """
-    asked = options.frames
-    survey = Survey(reader, (), asked, span)
+    frame_options = options.frames
+    survey = Survey(reader, (), frame_options, span)
     # Added transforms are written to the output, even if it needs none.
-    if transform_frames is not None or plan.needs_transforms or asked.write_static or asked.adds_poses:
-        survey.others = open_recordings(asked.tf_from, stack, strict=options.strict)
+    if transform_frames is not None or plan.needs_transforms or frame_options.write_static or frame_options.adds_poses:
+        survey.others = open_recordings(frame_options.tf_from, stack, strict=options.strict)
         needed = (frame for spec in plan.specs if spec.needs_transforms for frame in spec.frames)
         survey.ask_transforms((*(transform_frames or ()), *needed))
-    gives_frames = asked.static or asked.source_frame
+    gives_frames = frame_options.static or frame_options.source_frame
     given = [survey.facts([each]) for each in plan.converted if gives_frames]
     for facts in given:
         facts.ask_headers(1)
-    placed = survey.topics(plan.converted if asked.trajectory else ()).values()
+    placed = survey.topics(plan.converted if frame_options.trajectory else ()).values()
     for facts in placed:
         facts.ask_headers(CLOCK_HEADERS)
     outputs = {spec: _OutputFacts(spec, plan, survey) for spec in plan.specs if not spec.reverse}
@@ -147,25 +147,27 @@ def prepare(
         connections = [route.connection for route in plan.routes]
         meter.following = reader.stored_bytes(connections, span.start_ns, span.stop_ns)
     survey.read(meter)
-    found = None if survey.transforms is None else survey.transforms.finish()
-    buffer = found.buffer if found is not None and plan.needs_transforms else None
-    known = KnownTransforms(asked.source_frame, cache(partial(_robot_transforms, reader, options, span)), buffer)
-    prepared = Preparation(span, known, tell, survey.others, found)
-    if found is not None:
-        tell(*found.warnings)
-        prepared.notes += found.notes
-    if asked.trajectory is not None:
-        refuse_other_clock(asked.trajectory, placed, span, reader.summary.end_ns)
+    transforms = None if survey.transforms is None else survey.transforms.finish()
+    buffer = transforms.buffer if transforms is not None and plan.needs_transforms else None
+    known = KnownTransforms(
+        frame_options.source_frame, cache(partial(_robot_transforms, reader, options, span)), buffer
+    )
+    prepared = Preparation(span, known, tell, survey.others, transforms)
+    if transforms is not None:
+        tell(*transforms.warnings)
+        prepared.notes += transforms.notes
+    if frame_options.trajectory is not None:
+        refuse_other_clock(frame_options.trajectory, placed, span, reader.summary.end_ns)
     if buffer is not None:
-        known.static = asked.static
+        known.static = frame_options.static
     if given:
-        robot = known.read() if found is None else found.buffer
-        tell(*check_given_frames((facts.frame for facts in given), plan, asked, buffer, robot))
+        robot = known.read() if transforms is None else transforms.buffer
+        tell(*check_given_frames((facts.frame for facts in given), plan, frame_options, buffer, robot))
     for spec in plan.specs:
-        placer = Placer(source_frame=asked.source_frame)
+        placer = Placer(source_frame=frame_options.source_frame)
         if spec.needs_transforms:
             up = None if buffer is None or not spec.level else _up_source(spec, buffer, survey, prepared)
-            placer = Placer(spec.params.target_frame, asked.source_frame, buffer, spec.params.tolerance_ns, up)
+            placer = Placer(spec.params.target_frame, frame_options.source_frame, buffer, spec.params.tolerance_ns, up)
         if spec.reverse:
             conversion = ScanToCloud(spec.channels, placer, deskewed=spec.deskew, echo=spec.echo)
             prepared.conversions[spec, ""] = conversion

@@ -69,11 +69,11 @@ class StampCounts:
 
     def faults(self, topic: str) -> list[str]:
         """Return what is wrong with them, and what to do."""
-        found = (self.back, "with a stamp before that of the message before"), (self.zero, "without a stamp (0)")
+        counts = (self.back, "with a stamp before that of the message before"), (self.zero, "without a stamp (0)")
         return [
             f"{topic}: {counted(number, 'message')} {what}: SLAM drops or mixes up such scans; `stamps=log` takes the "
             "log times"
-            for number, what in found
+            for number, what in counts
             if number
         ]
 
@@ -302,8 +302,8 @@ class Report(Result):
     @property
     def all_empty(self) -> bool:
         """Whether messages were converted, and no result has a return or a point."""
-        made = sum(topic.messages_out for topic in self.converted)
-        return made > 0 and sum(topic.empty_scans for topic in self.converted) == made
+        messages = sum(topic.messages_out for topic in self.converted)
+        return messages > 0 and sum(topic.empty_scans for topic in self.converted) == messages
 
     @property
     def lost_topics(self) -> list[TopicReport]:

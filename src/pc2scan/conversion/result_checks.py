@@ -150,16 +150,16 @@ def points_rejected_by_default(topic: TopicReport, report: Report) -> Iterator[s
     points, spec = topic.points, topic.spec or report.scans[0]
     if not _is_made(topic) or topic.empty_scans:
         return
-    for each in report.rejections.values():
-        share = points.rejected.get(each.name, 0) / points.total if points.total else 0.0
-        no_returns = topic.no_returns if each.name == "height" else 0.0
+    for rejection in report.rejections.values():
+        share = points.rejected.get(rejection.name, 0) / points.total if points.total else 0.0
+        no_returns = topic.no_returns if rejection.name == "height" else 0.0
         if 0 < no_returns < 1:
             share = (share - no_returns) / (1 - no_returns)
-        least = notable_share(spec) if each.name == "height" else NOTABLE_SHARE
-        if share >= least and _surprises(spec, each):
-            advice = f": {topic.advice}" if topic.advice and each.name == "height" else ""
+        least = notable_share(spec) if rejection.name == "height" else NOTABLE_SHARE
+        if share >= least and _surprises(spec, rejection):
+            advice = f": {topic.advice}" if topic.advice and rejection.name == "height" else ""
             of = "returns" if no_returns else "points"
-            yield f"{topic.target}: {share:.0%} of the {of} were {each.by_default[1]}{advice}"
+            yield f"{topic.target}: {share:.0%} of the {of} were {rejection.by_default[1]}{advice}"
 
 
 def filters_without_effect(topic: TopicReport, report: Report) -> Iterator[str]:
@@ -167,9 +167,9 @@ def filters_without_effect(topic: TopicReport, report: Report) -> Iterator[str]:
     points = topic.points
     if not _is_made(topic) or topic.empty_scans or not points.total:
         return
-    for each in report.rejections.values():
-        if each.absent and points.rejected.get(each.name) == 0:
-            yield f"{topic.target}: {each.absent}"
+    for rejection in report.rejections.values():
+        if rejection.absent and points.rejected.get(rejection.name) == 0:
+            yield f"{topic.target}: {rejection.absent}"
 
 
 def faults_without_number(topic: TopicReport, report: Report) -> Iterator[str]:
@@ -318,11 +318,15 @@ def implausible_tilt(topic: TopicReport, report: Report) -> Iterator[str]:
 def evenly_divided_circle(spec: ScanSpec) -> Iterator[str]:
     """Yield a note if the increment is another one than was given."""
     params = spec.params
-    layout, asked = params.layout, params.angle_increment
+    layout, increment = params.layout, params.angle_increment
     # If beams are measured, another note has their number.
-    if params.beams != "auto" and layout.full_circle and abs(layout.angle_increment - asked) > _NOTABLE_STEP * asked:
+    if (
+        params.beams != "auto"
+        and layout.full_circle
+        and abs(layout.angle_increment - increment) > _NOTABLE_STEP * increment
+    ):
         yield (
-            f"angle_increment is {layout.angle_increment:.7g} rad instead of {asked:.7g}: "
+            f"angle_increment is {layout.angle_increment:.7g} rad instead of {increment:.7g}: "
             f"{layout.count} beams divide the circle evenly"
         )
 
@@ -469,12 +473,14 @@ def compare_counts(
         declared = sum(count for _, count, _ in counts)
     if declared is None:
         return None, []
-    found = report.messages_read
-    lost = max(declared - found, sum(max(0, count - read) for _, count, read in counts))
+    messages_read = report.messages_read
+    lost = max(declared - messages_read, sum(max(0, count - read) for _, count, read in counts))
     details = count_details(counts)
-    if (declared == found and not details) or any(damage.loses for damage in report.damage):
+    if (declared == messages_read and not details) or any(damage.loses for damage in report.damage):
         return declared, []
-    missing = f"declares {counted(declared, 'message')}, {found:,} {agreeing(found, 'were')} found{details}"
+    missing = (
+        f"declares {counted(declared, 'message')}, {messages_read:,} {agreeing(messages_read, 'were')} found{details}"
+    )
     if options.strict:
         raise DamageError(missing, path=reader.path, hint=RECOVER)
     return declared, [Damage(missing, reader.path, messages_lost=max(0, lost))]

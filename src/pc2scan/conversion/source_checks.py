@@ -91,10 +91,10 @@ def _source_doubts(source: str, frames: Sequence[str], buffer: TransformBuffer |
         return
     near = did_you_mean(source, known)
     if near:
-        there = name_list(frames, _MOST_NAMES)
+        names = name_list(frames, _MOST_NAMES)
         yield (
             f"`source_frame` is {source!r}, which neither a cloud nor a transform of the recording has "
-            f"({'the clouds are in ' + there if there else 'the clouds have no frame'}); {near}"
+            f"({'the clouds are in ' + names if names else 'the clouds have no frame'}); {near}"
         )
 
 
@@ -105,12 +105,12 @@ def _further_frames(spec: ScanSpec) -> Iterable[str]:
 
 def _upwards(buffer: TransformBuffer, frame: str) -> list[str]:
     """Return a frame and those above it; none twice."""
-    found: dict[str, None] = {}
-    while frame and frame not in found:
-        found[frame] = None
+    ancestors: dict[str, None] = {}
+    while frame and frame not in ancestors:
+        ancestors[frame] = None
         history = buffer.history(frame)
         frame = "" if history is None else buffer.frames[history.parent_at(None)]
-    return list(found)
+    return list(ancestors)
 
 
 def _refuse_loop(static: StaticTransform, buffer: TransformBuffer) -> None:
@@ -161,8 +161,8 @@ def check_fixed_frame(source: str, spec: ScanSpec, buffer: TransformBuffer) -> l
 
 def _offered(buffer: TransformBuffer, fixed: str) -> str:
     """Return a hint that suggests a frame in which something moves; empty if there is none."""
-    found = frame_that_stays(buffer, fixed)
-    return f"`fixed_frame={found}` is a frame that does not move" if found else ""
+    frame = frame_that_stays(buffer, fixed)
+    return f"`fixed_frame={frame}` is a frame that does not move" if frame else ""
 
 
 def frame_that_stays(buffer: TransformBuffer, fixed: str) -> str:
@@ -170,9 +170,9 @@ def frame_that_stays(buffer: TransformBuffer, fixed: str) -> str:
     roots = [root for tree in buffer.trees if not fixed or fixed in tree.frames for root in tree.roots]
     names = dict.fromkeys((*(name for name in WORLDS if name in buffer.frames), *roots))
     moving = {child for child in buffer.frames if (link := buffer.history(child)) is not None and not link.static}
-    found = [name for name in names if any(not buffer.is_rigid(name, child) for child in moving if child != name)]
-    found = [name for name in found if not fixed or not buffer.is_rigid(name, fixed)]
-    return found[0] if found else ""
+    frames = [name for name in names if any(not buffer.is_rigid(name, child) for child in moving if child != name)]
+    frames = [name for name in frames if not fixed or not buffer.is_rigid(name, fixed)]
+    return frames[0] if frames else ""
 
 
 def refuse_no_messages(

@@ -138,14 +138,14 @@ def corrected(
         if topic in topics and (offset is None or abs(offset) > _CONSTANT_NS)
     }
     measured = measure_offsets(reader, wanted, tf_topics, Span(start_ns, stop_ns, 0)) if wanted else {}
-    for topic, found in measured.items():
+    for topic, fit in measured.items():
         if (given_ns := offsets[topic]) is None:
-            offsets[topic] = found.offset_ns
-            notes.append(found.note)
-        elif found.reference and abs(given_ns - found.offset_ns) > abs(found.offset_ns) + _CONSTANT_NS:
+            offsets[topic] = fit.offset_ns
+            notes.append(fit.note)
+        elif fit.reference and abs(given_ns - fit.offset_ns) > abs(fit.offset_ns) + _CONSTANT_NS:
             remarks.append(
-                f"{topic}: `time_offset` takes its stamps farther from those of {found.reference}: without it they "
-                f"{_fit(found.offset_ns)}, with it they are {abs(given_ns - found.offset_ns) / 1e9:.3g} s off; "
+                f"{topic}: `time_offset` takes its stamps farther from those of {fit.reference}: without it they "
+                f"{_fit(fit.offset_ns)}, with it they are {abs(given_ns - fit.offset_ns) / 1e9:.3g} s off; "
                 f"`time_offset={topic}=auto` measures what corrects them"
             )
     clocks = {
@@ -206,9 +206,9 @@ def _is_stamped(connection: Connection) -> bool:
 def _named_topics(connections: Sequence[Connection], clock: StampOptions) -> dict[str, int | None]:
     """Return the offsets of topics that have their own, by the names in the recording."""
     types: dict[str, set[str]] = {}
-    for each in connections:
-        types.setdefault(each.topic, set()).add(each.ros_type)
-    known = sorted({each.topic for each in connections if _is_stamped(each)})
+    for connection in connections:
+        types.setdefault(connection.topic, set()).add(connection.ros_type)
+    known = sorted({connection.topic for connection in connections if _is_stamped(connection)})
     return {
         find_topic(name, types, known, *CLOUDS, *sorted(STAMPED)): offset_ns
         for name, offset_ns in clock.by_topic.items()

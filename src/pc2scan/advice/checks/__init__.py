@@ -61,5 +61,5 @@ def found_by(checks: Checks[Facts], facts: Facts, label: str = "") -> list[str]:
 
 def request_warnings(options: ConvertOptions, recorded: Summary) -> list[str]:
     """Return the warnings about a request, of each output, and about the recording's extent."""
-    found = [text for spec in options.scans for text in found_by(REQUEST, OutputRequest(options, spec), spec.label)]
-    return [*found, *request.cut_in_another_unit(options, recorded), *request.log_times_of_centuries(recorded)]
+    warnings = [text for spec in options.scans for text in found_by(REQUEST, OutputRequest(options, spec), spec.label)]
+    return [*warnings, *request.cut_in_another_unit(options, recorded), *request.log_times_of_centuries(recorded)]

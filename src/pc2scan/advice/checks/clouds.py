@@ -175,9 +175,9 @@ class CloudFacts:
         )
         order = np.flatnonzero(used)[np.argsort(ranges[used])]
         _, first = np.unique(np.degrees(angles[order]).astype(int), return_index=True)
-        found = np.zeros(len(placed), np.bool_)
-        found[order[first]] = True
-        return found
+        mask = np.zeros(len(placed), np.bool_)
+        mask[order[first]] = True
+        return mask
 
     def share_on(self, up: Sequence[float], height: float) -> float:
         """Return the share of beams, of those with a return of the first cloud, whose closest return is on a plane.
@@ -228,14 +228,18 @@ class CloudFacts:
 
         The option that excludes points at the sensor is among them, unless a warning has it.
         """
-        found = self.mounting
-        if found.heights is None or not found.heights.suit:
+        mounting = self.mounting
+        if mounting.heights is None or not mounting.heights.suit:
             return ""
         # The heights apply in the frame that these options make, which may differ from the frame of the scans.
-        options = [found.options, f"`min_height={found.heights.low:g}`", f"`max_height={found.heights.high:g}`"]
+        options = [
+            mounting.options,
+            f"`min_height={mounting.heights.low:g}`",
+            f"`max_height={mounting.heights.high:g}`",
+        ]
         if self.samples[0].zeros and self.keep_sensor and not any(map(self.shows_sensor, self.samples)):
-            target = found.target_frame or self.samples[0].judged_in
-            options.append(_without_sensor(found.frame, target))
+            target = mounting.target_frame or self.samples[0].judged_in
+            options.append(_without_sensor(mounting.frame, target))
         return " ".join(filter(None, options))
 
     def shows_sensor(self, sample: CloudSample) -> bool:
@@ -378,19 +382,19 @@ def nearly_empty_scans(clouds: CloudFacts) -> Iterator[str]:
         ("range", np.hypot(placed[:, 0], placed[:, 1]), "the range", "m"),
         ("angle", np.arctan2(placed[:, 1], placed[:, 0]), "the angle", "rad"),
     )
-    found, alone = {}, []
+    descriptions, alone = {}, []
     for reason, values, name, unit in observed if len(placed) else ():
         names = ("min_height", "max_height") if reason == "height" else (f"{reason}_min", f"{reason}_max")
         low, high = (getattr(params, each) for each in names)
-        found[reason] = (
+        descriptions[reason] = (
             f"{names[0]} is {_limit(low, unit)} and {names[1]} {_limit(high, unit)}, but {name} is "
             f"{_percentiles(values, unit)}"
         )
         if not ((values >= low) & (values <= high)).any():
             alone.append(reason)
     # A limit that alone rejects every point is the cause, whatever is rejected before it.
-    reasons = alone or [reason for reason in found if counts.rejected[reason] >= NOTABLE_SHARE * counts.total]
-    parts = [found[reason] for reason in reasons]
+    reasons = alone or [reason for reason in descriptions if counts.rejected[reason] >= NOTABLE_SHARE * counts.total]
+    parts = [descriptions[reason] for reason in reasons]
     if reasons[:1] == ["height"] and clouds.advice:
         parts[0] += f": {clouds.advice}"
     # Without any, the reason is a filter, or NaN: the report has it at the end.

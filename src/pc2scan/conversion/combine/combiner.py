@@ -85,14 +85,14 @@ class Combiner:
         """Make the scan of a group; runs on any thread."""
         lead: SourceMessage = group.lead
         route, output, contribution, sequence = lead.item
-        made: ConvertedMessage | MessageError
+        result: ConvertedMessage | MessageError
         try:
             members = [member.item.contribution for member in group.members]
-            made = self._last(self._conversion.scan(contribution, members))
+            result = self._last(self._conversion.scan(contribution, members))
         except MessageError as err:
-            made = err
+            result = err
             err.stamp_ns = err.stamp_ns or contribution.stamp_ns
-        return Item(route, log_time_ns, log_time_ns, sequence, [(output, made)], is_group=True)
+        return Item(route, log_time_ns, log_time_ns, sequence, [(output, result)], is_group=True)
 
     def is_quick(self, group: Group) -> bool:
         """Whether making a scan takes less time than handing it to another thread: all points are projected already."""

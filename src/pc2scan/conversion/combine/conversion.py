@@ -288,9 +288,9 @@ class MessagesToScan(Conversion):
                 known.append(member.nearest)
                 motions += [] if member.motion is None else [member.motion]
                 continue
-            points, transform, found, motion = self._place(lead, member)
-            if found:
-                others.append(PointCounts.of_filters(found))
+            points, transform, rejected, motion = self._place(lead, member)
+            if rejected:
+                others.append(PointCounts.of_filters(rejected))
             if motion is not None:
                 motions.append(motion)
             values = points.field(self._intensity) if self._intensity in points.fields else None
@@ -393,20 +393,20 @@ class SourceFacts:
     def __init__(self, output: Output, facts: Mapping[str, TopicFacts]) -> None:
         self.output, self.facts = output, facts
         spec, topics = output.spec, output.sources
-        asked, params = spec.combining, spec.params
+        combining, params = spec.combining, spec.params
         self.flat = [topic for topic in topics if any(each.ros_type in SCANS for each in facts[topic].connections)]
         self._is_compared = bool(
             len(topics) > 1
-            or asked.every_ns
-            or asked.span_ns
+            or combining.every_ns
+            or combining.span_ns
             or (self.flat and "auto" in (params.scan_time, params.beams))
         )
         if spec.needs_measuring:
-            for each in facts.values():
-                ask_measurements(each, spec)
+            for topic_facts in facts.values():
+                ask_measurements(topic_facts, spec)
         if self._is_compared:
-            for each in facts.values():
-                each.ask_headers(_HEADERS)
+            for topic_facts in facts.values():
+                topic_facts.ask_headers(_HEADERS)
 
     def firsts(self, topic: str) -> Sequence[Header]:
         """Return the first headers of a topic; none if they are not needed."""
@@ -450,7 +450,7 @@ def measure_sources(
     """
     output = sources.output
     spec, topics = output.spec, output.sources
-    asked, lead = spec.combining, topics[0]
+    combining, lead = spec.combining, topics[0]
     notes: list[str] = []
     timing: Mapping[str, Measurements] = {}
     if spec.needs_measuring:
@@ -458,49 +458,55 @@ def measure_sources(
         timing, notes = measure(clouds, spec, placer)
         notes = [note for note in notes if note.startswith(f"{lead}: ")]
     if sources.flat:
-        there = "the beams of a LaserScan have intensity, index, x and y"
-        require_fields(spec, _BEAM_FIELDS, f"the scans on {name_list(sources.flat)}", lambda _: there)
-    found = timing.get(lead) or _of_scans(sources, notes)
-    if asked.every_ns and (spec.params.scan_time == "auto" or spec.origins.get("scan_time", "default") == "default"):
-        found = Measurements(asked.every_ns / 1e9, found.time_increment, 0, found.azimuth_step)
+        hint = "the beams of a LaserScan have intensity, index, x and y"
+        require_fields(spec, _BEAM_FIELDS, f"the scans on {name_list(sources.flat)}", lambda _: hint)
+    measurements = timing.get(lead) or _of_scans(sources, notes)
+    if combining.every_ns and (
+        spec.params.scan_time == "auto" or spec.origins.get("scan_time", "default") == "default"
+    ):
+        measurements = Measurements(combining.every_ns / 1e9, measurements.time_increment, 0, measurements.azimuth_step)
     warnings = _doubtful(sources)
     grouper: Callable[[], Grouper]
-    if asked.accumulates:
+    if combining.accumulates:
         # The first message is in the middle of an interval: near its edge, jitter would move messages to the next.
         half_ns = (sources.period_ns(lead) or 0) // 2
-        rule: Rule = Recent(asked.every_ns, half_ns, asked.span_ns, asked.count)
-        if not (asked.span_ns or asked.count):
-            rule = Interval(asked.every_ns, half_ns)
+        rule: Rule = Recent(combining.every_ns, half_ns, combining.span_ns, combining.count)
+        if not (combining.span_ns or combining.count):
+            rule = Interval(combining.every_ns, half_ns)
         grouper = partial(Grouper, rule, len(topics))
-        return found, grouper, notes, [*warnings, *_clocks(sources, None)]
+        return measurements, grouper, notes, [*warnings, *_clocks(sources, None)]
     if len(topics) == 1:
-        return found, None, notes, warnings
-    windows = _windows(sources, asked.window_ns)
+        return measurements, None, notes, warnings
+    windows = _windows(sources, combining.window_ns)
     warnings += _clocks(sources, windows)
     joined = ", ".join(
         f"{topic} (within {window / 1e9:.4g} s)" for topic, window in zip(topics[1:], windows[1:], strict=True)
     )
     notes.append(f"{output.target}: has the stamps of {lead}, and the nearest messages of {joined}")
-    grouper = partial(Grouper, Nearest(windows_ns=tuple(windows)), len(topics), apart_ns=asked.window_ns or 0)
-    return found, grouper, notes, warnings
+    grouper = partial(Grouper, Nearest(windows_ns=tuple(windows)), len(topics), apart_ns=combining.window_ns or 0)
+    return measurements, grouper, notes, warnings
 
 
 def _doubtful(sources: SourceFacts) -> list[str]:
     """Return warnings of times that were probably meant in milliseconds, or as a number of clouds."""
-    asked, topics = sources.output.spec.combining, sources.output.sources
+    combining, topics = sources.output.spec.combining, sources.output.sources
     period_ns = sources.period_ns(topics[0])
-    found = []
-    for name, value_ns in (("every", asked.every_ns), ("accumulate", asked.span_ns), ("window", asked.window_ns or 0)):
+    warnings = []
+    for name, value_ns in (
+        ("every", combining.every_ns),
+        ("accumulate", combining.span_ns),
+        ("window", combining.window_ns or 0),
+    ):
         most, seconds = _MOST_PERIODS if name == "window" else _MOST_MESSAGES, value_ns / 1e9
         if seconds < 1 or not period_ns:
             continue
         meant = [f"milliseconds were meant: `{name}={seconds:g}ms`"] if value_ns > most * period_ns else []
-        if name == "accumulate" and asked.is_bare and value_ns > period_ns:
+        if name == "accumulate" and combining.is_bare and value_ns > period_ns:
             meant.append(f"clouds were meant: `{name}={seconds:g}clouds`")
         if meant:
             every = f"messages of {topics[0]} come every {period_ns / 1e9:.3g} s"
-            found.append(f"`{name}` is {seconds:g} s, but {every}; if {', if '.join(meant)}")
-    return found
+            warnings.append(f"`{name}` is {seconds:g} s, but {every}; if {', if '.join(meant)}")
+    return warnings
 
 
 def _windows(sources: SourceFacts, window_ns: int | None) -> list[int]:

@@ -153,15 +153,15 @@ class Nearest(Rule):
 
     def members(self, leads: Messages, held: Sequence[Messages], coming: Sequence[Key]) -> Messages | None:
         """Return the messages of the first scan; see `Rule.members`."""
-        found = [leads[0]]
+        messages = [leads[0]]
         for source in range(1, len(held)):
             window_ns = self.windows_ns[source]
             is_certain, partner = _partner(leads, held[source], window_ns, coming[0][0], coming[source][0])
             if not is_certain:
                 return None
             if partner is not None:
-                found.append(partner)
-        return found
+                messages.append(partner)
+        return messages
 
     def needless(self, held: Messages, source: int, first: Key, end_ns: int) -> int:  # noqa: ARG002
         """Return how many messages no scan needs; see `Rule.needless`."""
@@ -237,12 +237,12 @@ class Recent(Rule):
         for place in coming:
             if place <= last:
                 return None
-        found: list[SourceMessage] = []
+        messages: list[SourceMessage] = []
         for own in held:
             end = bisect_right(own, last, key=KEY)
             begin = max(0, end - self.count) if self.count else _before(own, (last[0] - self.span_ns + 1, 0))
-            found += own[begin:end]
-        return found
+            messages += own[begin:end]
+        return messages
 
     def needless(self, held: Messages, source: int, first: Key, end_ns: int) -> int:  # noqa: ARG002
         """Return how many messages no scan needs; see `Rule.needless`."""
@@ -261,10 +261,10 @@ class Interval(Rule):
         for place in coming:
             if place < end:
                 return None
-        found: list[SourceMessage] = []
+        messages: list[SourceMessage] = []
         for own in held:
-            found += own[bisect_left(own, begin, key=KEY) : bisect_left(own, end, key=KEY)]
-        return found
+            messages += own[bisect_left(own, begin, key=KEY) : bisect_left(own, end, key=KEY)]
+        return messages
 
     def needless(self, held: Messages, source: int, first: Key, end_ns: int) -> int:  # noqa: ARG002
         """Return how many messages no scan needs; see `Rule.needless`."""
