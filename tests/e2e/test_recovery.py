@@ -58,7 +58,14 @@ def read_all(path: Path) -> tuple[list[tuple[str, int, bytes]], int]:
 
 # Where indexes are a large part of these small files, more has to go.
 @pytest.mark.parametrize(
-    ("name", "share"), [("bag-none", 0.5), ("mcap-zstd", 0.6), ("rosbag2-sqlite3-v8", 0.8), ("rosbag2-mcap-split", 0.6)]
+    ("name", "share"),
+    [
+        ("bag-none", 0.5),
+        ("bag-lz4", 0.33),
+        ("mcap-zstd", 0.6),
+        ("rosbag2-sqlite3-v8", 0.8),
+        ("rosbag2-mcap-split", 0.6),
+    ],
 )
 def test_a_cut_recording_is_converted_as_far_as_it_goes(
     name: str, share: float, recording: Recording, tmp_path: Path

@@ -225,7 +225,7 @@ def test_doubtful_requests_draw_the_warning_of_convert(how: dict[str, Any], told
     assert [w.filename for w in warned if told in str(w.message)] == [__file__]
 
 
-@pytest.mark.parametrize("container", ["hall.mcap"])
+@pytest.mark.parametrize("container", ["hall.bag", "hall.mcap"])
 def test_the_rest_of_a_damaged_recording_is_read_and_warned_of(container: str, tmp_path: Path) -> None:
     path = tmp_path / container
     data = (FIXTURES / container).read_bytes()
