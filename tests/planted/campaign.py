@@ -45,7 +45,8 @@ def main() -> None:
     done = {(result["path"], result["start"], result["new"]) for result in results}
     with tempfile.TemporaryDirectory(prefix="pc2scan-planted-") as name:
         copy = _copy(Path(name))
-        _build(copy)
+        if not _build(copy):
+            sys.exit("the compiled loops cannot be built: setuptools and a C compiler are needed")
         for fault in faults:
             if (fault.path, fault.start, fault.new) in done:
                 continue
