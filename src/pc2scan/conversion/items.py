@@ -83,7 +83,8 @@ class Tally:
     Attributes
     ----------
     skipped
-        The first `MAX_LISTED` messages that were not converted.
+        The first `MAX_LISTED` messages that were not converted; the last of them is the one that is farthest from any
+        transform, if that came later.
     failures
         How many messages, or groups, have an error.
     is_connected
@@ -94,6 +95,7 @@ class Tally:
     def __init__(self, routes: Mapping[int, Route], *, strict: bool) -> None:
         self.skipped: list[Skipped] = []
         self.failures = 0
+        self._farthest_ns = 0
         self.is_connected = False
         self._routes = routes
         self._strict = strict
@@ -190,6 +192,10 @@ class Tally:
             if self._strict:
                 raise error
             gap_ns = error.gap_ns if isinstance(error, TransformError) else 0
-            if len(self.skipped) < MAX_LISTED:
-                fields = (topic, item.log_time_ns, error.stamp_ns, error.message, error.hint or "")
-                self.skipped.append(Skipped(*fields, tuple(filter(None, targets)), gap_ns=gap_ns))
+            if len(self.skipped) >= MAX_LISTED:
+                if gap_ns <= self._farthest_ns:
+                    continue
+                del self.skipped[-1]
+            self._farthest_ns = max(self._farthest_ns, gap_ns)
+            fields = (topic, item.log_time_ns, error.stamp_ns, error.message, error.hint or "")
+            self.skipped.append(Skipped(*fields, tuple(filter(None, targets)), gap_ns=gap_ns))
