@@ -179,10 +179,10 @@ class Segments:
 
     def select(self, chosen: Bools) -> Segments:
         """Return the chosen segments; ``chosen`` has the shape (segments,)."""
-        found = Segments()
-        found.kinds, found._numbers = self.kinds, self._numbers
-        found._packed += self.rows[chosen].view(np.uint8).data
-        return found
+        segments = Segments()
+        segments.kinds, segments._numbers = self.kinds, self._numbers
+        segments._packed += self.rows[chosen].view(np.uint8).data
+        return segments
 
     def sort(self) -> None:
         """Sort them as they are in the file, which they usually are."""
@@ -485,11 +485,11 @@ class ChunkedReader(Reader):
     ) -> Loaded:
         """Load a segment; see `pc2scan.bags.loading.Chunk`. What is sound of a damaged one is read once more."""
         try:
-            found = self._read(selection, segment, whole=whole)
+            content = self._read(selection, segment, whole=whole)
         except DamageError as err:
             problem = err
         else:
-            return found if isinstance(found, StoredChunk) else list(map(callback, found))
+            return content if isinstance(content, StoredChunk) else list(map(callback, content))
         if self._log.strict:
             raise problem
         actual, data, problem = self._prefix(segment, problem)

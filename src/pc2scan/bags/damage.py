@@ -182,8 +182,8 @@ class DamageLog:
     def found(self) -> tuple[Damage, ...]:
         """All damage in the order of the file, that of the file as a whole first."""
         ordered = sorted(self._found.values(), key=lambda damage: -1 if damage.offset is None else damage.offset)
-        found = (*ordered, self._further) if self._further else tuple(ordered)
-        return tuple(damage._replace(path=self._path or damage.path) for damage in found)
+        entries = (*ordered, self._further) if self._further else tuple(ordered)
+        return tuple(damage._replace(path=self._path or damage.path) for damage in entries)
 
 
 class AnotherRecordingError(Exception):  # readers catch it

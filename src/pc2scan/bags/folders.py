@@ -57,13 +57,13 @@ def recordings_in(folder: Path) -> list[Path]:
 
     In natural order. Hidden files and folders are ignored.
     """
-    found = [
+    recordings = [
         path
         for path in folder.iterdir()
         if not path.name.startswith(".")
         and (_holds_recording(path) if path.is_dir() else is_named_as_recording(path.name))
     ]
-    return sorted(found, key=natural_order)
+    return sorted(recordings, key=natural_order)
 
 
 def is_named_as_recording(name: str) -> bool:

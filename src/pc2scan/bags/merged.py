@@ -139,17 +139,17 @@ class MergedReader(Reader):
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
     ) -> dict[int, int]:
         """Count the messages of each connection in all sources; see `pc2scan.bags.reader.Reader`."""
-        found = dict.fromkeys((connection.id for connection in connections), 0)
+        totals = dict.fromkeys((connection.id for connection in connections), 0)
         for reader, known in zip(self._readers, self._maps, strict=True):
-            requested = [own for own in reader.connections if known[own.id].id in found]
+            requested = [own for own in reader.connections if known[own.id].id in totals]
             counted = reader.counts(requested, start_ns, stop_ns)
             for own in requested:
                 merged_id = known[own.id].id
-                if own.id in counted and merged_id in found:
-                    found[merged_id] += counted[own.id]
+                if own.id in counted and merged_id in totals:
+                    totals[merged_id] += counted[own.id]
                 else:
-                    found.pop(merged_id, None)
-        return found
+                    totals.pop(merged_id, None)
+        return totals
 
     def attachments(self) -> Iterator[Attachment]:
         """Yield MCAP attachments, source by source."""
@@ -280,14 +280,14 @@ def _refuse_repeated(readers: Sequence[Reader]) -> None:
 
 
 def _refuse_mixed_ros_versions(readers: Sequence[Reader]) -> None:
-    found: dict[int, Path] = {}
+    by_version: dict[int, Path] = {}
     for reader in readers:
         ros_versions = {connection.ros_version for connection in reader.connections} - {None}
         # A single source may have both.
         if len(ros_versions) == 1:
-            found.setdefault(ros_versions.pop() or 0, reader.path)
-    if len(found) > 1:
+            by_version.setdefault(ros_versions.pop() or 0, reader.path)
+    if len(by_version) > 1:
         raise UsageError(
-            f"{found[1]} is a ROS 1 recording and {found[2]} is a ROS 2 recording; they cannot be merged",
+            f"{by_version[1]} is a ROS 1 recording and {by_version[2]} is a ROS 2 recording; they cannot be merged",
             hint="convert them one by one, or with pc2scan batch",
         )

@@ -278,8 +278,8 @@ def _observe_together(reader: Reader, observers: Sequence[Observer[Any]], meter:
         # There may be a million transforms.
         if key in lone:
             return copied_message(message)
-        found = [each for observer in by_connection[key] if (each := observer.value_of(message))]
-        return _Seen(message.log_time_ns, len(message.data), found)
+        values = [value for observer in by_connection[key] if (value := observer.value_of(message))]
+        return _Seen(message.log_time_ns, len(message.data), values)
 
     def is_wanted(chunk: Chunk) -> bool:
         """Whether an observer wants messages of a chunk by now."""

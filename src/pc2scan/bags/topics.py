@@ -37,15 +37,15 @@ def find_topic(requested: str, types: dict[str, set[str]], candidates: list[str]
     TopicError
         If there is no such topic, or it has another type.
     """
-    there = f"{short_types(kinds)} topics: {name_list(candidates)}"
+    listing = f"{short_types(kinds)} topics: {name_list(candidates)}"
     for name in (requested, f"/{requested}", requested.removeprefix("/")):
         if name in types:
             if not types[name].isdisjoint(kinds):
                 return name
             wanted = " or ".join(usual_types(kinds))
-            raise TopicError(f"topic {name} is {', '.join(sorted(types[name]))}, not {wanted}", hint=there)
+            raise TopicError(f"topic {name} is {', '.join(sorted(types[name]))}, not {wanted}", hint=listing)
     near = did_you_mean(requested, candidates)
-    raise TopicError(f"no topic {requested} in the recording", hint=f"{near} {there}".strip())
+    raise TopicError(f"no topic {requested} in the recording", hint=f"{near} {listing}".strip())
 
 
 def find_topics(requested: str, types: dict[str, set[str]], candidates: list[str], *kinds: str) -> list[str]:
@@ -58,12 +58,12 @@ def find_topics(requested: str, types: dict[str, set[str]], candidates: list[str
     """
     if requested in types or not is_glob(requested):
         return [find_topic(requested, types, candidates, *kinds)]
-    found = [topic for topic in candidates if matches(topic, (requested,))]
-    if not found:
-        there = f"{short_types(kinds)} topics: {name_list(candidates)}"
+    topics = [topic for topic in candidates if matches(topic, (requested,))]
+    if not topics:
+        listing = f"{short_types(kinds)} topics: {name_list(candidates)}"
         near = did_you_mean(re.sub(r"[*?\[\]]", "", requested), candidates)
-        raise TopicError(f"no {short_types(kinds)} topic matches {requested}", hint=f"{near} {there}".strip())
-    return found
+        raise TopicError(f"no {short_types(kinds)} topic matches {requested}", hint=f"{near} {listing}".strip())
+    return topics
 
 
 def is_glob(name: str) -> bool:
@@ -116,14 +116,14 @@ def fill_glob(topic: str, pattern: str, target: str) -> str:
     if not count:
         return target
     parts = [re.escape(part).replace(r"\?", ".") for part in pattern.removeprefix("/").split("*")]
-    found = re.fullmatch("(.*)".join(parts), topic.removeprefix("/"))
-    if found is None or len(found.groups()) < count:
+    match = re.fullmatch("(.*)".join(parts), topic.removeprefix("/"))
+    if match is None or len(match.groups()) < count:
         raise TopicError(
             f"{pattern}:={target} has more * on the right than on the left",
             hint="each * on the right is what one on the left matches: '/lidar_*/points:=/scan_*'",
         )
     pieces = target.split("*")
-    return pieces[0] + "".join(text + piece for text, piece in zip(found.groups(), pieces[1:], strict=False))
+    return pieces[0] + "".join(text + piece for text, piece in zip(match.groups(), pieces[1:], strict=False))
 
 
 #: The types of most clouds and scans.

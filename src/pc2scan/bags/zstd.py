@@ -134,15 +134,15 @@ def decompress_messages(messages: list[RawMessage], log: DamageLog, place: int, 
     """
     if not messages or not (is_frame(messages[0]) or is_frame(messages[-1])):
         return messages
-    found, total = [], 0
+    decompressed, total = [], 0
     for message in messages:
         unpacked = _decompress_or_note(log, place, path, message)
         if unpacked is not None:
-            found.append(unpacked)
+            decompressed.append(unpacked)
             total += unpacked.size
         if total > _MAX_TOGETHER:
             raise RecordingError(f"a chunk's messages unpack to more than {_MAX_TOGETHER:,} bytes", path=path)
-    return found
+    return decompressed
 
 
 def _decompress_or_note(log: DamageLog, place: int, path: Path, message: RawMessage) -> RawMessage | None:

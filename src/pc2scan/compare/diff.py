@@ -120,8 +120,8 @@ def _streams(
     """Return the topics to compare, of both sides, and how many others there are."""
     by_topic: list[dict[str, list[Connection]]] = [{}, {}]
     for connections, source in zip(by_topic, sources, strict=True):
-        for each in source.connections:
-            connections.setdefault(each.topic, []).append(each)
+        for connection in source.connections:
+            connections.setdefault(connection.topic, []).append(connection)
     for pair in topics:
         for topic, known, source in zip(pair, by_topic, sources, strict=True):
             if topic not in known:
@@ -131,7 +131,7 @@ def _streams(
     named, others = [], []
     for pair in (*topics, *(TopicPair(name, name) for name in sorted(rest))):
         sides = [tuple(known.get(topic, ())) for topic, known in zip(pair, by_topic, strict=True)]
-        stamped = any(each.ros_type in DECODED_TYPES for side in sides for each in side)
+        stamped = any(connection.ros_type in DECODED_TYPES for side in sides for connection in side)
         streams = [TopicStream(source, side, stamped) for source, side in zip(sources, sides, strict=True)]
         if pair in topics or (stamped and not topics):
             named.append(streams)

@@ -65,8 +65,8 @@ class TopicStream(NamedTuple):
 
     def at(self, log_time_ns: int, position: int) -> RawMessage:
         """Return one of the messages of a log time, found through the recording's index."""
-        found = self.source.messages(self.connections, log_time_ns, log_time_ns + 1)
-        message = next(islice(found, position, None), None)
+        messages = self.source.messages(self.connections, log_time_ns, log_time_ns + 1)
+        message = next(islice(messages, position, None), None)
         if message is None:
             raise RecordingError("has changed while it was read", path=self.source.path)
         return message

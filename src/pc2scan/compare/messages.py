@@ -93,9 +93,9 @@ def scan_values(a: LaserScan, b: LaserScan, rules: Rules) -> Iterator[ValueChang
             continue
         # Values outside the scan's own limits mean no return.
         limits = (a.range_min, a.range_max) if name == "ranges" else None
-        found = compare_arrays(left, right, rules.tolerance(name), limits=limits)
-        if found.differing:
-            yield ValueChange(name, found, (a.angle_min, a.angle_increment))
+        difference = compare_arrays(left, right, rules.tolerance(name), limits=limits)
+        if difference.differing:
+            yield ValueChange(name, difference, (a.angle_min, a.angle_increment))
 
 
 def cloud_changes(a: PointCloud2, b: PointCloud2) -> Iterator[Change]:
@@ -124,9 +124,9 @@ def cloud_values(a: PointCloud2, b: PointCloud2, rules: Rules) -> Iterator[Value
         if other is not None and _field_text(field) == _field_text(other):
             shape = a.points, max(field.count, 1)
             values = a.elements(field).reshape(shape), b.elements(other).reshape(shape)
-            found = compare_arrays(*values, rules.tolerance(field.name))
-            if found.differing:
-                yield ValueChange(field.name, found)
+            difference = compare_arrays(*values, rules.tolerance(field.name))
+            if difference.differing:
+                yield ValueChange(field.name, difference)
 
 
 def _field_text(field: PointField) -> str:

@@ -170,22 +170,22 @@ class TopicDifference:
             self.change(change.name, times, change.a, change.b)
         for values in difference.values:
             array = values.difference
-            found = self.values.setdefault(values.name, ValuesFound(values.name))
-            found.messages += 1
-            found.changed += array.changed
-            found.shifted += array.shifted
+            total = self.values.setdefault(values.name, ValuesFound(values.name))
+            total.messages += 1
+            total.changed += array.changed
+            total.shifted += array.shifted
             worst = array.worst
-            if worst is not None and (found.worst is None or worst.difference > found.worst.difference):
+            if worst is not None and (total.worst is None or worst.difference > total.worst.difference):
                 angle = None if values.beams is None else values.beams[0] + worst.index * values.beams[1]
-                found.worst = WorstValue(times, worst.index, angle, worst.reference, worst.value, worst.difference)
+                total.worst = WorstValue(times, worst.index, angle, worst.reference, worst.value, worst.difference)
 
     def change(self, name: str, times: MessageTimes, a: str, b: str) -> None:
         """Count a change; the first of its name is kept as the example."""
-        found = self.changes.get(name)
-        if found is None:
+        entry = self.changes.get(name)
+        if entry is None:
             self.changes[name] = ChangeFound(name, 1, times, a, b)
         else:
-            found.messages += 1
+            entry.messages += 1
 
 
 @dataclass(slots=True, repr=False)
@@ -227,8 +227,8 @@ class Difference(Result):
     def __repr__(self) -> str:
         apart = sum(not topic.same for topic in self.topics)
         topics = counted(len(self.topics), "topic")
-        found = f"{apart} of {topics} different" if apart else f"{topics} equal"
-        return f"<Difference of {self.a!r} and {self.b!r}: {found}>"
+        outcome = f"{apart} of {topics} different" if apart else f"{topics} equal"
+        return f"<Difference of {self.a!r} and {self.b!r}: {outcome}>"
 
     def body(self, *, verbose: bool = False) -> Iterator[Part]:
         """Yield the differences of each topic, and a verdict."""
@@ -275,7 +275,7 @@ def summary(topics: Sequence[TopicDifference], left_aside: int, names: tuple[str
 
 def _lines(topic: TopicDifference, names: tuple[str, str]) -> Iterator[tuple[str, str]]:
     element, message = _WORDS.get(topic.msgtype, ("element", "message"))
-    absent = [name for name, there in zip(names, (topic.topic_a, topic.topic_b), strict=True) if there is None]
+    absent = [name for name, own in zip(names, (topic.topic_a, topic.topic_b), strict=True) if own is None]
     total = counted(topic.matched - topic.differing, message)
     if absent:
         yield "messages", f"{topic.messages_a + topic.messages_b:,}; {absent[0]} has no such topic"
@@ -289,13 +289,13 @@ def _lines(topic: TopicDifference, names: tuple[str, str]) -> Iterator[tuple[str
         yield "order", f"{counted(topic.moved.count, message)} in another order: {_unpaired_text(topic.moved)}"
     for change in topic.changes.values():
         first = f", first {_times_text(change.times)}" if change.messages > 1 else f", {_times_text(change.times)}"
-        there = "" if change.name == "type" else f"in {counted(change.messages, message)}{first}: "
+        where = "" if change.name == "type" else f"in {counted(change.messages, message)}{first}: "
         sides = f"{_shortened(change.a)} in {names[0]}, {_shortened(change.b)} in {names[1]}" if change.a else change.b
-        yield change.name, f"{there}{sides}"
-    for found in topic.values.values():
-        yield found.name, _values(found, topic, element, message)
-        if found.worst is not None:
-            yield "", f"worst {_worst_text(found, element, names)}"
+        yield change.name, f"{where}{sides}"
+    for values in topic.values.values():
+        yield values.name, _values(values, topic, element, message)
+        if values.worst is not None:
+            yield "", f"worst {_worst_text(values, element, names)}"
 
 
 def _values(found: ValuesFound, topic: TopicDifference, element: str, message: str) -> str:

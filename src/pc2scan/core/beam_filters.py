@@ -48,14 +48,14 @@ def veiled_beams(ranges: NDArray[np.float32], increment: float, *, closed: bool 
     closed
         Whether the first beam follows the last one.
     """
-    found = np.zeros(ranges.size, np.bool_)
+    veiled = np.zeros(ranges.size, np.bool_)
     beams = np.flatnonzero(np.isfinite(ranges) & (ranges > 0))
     if beams.size:
         returns = ranges[beams].astype(np.float64)
         before, after = (_neighbours(returns, beams, step, ranges.size, increment, closed) for step in (-1, 1))
         between = (before.nearer & after.farther) | (before.farther & after.nearer)
-        found[beams] = between & ~before.aligned & ~after.aligned
-    return found
+        veiled[beams] = between & ~before.aligned & ~after.aligned
+    return veiled
 
 
 class _Neighbours(NamedTuple):
@@ -86,8 +86,8 @@ def _neighbours(
     # On a line, 1 / range changes evenly from beam to beam, nearly. Returns are anywhere in their beams, so a step may
     # be up to twice as large as the one before it, or nothing.
     change = (1 / first - 1 / second) * (apart / np.maximum(apart_there, 1))
-    found, noise = 1 / returns - 1 / first, _NOISE / returns**2
-    alike = (found >= np.minimum(0, 2 * change) - noise) & (found <= np.maximum(0, 2 * change) + noise)
+    difference, noise = 1 / returns - 1 / first, _NOISE / returns**2
+    alike = (difference >= np.minimum(0, 2 * change) - noise) & (difference <= np.maximum(0, 2 * change) + noise)
     alike &= known & (apart_there <= _REACH)
     aligned = alike
     for _ in range(2, min(_MOST, math.ceil(_WIDTH / abs(increment)))):
@@ -130,14 +130,14 @@ def speckles(
     with np.errstate(all="ignore"):
         valid = ~np.isnan(ranges)
         for away in range(1, filter_window):
-            other, there = _shift(ranges, away, closed)
+            other, in_scan = _shift(ranges, away, closed)
             # The difference of two beams without a return is NaN, which does not count as too large.
             like = ~(np.abs(other - ranges).astype(np.float64) > max_range_difference)
-            valid &= there & ~np.isnan(other) & like
+            valid &= in_scan & ~np.isnan(other) & like
         kept = ranges.astype(np.float64) > max_range
         for away in range(filter_window):
-            begun, there = _shift(valid, -away, closed)
-            kept |= there & begun
+            begun, in_scan = _shift(valid, -away, closed)
+            kept |= in_scan & begun
     removed: NDArray[np.bool_] = ~kept
     return removed
 
@@ -145,5 +145,5 @@ def speckles(
 def _shift(values: NDArray, away: int, closed: bool) -> tuple[NDArray, NDArray[np.bool_]]:  # type: ignore[type-arg]
     """Return the value ``away`` beams after each one, and whether there is one."""
     places = np.arange(values.size) + away
-    there = np.ones(values.size, np.bool_) if closed else (places >= 0) & (places < values.size)
-    return values[places % values.size], there
+    in_scan = np.ones(values.size, np.bool_) if closed else (places >= 0) & (places < values.size)
+    return values[places % values.size], in_scan

@@ -177,10 +177,10 @@ def _neighbour_moves(
     explained = np.zeros(len(a), bool)
     # For each pair of neighbours: the left one of a equals the right one of b, or the other way round.
     for left, right in ((a, b), (b, a)):
-        found = both & _equal_values(left[:-1], right[1:], tolerance) & (left[:-1] >= low) & (left[:-1] <= high)
-        found &= np.isfinite(left[:-1])
-        explained[:-1] |= found
-        explained[1:] |= found
+        moved = both & _equal_values(left[:-1], right[1:], tolerance) & (left[:-1] >= low) & (left[:-1] <= high)
+        moved &= np.isfinite(left[:-1])
+        explained[:-1] |= moved
+        explained[1:] |= moved
     return explained
 
 

@@ -199,8 +199,8 @@ def _unless(
     def judged(case: Case) -> Verdict | None:
         if holds(case):
             return None
-        here, there = (text.format(**case._asdict()) for text in (observed, allowed))
-        return Verdict("", outcome, rule, here, there, cure, unplaced)
+        actual, limit = (text.format(**case._asdict()) for text in (observed, allowed))
+        return Verdict("", outcome, rule, actual, limit, cure, unplaced)
 
     return Rule(source, judged)
 

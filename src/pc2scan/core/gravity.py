@@ -221,7 +221,7 @@ def _filter(
     last, lx, ly, lz, ax, ay, az = samples[0].tolist()
     ux, uy, uz = up or (ax, ay, az)
     began = -math.inf if up else last
-    made: list[tuple[float, float, float]] = []
+    directions: list[tuple[float, float, float]] = []
     place = 0
     for now, wx, wy, wz, ax, ay, az in _rows(samples):
         step = now - last
@@ -244,10 +244,10 @@ def _filter(
         length = math.sqrt(ux * ux + uy * uy + uz * uz) or 1.0
         ux, uy, uz = ux / length, uy / length, uz / length
         last, lx, ly, lz = now, wx, wy, wz
-        made.append((ux, uy, uz))
-        if len(made) == _BLOCK:
-            out[place : place + _BLOCK] = made
+        directions.append((ux, uy, uz))
+        if len(directions) == _BLOCK:
+            out[place : place + _BLOCK] = directions
             place += _BLOCK
-            made.clear()
-    out[place:] = np.array(made).reshape(-1, 3)
+            directions.clear()
+    out[place:] = np.array(directions).reshape(-1, 3)
     return _State((ux, uy, uz), (bx, by, bz))

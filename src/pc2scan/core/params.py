@@ -361,8 +361,8 @@ def kth_of(reduction: str) -> int:
     >>> kth_of("kth=3"), kth_of("kth=0"), kth_of("median")
     (3, 0, 0)
     """
-    found = _KTH.fullmatch(reduction)
-    return int(found[1]) if found else 0
+    match = _KTH.fullmatch(reduction)
+    return int(match[1]) if match else 0
 
 
 def _typed_value(name: str, kind: type, value: Any) -> float | bool | str:

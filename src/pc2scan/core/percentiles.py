@@ -34,10 +34,10 @@ def percentiles(values: ArrayLike, *percents: float) -> tuple[float, ...]:
     >>> percentiles([4.0, 1.0, 2.0, 3.0], 0, 50, 90)
     (1.0, 2.5, 3.7)
     """
-    found = np.ravel(values)
-    places = [percent / 100 * (len(found) - 1) for percent in percents]
-    near = {min(each, len(found) - 1) for place in places for each in (math.floor(place), math.floor(place) + 1)}
-    ordered: NDArray[Any] = np.partition(found, sorted(near))
+    flat = np.ravel(values)
+    places = [percent / 100 * (len(flat) - 1) for percent in percents]
+    near = {min(each, len(flat) - 1) for place in places for each in (math.floor(place), math.floor(place) + 1)}
+    ordered: NDArray[Any] = np.partition(flat, sorted(near))
     return tuple(_interpolate(ordered, place) for place in places)
 
 

@@ -103,9 +103,9 @@ def gather(
     rejected = _nothing(transform)
     begin = 0
     with np.errstate(all="ignore"):
-        for found, squares, points in _returns(x, y, z, rule, transform, beams, rejected):
-            end = begin + found.size
-            bins[begin:end], numbers[begin:end] = found, points
+        for own_bins, squares, points in _returns(x, y, z, rule, transform, beams, rejected):
+            end = begin + own_bins.size
+            bins[begin:end], numbers[begin:end] = own_bins, points
             ranges[begin:end] = np.sqrt(squares)
             begin = end
     return _counts(rejected)
@@ -175,8 +175,8 @@ def _returns(
         past_end, outside = np.count_nonzero(bins == beams), np.count_nonzero(bins == beams + 1)
         nan = px.size - np.count_nonzero(known)
         rejected[: len(REJECTIONS)] += nan - lost, px.size - nan - level.size, level.size - kept.size, outside, past_end
-        found = bins < beams
-        yield bins[found], squares[found], kept[found] + start
+        inside = bins < beams
+        yield bins[inside], squares[inside], kept[inside] + start
 
 
 def _nothing(transform: NDArray[np.float32] | MovingTransform | None) -> NDArray[np.int64]:
@@ -266,15 +266,15 @@ def _move(
     bends = (2 * ((first - 2 * middle) + final)).astype(np.float32)
     begin = nodes[part]
     ratio = ((times - begin) * (1.0 / (nodes[part + 1] - begin))).astype(np.float32)
-    found = known[part] & (times >= nodes[0]) & (times <= nodes[-1])
+    has_transform = known[part] & (times >= nodes[0]) & (times <= nodes[-1])
     moved = []
     for axis in range(3):
         columns = (3 * axis, 3 * axis + 1, 3 * axis + 2, 9 + axis)
         start, rate, bend = ([table[part, k] for k in columns] for table in (first, rates, bends))
         away = ratio * (_dot(rate, x, y, z) + ratio * _dot(bend, x, y, z))
         place = _dot(start, *(values.astype(np.float64) for values in (x, y, z))) + away
-        moved.append(np.where(found, place, np.nan).astype(np.float32))
-    lost = ~found & ~(np.isnan(x) | np.isnan(y) | np.isnan(z))
+        moved.append(np.where(has_transform, place, np.nan).astype(np.float32))
+    lost = ~has_transform & ~(np.isnan(x) | np.isnan(y) | np.isnan(z))
     return moved, int(np.count_nonzero(lost)), int(np.count_nonzero(lost & np.isnan(times)))
 
 
@@ -300,13 +300,13 @@ def span(x: NDArray[Any], values: NDArray[Any]) -> tuple[float, float, int, int]
         Those of them whose value is NaN or infinite.
     """
     measured = ~np.isnan(x)
-    found = values[measured].astype(np.float64)
-    finite = found[np.isfinite(found)]
+    elements = values[measured].astype(np.float64)
+    finite = elements[np.isfinite(elements)]
     return (
         float(finite.min(initial=np.inf)),
         float(finite.max(initial=-np.inf)),
-        found.size,
-        found.size - finite.size,
+        elements.size,
+        elements.size - finite.size,
     )
 
 
@@ -390,14 +390,14 @@ def nodes(stamps: tuple[NDArray[np.int64], ...], begin_ns: int, end_ns: int, ste
     gap_ns : int
         The longest time between two samples of one frame of which a part is between the ends.
     """
-    gap_ns, found = 0, []
+    gap_ns, inside = 0, []
     for samples in stamps:
-        found.append(samples[samples.searchsorted(begin_ns) : samples.searchsorted(end_ns, "right")])
+        inside.append(samples[samples.searchsorted(begin_ns) : samples.searchsorted(end_ns, "right")])
         first, last = samples.searchsorted(begin_ns, "right"), samples.searchsorted(end_ns, "left")
         gaps = np.diff(samples[max(int(first) - 1, 0) : int(last) + 1])
         gap_ns = max(gap_ns, int(gaps.max(initial=0)))
     count = -(-(end_ns - begin_ns) // step_ns)
-    times = np.unique(np.concatenate([begin_ns + np.arange(count + 1) * (end_ns - begin_ns) // count, *found]))
+    times = np.unique(np.concatenate([begin_ns + np.arange(count + 1) * (end_ns - begin_ns) // count, *inside]))
     both = np.empty(2 * times.size - 1, np.int64)
     both[::2], both[1::2] = times, times[:-1] + np.diff(times) // 2
     return both.tobytes(), gap_ns

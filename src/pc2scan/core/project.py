@@ -156,13 +156,13 @@ class Projector:
         for part in parts:
             numbers = np.empty(part.x.size, np.int64)
             places = slice(begin, begin + part.x.size)
-            own_counts, found = self._gather(part, bins[places], returns[places], numbers)
+            own_counts, used = self._gather(part, bins[places], returns[places], numbers)
             counts += own_counts
             if lit:
                 own = part.intensities
-                values.append(np.zeros(found) if own is None else own.reshape(-1)[numbers[:found]])
+                values.append(np.zeros(used) if own is None else own.reshape(-1)[numbers[:used]])
             # The next part's returns follow directly.
-            begin += found
+            begin += used
         with np.errstate(all="ignore"):
             both = np.concatenate(values) if lit else None
             return self._reduce(bins[:begin], returns[:begin], both, counts)
@@ -191,8 +191,8 @@ class Projector:
         """Return the counts of a part, and the beam, range and point number of each return, in the points' order."""
         count = part.x.size
         bins, returns, numbers = np.empty(count, np.int32), np.empty(count, np.float32), np.empty(count, np.int64)
-        counts, found = self._gather(part, bins, returns, numbers)
-        return counts, bins[:found], returns[:found], numbers[:found]
+        counts, used = self._gather(part, bins, returns, numbers)
+        return counts, bins[:used], returns[:used], numbers[:used]
 
     def _gather(
         self, part: PointsPart, bins: NDArray[np.int32], returns: NDArray[np.float32], numbers: NDArray[np.int64]
@@ -202,12 +202,12 @@ class Projector:
         transform = part.target_from_source
         rejected = kernel.gather(*arrays, self._rule_for(part), transform, self._beams, bins, returns, numbers)
         counts = PointCounts.of_projection(part.x.size, rejected)
-        found = counts.used
+        used = counts.used
         if self._is_limited:
-            near = np.flatnonzero(returns[:found] < self._limit)
-            found = near.size
-            bins[:found], returns[:found], numbers[:found] = bins[near], returns[near], numbers[near]
-        return counts, found
+            near = np.flatnonzero(returns[:used] < self._limit)
+            used = near.size
+            bins[:used], returns[:used], numbers[:used] = bins[near], returns[near], numbers[near]
+        return counts, used
 
     def _rule_for(self, part: PointsPart) -> NDArray[np.float64]:
         return self._rule_of_any_height if part.any_height else self._rule
@@ -283,7 +283,7 @@ class Projector:
         """Return the scan of returns in the order of the cloud, with intensities if there are values."""
         params = self.params
         counts = np.bincount(bins, minlength=self._beams)
-        found = np.full(counts.size, self._empty, np.float32)
+        ranges = np.full(counts.size, self._empty, np.float32)
         lit = np.zeros(0 if values is None else counts.size, np.float32)
         seen = counts >= max(params.min_points, params.kth)
         removed = None
@@ -291,22 +291,22 @@ class Projector:
             every = int(np.count_nonzero(counts))
             removed = {"returns": every, "sparse": every - int(np.count_nonzero(seen))}
         if params.reduce == "mean":
-            found[seen] = means(bins, returns, counts)[seen]
+            ranges[seen] = means(bins, returns, counts)[seen]
             if values is not None:
                 lit[seen] = means(bins, values, counts)[seen]
         elif values is None and params.reduce in {"min", "max"}:
-            found[seen] = extremes(bins, returns, counts.size, largest=params.reduce == "max")[seen]
+            ranges[seen] = extremes(bins, returns, counts.size, largest=params.reduce == "max")[seen]
         elif params.reduce == "surface":
             winner = surfaces(bins, returns, counts.size, params.layout.angle_increment)[seen]
-            found[seen] = returns[winner]
+            ranges[seen] = returns[winner]
             if values is not None:
                 lit[seen] = values[winner]
         else:
             winner = winners(bins, returns, counts, params.reduce, params.kth)[seen]
-            found[seen] = returns[winner]
+            ranges[seen] = returns[winner]
             if values is not None:
                 lit[seen] = values[winner]
-        return ProjectedScan(found, points, lit, removed)
+        return ProjectedScan(ranges, points, lit, removed)
 
 
 def _coordinates(

@@ -36,9 +36,9 @@ def extremes(
     -------
     (N,) float32, metres; +inf (of the largest: -inf) for a beam without returns.
     """
-    found = np.full(count, -np.inf if largest else np.inf, np.float32)
-    (np.maximum if largest else np.minimum).at(found, beams, ranges)
-    return found
+    extreme = np.full(count, -np.inf if largest else np.inf, np.float32)
+    (np.maximum if largest else np.minimum).at(extreme, beams, ranges)
+    return extreme
 
 
 def winners(
@@ -61,19 +61,19 @@ def winners(
     -------
     (N,) intp, 0 to M - 1; -1 for a beam without returns, or with fewer than ``kth``.
     """
-    found = np.full(counts.size, -1, np.intp)
+    chosen = np.full(counts.size, -1, np.intp)
     if how in {"min", "max"}:
         extreme = extremes(beams, ranges, counts.size, largest=how == "max")
         equal = np.flatnonzero(ranges == extreme[beams])[::-1]
         # Assigned from the last to the first, so that the first one remains.
-        found[beams[equal]] = equal
-        return found
+        chosen[beams[equal]] = equal
+        return chosen
     order = np.lexsort((ranges, beams))
     begins = np.cumsum(counts) - counts
     places = begins + (kth - 1 if kth else (counts - 1) // 2)
-    there = counts >= max(1, kth)
-    found[there] = order[places[there]]
-    return found
+    enough = counts >= max(1, kth)
+    chosen[enough] = order[places[enough]]
+    return chosen
 
 
 def surfaces(beams: NDArray[Any], ranges: NDArray[np.float32], count: int, increment: float) -> NDArray[np.intp]:
@@ -106,10 +106,10 @@ def surfaces(beams: NDArray[Any], ranges: NDArray[np.float32], count: int, incre
     own = beams[near]
     order = near[np.lexsort((ranges[near], own))]
     counts = np.bincount(own, minlength=count)
-    found = np.full(count, -1, np.intp)
-    there = counts > 0
-    found[there] = order[(np.cumsum(counts) - counts + (counts - 1) // 2)[there]]
-    return found
+    chosen = np.full(count, -1, np.intp)
+    filled = counts > 0
+    chosen[filled] = order[(np.cumsum(counts) - counts + (counts - 1) // 2)[filled]]
+    return chosen
 
 
 def _surface_limits(

@@ -324,10 +324,10 @@ def level_floor(cells: _Points) -> Floor | None:
     distance = np.zeros(len(cells))
     for _ in range(4):
         members = cells[inliers]
-        found = _fit_plane(members, 1 / tolerance[inliers] ** 2) if len(members) >= 10 else None
-        if found is None:
+        fitted = _fit_plane(members, 1 / tolerance[inliers] ** 2) if len(members) >= 10 else None
+        if fitted is None:
             return None
-        slope = found
+        slope = fitted
         distance = cells[:, 2] - cells[:, 0] * slope[0] - cells[:, 1] * slope[1] - slope[2]
         inliers = np.abs(distance) < tolerance
     length = math.sqrt(1 + slope[0] ** 2 + slope[1] ** 2)
@@ -514,21 +514,21 @@ def find_ground(points: _Points) -> Ground:
     if not _is_optical(points):
         cells = cells_of(points)
         floor = level_floor(cells)
-        found = Ground("level", floor.up, floor.height) if floor is not None else _choose_ground(points)
-        if found.kind == "unknown" and (low := outermost(cells, -1)) is not None:
-            found = Ground("level", low.up, low.height)
-        high = outermost(cells, 1) if found.kind in {"level", "unknown"} else None
-        if found.up is not None:
-            off = cells @ np.array(found.up) + (found.height or 0.0)
+        ground = Ground("level", floor.up, floor.height) if floor is not None else _choose_ground(points)
+        if ground.kind == "unknown" and (low := outermost(cells, -1)) is not None:
+            ground = Ground("level", low.up, low.height)
+        high = outermost(cells, 1) if ground.kind in {"level", "unknown"} else None
+        if ground.up is not None:
+            off = cells @ np.array(ground.up) + (ground.height or 0.0)
             below = -off[(off < 0) & (off > -_ROUGHEST)]
-            found = found._replace(rough=percentiles(below, 95)[0] if len(below) else 0.0)
-        return found._replace(ceiling=None if high is None else high.height) if not found.off else found
+            ground = ground._replace(rough=percentiles(below, 95)[0] if len(below) else 0.0)
+        return ground._replace(ceiling=None if high is None else high.height) if not ground.off else ground
     turned = points @ _BODY_FROM_OPTICAL.T
-    found = _choose_ground(turned, level_needs_proof=True)
-    if found.up is None:
+    ground = _choose_ground(turned, level_needs_proof=True)
+    if ground.up is None:
         return Ground("optical")
-    up = _BODY_FROM_OPTICAL.T @ np.array(found.up)
-    return Ground("optical", (float(up[0]), float(up[1]), float(up[2])), found.height, found.ceiling)
+    up = _BODY_FROM_OPTICAL.T @ np.array(ground.up)
+    return Ground("optical", (float(up[0]), float(up[1]), float(up[2])), ground.height, ground.ceiling)
 
 
 def _is_optical(points: _Points) -> bool:
@@ -580,15 +580,15 @@ def on_rising_plane(points: _Points, floor: float) -> NDArray[np.bool_]:
     height, ranges = points[:, 2] - floor, np.hypot(points[:, 0], points[:, 1])
     low = (height > -0.1 - _STEEPEST_RISE * ranges) & (height < 0.1 + _STEEPEST_RISE * ranges)
     cells = cells_of(points[low][:: -(-int(low.sum()) // _OF_PLANES)]) if low.sum() >= FEWEST_POINTS else points[:0]
-    found = np.zeros(len(points), np.bool_)
+    rising = np.zeros(len(points), np.bool_)
     for plane in planes_of(cells) if len(cells) >= _FEWEST_CELLS else ():
         off = np.abs(cells @ np.array(plane.up) + plane.height) < tolerances(cells)
         begins, below = percentiles(cells[off, 2], 10)[0] - floor, -plane.height / plane.up[2] - floor
         is_gentle = plane.tilt < math.atan(_STEEPEST_RISE) and plane.width > 1.0 and plane.beyond < 0.1
         # One that passes below the robot is the floor of a robot that pitches.
         if is_gentle and begins < 0.5 and below < -0.05:
-            found |= low & (np.abs(points @ np.array(plane.up) + plane.height) < tolerances(points))
-    return found
+            rising |= low & (np.abs(points @ np.array(plane.up) + plane.height) < tolerances(points))
+    return rising
 
 
 def planes_of(cells: _Points) -> list[Plane]:
@@ -603,11 +603,11 @@ def planes_of(cells: _Points) -> list[Plane]:
             break
         inliers = np.zeros(len(cells), bool)
         inliers[rest] = start
-        found = _refine(cells, tolerance, inliers, rest)
-        if found is None or found.share * len(cells) < least:
+        plane = _refine(cells, tolerance, inliers, rest)
+        if plane is None or plane.share * len(cells) < least:
             break
-        planes.append(found)
-        rest &= ~(np.abs(cells @ np.array(found.up) + found.height) < tolerance)
+        planes.append(plane)
+        rest &= ~(np.abs(cells @ np.array(plane.up) + plane.height) < tolerance)
     return planes
 
 

@@ -81,11 +81,11 @@ def busiest(
     sums, squares = (np.cumsum(np.pad(each, ((1, 0), (0, 0))), axis=0) for each in (motion, motion**2))
     mean, square = ((each[steps:] - each[:-steps]) / steps for each in (sums, squares))
     change = (square - mean**2).sum(axis=1)
-    found: list[Window] = []
-    while len(found) < most and change.size and (at := int(np.argmax(change))) >= 0 and change[at] > 0:
-        found.append(Window(int(times[at]), int(times[at]) + length_ns))
+    windows: list[Window] = []
+    while len(windows) < most and change.size and (at := int(np.argmax(change))) >= 0 and change[at] > 0:
+        windows.append(Window(int(times[at]), int(times[at]) + length_ns))
         change[max(0, at - steps + 1) : at + steps] = 0
-    return found
+    return windows
 
 
 def roughness(stamps_ns: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.float64]:

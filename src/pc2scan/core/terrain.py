@@ -96,11 +96,11 @@ def on_ground(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> NDArray[np.b
     with np.errstate(all="ignore"):
         distance = np.hypot(px, py)
         known = np.isfinite(pz) & (distance < _FARTHEST)
-        found = np.zeros(px.size, np.bool_)
+        is_ground = np.zeros(px.size, np.bool_)
         if not known.all():
             px, py, pz, distance = px[known], py[known], pz[known], distance[known]
         if not px.size:
-            return found.reshape(shape)
+            return is_ground.reshape(shape)
         sector = ((np.arctan2(py, px) + np.float32(math.pi)) * np.float32(_SECTORS / (2 * math.pi))).astype(np.int32)
         ring = (np.log1p(distance * np.float32(1 / _FIRST)) * np.float32(1 / _GROWTH)).astype(np.int32)
         ring = np.minimum(ring, _RINGS - 1)
@@ -109,7 +109,7 @@ def on_ground(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> NDArray[np.b
         cells = _lowest(cell, pz, distance, edges.size - 1)
         plane = _plane_beneath(cells)
         if plane is None:
-            return found.reshape(shape)
+            return is_ground.reshape(shape)
         slope = np.sum(np.multiply(plane[:2], np.transpose(_directions())), axis=1)
         # From here on, heights are relative to the plane beneath the robot.
         cells = cells._replace(height=cells.height - (slope * cells.distance + plane[2]).astype(np.float32))
@@ -118,8 +118,8 @@ def on_ground(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> NDArray[np.b
         slopes = np.diff(heights, axis=0) / np.diff(edges)[:, np.newaxis]
         limit = (heights[:-1] - slopes * edges[:-1, np.newaxis] + _CLEARANCE).astype(np.float32).ravel()
         grade = (slopes + _SPREAD).astype(np.float32).ravel()
-        found[known] = pz <= limit[cell] + grade[cell] * distance
-    return found.reshape(shape)
+        is_ground[known] = pz <= limit[cell] + grade[cell] * distance
+    return is_ground.reshape(shape)
 
 
 def _lowest(cell: NDArray[np.int32], z: NDArray[np.float32], distance: NDArray[np.float32], rings: int) -> Cells:
@@ -138,8 +138,8 @@ def _lowest(cell: NDArray[np.int32], z: NDArray[np.float32], distance: NDArray[n
 
 def _plane_beneath(cells: Cells) -> tuple[float, float, float] | None:
     """Return the plane beneath the robot, ``z = a x + b y + c``; None if no ground is visible."""
-    found = _floor_like(cells)
-    ring, sector = np.nonzero(found & (cells.height <= _HIGHEST + _STEEPEST * cells.distance))
+    floor = _floor_like(cells)
+    ring, sector = np.nonzero(floor & (cells.height <= _HIGHEST + _STEEPEST * cells.distance))
     heights, distances = cells.height[ring, sector], cells.distance[ring, sector]
     order = np.argsort(heights, kind="stable")
     low = heights[order]
@@ -178,20 +178,20 @@ def _directions() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 def _floor_like(cells: Cells) -> NDArray[np.bool_]:
     """Return whether cells have another cell of about the same height behind them, as on a floor but not on walls."""
-    found = np.zeros(cells.height.shape, np.bool_)
+    floor = np.zeros(cells.height.shape, np.bool_)
     height, distance = np.full(_SECTORS, np.inf, np.float32), np.full(_SECTORS, np.inf, np.float32)
     # From far to near.
-    for ring in range(len(found) - 1, -1, -1):
+    for ring in range(len(floor) - 1, -1, -1):
         low, where = cells.height[ring], cells.distance[ring]
-        there = np.isfinite(low)
+        known = np.isfinite(low)
         apart = distance - where
-        followed = there & (apart > 0.2 + 0.1 * where) & (apart < _APART)
+        followed = known & (apart > 0.2 + 0.1 * where) & (apart < _APART)
         followed &= np.abs(height - low) < _NOISE + 0.2 * apart
-        found[ring] = followed
+        floor[ring] = followed
         # Cells of a wall are close together, so the cell to compare with is used until one is far enough behind it.
-        renewed = there & (followed | (low < height))
+        renewed = known & (followed | (low < height))
         height, distance = np.where(renewed, low, height), np.where(renewed, where, distance)
-    return found & _has_neighbour_beside(cells, 1) & _has_neighbour_beside(cells, -1)
+    return floor & _has_neighbour_beside(cells, 1) & _has_neighbour_beside(cells, -1)
 
 
 def _has_neighbour_beside(cells: Cells, step: int) -> NDArray[np.bool_]:
@@ -205,10 +205,10 @@ def _has_neighbour_beside(cells: Cells, step: int) -> NDArray[np.bool_]:
     order = np.where(empty[order % _SECTORS], order - step, order) % _SECTORS
     height = cells.height[:, order]
     reach: NDArray[np.float32] = np.asarray(_NOISE + 0.01 * cells.distance)
-    found: NDArray[np.bool_] = np.asarray(np.abs(height - cells.height) < reach)
-    found[1:] |= np.abs(height[:-1] - cells.height[1:]) < reach[1:]
-    found[:-1] |= np.abs(height[1:] - cells.height[:-1]) < reach[:-1]
-    return found
+    alike: NDArray[np.bool_] = np.asarray(np.abs(height - cells.height) < reach)
+    alike[1:] |= np.abs(height[:-1] - cells.height[1:]) < reach[1:]
+    alike[:-1] |= np.abs(height[1:] - cells.height[:-1]) < reach[:-1]
+    return alike
 
 
 def _follow_ground(cells: Cells) -> NDArray[np.float64]:
@@ -251,23 +251,23 @@ def _lowest_behind(cells: Cells) -> tuple[NDArray[np.float32], NDArray[np.float3
     known = np.isfinite(cells.height)
     # The cells with points, from near to far.
     order = np.argsort(~known, axis=0, kind="stable")[: int(known.sum(axis=0).max(initial=0))]
-    height, distance = (np.take_along_axis(each, order, axis=0) for each in (cells.height, cells.distance))
+    height, distance = (np.take_along_axis(grid, order, axis=0) for grid in (cells.height, cells.distance))
     reaches = np.full_like(distance, _ON), np.maximum(distance, np.float32(_ON))
     lowest = np.full((2, *height.shape), np.inf, np.float32)
     last = np.zeros_like(height)
     for away in range(1, min(_LOOK, len(height) - 1) + 1):
-        here, there = slice(None, -away), slice(away, None)
-        apart = distance[there] - distance[here]
-        counts = height[there] <= height[here] + (_NOISE + _STEEPEST * apart)
-        for each, reach in zip(lowest, reaches, strict=True):
-            lower = counts & (last[here] <= reach[here]) & (height[there] < each[here])
-            np.copyto(each[here], height[there], where=lower)
+        here, behind = slice(None, -away), slice(away, None)
+        apart = distance[behind] - distance[here]
+        counts = height[behind] <= height[here] + (_NOISE + _STEEPEST * apart)
+        for grid, reach in zip(lowest, reaches, strict=True):
+            lower = counts & (last[here] <= reach[here]) & (height[behind] < grid[here])
+            np.copyto(grid[here], height[behind], where=lower)
         np.copyto(last[here], apart, where=counts)
     lowest[lowest == np.inf] = -np.inf
-    found = np.full((2, *cells.height.shape), -np.inf, np.float32)
-    for each, low in zip(found, lowest, strict=True):
-        np.put_along_axis(each, order, low, axis=0)
-    return found[0], found[1]
+    by_cell = np.full((2, *cells.height.shape), -np.inf, np.float32)
+    for grid, low in zip(by_cell, lowest, strict=True):
+        np.put_along_axis(grid, order, low, axis=0)
+    return by_cell[0], by_cell[1]
 
 
 def _heights_at(
@@ -286,8 +286,8 @@ def _heights_at(
     z0, z1 = (np.take_along_axis(heights, each, axis=0) for each in (before, after))
     r0, r1 = (np.take_along_axis(distances, each, axis=0) for each in (before, after))
     along = edges[:, np.newaxis]
-    found = np.where(after < rings, (z1 - z0) / (r1 - r0) * (along - r0) + z0, z0)
+    edge_heights = np.where(after < rings, (z1 - z0) / (r1 - r0) * (along - r0) + z0, z0)
     # After the last cell the ground continues for some metres.
     last = before[-1]
-    found[(along > edges[last + 1] + _BEYOND) | (last < 0)] = -np.inf
-    return found
+    edge_heights[(along > edges[last + 1] + _BEYOND) | (last < 0)] = -np.inf
+    return edge_heights

@@ -102,8 +102,8 @@ def increment_doubt(turn: float, period: float) -> str:
 
 def time_field(fields: Iterable[str]) -> str:
     """Return the field that has the times of a cloud's points; empty if none has."""
-    there = set(fields)
-    return next((name for name in TIME_FIELDS if name in there), "")
+    names = set(fields)
+    return next((name for name in TIME_FIELDS if name in names), "")
 
 
 def offset_and_unit(low: float, high: float, stamp_ns: int, unit_name: str, *, whole: bool) -> tuple[float, float]:
@@ -285,12 +285,12 @@ def fit_sweep(angles: NDArray[Any], times: NDArray[np.float64]) -> Sweep | None:
         return None
     slices = np.minimum(((times - begin) * (_SLICES / (end - begin))).astype(np.intp), _SLICES - 1)
     points = np.bincount(slices, minlength=_SLICES)
-    there = points > 0
-    if np.count_nonzero(there) < _SLICES / 4:
+    filled = points > 0
+    if np.count_nonzero(filled) < _SLICES / 4:
         return None
-    x, y, when = (_sums(slices, weights)[there] for weights in (np.cos(angles), np.sin(angles), times))
+    x, y, when = (_sums(slices, weights)[filled] for weights in (np.cos(angles), np.sin(angles), times))
     directions = np.unwrap(np.arctan2(y, x))
-    when /= points[there]
+    when /= points[filled]
     # The median of the slopes between any two slices (Theil and Sen), because some slices have only the outermost
     # lasers.
     first, second = np.triu_indices(when.size, 1)

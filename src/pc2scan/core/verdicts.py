@@ -96,11 +96,11 @@ class ConsumerScan:
 
 def are_returns(ranges: NDArray[np.float32], range_min: float, range_max: float) -> NDArray[np.bool_]:
     """Return which ranges are finite and within the limits, inclusive; the limits are float32 values."""
-    found: NDArray[np.bool_] = (ranges >= range_min) & (ranges <= range_max)
+    returns: NDArray[np.bool_] = (ranges >= range_min) & (ranges <= range_max)
     if range_max == math.inf:
         # inf <= inf is true, but infinity is no return.
-        found &= ranges < math.inf
-    return found
+        returns &= ranges < math.inf
+    return returns
 
 
 class ScanTransforms(NamedTuple):

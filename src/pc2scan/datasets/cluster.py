@@ -91,14 +91,14 @@ def _check_versions(client: Any) -> None:
 
     # Dask sends a nested function by value, so a worker without pc2scan can run it, too.
     def version() -> str:
-        from pc2scan.version import __version__ as found  # noqa: PLC0415
+        from pc2scan.version import __version__ as worker_version  # noqa: PLC0415
 
-        return found
+        return worker_version
 
-    for worker, found in client.run(version, on_error="return").items():
-        if found != __version__:
+    for worker, installed in client.run(version, on_error="return").items():
+        if installed != __version__:
             raise UsageError(
-                f"the Dask worker at {worker} has another pc2scan ({found}), this is {__version__}",
+                f"the Dask worker at {worker} has another pc2scan ({installed}), this is {__version__}",
                 hint=f'on every worker: pip install "pc2scan[dask]=={__version__}"',
             )
 

@@ -106,9 +106,9 @@ def _expression(pattern: str) -> str:
     pattern = pattern.removeprefix("./").removesuffix("/")
     parts = []
     position = 0
-    for found in re.finditer(r"\*\*/|\*\*|\*|\?|\[[^\]/]+\]", pattern):
-        parts.append(re.escape(pattern[position : found.start()]))
-        match token := found[0]:
+    for wildcard in re.finditer(r"\*\*/|\*\*|\*|\?|\[[^\]/]+\]", pattern):
+        parts.append(re.escape(pattern[position : wildcard.start()]))
+        match token := wildcard[0]:
             case "**/":
                 parts.append("(?:.*/)?")
             case "**":
@@ -119,7 +119,7 @@ def _expression(pattern: str) -> str:
                 parts.append("[^/]")
             case _:
                 parts.append("[" + token[1:-1].replace("\\", "\\\\").replace("!", "^", token[1] == "!") + "]")
-        position = found.end()
+        position = wildcard.end()
     parts.append(re.escape(pattern[position:]))
     anywhere = "" if "/" in pattern else "(?:.*/)?"
     return f"{anywhere}{''.join(parts)}(?:/.*)?"

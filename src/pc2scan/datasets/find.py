@@ -105,17 +105,17 @@ def find(sources: Sequence[str], out: Path, *, known: Known, outputs: Iterable[P
     places = [_place(source, out) for source in sources]
     search = _Search(known, frozenset(map(absolute, outputs)), {_real(out)}, set())
     common = _common_folder([folder for folder, _ in places])
-    found: dict[Path, list[Recording]] = {}
+    by_folder: dict[Path, list[Recording]] = {}
     for folder, paths in places:
         for path in paths:
-            for each in _recordings_at(path, common or folder, search):
-                found.setdefault(each.paths[0].parent, []).append(each)
+            for recording in _recordings_at(path, common or folder, search):
+                by_folder.setdefault(recording.paths[0].parent, []).append(recording)
     by_key: dict[str, Recording] = {}
-    for each in (each for beside in found.values() for each in _join_parts(beside, search)):
-        other = by_key.setdefault(each.key, each)
-        if other is not each:
+    for recording in (each for beside in by_folder.values() for each in _join_parts(beside, search)):
+        other = by_key.setdefault(recording.key, recording)
+        if other is not recording:
             raise UsageError(
-                f"is found twice under the name {each.key}: {other.paths[0]} and {each.paths[0]}",
+                f"is found twice under the name {recording.key}: {other.paths[0]} and {recording.paths[0]}",
                 hint="write their outputs to different folders, in two batches",
             )
     return sorted(by_key.values(), key=lambda each: natural_key(each.key))
@@ -170,18 +170,18 @@ def _recordings_at(path: Path, root: Path, search: _Search) -> Iterator[Recordin
         return
     search.folders.add(real)
     try:
-        listed = sorted((each for each in path.iterdir() if not each.name.startswith(".")), key=natural_order)
+        listed = sorted((entry for entry in path.iterdir() if not entry.name.startswith(".")), key=natural_order)
     except OSError as err:
         error = RecordingError(f"cannot be searched: {err.strerror}", path=path)
         yield Recording(_key_of(path, root), (path,), "", Identity(), error)
         return
-    for each in listed:
-        if each.name.endswith(_UNFINISHED):
+    for entry in listed:
+        if entry.name.endswith(_UNFINISHED):
             continue
-        if is_dir(each):
-            yield from _recordings_at(each, root, search)
-        elif is_file(each) or (each.is_symlink() and not each.exists()):
-            yield from _recognise(each, root, search, named=is_named_as_recording(each.name))
+        if is_dir(entry):
+            yield from _recordings_at(entry, root, search)
+        elif is_file(entry) or (entry.is_symlink() and not entry.exists()):
+            yield from _recognise(entry, root, search, named=is_named_as_recording(entry.name))
 
 
 def _recognise(path: Path, root: Path, search: _Search, *, named: bool) -> Iterator[Recording]:
@@ -227,19 +227,19 @@ def _sniff(path: Path) -> str:
 
 def _join_parts(found: Sequence[Recording], search: _Search) -> Iterator[Recording]:
     """Join the parts of split recordings."""
-    by_path = {each.paths[0]: each for each in found if each.container}
+    by_path = {recording.paths[0]: recording for recording in found if recording.container}
     joined: dict[Path, Recording] = {}
     parts: set[Path] = set()
     for group in groups_of_parts(by_path):
         for chain in _chains([by_path[path] for path in group], search):
             if len(chain) > 1:
                 first = chain[0]
-                paths = tuple(each.paths[0] for each in chain)
+                paths = tuple(recording.paths[0] for recording in chain)
                 joined[paths[0]] = Recording(first.key, paths, first.container, identity_of(paths))
                 parts.update(paths[1:])
-    for each in found:
-        if each.paths[0] not in parts:
-            yield joined.get(each.paths[0], each)
+    for recording in found:
+        if recording.paths[0] not in parts:
+            yield joined.get(recording.paths[0], recording)
 
 
 def _chains(group: Sequence[Recording], search: _Search) -> Iterator[list[Recording]]:
@@ -250,14 +250,14 @@ def _chains(group: Sequence[Recording], search: _Search) -> Iterator[list[Record
     chain: list[Recording] = []
     last, opened = None, ExitStack()
     try:
-        for each in group:
+        for recording in group:
             reader, stack = None, ExitStack()
             with suppress(Pc2ScanError):
-                (reader,) = open_recordings(each.paths, stack)
-            if chain and not (last and reader and continues(chain[-1].paths[0], last, each.paths[0], reader)):
+                (reader,) = open_recordings(recording.paths, stack)
+            if chain and not (last and reader and continues(chain[-1].paths[0], last, recording.paths[0], reader)):
                 yield chain
                 chain = []
-            chain.append(each)
+            chain.append(recording)
             opened.close()
             last, opened = reader, stack
     finally:

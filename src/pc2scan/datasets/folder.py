@@ -224,8 +224,8 @@ class BatchFolder:
                     (self.path / folder).rmdir()
             # A note that cannot be removed names outputs that the manifest has.
             with suppress(OutputError, OSError):
-                found = self._unrecorded(self.unfinished.union(outputs) - self._ended)
-                if left := [each for each, now in found.items() if now != others.get(each)]:
+                identities = self._unrecorded(self.unfinished.union(outputs) - self._ended)
+                if left := [each for each, now in identities.items() if now != others.get(each)]:
                     self._write_note(left)
                 elif outputs or self._stored is None or _UNFINISHED in self._stored:
                     (self.path / _UNFINISHED).unlink(missing_ok=True)
@@ -357,5 +357,5 @@ def _listing(folder: Path) -> dict[str, UrlPath] | None:
 
 def _folders_of(outputs: Iterable[str]) -> set[str]:
     """Return the folders that outputs are in, with those above them."""
-    found = {folder.as_posix() for output in outputs for folder in PurePosixPath(output).parents}
-    return found - {"."}
+    folders = {folder.as_posix() for output in outputs for folder in PurePosixPath(output).parents}
+    return folders - {"."}

@@ -65,17 +65,17 @@ class Identity:
 
 def identity_of(paths: Iterable[Path]) -> Identity:
     """Return the identity of a recording: of a file, of the files in a folder, or of several files."""
-    found = []
+    files = []
     for path in paths:
         if isinstance(path, UrlPath):
-            found += _stored_files(path)
+            files += _stored_files(path)
             continue
         try:
             # os.path is faster than Path, which matters for thousands of recordings.
-            found += _files_in(path) if os.path.isdir(path) else _file_and_logs(path)  # noqa: PTH112
+            files += _files_in(path) if os.path.isdir(path) else _file_and_logs(path)  # noqa: PTH112
         except OSError:
             continue
-    return Identity(tuple(found))
+    return Identity(tuple(files))
 
 
 def _file_and_logs(path: Path) -> list[tuple[str, int, int | str]]:
@@ -103,7 +103,7 @@ def identity_among(stored: Mapping[str, UrlPath], output: str) -> Identity:
 
 def _files_in(folder: Path) -> list[tuple[str, int, int | str]]:
     """Return the files in a folder and its subfolders; very many (one for each cloud) are summed up in one entry."""
-    found: list[tuple[str, int, int | str]] = []
+    files: list[tuple[str, int, int | str]] = []
     for place, folders, names in os.walk(folder):
         folders.sort()
         below = os.path.relpath(place, folder)
@@ -114,8 +114,8 @@ def _files_in(folder: Path) -> list[tuple[str, int, int | str]]:
             with suppress(OSError):
                 path = os.path.join(place, name)  # noqa: PTH118
                 state = os.stat(path)  # noqa: PTH116
-                found.append((os.path.normpath(os.path.join(below, name)), state.st_size, state.st_mtime_ns))  # noqa: PTH118
-    return _summed_up(found)
+                files.append((os.path.normpath(os.path.join(below, name)), state.st_size, state.st_mtime_ns))  # noqa: PTH118
+    return _summed_up(files)
 
 
 def _summed_up(found: list[tuple[str, int, int | str]]) -> list[tuple[str, int, int | str]]:

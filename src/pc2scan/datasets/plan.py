@@ -111,25 +111,29 @@ def make_plan(
     again
         Whether everything is converted again.
     """
-    wanted = {each: request for each in recordings if (request := requests[each.key]) is not None}
+    wanted = {recording: request for recording in recordings if (request := requests[recording.key]) is not None}
     outputs = _outputs(wanted)
     clashes = _clashes(outputs)
     forbidden = partial(_forbidden, folder.path, cache(partial(Inputs, inputs)))
     jobs: list[Job] = []
     left: list[str] = []
-    for each, request in wanted.items():
-        record, output = folder.records.get(each.key), outputs.get(each.key, "")
-        at = replace(each, paths=tuple(map(absolute, each.paths)))
+    for recording, request in wanted.items():
+        record, output = folder.records.get(recording.key), outputs.get(recording.key, "")
+        at = replace(recording, paths=tuple(map(absolute, recording.paths)))
         job = Job(recording=at, request=request, destination=absolute(folder.path / output), output=output)
-        why, error = "", each.error
+        why, error = "", recording.error
         if error is None:
-            there = folder.present(output)
-            job = replace(job, owned=folder.owned(output), there=there)
-            why = "asked for" if again else _reason(job, record, folder, there)
+            present = folder.present(output)
+            job = replace(job, owned=folder.owned(output), there=present)
+            why = "asked for" if again else _reason(job, record, folder, present)
         if why:
-            error = _clash(each.key, clashes[each.key], outputs) if each.key in clashes else forbidden(output)
-            if error is None and not request.output.overwrite and not folder.may_replace(output, there):
-                error = _ownership_error(job.destination, there, folder.left.get(output))
+            error = (
+                _clash(recording.key, clashes[recording.key], outputs)
+                if recording.key in clashes
+                else forbidden(output)
+            )
+            if error is None and not request.output.overwrite and not folder.may_replace(output, present):
+                error = _ownership_error(job.destination, present, folder.left.get(output))
         if error is not None:
             jobs.append(replace(job, action="refuse", why=error.message, error=error))
             continue
@@ -137,7 +141,7 @@ def make_plan(
         if record is not None and record.output not in ("", output) and folder.present(record.output).files:
             left.append(record.output)
     warnings = [f"earlier results have other names now, and stay: {name_list(left, 3)}"] if left else []
-    return BatchPlan(jobs, [each for each in recordings if each not in wanted], warnings)
+    return BatchPlan(jobs, [recording for recording in recordings if recording not in wanted], warnings)
 
 
 def _forbidden(out: Path, read: Callable[[], Inputs], output: str) -> DestinationError | None:

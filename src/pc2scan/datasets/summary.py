@@ -167,14 +167,14 @@ class Outcome:
 
 def groups_of(outcomes: Iterable[Outcome]) -> list[Group]:
     """Return what is said of several recordings, the worst first, then what is said of most."""
-    found: dict[tuple[str, str], tuple[str, dict[str, None]]] = {}
-    for each in outcomes:
-        for kind, text in each.remarks():
-            alike = _AGREEING.sub(r"\1", _VARIABLE.sub(lambda found: "" if found[0][0] == ":" else "#", text))
-            _, keys = found.setdefault((kind, alike), (text, {}))
-            keys[each.key] = None
+    remarks: dict[tuple[str, str], tuple[str, dict[str, None]]] = {}
+    for outcome in outcomes:
+        for kind, text in outcome.remarks():
+            alike = _AGREEING.sub(r"\1", _VARIABLE.sub(lambda match: "" if match[0][0] == ":" else "#", text))
+            _, keys = remarks.setdefault((kind, alike), (text, {}))
+            keys[outcome.key] = None
     kinds = [*_ORDER, "skipped", "damaged", "warning"]
-    groups = [Group(kind, text, tuple(keys)) for (kind, _), (text, keys) in found.items()]
+    groups = [Group(kind, text, tuple(keys)) for (kind, _), (text, keys) in remarks.items()]
     return sorted(groups, key=lambda group: (kinds.index(group.kind), -len(group.recordings)))
 
 
@@ -214,8 +214,8 @@ class BatchReport(Result):
     @property
     def exit_status(self) -> int:
         """0 if every recording is converted; 3 if some are incomplete or empty; 1 if any failed."""
-        found = {outcome.outcome for outcome in self.outcomes}
-        return 1 if found & _BAD else 3 if found & _ODD else 0
+        outcomes = {outcome.outcome for outcome in self.outcomes}
+        return 1 if outcomes & _BAD else 3 if outcomes & _ODD else 0
 
     @property
     def counts(self) -> dict[str, int]:

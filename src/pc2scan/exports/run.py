@@ -192,11 +192,11 @@ def run(
             odometry = tuple(each._replace(unnamed=unnamed or each.unnamed) for each in frames.odometry)
             own = replace(options, frames=replace(frames, odometry=odometry))
             needed = form.pose_frame, form.base_frame
-            found, others = corrected_transforms(as_one(readers), own, stack, needed, meter)
+            transforms, others = corrected_transforms(as_one(readers), own, stack, needed, meter)
             readers += others
             # Scans that are made of clouds have the right frame in their headers.
-            poses = Poses(found, *needed, "" if form.converting else frames.source_frame)
-            tell(*found.warnings, *found.notes)
+            poses = Poses(transforms, *needed, "" if form.converting else frames.source_frame)
+            tell(*transforms.warnings, *transforms.notes)
         try:
             if any(names.values()):
                 unfinished.mkdir()
@@ -220,8 +220,8 @@ def _check_request(file_format: ExportFormat, options: ConvertOptions, form: Exp
         hint = "`pose_frame=odom` reads them from tf, `odom_topic=/odom` from odometry"
         raise UsageError(f"{file_format.name} needs poses", hint=hint)
     if scan.reverse or (file_format.clouds and form.converting):
-        made = "clouds, but parameters of the projection make scans of them"
-        raise UsageError(f"{file_format.name} is a format of {made if file_format.clouds else 'scans'}")
+        content = "clouds, but parameters of the projection make scans of them"
+        raise UsageError(f"{file_format.name} is a format of {content if file_format.clouds else 'scans'}")
     if form.converting:
         return
     if scan.filters or scan.remove or scan.deskew or scan.level or any(topic.target for topic in scan.topics):

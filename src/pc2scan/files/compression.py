@@ -102,10 +102,10 @@ def decompress_within(compression: str, data: Buffer, limit: int) -> Buffer:
     CompressionError
         If the data have another format, are damaged or cut off, or the result is larger.
     """
-    found = _zlib_within(data, limit) if compression == "zlib" else _zstd_within(data, limit)
-    if len(found) > limit:
+    content = _zlib_within(data, limit) if compression == "zlib" else _zstd_within(data, limit)
+    if len(content) > limit:
         raise CompressionError(f"the data are larger than {limit:,} bytes, which is the limit for {len(data):,} bytes")
-    return found
+    return content
 
 
 def compress(compression: str, data: Buffer, level: int | None = None) -> Buffer:
@@ -219,12 +219,12 @@ def _zlib_within(data: Buffer, limit: int) -> Buffer:
     # With a header of gzip or of zlib.
     inflate = _zlib.decompressobj(31 if bytes(data[:2]) == b"\x1f\x8b" else 15)
     try:
-        found: bytes = inflate.decompress(data, limit + 1)
+        content: bytes = inflate.decompress(data, limit + 1)
     except (zlib.error, _zlib.error) as err:
         raise CompressionError(str(err)) from err
-    if not inflate.eof and len(found) <= limit:
+    if not inflate.eof and len(content) <= limit:
         raise CompressionError("the data are cut off")
-    return found
+    return content
 
 
 def _zstd_within(data: Buffer, limit: int) -> Buffer:
@@ -232,9 +232,9 @@ def _zstd_within(data: Buffer, limit: int) -> Buffer:
     if size > limit:
         raise CompressionError(f"the compressed data declare {size:,} bytes, at most {limit:,} are allowed")
     if size >= 0:
-        found = memoryview(bytearray(size))
-        decompress("zstd", data, found)
-        return found
+        content = memoryview(bytearray(size))
+        decompress("zstd", data, content)
+        return content
     # Frames without their size, which streaming compressors write.
     pieces, total, unzstd = list[bytes](), 0, Decoder("zstd")
     for start in range(0, len(data), _PIECE):

@@ -113,15 +113,15 @@ def refuse_others(folder: Path, record_in: FolderRecord | None, written: Collect
     present = sorted(files_below(folder))
     if not present:
         return
-    found = "its content is not checked" if record_in is None else record_in(folder)
+    record = "its content is not checked" if record_in is None else record_in(folder)
     away = "choose another name, or move it away"
-    if isinstance(found, str):
+    if isinstance(record, str):
         hint = f"choose another name, or remove it yourself: rm -r {shlex.quote(str(folder))}"
-        raise _unaccounted_error(folder, f"{found}, so it does not account for {name_list(present, 3)}", hint)
-    if unnamed := [name for name in present if name not in found.files]:
-        raise _unaccounted_error(folder, f"its {found.name} does not name {name_list(unnamed, 3)}", away)
+        raise _unaccounted_error(folder, f"{record}, so it does not account for {name_list(present, 3)}", hint)
+    if unnamed := [name for name in present if name not in record.files]:
+        raise _unaccounted_error(folder, f"its {record.name} does not name {name_list(unnamed, 3)}", away)
     if written is not None:
-        kept = [name for name in present if name not in written and not is_unchanged(folder / name, found.files[name])]
+        kept = [name for name in present if name not in written and not is_unchanged(folder / name, record.files[name])]
         if kept:
             raise _unaccounted_error(folder, f"{name_list(kept, 3)} was changed after it was written", away)
 
@@ -260,8 +260,8 @@ class Inputs:
         for path in (output.path, *working_names(output.path)):
             if (related := self._relation(path)) is None:
                 continue
-            relation, found = related
-            role = f"an {found.role}" if found.role[0] in "aeiou" else f"a {found.role}"
+            relation, source = related
+            role = f"an {source.role}" if source.role[0] in "aeiou" else f"a {source.role}"
             if path != output.path:
                 # What a killed run left may be a source.
                 better = output.path.with_name(f"interrupted_{output.path.name}")
@@ -269,9 +269,9 @@ class Inputs:
                 raise DestinationError(
                     f"needs the name {path.name} while it is written, which is {role}",
                     path=output.path,
-                    hint=f"choose another name for it, or rename the {found.role} first ({rename})",
+                    hint=f"choose another name for it, or rename the {source.role} first ({rename})",
                 )
-            what = role if relation == "is" else f"the {found.role} {found.path}"
+            what = role if relation == "is" else f"the {source.role} {source.path}"
             hint = "sources are never changed; choose another name"
             raise DestinationError(f"{_subject(output)}{relation} {what}", path=path, hint=hint)
 
@@ -343,14 +343,14 @@ def file_ids(path: Path) -> list[FileId]:
     """Return device and inode of a path that exists; for a symbolic link its own and its target's."""
     if isinstance(path, UrlPath):
         return [path.identity]
-    found: list[FileId] = []
+    ids: list[FileId] = []
     with suppress(OSError):
         status = path.lstat()
-        found.append((status.st_dev, status.st_ino))
+        ids.append((status.st_dev, status.st_ino))
         if stat.S_ISLNK(status.st_mode):
             status = path.stat()
-            found.append((status.st_dev, status.st_ino))
-    return found
+            ids.append((status.st_dev, status.st_ino))
+    return ids
 
 
 def path_key(path: Path) -> object:

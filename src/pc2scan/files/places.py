@@ -185,8 +185,8 @@ def missing_hint(path: Path, suffixes: Iterable[str] = ()) -> str | None:
     if similar is not None:
         return f"did you mean {above / similar}?"
     wanted = tuple(suffixes)
-    there = [str(above / name) for name in names if wanted and name.endswith(wanted)]
-    if not there:
+    files = [str(above / name) for name in names if wanted and name.endswith(wanted)]
+    if not files:
         return None
-    more = f" and {len(there) - 3} more" if len(there) > 3 else ""
-    return f"the folder has {', '.join(there[:3])}{more}"
+    more = f" and {len(files) - 3} more" if len(files) > 3 else ""
+    return f"the folder has {', '.join(files[:3])}{more}"

@@ -112,11 +112,11 @@ class RemotePath:
         MissingError
             If nothing is there.
         """
-        found = _object(self._call("info"))
-        if found.size < 0:
+        stored = _object(self._call("info"))
+        if stored.size < 0:
             hint = "download it, and convert the copy"
             raise RecordingError("the server does not report its size", path=self.shown, hint=hint)
-        return found
+        return stored
 
     def listed(self, method: str, folder: str = "") -> dict[str, StoredObject]:
         """Return what ``ls``, ``find`` or ``glob`` of fsspec lists, by paths relative to a folder; default: this one.
@@ -124,11 +124,11 @@ class RemotePath:
         Long listings take long: only silence ends them.
         """
         with self._translated_errors():
-            found = getattr(self._fs, method)(self.key, detail=True)
+            listing = getattr(self._fs, method)(self.key, detail=True)
         start = (folder or self.key).strip("/")
         objects = {
             str(each["name"]).strip("/").removeprefix(start).lstrip("/"): _object(each)
-            for each in (found.values() if isinstance(found, dict) else found)
+            for each in (listing.values() if isinstance(listing, dict) else listing)
         }
         # Some stores list the folder itself, as an empty file.
         return {name: objects[name] for name in sorted(objects) if name}
@@ -156,11 +156,11 @@ class RemotePath:
         """Write the whole file to a local one; an error if it does not have ``size`` bytes."""
 
         def arrived() -> int:
-            found = target.stat().st_size if target.exists() else 0
-            if found > size:
+            received = target.stat().st_size if target.exists() else 0
+            if received > size:
                 message = f"the server sends more than the {size:,} bytes that it declares"
                 raise RecordingError(message, path=self.shown, hint=_AGAIN)
-            return found
+            return received
 
         self._call("get_file", os.fspath(target), arrived=arrived)
         if arrived() < size:

@@ -135,10 +135,10 @@ def local_path(text: str, name: str = "a source") -> str:
     if not url.path or set("?#") & set(rest) or any(code in rest.upper() for code in ("%00", "%2F")):
         hint = "it has three slashes, %3F for ? and %23 for #: file:///data/drive.bag"
         raise UsageError("is a URL that names no file", path=text, hint=hint)
-    found = "/" + os.fsdecode(unquote_to_bytes(os.fsencode(url.path))).lstrip("/")
+    path = "/" + os.fsdecode(unquote_to_bytes(os.fsencode(url.path))).lstrip("/")
     # On Windows a drive follows the slash: file:///C:/data, or file:///C|/data.
-    has_drive = os.name == "nt" and found[2:3] in {":", "|"}
-    return f"{found[1]}:{found[3:]}" if has_drive else found
+    has_drive = os.name == "nt" and path[2:3] in {":", "|"}
+    return f"{path[1]}:{path[3:]}" if has_drive else path
 
 
 def paths_in(name: str, values: PathText | Iterable[PathText]) -> list[Path]:
@@ -289,11 +289,11 @@ class UrlPath(_LocalPath):
 
     def is_dir(self, *, follow_symlinks: bool = True) -> bool:  # noqa: ARG002  # the signature of Path
         """Return whether it is a folder."""
-        return (found := self._found()) is not None and found.is_folder
+        return (stored := self._found()) is not None and stored.is_folder
 
     def is_file(self, *, follow_symlinks: bool = True) -> bool:  # noqa: ARG002  # the signature of Path
         """Return whether it is a file."""
-        return (found := self._found()) is not None and not found.is_folder
+        return (stored := self._found()) is not None and not stored.is_folder
 
     def iterdir(self) -> Generator[Self]:
         """Yield what is in a folder."""
@@ -301,17 +301,17 @@ class UrlPath(_LocalPath):
 
     def below(self) -> Iterator[Self]:
         """Yield all files in a folder and the folders in it."""
-        found: dict[str, StoredObject] = {}
+        objects: dict[str, StoredObject] = {}
         with suppress(MissingError):
-            found = self.remote.listed("find")
-        return self._children({name: each for name, each in found.items() if not each.is_folder})
+            objects = self.remote.listed("find")
+        return self._children({name: each for name, each in objects.items() if not each.is_folder})
 
     def matches(self, root: Path) -> Iterator[UrlPath]:
         """Yield what this path matches as a pattern (``*``, ``**``, ``?``, ``[abc]``), below a folder without signs."""
         assert isinstance(root, UrlPath)
-        found = self.remote.listed("glob", root.remote.key).items()
+        entries = self.remote.listed("glob", root.remote.key).items()
         # Hidden files are not matched, as on a disk.
-        return root._children({name: each for name, each in found if "/." not in f"/{name}"})  # noqa: SLF001
+        return root._children({name: each for name, each in entries if "/." not in f"/{name}"})  # noqa: SLF001
 
     def _children(self, found: dict[str, StoredObject]) -> Iterator[Self]:
         for name, entry in found.items():

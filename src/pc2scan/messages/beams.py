@@ -65,8 +65,8 @@ def scan_points(scan: LaserScan) -> tuple[Points, dict[str, int]]:
     """
     if (missing := scan.ranges == _NO_RETURN).any():
         scan = replace(scan, ranges=np.where(missing, float32(np.inf), scan.ranges))
-    found = unproject_scan(scan)
-    fields = {name: np.ascontiguousarray(found.points[name]) for name in found.points.dtype.names or ()}
+    unprojected = unproject_scan(scan)
+    fields = {name: np.ascontiguousarray(unprojected.points[name]) for name in unprojected.points.dtype.names or ()}
     with np.errstate(all="ignore"):
-        fields[TIME] = found.beams * np.float64(float32(scan.time_increment))
-    return Points(scan.sequence, scan.stamp_ns, scan.frame_id, fields), found.rejected
+        fields[TIME] = unprojected.beams * np.float64(float32(scan.time_increment))
+    return Points(scan.sequence, scan.stamp_ns, scan.frame_id, fields), unprojected.rejected

@@ -103,5 +103,5 @@ def usual_topics(types: Mapping[str, Collection[str]], kinds: Collection[str]) -
         The types of each topic of a recording.
     """
     wanted = set(kinds)
-    found = [topic for topic, own in types.items() if not wanted.isdisjoint(own)]
-    return [topic for topic in found if not (wanted - SECONDARY).isdisjoint(types[topic])] or found
+    topics = [topic for topic, own in types.items() if not wanted.isdisjoint(own)]
+    return [topic for topic in topics if not (wanted - SECONDARY).isdisjoint(types[topic])] or topics

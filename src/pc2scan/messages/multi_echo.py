@@ -104,6 +104,6 @@ def _chosen(echoes: _Echoes, echo: str) -> NDArray[np.int64]:
 
 def _take(echoes: _Echoes, chosen: NDArray[np.int64], missing: float) -> NDArray[np.float32]:
     taken = np.full(echoes.counts.size, missing, np.float32)
-    there = echoes.counts > 0
-    taken[there] = echoes.values[(echoes.starts + chosen)[there]]
+    has_echo = echoes.counts > 0
+    taken[has_echo] = echoes.values[(echoes.starts + chosen)[has_echo]]
     return taken

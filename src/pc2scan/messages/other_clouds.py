@@ -80,13 +80,13 @@ def instead_of_clouds(connections: Sequence[Connection]) -> tuple[str, str] | No
     >>> instead_of_clouds([Connection(0, "/map", "octomap_msgs/msg/Octomap", "cdr")])[0]
     'OctoMaps: /map'
     """
-    found = list(_kinds(connections))
-    if not found:
+    kinds = list(_kinds(connections))
+    if not kinds:
         return None
-    what = "; ".join(f"{kind.name}: {name_list(topics, _MOST_TOPICS)}" for kind, topics in found)
-    if len(found) == 1:
-        return what, found[0][0].advice
-    return what, "; ".join(f"{kind.name}: {kind.advice}" for kind, _ in found)
+    what = "; ".join(f"{kind.name}: {name_list(topics, _MOST_TOPICS)}" for kind, topics in kinds)
+    if len(kinds) == 1:
+        return what, kinds[0][0].advice
+    return what, "; ".join(f"{kind.name}: {kind.advice}" for kind, _ in kinds)
 
 
 def _kinds(connections: Sequence[Connection]) -> Iterator[tuple[_Kind, list[str]]]:

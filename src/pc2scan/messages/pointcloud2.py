@@ -205,17 +205,17 @@ class PointCloud2:
         return np.ndarray((*first.shape, count), first.dtype, self.data, field.offset, (*first.strides, size))
 
     def _layout_of(self, name: str) -> _FieldLayout:
-        found = next((field for field in self.fields if field.name == name), None)
-        if found is None:
+        requested = next((field for field in self.fields if field.name == name), None)
+        if requested is None:
             names = ", ".join(field.name for field in self.fields) or "none"
             raise self._error(f"no field {name!r}; the cloud's fields are: {names}")
-        if found.datatype not in DATATYPES:
-            raise self._error(f"field {name!r} has datatype {found.datatype}, known are 1 to 8")
-        dtype = _DTYPES[">" if self.is_bigendian else "<"][found.datatype]
+        if requested.datatype not in DATATYPES:
+            raise self._error(f"field {name!r} has datatype {requested.datatype}, known are 1 to 8")
+        dtype = _DTYPES[">" if self.is_bigendian else "<"][requested.datatype]
         if not self.points:
-            return _FieldLayout(dtype, found.offset, (0,), (0,), 0)
-        if found.offset + dtype.itemsize > self.point_step:
-            raise self._outside(found, dtype.itemsize)
+            return _FieldLayout(dtype, requested.offset, (0,), (0,), 0)
+        if requested.offset + dtype.itemsize > self.point_step:
+            raise self._outside(requested, dtype.itemsize)
         row, row_step = self.width * self.point_step, self.row_stride
         if row_step < row:
             raise self._error(
@@ -223,8 +223,8 @@ class PointCloud2:
             )
         needed = (self.height - 1) * row_step + row
         if row_step == row:
-            return _FieldLayout(dtype, found.offset, (self.points,), (self.point_step,), needed)
-        return _FieldLayout(dtype, found.offset, (self.height, self.width), (row_step, self.point_step), needed)
+            return _FieldLayout(dtype, requested.offset, (self.points,), (self.point_step,), needed)
+        return _FieldLayout(dtype, requested.offset, (self.height, self.width), (row_step, self.point_step), needed)
 
     def xyz(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
         """Return the coordinates: `field` of ``x``, ``y`` and ``z``, metres in ``frame_id``.

@@ -183,12 +183,12 @@ def _new_type_plan(msgtype: str, definition: Definition, source: int) -> _TypePl
     """Choose the destination's type and compile the conversion."""
     target = 3 - source
     root = schema.canonical_type(msgtype)
-    here, there = schema.known_types(source), schema.known_types(target)
+    source_types, target_types = schema.known_types(source), schema.known_types(target)
     recorded, notes = _recorded_types(msgtype, definition, source)
-    ours = schema.closure(root, lambda name: recorded.get(name) or here.get(name))
-    shared = {name for name in ours if schema.same_layout(ours, there, name)}
-    types = schema.closure(root, lambda name: there[name] if name in shared else ours.get(name))
-    if differing := [name for name in ours if name in there and name not in shared]:
+    ours = schema.closure(root, lambda name: recorded.get(name) or source_types.get(name))
+    shared = {name for name in ours if schema.same_layout(ours, target_types, name)}
+    types = schema.closure(root, lambda name: target_types[name] if name in shared else ours.get(name))
+    if differing := [name for name in ours if name in target_types and name not in shared]:
         names = ", ".join(ros1_type(name) if target == 1 else name for name in differing)
         notes = (*notes, f"layout differs from {_SETS[target]}'s {names}: written with the recording's own definition")
     text, digest = _declared(types, target, known=root in shared)
@@ -310,11 +310,11 @@ def _converter(types: schema.Types, source: int) -> Callable[[Buffer], Buffer]:
         low, high = (taken, taken) if source == 1 else (taken - _MAX_PADDING, taken + 3)
         if not low <= len(body) <= high:
             raise ValueError(f"its fields take {taken + 4 - head}")
-        made = memoryview(bytearray(head + size))
+        output = memoryview(bytearray(head + size))
         if head:
-            made[1] = 1
-        copy(body, 0, made[head:], 0, own)
-        return made.toreadonly()
+            output[1] = 1
+        copy(body, 0, output[head:], 0, own)
+        return output.toreadonly()
 
     return convert
 

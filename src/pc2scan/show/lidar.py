@@ -232,17 +232,17 @@ class Lidar:
     @cached_property
     def covered(self) -> float:
         """The share of all directions that a cloud has."""
-        found = self.facts.found(_DIRECTIONS)
-        return median([each.bit_count() / DIRECTIONS for each in found]) if found else 0.0
+        masks = self.facts.found(_DIRECTIONS)
+        return median([each.bit_count() / DIRECTIONS for each in masks]) if masks else 0.0
 
     @cached_property
     def directions(self) -> Directions:
         """Whether a cloud is a part of a turn."""
-        found = self.facts.found(_DIRECTIONS)
-        union = reduce(or_, found, 0)
-        if len(found) < _SEVERAL or self.covered >= _PART * union.bit_count() / DIRECTIONS:
+        masks = self.facts.found(_DIRECTIONS)
+        union = reduce(or_, masks, 0)
+        if len(masks) < _SEVERAL or self.covered >= _PART * union.bit_count() / DIRECTIONS:
             return Directions()
-        middles = [_middle(each) for each in found]
+        middles = [_middle(each) for each in masks]
         steps = np.remainder(np.diff(middles) + math.pi, math.tau) - math.pi
         step = median(steps)
         # Packets follow each other; a pattern jumps.
@@ -308,17 +308,17 @@ class Lidar:
     def in_target(self, points: NDArray[np.floating[Any]], frame: str = "") -> NDArray[np.float64]:
         """Return points of a frame, (3, N), in the frame of the scans, (N, 3)."""
         with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
-            found = points.T.astype(np.float64)
+            xyz = points.T.astype(np.float64)
         frame = frame or self.mounting.judged_in
         target, static = self.target, self.mounting.static_tf
         if static and frame == self.mounting.frame:
-            return np.asarray(StaticTransform.parse(static).parent_from_child.apply(found))
+            return np.asarray(StaticTransform.parse(static).parent_from_child.apply(xyz))
         if not target or target == frame or self.buffer is None:
-            return found
+            return xyz
         try:
-            return np.asarray(self.buffer.lookup(target, frame, 0).apply(found))
+            return np.asarray(self.buffer.lookup(target, frame, 0).apply(xyz))
         except TransformError:
-            return found
+            return xyz
 
 
 def _connects(buffer: TransformBuffer, target: str, source: str) -> bool:

@@ -266,11 +266,11 @@ def _estimate_up(
             f"{topic}: its gyroscope jitters by {rough:.2g} rad/s, as that of an IMU that vibrates: up is off by "
             f"about {drift:.2g} degrees; `fixed_frame` levels by transforms instead"
         )
-    found = up_by_gravity(stamps_ns[known], turning[known], acceleration[known], gravity)
+    up = up_by_gravity(stamps_ns[known], turning[known], acceleration[known], gravity)
     unit = " (in units of g)" if gravity < 2 else ""
     why = "its orientation never changes" if never_changes else _why_no_orientation(directions)
     note = f"{topic}: up is estimated from gyroscope and accelerometer{unit} of {len(known):,} messages: {why}"
-    return known, found, [note], warnings
+    return known, up, [note], warnings
 
 
 def _why_no_orientation(directions: NDArray[np.float64]) -> str:

@@ -123,8 +123,8 @@ def named_in_namespace(name: str, frames: Collection[str]) -> str:
     >>> named_in_namespace("odom", ["robot1/odom", "robot1/base_link"])
     'robot1/odom'
     """
-    found = [frame for frame in frames if frame.endswith(f"/{name}")]
-    return found[0] if len(found) == 1 else ""
+    matches = [frame for frame in frames if frame.endswith(f"/{name}")]
+    return matches[0] if len(matches) == 1 else ""
 
 
 def unknown_frame_error(

@@ -63,19 +63,19 @@ def sensor_motion(buffer: TransformBuffer, frame: str, seconds: float) -> Sensor
     above = _above(buffer, frame.removeprefix("/"))
     # Localisation makes the robot jump in map, so odom comes first.
     for fixed in (*(name for name in WORLDS if name in above), *above[-1:]):
-        found = _motion_in(buffer, fixed, frame.removeprefix("/"), seconds)
-        if found is not None:
-            return found
+        motion = _motion_in(buffer, fixed, frame.removeprefix("/"), seconds)
+        if motion is not None:
+            return motion
     return None
 
 
 def _above(buffer: TransformBuffer, frame: str) -> list[str]:
     """Return the frames above a frame, the nearest first."""
-    found: list[str] = []
-    while (history := buffer.history(frame)) is not None and len(found) < _MOST_LINKS:
+    frames: list[str] = []
+    while (history := buffer.history(frame)) is not None and len(frames) < _MOST_LINKS:
         frame = buffer.frames[history.parent_at(None)]
-        found.append(frame)
-    return found
+        frames.append(frame)
+    return frames
 
 
 def _motion_in(buffer: TransformBuffer, fixed: str, frame: str, seconds: float) -> SensorMotion | None:

@@ -200,15 +200,19 @@ def mounting(
         )
         if moved is not None:
             return seen.correct(judged_in, moved, ground, _IDENTITY)._replace(fault=fault)
-        there = clouds[0].transform
-        if seen.ground.kind == "unknown" and there and (lying := _on_its_side(seen, judged_in, there, _IDENTITY)):
+        transform = clouds[0].transform
+        if (
+            seen.ground.kind == "unknown"
+            and transform
+            and (lying := _on_its_side(seen, judged_in, transform, _IDENTITY))
+        ):
             return lying
         heights = suitable_heights(seen.ground, samples, frame=judged_in, origin_z=origin_z)
         return seen.verdict(fault, heights=heights)
     if buffer is not None:
-        found = _by_transforms(seen, buffer, stamp_ns)
-        if found is not None:
-            return found
+        by_transforms = _by_transforms(seen, buffer, stamp_ns)
+        if by_transforms is not None:
+            return by_transforms
     if not seen.ground.off or seen.ground.kind == "slanted":
         return seen.verdict(_fault(seen.ground), heights=suitable_heights(seen.ground, samples))
     level = Rigid.from_rpy(*seen.ground.level_from_frame, (0.0, 0.0, seen.ground.height or 0.0))
@@ -241,8 +245,8 @@ class _Observation(NamedTuple):
         turned = level.compose(target_from_frame).quaternion
         right = Rigid(turned / np.linalg.norm(turned), target_from_frame.translation)
         moved = [level.apply(turn.apply(points)) for points in self.samples]
-        there = common_ground([find_ground(points) for points in moved])
-        heights = suitable_heights(there, moved, frame=target, origin_z=_height(right))
+        corrected = common_ground([find_ground(points) for points in moved])
+        heights = suitable_heights(corrected, moved, frame=target, origin_z=_height(right))
         return self.replace_frame(target, right, heights)
 
 
@@ -260,18 +264,18 @@ def _by_transforms(seen: _Observation, buffer: TransformBuffer, stamp_ns: int) -
     turn = body_from_frame.rotation
     samples = [turn.apply(points) for points in seen.samples]
     height = _height(body_from_frame)
-    there = _believed(common_ground([find_ground(points) for points in samples]), height)
-    ground = _believed(ground, height) if there.kind != "level" else ground
-    if there.off and "slanted" in {there.kind, ground.kind}:
+    body_ground = _believed(common_ground([find_ground(points) for points in samples]), height)
+    ground = _believed(ground, height) if body_ground.kind != "level" else ground
+    if body_ground.off and "slanted" in {body_ground.kind, ground.kind}:
         return None
-    if there.off:
+    if body_ground.off:
         # The frame itself is level and its transform tilts it, so the transform is wrong.
-        return seen.correct(name, body_from_frame, there, turn) if ground.off else None
-    if there.kind == "unknown" and ground.kind == "slanted":
+        return seen.correct(name, body_from_frame, body_ground, turn) if ground.off else None
+    if body_ground.kind == "unknown" and ground.kind == "slanted":
         return None
-    if there.kind == ground.kind == "unknown" and (lying := _on_its_side(seen, name, body_from_frame, turn)):
+    if body_ground.kind == ground.kind == "unknown" and (lying := _on_its_side(seen, name, body_from_frame, turn)):
         return lying
-    heights = suitable_heights(there, samples, frame=name, origin_z=height)
+    heights = suitable_heights(body_ground, samples, frame=name, origin_z=height)
     tilt = _tilt(body_from_frame)
     fault = _fault(ground)
     if not fault and tilt > _NOTABLE_TILT:
@@ -280,10 +284,10 @@ def _by_transforms(seen: _Observation, buffer: TransformBuffer, stamp_ns: int) -
         how = f"tilted by {math.degrees(tilt):.1f} deg"
         if tilt > math.pi - _NOTABLE_TILT:
             how = "upside down"
-            if there.kind == "level" and there.up is not None:
+            if body_ground.kind == "level" and body_ground.up is not None:
                 # What seems the floor in the frame itself is the ceiling.
-                x, y, z = (np.array(there.up) @ turn.matrix).tolist()
-                seen = seen._replace(ground=there._replace(kind="upside-down", up=(x, y, z)))
+                x, y, z = (np.array(body_ground.up) @ turn.matrix).tolist()
+                seen = seen._replace(ground=body_ground._replace(kind="upside-down", up=(x, y, z)))
         fault = f"{how} according to its transform to {name!r}; expected z up"
     return seen.verdict(fault, name, heights=heights)
 
@@ -361,18 +365,18 @@ def _tilt(rigid: Rigid) -> float:
 
 def _ancestors(buffer: TransformBuffer, frame: str, stamp_ns: int) -> list[tuple[str, Rigid]]:
     """Return the frames above a frame that move with it, the nearest first."""
-    found: list[tuple[str, Rigid]] = []
+    ancestors: list[tuple[str, Rigid]] = []
     name = frame.removeprefix("/")
-    while len(found) < 20:
+    while len(ancestors) < 20:
         history = buffer.history(name)
         if history is None:
             break
         name = buffer.frames[history.parent_at(None)]
         moved = _lookup(buffer, name, frame, stamp_ns)
-        if moved is None or name in WORLDS or name in {other for other, _ in found}:
+        if moved is None or name in WORLDS or name in {other for other, _ in ancestors}:
             break
-        found.append((name, moved))
-    return found
+        ancestors.append((name, moved))
+    return ancestors
 
 
 def _lookup(buffer: TransformBuffer, target: str, source: str, stamp_ns: int) -> Rigid | None:

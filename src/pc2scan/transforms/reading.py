@@ -147,14 +147,14 @@ class TransformReading:
         """
         connections = tf_connections(reader.connections, self._options.tf_topics)
         first: dict[str, TransformRow] = {}
-        found: list[Observer[Any]] = []
+        observers: list[Observer[Any]] = []
         if connections:
-            found.append(Observer(connections, copied_message, keep=partial(self.add, reader, first)))
+            observers.append(Observer(connections, copied_message, keep=partial(self.add, reader, first)))
         if own:
-            found += (self._pose_observer(asked, reader) for asked in self._options.odometry)
+            observers += (self._pose_observer(topic, reader) for topic in self._options.odometry)
         if models := _model_connections(reader.connections, self._options):
-            found.append(Observer(models, copied_message, 1, keep=self.add_model))
-        return found
+            observers.append(Observer(models, copied_message, 1, keep=self.add_model))
+        return observers
 
     def _pose_observer(self, asked: PoseTopic, reader: Reader) -> Observer[Any]:
         connections = asked.connections(reader.connections)
@@ -190,12 +190,12 @@ class TransformReading:
         fitting = []
         for topic, trial in trials.items():
             pairs = [(each.parent, each.child) for each in trial.finish()[0]]
-            there = [frame for pair in pairs for frame in pair if frame in missing]
+            provided = [frame for pair in pairs for frame in pair if frame in missing]
             # Without the name of the frame that has the poses, the user has to know it.
             is_named = all(POSES[each.ros_type] for each in candidates[topic])
-            for frame in there:
+            for frame in provided:
                 self._offers.setdefault(frame, topic if is_named else f"{topic}:base_link")
-            if there and is_named:
+            if provided and is_named:
                 fitting.append((topic, pairs[0]))
         if not use or len(fitting) > 1:
             self._notes += (
@@ -279,31 +279,32 @@ class TransformReading:
 
     def _add_poses(self, notes: list[str]) -> tuple[tuple[AddedPoses, ...], list[str]]:
         """Add poses as transforms; return them and warnings, and append notes."""
-        found: list[tuple[str, PoseReading | None, Sequence[Trajectory]]] = []
+        sources: list[tuple[str, PoseReading | None, Sequence[Trajectory]]] = []
         texts: list[str] = []
         for reading in self._poses:
             own_poses, further = reading.finish()
             if not own_poses:
                 raise RecordingError("has no poses", topic=reading.topic)
             texts += further
-            found.append((reading.topic, reading, own_poses))
+            sources.append((reading.topic, reading, own_poses))
         if (given := self._options.trajectory) is not None:
-            found.append((given.name, None, [given]))
+            sources.append((given.name, None, [given]))
         added = []
-        for name, own, trajectories in found:
+        for name, own, trajectories in sources:
             attachments = {}
-            for each in trajectories:
-                where = attach(self._builder.build(), each.parent, each.child)
+            for trajectory in trajectories:
+                where = attach(self._builder.build(), trajectory.parent, trajectory.child)
                 if where.frame in self._overridden:
                     texts.append(f"`static_tf` replaces the poses of {where.frame} from {name}")
                     continue
                 replaced = self._builder.parents_of(where.replaced)
                 self._builder.remove(where.replaced)
-                add_trajectory(self._builder, each, where)
-                attachments[each.parent, each.child] = where
-                if where.frame != each.child:
+                add_trajectory(self._builder, trajectory, where)
+                attachments[trajectory.parent, trajectory.child] = where
+                if where.frame != trajectory.child:
                     notes.append(
-                        f"{each.child}, which has the poses of {name}, is fixed to {where.frame}: they become its poses"
+                        f"{trajectory.child}, which has the poses of {name}, is fixed to {where.frame}: "
+                        "they become its poses"
                     )
                 notes += (f"{name} replaces the transforms of {frame} in {old}" for frame, old in replaced.items())
             added.append(AddedPoses(name, own, trajectories, attachments))
@@ -314,13 +315,13 @@ def _model_connections(connections: Sequence[Connection], options: FrameOptions)
     """Return the connections of the robot's model, beside the transforms; none if there are several robots'."""
     if options.model is not None:
         return []
-    found = [c for c in connections if c.topic.rsplit("/", 1)[-1] == "robot_description" and c.ros_version is not None]
-    found = [c for c in found if c.ros_type == "std_msgs/msg/String"]
-    spaces = {c.topic.strip("/").rpartition("/")[0] for c in found}
+    models = [c for c in connections if c.topic.rsplit("/", 1)[-1] == "robot_description" and c.ros_version is not None]
+    models = [c for c in models if c.ros_type == "std_msgs/msg/String"]
+    spaces = {c.topic.strip("/").rpartition("/")[0] for c in models}
     if len(spaces) > 1:
-        asked = {topic.strip("/").rpartition("/")[0] for topic in options.tf_topics or ("/tf",)}
-        found = [c for c in found if c.topic.strip("/").rpartition("/")[0] in asked]
-    return found
+        namespaces = {topic.strip("/").rpartition("/")[0] for topic in options.tf_topics or ("/tf",)}
+        models = [c for c in models if c.topic.strip("/").rpartition("/")[0] in namespaces]
+    return models
 
 
 def read_transforms(

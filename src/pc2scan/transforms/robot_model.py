@@ -154,8 +154,8 @@ def _joints_of(text: str) -> list[_Joint]:
                 setattr(joint, tag, attributes.get("link", ""))
             elif tag == "origin":
                 joint.xyz, joint.rpy = attributes.get("xyz", joint.xyz), attributes.get("rpy", joint.rpy)
-        if path[:2] == ["robot", "joint"] and (found := next((v for v in attributes.values() if "${" in v), None)):
-            raise _ModelError(f"line {line}: is not a URDF, but a xacro file: it has {found!r}", hint=_TO_URDF)
+        if path[:2] == ["robot", "joint"] and (expression := next((v for v in attributes.values() if "${" in v), None)):
+            raise _ModelError(f"line {line}: is not a URDF, but a xacro file: it has {expression!r}", hint=_TO_URDF)
 
     def refuse(*_declared: object) -> None:
         raise _ModelError(

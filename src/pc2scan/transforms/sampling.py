@@ -40,12 +40,12 @@ def sample_chain(
     sides = (chain.source_side.links, chain.target_side.links, chain.above)
     links = _Links(*(tuple([link.during(begin_ns, end_ns) for link in side]) for side in sides))
     times, gap_ns = _node_times(links, begin_ns, end_ns, step_ns)
-    found = rows_of(links, times)
-    needed = needed_ns(times[::2], found)
+    rows = rows_of(links, times)
+    needed = needed_ns(times[::2], rows)
     if needed < step_ns:
         times, gap_ns = _node_times(links, begin_ns, end_ns, needed)
-        found = rows_of(links, times)
-    return times[::2], found, gap_ns
+        rows = rows_of(links, times)
+    return times[::2], rows, gap_ns
 
 
 def _node_times(links: _Links, begin_ns: int, end_ns: int, step_ns: int) -> tuple[NDArray[np.int64], int]:

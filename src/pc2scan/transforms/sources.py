@@ -84,19 +84,21 @@ class PoseTopic(NamedTuple):
             If it is several topics, or its messages do not name the frame that has the poses.
         """
         types: dict[str, set[str]] = {}
-        for each in connections:
-            types.setdefault(each.topic, set()).add(each.ros_type)
+        for connection in connections:
+            types.setdefault(connection.topic, set()).add(connection.ros_type)
         fitting = sorted(topic for topic, kinds in types.items() if not kinds.isdisjoint(POSES))
-        if len(found := find_topics(self.topic, types, fitting, *POSES)) > 1:
-            raise UsageError(f"`odom_topic`: {self.topic} is {len(found)} topics: {name_list(sorted(found))}")
-        own = [each for each in connections if each.topic == found[0] and each.ros_type in POSES]
-        nameless = next((each.ros_type for each in own if not POSES[each.ros_type]), None)
+        if len(topics := find_topics(self.topic, types, fitting, *POSES)) > 1:
+            raise UsageError(f"`odom_topic`: {self.topic} is {len(topics)} topics: {name_list(sorted(topics))}")
+        own = [
+            connection for connection in connections if connection.topic == topics[0] and connection.ros_type in POSES
+        ]
+        nameless = next((connection.ros_type for connection in own if not POSES[connection.ros_type]), None)
         if nameless is not None and not self.child:
             raise UsageError(
-                f"`odom_topic`: {found[0]} is {nameless}, whose messages do not name the frame that has the pose",
-                hint=f"name it: `odom_topic={found[0]}:base_link`",
+                f"`odom_topic`: {topics[0]} is {nameless}, whose messages do not name the frame that has the pose",
+                hint=f"name it: `odom_topic={topics[0]}:base_link`",
             )
-        return [each for each in own if each.ros_version is not None]
+        return [connection for connection in own if connection.ros_version is not None]
 
 
 @dataclass(slots=True)
@@ -149,9 +151,9 @@ class PoseReading:
         frames = self.frames_of(parent, child)
         if frames not in self._found:
             self._found[frames] = _Poses()
-        found = self._found[frames]
-        found.stamps.append(stamp_ns)
-        found.poses.extend(pose)
+        series = self._found[frames]
+        series.stamps.append(stamp_ns)
+        series.poses.extend(pose)
 
     def finish(self) -> tuple[list[Trajectory], list[str]]:
         """Return the poses by their frames, and warnings."""

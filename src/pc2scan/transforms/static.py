@@ -147,16 +147,16 @@ def _numbers(numbers: Iterable[float]) -> str:
 def added_transforms(given: Iterable[str | Path | StaticTransform]) -> tuple[StaticTransform, ...]:
     """Return transforms that are objects, texts, or in files."""
     transforms = list(given)
-    for each in transforms:
-        if not isinstance(each, str | Path | StaticTransform):
-            raise TypeError(f"static_tf has {each!r}, it must be text, 'parent child x y z roll pitch yaw'")
-    found: list[StaticTransform] = []
-    for each in transforms:
-        if isinstance(each, Path):
-            found += load_static_transforms(each)
+    for item in transforms:
+        if not isinstance(item, str | Path | StaticTransform):
+            raise TypeError(f"static_tf has {item!r}, it must be text, 'parent child x y z roll pitch yaw'")
+    parsed: list[StaticTransform] = []
+    for item in transforms:
+        if isinstance(item, Path):
+            parsed += load_static_transforms(item)
         else:
-            found.append(StaticTransform.parse(each) if isinstance(each, str) else each)
-    return tuple(found)
+            parsed.append(StaticTransform.parse(item) if isinstance(item, str) else item)
+    return tuple(parsed)
 
 
 def load_static_transforms(path: Path) -> tuple[StaticTransform, ...]:

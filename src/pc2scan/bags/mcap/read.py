@@ -244,13 +244,13 @@ def summary_of(index: McapIndex, file: RecordFile, log: DamageLog) -> Summary:
     # A chunk without messages has both times zero.
     rows, are_known = index.segments.rows, np.array([ids is not None for _, ids in index.segments.kinds], bool)
     held = rows[are_known[rows["kind"]] | (rows["end_ns"] > 0)]
-    found = (int(held["start_ns"].min()), int(held["end_ns"].max())) if len(held) else None
-    covers = times is not None and found is not None and times[0] <= found[0] <= found[1] <= times[1]
-    if times and found and not covers:
-        declared, actual = (f"{stamp_text(first)} to {stamp_text(last)}" for first, last in (times, found))
+    span = (int(held["start_ns"].min()), int(held["end_ns"].max())) if len(held) else None
+    covers = times is not None and span is not None and times[0] <= span[0] <= span[1] <= times[1]
+    if times and span and not covers:
+        declared, actual = (f"{stamp_text(first)} to {stamp_text(last)}" for first, last in (times, span))
         log.note_index(file, 0, f"the statistics have log times {declared}, the messages {actual}")
     # For a damaged recording, the statistics are more complete.
-    times = times if covers and log.found else found or times
+    times = times if covers and log.found else span or times
     return Summary(
         container="mcap",
         storage="",
@@ -270,13 +270,13 @@ def compare_counts(index: McapIndex, file: RecordFile, log: DamageLog) -> None:
         return
     chunks = int(np.count_nonzero(index.segments.rows["record_offset"]))
     # Messages are counted, too.
-    for kind, declared, found, lost in (
+    for kind, declared, stored, lost in (
         ("attachments", statistics.attachment_count, len(index.attachments), None),
         ("metadata records", statistics.metadata_count, len(index.metadata), None),
         ("chunks", statistics.chunk_count, chunks, 0),
     ):
-        if found < declared:
-            error = file.damage(f"the statistics count {declared} {kind}, {found} were found")
+        if stored < declared:
+            error = file.damage(f"the statistics count {declared} {kind}, {stored} were found")
             log.note(error, key=kind, messages_lost=lost)
 
 

@@ -193,14 +193,14 @@ class _Search(NamedTuple):
 
         They go on behind the damage. Those that end there are its contents.
         """
-        found = previous if previous and self.file.read(previous, 1)[0] != OP_CHUNK else failed
-        while found < failed and (found := self.next_record(found)) < failed:
-            position: int | None = found
+        start = previous if previous and self.file.read(previous, 1)[0] != OP_CHUNK else failed
+        while start < failed and (start := self.next_record(start)) < failed:
+            position: int | None = start
             while position is not None and position < failed:
                 last, position = position, self.stop_of(position)
             if position is not None and position > failed:
-                return found
-            found = last if position is None else failed
+                return start
+            start = last if position is None else failed
         return None
 
     def leads_on(self, offset: int) -> bool:

@@ -79,11 +79,11 @@ class Connections:
 def read_index(file: BagFile) -> BagIndex:
     """Read the index of a bag."""
     position, connection_count, chunk_count = _read_bag_header(file)
-    found = Connections(file)
+    connection_records = Connections(file)
     for _ in range(connection_count):
         fields, start, position = file.record(position, CONNECTION)
-        found.add(fields, file.nearby(start, position - start))
-    connections = found.by_id
+        connection_records.add(fields, file.nearby(start, position - start))
+    connections = connection_records.by_id
 
     counts = dict.fromkeys(connections, 0)
     located = Segments()
@@ -119,7 +119,7 @@ def read_index(file: BagFile) -> BagIndex:
     if (stored := int(segments.rows["length"].sum())) > 2 * file.size:
         raise FormatError(f"the chunks have {stored} bytes together, in a bag of {file.size}")
     unlisted = frozenset(counts) - connections.keys()
-    _compare_connections(file, segments, set(unlisted), found)
+    _compare_connections(file, segments, set(unlisted), connection_records)
     return BagIndex(
         {key: replace(connection, message_count=counts[key]) for key, connection in connections.items()},
         segments,

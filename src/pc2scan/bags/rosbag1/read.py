@@ -144,15 +144,15 @@ class Rosbag1Reader(ChunkedReader):
         """Find the wanted messages of a chunk; ``described`` and ``places`` are filled for chunks to be copied."""
         describe = partial(self._compare_connection, segment, described)
         span = (segment.start_ns, segment.end_ns)
-        messages, others, found = scan_messages(records, selection, span, describe, places)
+        messages, others, count = scan_messages(records, selection, span, describe, places)
         if unknown := others - self._known.keys():
             raise FormatError(f"it has a message of connection {min(unknown)}, which is not in the index")
         declared = segment.message_count
-        if declared is not None and found < declared:
-            raise FormatError(f"it has {counted(found, 'message')}, the index counts {declared}")
-        if declared is not None and found > declared:
+        if declared is not None and count < declared:
+            raise FormatError(f"it has {counted(count, 'message')}, the index counts {declared}")
+        if declared is not None and count > declared:
             what = (
-                f"the chunk with data at byte {segment.offset} has {counted(found, 'message')}, counted are {declared}"
+                f"the chunk with data at byte {segment.offset} has {counted(count, 'message')}, counted are {declared}"
             )
             self._log.note_index(self._file, segment.offset, what)
         return messages
@@ -306,7 +306,7 @@ def scan_messages(
         The wanted ones, in the order of the chunk.
     others
         The connections of others.
-    found
+    count
         How many messages it has, of all connections and times.
 
     Raises
@@ -324,7 +324,7 @@ def scan_messages(
     append = messages.append
     layout, literals, expected, at_connection, at_seconds = current = USUAL_LAYOUT
     prefix, end = layout.size, len(data)
-    position = found = 0
+    position = count = 0
     while position < end:
         pause = min(end, position + MAX_CHUNK_MESSAGES * prefix)
         while position < pause:
@@ -352,7 +352,7 @@ def scan_messages(
                     raise FormatError(f"a record of kind {kind_of(fields)} is in it, not a message or connection")
                 identity = number_field(fields, "conn")
                 stamp = time_field(fields, "time")
-            found += 1
+            count += 1
             if places is not None:
                 places.append(origin)
             connection = wanted.get(identity)
@@ -366,7 +366,7 @@ def scan_messages(
                     f"declared are {stamp_text(first)} to {stamp_text(last)}"
                 )
         check_number(messages)
-    return messages, others, found
+    return messages, others, count
 
 
 # --- LZ4 frames ---

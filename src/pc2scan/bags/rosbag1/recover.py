@@ -194,7 +194,7 @@ def _walk(file: BagFile) -> _Walk:
     AnotherRecordingError
         If another bag begins behind damage.
     """
-    found, places = _Walk(Segments(), [], []), _indexed_chunks(file)
+    walk, places = _Walk(Segments(), [], []), _indexed_chunks(file)
     header = record_at(file.nearby, len(FIRST_LINE), file.size)
     position, since = len(FIRST_LINE), 0
     if header is not None and header.kind == BAG_HEADER:
@@ -206,7 +206,7 @@ def _walk(file: BagFile) -> _Walk:
         record = record_at(file.nearby, position, file.size)
         if record is None or record.kind == MESSAGE or (record.stop > limit and record.kind != CHUNK):
             stop = next_record(file, position, limit, since=since)
-            found.gaps.append((position, stop, "no record begins here"))
+            walk.gaps.append((position, stop, "no record begins here"))
             position = since = stop
             continue
         stop = record.stop
@@ -216,13 +216,13 @@ def _walk(file: BagFile) -> _Walk:
         elif record.kind == CHUNK:
             stop = stop if stop <= limit else next_record(file, record.start, limit)
             try:
-                found.segments.append(chunk_segment(position, record.fields, record.start, stop))
+                walk.segments.append(chunk_segment(position, record.fields, record.start, stop))
             except FormatError as err:
-                found.gaps.append((position, stop, str(err)))
+                walk.gaps.append((position, stop, str(err)))
         elif record.kind == CONNECTION:
-            found.described.append(record)
+            walk.described.append(record)
         since, position = position, stop
-    return found
+    return walk
 
 
 def recover_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagIndex:
@@ -237,9 +237,9 @@ def recover_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagInd
     """
     if log.strict:
         raise problem
-    found = _walk(file)
+    walk = _walk(file)
     connections, segments = Connections(file), Segments()
-    for segment in found.segments:
+    for segment in walk.segments:
         timed = _with_times(file, segment, connections)
         if timed is not None:
             segments.append(timed)
@@ -247,14 +247,14 @@ def recover_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagInd
             error = file.damage_error(f"the chunk with data at byte {segment.offset} has no complete message")
             lost = {"bytes_lost": segment.uncompressed_size, **times_around(segments)(segment.offset, segment.offset)}
             log.note(error, offset=segment.offset, **lost)
-    for record in found.described:
+    for record in walk.described:
         try:
             connections.add(record.fields, file.nearby(record.start, record.stop - record.start))
         except FormatError as err:
-            found.gaps.append((record.start, record.stop, str(err)))
+            walk.gaps.append((record.start, record.stop, str(err)))
     around = times_around(segments)
     log.note(problem, **around(file.size, file.size))
-    for start, stop, what in found.gaps:
+    for start, stop, what in walk.gaps:
         error = file.damage_error(f"{what} (bytes {start} to {stop})")
         log.note(error, offset=start, bytes_lost=stop - start, **around(start, stop))
     by_id = {key: replace(item, message_count=None) for key, item in sorted(connections.by_id.items())}

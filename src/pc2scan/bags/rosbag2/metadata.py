@@ -123,8 +123,8 @@ def is_recording(folder: Path) -> bool:
 
 def storage_files(folder: Path) -> list[Path]:
     """Return the files of a directory with a storage's suffix, in natural order: 2 comes before 10."""
-    found = [path for path in folder.iterdir() if path.is_file() and _storage_of(path.name) is not None]
-    return sorted(found, key=natural_order)
+    files = [path for path in folder.iterdir() if path.is_file() and _storage_of(path.name) is not None]
+    return sorted(files, key=natural_order)
 
 
 def locate_files(folder: Path, names: Iterable[str]) -> tuple[dict[str, Path | None], list[str]]:
@@ -133,12 +133,12 @@ def locate_files(folder: Path, names: Iterable[str]) -> tuple[dict[str, Path | N
     If as many files of a recording are in the directory without being named, they are the missing ones, renamed.
     Returns None for each file that is not there, and remarks about renamed ones.
     """
-    found = {name: _locate_file(folder, name) for name in names}
-    missing = [name for name, path in found.items() if path is None]
-    others = [path for path in storage_files(folder) if path not in found.values()] if missing else []
+    paths = {name: _locate_file(folder, name) for name in names}
+    missing = [name for name, path in paths.items() if path is None]
+    others = [path for path in storage_files(folder) if path not in paths.values()] if missing else []
     renamed = dict(zip(missing, others, strict=True)) if len(missing) == len(others) else {}
     what = "which is not in the directory"
-    return found | renamed, [
+    return paths | renamed, [
         f"{folder / METADATA_NAME} names {name:.300}, {what}; {path.name} is read in its place"
         for name, path in renamed.items()
     ]
@@ -227,8 +227,8 @@ def _get(mapping: Any, key: str, kind: type, where: str, default: Any = None) ->
     if value is None and default is not None:
         return default
     if not isinstance(value, kind) or isinstance(value, bool):
-        found = "is missing" if value is None else f"is {value!r:.60}"
-        raise ValueError(f"{key} of {where} {found}, expected {_KINDS[kind]}")  # noqa: TRY004 - of a file
+        fault = "is missing" if value is None else f"is {value!r:.60}"
+        raise ValueError(f"{key} of {where} {fault}, expected {_KINDS[kind]}")  # noqa: TRY004 - of a file
     return value
 
 

@@ -122,19 +122,19 @@ def case_folders(folder: Path, pattern: str = "") -> list[tuple[str, Path]]:
         if not folder.is_dir():
             raise UsageError("is not a folder", path=folder, hint="give the folder with the cases")
         if is_case(folder):
-            found = [(folder.resolve().name, folder)]
+            cases = [(folder.resolve().name, folder)]
         else:
-            found = [(case.relative_to(folder).as_posix(), case) for case in _folders_below(folder)]
+            cases = [(case.relative_to(folder).as_posix(), case) for case in _folders_below(folder)]
     except OSError as err:
         raise UsageError(f"cannot be read: {err.strerror}", path=err.filename or folder) from err
-    if not found:
+    if not cases:
         raise UsageError(
             "has no cases", path=folder, hint="a case is a folder with input.bag (or .mcap, ...) and params.yaml"
         )
-    chosen = [(name, case) for name, case in found if pattern in name or fnmatchcase(name, pattern)]
+    chosen = [(name, case) for name, case in cases if pattern in name or fnmatchcase(name, pattern)]
     if not chosen:
-        near = did_you_mean(pattern, [name for name, _ in found])
-        raise UsageError(f"none of its {len(found)} cases has {pattern!r} in its name", path=folder, hint=near or None)
+        near = did_you_mean(pattern, [name for name, _ in cases])
+        raise UsageError(f"none of its {len(cases)} cases has {pattern!r} in its name", path=folder, hint=near or None)
     return chosen
 
 
@@ -165,10 +165,10 @@ def load_case(folder: Path) -> Case:
 
 def _refuse_misnamed(folder: Path) -> None:
     """Raise if a file's name is a misspelling of one that would be read: a ``param.yaml`` would silently be ignored."""
-    there = {entry.name for entry in folder.iterdir()}
+    names = {entry.name for entry in folder.iterdir()}
     kinds = ((SETTINGS,), (_PARAMS,), _INPUTS, _EXPECTED)
-    missing = [name for kind in kinds if not there & {*kind} for name in kind]
-    for name in sorted(there - {name for kind in kinds for name in kind}):
+    missing = [name for kind in kinds if not names & {*kind} for name in kind]
+    for name in sorted(names - {name for kind in kinds for name in kind}):
         if near := nearest(name, missing):
             raise UsageError(f"{name} is not read", path=folder, hint=f"did you mean {near}?")
 
@@ -235,7 +235,7 @@ def _case_of(folder: Path, settings: dict[str, Any]) -> Case:
 
 def _only(folder: Path, names: tuple[str, ...]) -> tuple[Path, ...]:
     """Return the one of several names that exists; empty for none."""
-    found = tuple(folder / name for name in names if (folder / name).exists())
-    if len(found) > 1:
-        raise UsageError(f"has {' and '.join(path.name for path in found)}", path=folder, hint="remove all but one")
-    return found
+    paths = tuple(folder / name for name in names if (folder / name).exists())
+    if len(paths) > 1:
+        raise UsageError(f"has {' and '.join(path.name for path in paths)}", path=folder, hint="remove all but one")
+    return paths

@@ -138,9 +138,9 @@ class Database:
         if journal := self._logs.get("-journal"):
             # SQLite stops in silence where a journal is damaged.
             with self.ending():
-                (found,) = self.query("PRAGMA quick_check(1)").fetchone()
-            if found != "ok":
-                raise self.damage(f"its pages do not fit together after {journal.name}: {found}")
+                (result,) = self.query("PRAGMA quick_check(1)").fetchone()
+            if result != "ok":
+                raise self.damage(f"its pages do not fit together after {journal.name}: {result}")
 
     def recover(self, err: Exception) -> None:
         """Continue with the rows that can be found without SQLite's trees.
@@ -250,13 +250,13 @@ class Database:
 
     def columns(self, table: str) -> set[str]:
         """Return the names of a table's columns; none if there is no such table."""
-        found = set()
+        names = set()
         for _, name, _, _, default, _ in self.query(f"PRAGMA table_info({table})"):
             # It is the value of every row that does not store one, and may be long, or computed.
             if len(default or "") > 40 or "(" in (default or ""):
                 raise RecordingError(f"table {table} has a column {name!r:.40} with a default value", path=self.path)
-            found.add(name)
-        return found
+            names.add(name)
+        return names
 
     def refuse_made_up(self, table: str) -> None:
         """Raise if this is not a plain table: a view or a virtual table can have an endless number of rows."""

@@ -196,7 +196,7 @@ class Sqlite3Reader(Reader):
         """Count rows, without their data; see `pc2scan.bags.reader.Reader`."""
         if start_ns is None and stop_ns is None:
             return declared_counts(connections)
-        found = dict.fromkeys((connection.id for connection in connections), 0)
+        counts = dict.fromkeys((connection.id for connection in connections), 0)
         conditions, values = _time_conditions(start_ns, stop_ns)
         where = " AND ".join((_SOUND, *conditions))
         sql = f"SELECT topic_id, count(*) FROM messages WHERE {where} GROUP BY topic_id"  # noqa: S608
@@ -206,7 +206,7 @@ class Sqlite3Reader(Reader):
         except (*SQLITE_ERRORS, DamageError):
             # Damage is reported when the messages are read.
             return {}
-        return found | {topic_id: count for topic_id, count in rows if topic_id in found}
+        return counts | {topic_id: count for topic_id, count in rows if topic_id in counts}
 
     def close(self) -> None:
         """Close the database."""
@@ -350,25 +350,25 @@ def _read_topics(database: Database, noted: DamageLog) -> dict[int, list[str]]:
     available = database.columns("topics")
     names = ("name", "type", "serialization_format", "offered_qos_profiles", "type_description_hash")
     columns = ", ".join(_column_as_text(name) if name in available else "''" for name in names)
-    found: dict[int, list[str]] = {}
+    topics: dict[int, list[str]] = {}
     limit = ConnectionLimit(database.path, database.size)
     sql = f"SELECT id, {columns} FROM topics ORDER BY id"  # noqa: S608 - constants
     for topic_id, *values in database.bounded_rows(database.query(sql)):
-        if not isinstance(topic_id, int) or topic_id in found:
+        if not isinstance(topic_id, int) or topic_id in topics:
             error = database.damage(f"topic {values[0]!r:.80} has no id of its own")
             noted.note(error, key=("topics", topic_id, values[0]), messages_lost=0)
             continue
-        found[topic_id] = values
+        topics[topic_id] = values
         limit.add(sum(map(len, values)))
-    return found
+    return topics
 
 
 def _read_definitions(database: Database) -> dict[tuple[str, str | None], Definition]:
     """Return definitions by type and hash; without a hash, the first of a type."""
-    found: dict[tuple[str, str | None], Definition] = {}
+    definitions: dict[tuple[str, str | None], Definition] = {}
     columns = database.columns("message_definitions")
     if not {"topic_type", "encoding", "encoded_message_definition"} <= columns:
-        return found
+        return definitions
     digest = _column_as_text("type_description_hash") if "type_description_hash" in columns else "''"
     rows = database.query(
         f"SELECT {_column_as_text('topic_type')}, {_column_as_text('encoding')}, "  # noqa: S608
@@ -379,9 +379,9 @@ def _read_definitions(database: Database) -> dict[tuple[str, str | None], Defini
         # rosbag2 writes "unknown" if it did not find the definition.
         if data and encoding not in {"", "unknown"}:
             definition = Definition(encoding, data)
-            found.setdefault((msgtype, own_digest), definition)
-            found.setdefault((msgtype, None), definition)
-    return found
+            definitions.setdefault((msgtype, own_digest), definition)
+            definitions.setdefault((msgtype, None), definition)
+    return definitions
 
 
 def _find_compressed(database: Database, connections: Iterable[Connection], *, declared: bool) -> frozenset[int]:
