@@ -373,6 +373,12 @@ def _pattern_warnings(topics: AbstractSet[str], options: ConvertOptions, convert
     for name, patterns in (("keep", options.keep), ("drop", options.drop)):
         for pattern in patterns:
             matched = {topic for topic in topics if matches(topic, (pattern,))}
+            if not matched and pattern.startswith("'"):
+                bare = pattern.strip("'")
+                raise TopicError(
+                    f"`{name}` {pattern}: no topic has quotes in its name",
+                    hint=f'in Windows\' command prompt, only double quotes are quotes: `{name}` "{bare}"',
+                )
             if not matched:
                 near = did_you_mean(pattern, sorted(topics))
                 idle.append(f"`{name}={pattern}` matches no topic" + (f"; {near}" if near else ""))
