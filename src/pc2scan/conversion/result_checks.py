@@ -6,6 +6,8 @@ from collections import Counter
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from pc2scan.advice.checks.clouds import NOTABLE_SHARE, notable_share
 from pc2scan.bags.damage import RECOVER, Damage, count_details
 from pc2scan.core.consumers import CONSUMERS, judge
@@ -41,6 +43,9 @@ _MOST_REMOVED = 0.1
 _OF_SPARSE = (
     "they have fewer returns than `min_points` or `reduce=kth=N`: lower these, or use more heights or wider beams"
 )
+
+#: The share of the beams of a scan without a return between two others from which on a note is worth it.
+_NOTABLE_GAPS = 0.02
 
 #: If the seconds between two transforms exceed this, deskewing warns: odometry has ten transforms a second and more.
 _NOTABLE_GAP = 0.25
@@ -109,6 +114,23 @@ def _refusal(data: Buffer, serialization: str, consumer: str = "") -> str:
 def _explanation(verdict: Verdict) -> str:
     """Return what a scan has, what the consumer allows, and how to change it."""
     return f"{verdict.observed} where it allows {verdict.allowed}. {verdict.cure[:1].upper()}{verdict.cure[1:]}"
+
+
+def shared_beams(first_scans: Sequence[tuple[TopicReport, Buffer]], serialization: str) -> Iterator[str]:
+    """Yield a note where upstream's beams end at the angles of a 2D lidar's: two are in one, and none in the next."""
+    for topic, data in first_scans:
+        spec = topic.spec
+        if spec is None or not spec.combining.rebin or topic.joined is not None or spec.params.geometry != "upstream":
+            continue
+        scan = decode_laserscan(data, serialization)
+        hit = np.isfinite(scan.ranges) & (scan.ranges <= scan.range_max)
+        between = np.count_nonzero(hit[:-2] & ~hit[1:-1] & hit[2:])
+        most = min(topic.points.used / topic.messages_out, hit.size)
+        if between > _NOTABLE_GAPS * hit.size and np.count_nonzero(hit) < (1 - _NOTABLE_GAPS) * most:
+            yield (
+                f"{topic.target}: {between:,} of {hit.size:,} beams have no return between two that have one: those of "
+                "the lidar are at their edges, by rounding on either side; `geometry=centered` has them in the middle"
+            )
 
 
 def lost_topics(report: Report) -> Iterator[str]:
@@ -434,6 +456,7 @@ def result_findings(
     notes = dict.fromkeys(
         text for spec in report.scans for text in (*evenly_divided_circle(spec), *range_of_preset(spec))
     )
+    notes.update(dict.fromkeys(shared_beams(first_scans, serialization)))
     for topic in report.topics:
         warnings += (text for check in WARNINGS for text in check(topic, report))
         notes.update(dict.fromkeys(text for note in NOTES for text in note(topic, report)))
