@@ -155,6 +155,7 @@ def test_a_full_disk(kind: str, large: Path, small_disk: Path) -> None:
     assert "Traceback" not in done.stderr
     assert "No space left" in done.stderr or "full" in done.stderr
     assert str(small_disk / name) in done.stderr
+    assert done.stderr.endswith("hint: make room on that disk\n")
     assert list(small_disk.iterdir()) == []
 
 

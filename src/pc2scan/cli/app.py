@@ -71,8 +71,10 @@ def run(words: Sequence[str]) -> int:
             return status
     except Pc2ScanError as err:
         return show_failure(err, words)
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as err:
         say("interrupted: what was not complete was removed", err=True)
+        if err.args:
+            say(f"hint: {err}", err=True)
         return _INTERRUPTED
     except MemoryError:
         error = OutputError("memory ran out", hint="fewer threads take less: `jobs=1`")

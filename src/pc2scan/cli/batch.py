@@ -36,8 +36,7 @@ def batch(sources: list[str], destination: str, *, options: Options) -> int:
             out, how = path_or_url(destination), BatchOptions.of(options)
             report = run_batch(sources, out, options.of_conversions, how, origins=options.origins, watch=watch)
         except KeyboardInterrupt:
-            say("hint: run the same command again to continue it", err=True)
-            raise
+            raise KeyboardInterrupt("run the same command again to continue it") from None
     show(report, quiet=quiet, verbose=verbose)
     return report.exit_status
 

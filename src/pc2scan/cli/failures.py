@@ -10,6 +10,7 @@ from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import DamageError, Pc2ScanError, UsageError
+from pc2scan.files.system import is_full
 from pc2scan.options.keywords import meant_by
 from pc2scan.options.table import GROUPS, instead_of, options_of
 from pc2scan.result import Failure
@@ -36,7 +37,7 @@ def show_failure(err: Pc2ScanError, words: Sequence[str]) -> int:
     words
         What was typed after ``pc2scan``.
     """
-    err.hint = _mistyped(err, words) or err.hint
+    err.hint = _mistyped(err, words) or err.hint or ("make room on that disk" if is_full(err) else None)
     command = words[0]
     status = err.exit_status
     if command in VERDICTS:
