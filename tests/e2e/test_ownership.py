@@ -1,6 +1,6 @@
 """What batches own: exported folders; what commands own is in `transcripts/ownership.txt`.
 
-`test_done_again` and `test_ownership_random` have the rules.
+`test_done_again` has the rules.
 """
 
 from __future__ import annotations
