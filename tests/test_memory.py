@@ -10,9 +10,12 @@ import pytest
 
 from benchmarks.clouds import CLOUD_BYTES, FORMS, write_recording, write_two
 from benchmarks.long import Long, measured
+from support import ROOT
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+HALL = ROOT / "fixtures" / "hall.bag"
 
 on_glibc = pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="measured with glibc")
 
@@ -86,3 +89,15 @@ def test_transforms_take_little_memory(words: tuple[str, ...], tmp_path: Path, m
     # 68 bytes each, and what is joined meanwhile.
     # 68 bytes at rest; a short recording does not even use what a start leaves free.
     assert peaks[1] - peaks[0] < 108 * 850_000
+
+
+@on_glibc
+@pytest.mark.slow
+def test_a_trajectory_takes_little_memory(tmp_path: Path) -> None:
+    # A text of a hundred thousand poses, and of half a million.
+    peaks = []
+    for poses in (100_000, 500_000):
+        path = tmp_path / "poses.txt"
+        path.write_text("".join(f"{1_700_000_000 + i / 1000:.3f} {i} 0 0 0 0 0 1\n" for i in range(poses)))
+        peaks.append(measured(("tf", HALL, "--trajectory", path, "--trajectory-frames", "map:robot"))[0] * 1024)
+    assert peaks[1] - peaks[0] < 300 * 400_000

@@ -106,6 +106,12 @@ def test_everything_fits_into_the_terminal(words: str, columns: int, tmp_path: P
     assert [line for line in lines if len(line) > columns and " " in line.removesuffix(" \\").strip()] == []
 
 
+@pytest.mark.parametrize(("columns", "narrowest", "widest"), [(100, 81, 100), (200, 101, 120)])
+def test_help_is_as_wide_as_the_terminal_up_to_what_can_be_read(columns: int, narrowest: int, widest: int) -> None:
+    text = shown("convert", "--help", columns=columns, NO_COLOR="1")
+    assert narrowest <= max(map(len, text.split("\n"))) <= widest
+
+
 def test_warnings_replace_the_progress_bar(tmp_path: Path) -> None:
     text = shown("convert", HALL, "-o", tmp_path / "o.bag", "--min-height=-1", columns=80)
     before, found, warning = text.partition("\x1b[1m\x1b[33mwarning:\x1b[0m /points: the floor is within the heights")
