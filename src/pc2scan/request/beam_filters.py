@@ -69,7 +69,7 @@ class Speckles:
     @property
     def remedy(self) -> str:
         """What to type if it removes too many returns."""
-        return f"`max_range_difference={2 * self.max_range_difference:g}` of the speckles removes fewer"
+        return f"max_range_difference={2 * self.max_range_difference:g} of the speckles removes fewer"
 
 
 BeamFilter = Shadows | Speckles

@@ -127,7 +127,7 @@ class McapReader(ChunkedReader):
         return segment, *payload_prefix(self._file, segment, problem)
 
     def _salvage_of(self, data: memoryview) -> Salvage:
-        return salvage_of(data, self._known)
+        return salvage_of(data, self._known, self._file)
 
     def _entries(self, segment: Segment) -> Iterator[tuple[int, Iterator[tuple[int, int]]]]:
         return indexed_entries(self._file, segment)
@@ -135,7 +135,7 @@ class McapReader(ChunkedReader):
     def _records(self, chunk: Segment) -> Iterator[tuple[int, memoryview]]:
         """Yield the opcodes and contents of a chunk's records, as far as they can be read."""
         data, _ = payload_prefix(self._file, chunk)
-        for start, stop in salvage_of(data, {}).records(data, (), complete=False):
+        for start, stop in salvage_of(data, {}, self._file).records(data, (), complete=False):
             yield data[start], data[start + RECORD.size : stop]
 
     def _declare(self, data: memoryview, chunk: Segment, position: int) -> None:

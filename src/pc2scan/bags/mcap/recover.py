@@ -31,6 +31,7 @@ from .records import (
     OP_CHUNK,
     OP_MESSAGE,
     RECORD,
+    parse_fields,
     record_end,
 )
 
@@ -281,13 +282,18 @@ def payload_prefix(file: RecordFile, segment: Segment, problem: DamageError | No
     return memoryview(decompressed_prefix(data, compression, chunk.uncompressed_size)), problem
 
 
-def salvage_of(data: memoryview, known: Mapping[int, Connection]) -> Salvage:
+def salvage_of(data: memoryview, known: Mapping[int, Connection], file: RecordFile) -> Salvage:
     """Return how the records of a damaged chunk are read."""
 
     def end_of(place: int) -> int | None:
+        stop = record_end(data, place)
+        if data[place] in DECLARATIONS and (stop is None or (stop < len(data) and record_end(data, stop) is None)):
+            # The length of a schema or channel is wrong: its fields say where it ends.
+            with suppress(DamageError):
+                kind, content = DECLARATIONS[data[place]], data[place + RECORD.size :]
+                return place + RECORD.size + parse_fields(kind, content, 0, file)[1]
         # Unknown records are of later specifications, or private.
-        is_inside = data[place] in _INSIDE_CHUNKS or data[place] > Opcode.DATA_END
-        return record_end(data, place) if is_inside else None
+        return stop if data[place] in _INSIDE_CHUNKS or data[place] > Opcode.DATA_END else None
 
     def head_of(place: int) -> tuple[int, int] | None:
         if place + MESSAGE.size > len(data) or data[place] != OP_MESSAGE:
