@@ -103,6 +103,10 @@ class Shots(NamedTuple):
     warnings: list[str]
 
 
+def _all_of(shot: Shot) -> Shot:
+    return shot
+
+
 def take_shots(
     recording: ShownRecording,
     options: ConvertOptions,
@@ -110,7 +114,7 @@ def take_shots(
     count: int,
     at_ns: Sequence[int],
     level: bool,
-    keep: Callable[[Shot], Shot] | None = None,
+    keep: Callable[[Shot], Shot] = _all_of,
 ) -> Shots:
     """Take some clouds of each topic that a conversion converts.
 
@@ -127,7 +131,7 @@ def take_shots(
     level
         Whether clouds are placed in the frames of level scans; otherwise they are shown as recorded.
     keep
-        Called with each cloud as soon as it is taken, and returns what is kept of it; None: all of it.
+        Called with each cloud as soon as it is taken, and returns what is kept of it.
 
     Raises
     ------
@@ -153,11 +157,10 @@ def take_shots(
     failed: list[str] = []
     for message in chosen_messages(reader, topics, options, count, at_ns):
         try:
-            shot = _shot(message, stages[message.connection.topic], samples)
-            shots.append(shot if keep is None else keep(shot))
+            # No name refers to the whole cloud, which would stay in memory while the next one is read.
+            shots.append(keep(_shot(message, stages[message.connection.topic], samples)))
         except MessageError as err:
             failed.append(f"{message.connection.topic} at {moment_text(message.log_time_ns)}: {err.message}")
-        # Not in memory while the next one is read.
         del message
     if not shots:
         why = f"no cloud can be shown; {failed[0]}" if failed else f"no clouds on {', '.join(topics)}"
