@@ -128,7 +128,9 @@ def conversion_of(options: Options, warn: Warn | None = None) -> ConvertOptions:
     notes: list[str] = []
     if ignored:
         tell_early(
-            notes, warn, *(f"ignored, because it is no parameter of the projection: {place}" for place in ignored)
+            notes,
+            warn,
+            *(f"ignored, because no parameter of the projection is read there: {place}" for place in ignored),
         )
     frames = frames_of(options)
     if moved and not frames.tf_topics:
