@@ -155,13 +155,13 @@ def parts(place: Path, size: int, repeat: int) -> Iterable[Sequence[str]]:
             lambda: converted(source, place, 1),  # noqa: B023
             lambda: run(sys.executable, *line)[0],  # noqa: B023
         )
-        yield compared(f"{name}: converting; only reading with {library}", "s", 1, found)
+        yield compared(f"{name}: converting; reading with {library}", "s", 1, found)
         if name not in small:
             yield compared(f"{name}: passing on; rosbags-convert", "s", 1, passed_on(source, form, place, repeat))
         remove(source)
     one = write_recording(place, FORMS["MCAP, none"], 1, 1_000)
     found = in_turn(3 * repeat, lambda: converted(one, place, 1), lambda: run(sys.executable, "-c", _TYPER)[0])
-    yield compared("start-up, with a conversion of one cloud; a Typer application with one option", "s", 1, found)
+    yield compared("start-up, one cloud; a Typer application", "s", 1, found)
     remove(one)
 
 
@@ -215,7 +215,7 @@ def main() -> None:
     with TemporaryDirectory(dir=asked.folder) as folder:
         place = Path(folder)
         say(f"Clouds of 131,072 points of 32 bytes, {size / 1e9:g} GB of them, processor time.\n")
-        table(("part; the library", "pc2scan", "library", "times as fast"), parts(place, size, asked.repeat))
+        table(("part", "pc2scan", "library", "times as fast"), parts(place, size, asked.repeat))
         columns = [f"{heights}, {jobs} job{'s' * (jobs > 1)}" for heights in HEIGHTS for jobs in (1, 2)]
         peaks = ("`convert`", "`--keep-clouds`", "`info`", "`view`")
         head = ("source", *(f"clouds/s, {column}" for column in columns), *(f"{name}, MB" for name in peaks))
