@@ -262,6 +262,13 @@ def test_the_only_topic_is_taken_and_others_are_pointed_out(recording: Path, tmp
         pc2scan.scans(tmp_path / "none.bag")
 
 
+def test_parameters_of_the_reverse_node_make_no_scans(tmp_path: Path) -> None:
+    file = tmp_path / "params.yaml"
+    file.write_text("laserscan_to_pointcloud:\n  ros__parameters:\n    queue_size: 5\n", "utf-8")
+    with pytest.raises(UsageError, match="laserscan_to_pointcloud, which does not make scans"):
+        pc2scan.scans(HALL, params_file=file)
+
+
 @pytest.mark.parametrize("form", sampled(FORMS, 1))
 @pytest.mark.filterwarnings("ignore::pc2scan.RecordingWarning")
 def test_memory_stays_bounded(form: str, tmp_path: Path) -> None:
