@@ -22,6 +22,7 @@ from pc2scan.errors import (
     MessageError,
     RecordingError,
     TopicError,
+    UsageError,
 )
 from pc2scan.messages.laserscan import encode_laserscan
 from support import ROOT, sampled
