@@ -149,6 +149,11 @@ def by_topic(connections: Iterable[Connection]) -> dict[str, list[Connection]]:
     return topics
 
 
+def types_by_topic(connections: Iterable[Connection]) -> dict[str, set[str]]:
+    """Return the types of each topic, in ROS 2's spelling."""
+    return {topic: {connection.ros_type for connection in own} for topic, own in by_topic(connections).items()}
+
+
 # --- Messages that stay valid: those of latched topics, and static transforms ---
 
 

@@ -25,9 +25,6 @@ if TYPE_CHECKING:
 
     from .plan import Plan
 
-#: No sensor is this far from its robot, metres; in millimetres all but the nearest are.
-_FAR = 20.0
-
 _MOST_NAMES = 5
 
 

@@ -13,7 +13,7 @@ from pc2scan.advice.clocks import measure_offsets
 from pc2scan.advice.survey import Span
 from pc2scan.bags.opening import open_recordings
 from pc2scan.bags.reader import ChangedReader
-from pc2scan.bags.topics import by_topic, find_topic
+from pc2scan.bags.topics import by_topic, find_topic, types_by_topic
 from pc2scan.errors import DecodeError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.stamps import STAMPED, move_times, set_stamp, stamp_in
@@ -205,9 +205,7 @@ def _is_stamped(connection: Connection) -> bool:
 
 def _named_topics(connections: Sequence[Connection], clock: StampOptions) -> dict[str, int | None]:
     """Return the offsets of topics that have their own, by the names in the recording."""
-    types: dict[str, set[str]] = {}
-    for connection in connections:
-        types.setdefault(connection.topic, set()).add(connection.ros_type)
+    types = types_by_topic(connections)
     known = sorted({connection.topic for connection in connections if _is_stamped(connection)})
     return {
         find_topic(name, types, known, *CLOUDS, *sorted(STAMPED)): offset_ns

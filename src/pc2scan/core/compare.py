@@ -143,13 +143,6 @@ def compare_arrays(
     return ArrayDifference(elements, total - shifted, shifted, _worst(a, b, differs))
 
 
-@np.errstate(invalid="ignore", over="ignore")
-def differing_elements(reference: NDArray[Any], value: NDArray[Any], tolerance: Tolerance = EXACT) -> NDArray[np.bool_]:
-    """Return which elements `compare_arrays` counts as differing; both ``(n,)``, of one dtype in any byte order."""
-    kind = reference.dtype.newbyteorder("=")
-    return ~_equal_values(np.ascontiguousarray(reference, kind), np.ascontiguousarray(value, kind), tolerance)
-
-
 def _equal_values(a: NDArray[Any], b: NDArray[Any], tolerance: Tolerance) -> NDArray[np.bool_]:
     """Return which values are equal; all of one shape and dtype."""
     result: NDArray[np.bool_]

@@ -11,7 +11,7 @@ from pc2scan.advice.survey import Span, Survey
 from pc2scan.bags.damage import mention
 from pc2scan.bags.observers import Observer
 from pc2scan.bags.opening import as_one, open_recordings
-from pc2scan.bags.topics import find_topics, unheard
+from pc2scan.bags.topics import by_topic, find_topics, types_by_topic, unheard
 from pc2scan.core.consumers import CONSUMERS
 from pc2scan.core.verdicts import OUTCOMES
 from pc2scan.errors import TopicError
@@ -239,12 +239,8 @@ def check(
 
 def scan_connections(reader: Reader, topics: Iterable[str]) -> dict[str, list[Connection]]:
     """Return the connections with scans of the given topics, or of all, by topic."""
-    types: dict[str, set[str]] = {}
-    scans: dict[str, list[Connection]] = {}
-    for connection in reader.connections:
-        types.setdefault(connection.topic, set()).add(connection.ros_type)
-        if connection.ros_type in SCANS and connection.ros_version is not None:
-            scans.setdefault(connection.topic, []).append(connection)
+    types = types_by_topic(reader.connections)
+    scans = by_topic(own for own in reader.connections if own.ros_type in SCANS and own.ros_version is not None)
     if not scans:
         if any(connection.ros_type in CLOUDS for connection in reader.connections):
             raise TopicError("the recording has no LaserScan topic", hint="pc2scan convert makes scans of its clouds")

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from pc2scan.advice.odometry import odometry_of
-from pc2scan.bags.topics import find_topics, matches
+from pc2scan.bags.topics import find_topics, matches, types_by_topic
 from pc2scan.conversion.source_checks import frame_that_stays
 from pc2scan.core.occupancy import FREE, LONGEST, OCCUPIED, OccupancyGrid, observing_beams, place_beams
 from pc2scan.core.params import ProjectionParams
@@ -337,9 +337,7 @@ def _converts(options: ConvertOptions) -> bool:
 
 def _topics(reader: Reader, options: ConvertOptions) -> tuple[tuple[TopicRequest, ...], bool]:
     """Return the topics to draw, and whether scans are made of them."""
-    types: dict[str, set[str]] = {}
-    for connection in reader.connections:
-        types.setdefault(connection.topic, set()).add(connection.ros_type)
+    types = types_by_topic(reader.connections)
     scans = sorted(topic for topic, kinds in types.items() if LASERSCAN in kinds)
     clouds = [topic for topic, kinds in types.items() if not kinds.isdisjoint(CLOUDS)]
     requests = options.scan.topics

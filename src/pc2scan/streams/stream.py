@@ -13,7 +13,7 @@ import numpy as np
 
 from pc2scan.bags.damage import mention
 from pc2scan.bags.opening import as_one, open_recordings
-from pc2scan.bags.topics import find_topics, short_types
+from pc2scan.bags.topics import by_topic, find_topics, short_types, types_by_topic
 from pc2scan.conversion.cloud_scale import scaled
 from pc2scan.conversion.engine import items_of
 from pc2scan.conversion.items import Tally
@@ -231,13 +231,9 @@ class Stream(ABC, Generic[Item]):
         TopicError
             If a topic is missing or has another type, or if none was requested and there are several.
         """
-        types: dict[str, set[str]] = {}
-        chosen: dict[str, list[Connection]] = {}
+        types = types_by_topic(reader.connections)
+        chosen = by_topic(own for own in reader.connections if own.ros_type in kinds and own.ros_version is not None)
         instead = hint.text if any(each.ros_type in hint.kinds for each in reader.connections) else None
-        for connection in reader.connections:
-            types.setdefault(connection.topic, set()).add(connection.ros_type)
-            if connection.ros_type in kinds and connection.ros_version is not None:
-                chosen.setdefault(connection.topic, []).append(connection)
         if not chosen:
             message, other = without(short_types(kinds), reader.connections)
             raise NothingToConvertError(message, path=reader.path, hint=instead or other or None)

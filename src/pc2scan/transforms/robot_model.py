@@ -19,10 +19,6 @@ from .text_files import text_of
 if TYPE_CHECKING:
     from pathlib import Path
 
-#: The type of the topic with a robot's model, in ROS 2's spelling.
-STRING = "std_msgs/msg/String"
-DESCRIPTION = "robot_description"
-
 #: Models of large robots have a megabyte, and some hundred joints.
 MAX_BYTES = 20_000_000
 _MAX_JOINTS = 10_000

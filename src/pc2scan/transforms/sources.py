@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pc2scan.bags.topics import find_topics
+from pc2scan.bags.topics import find_topics, types_by_topic
 from pc2scan.core.rigid import compose_poses
 from pc2scan.errors import DecodeError, UsageError, name_list
 from pc2scan.messages.poses import POSES, decode_pose
@@ -83,9 +83,7 @@ class PoseTopic(NamedTuple):
         UsageError
             If it is several topics, or its messages do not name the frame that has the poses.
         """
-        types: dict[str, set[str]] = {}
-        for connection in connections:
-            types.setdefault(connection.topic, set()).add(connection.ros_type)
+        types = types_by_topic(connections)
         fitting = sorted(topic for topic, kinds in types.items() if not kinds.isdisjoint(POSES))
         if len(topics := find_topics(self.topic, types, fitting, *POSES)) > 1:
             raise UsageError(f"`odom_topic`: {self.topic} is {len(topics)} topics: {name_list(sorted(topics))}")

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from pc2scan.bags.opening import open_recordings
-from pc2scan.bags.topics import find_topics
+from pc2scan.bags.topics import find_topics, types_by_topic
 from pc2scan.conversion.run import OutputOptions, run
 from pc2scan.errors import DestinationError, OutputError, ResultError
 from pc2scan.files.ownership import Permission
@@ -113,9 +113,7 @@ def make_case(
 
 def _needed_topics(reader: Reader, topics: Sequence[str]) -> list[str]:
     """The topics of a recording that a case needs."""
-    types: dict[str, set[str]] = {}
-    for connection in reader.connections:
-        types.setdefault(connection.topic, set()).add(connection.ros_type)
+    types = types_by_topic(reader.connections)
     kinds = (*CLOUDS, *SCANS)
     candidates = sorted(topic for topic, names in types.items() if names & {*kinds})
     chosen = {name for asked in topics for name in find_topics(asked, types, candidates, *kinds)} or {*candidates}
