@@ -1,6 +1,6 @@
 """What the consumers of laser scans do with a scan: accept it, ignore it, abort, or misplace its beams.
 
-`CONSUMERS` is the table of their rules, each with its source: a function in C++ (floats of the message are float32,
+Each has a function with its rules, each beside its source: a function in C++ (floats of the message are float32,
 literals float64 unless marked). Files of the sources:
 
 - slam_toolbox: laser_utils.cpp, laser_utils.hpp, slam_toolbox_async.cpp, and Karto.h.
@@ -30,12 +30,7 @@ from .layout import SYMMETRIC_BEAMS, float32, symmetric_sector
 from .verdicts import ConsumerScan, ScanTransforms, Verdict
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from typing import TypeAlias
-
-    from .verdicts import Outcome
-
-    Judged: TypeAlias = Callable[["Case"], Verdict | None]
+    from collections.abc import Callable, Iterator
 
 #: gmapping asserts ``beams < LASER_MAXBEAMS``.
 _GMAPPING_BEAMS = 2048
@@ -95,21 +90,6 @@ class Case(NamedTuple):
     started: bool
 
 
-class Rule(NamedTuple):
-    """A rule of a consumer.
-
-    Attributes
-    ----------
-    source
-        The functions in the consumer's sources.
-    judge
-        Returns the verdict on a scan that breaks it; None if none is broken.
-    """
-
-    source: str
-    judge: Judged
-
-
 def judge(
     consumer: str, scan: ConsumerScan, first: ConsumerScan | None = None, placed: ScanTransforms | None = None
 ) -> Verdict:
@@ -133,11 +113,8 @@ def judge(
         If there is no such consumer.
     """
     case = Case(scan, first or scan, placed or ScanTransforms(), first is not None)
-    for rule in CONSUMERS[consumer]:
-        verdict = rule.judge(case)
-        if verdict is not None:
-            return verdict._replace(consumer=consumer)
-    return Verdict(consumer)
+    broken = next(CONSUMERS[consumer](case), Verdict(""))
+    return broken._replace(consumer=consumer)
 
 
 def last_beam(scan: ConsumerScan) -> float:
@@ -183,168 +160,274 @@ NO_TRANSFORMS = (
 )
 
 
-def _unless(
-    source: str,
-    holds: Callable[[Case], bool],
-    outcome: Outcome,
-    rule: str,
-    observed: str,
-    allowed: str,
-    cure: str,
-    *,
-    unplaced: bool = False,
-) -> Rule:
-    """Return a rule with this outcome unless a condition holds; two texts name attributes of a `Case`."""
-
-    def judged(case: Case) -> Verdict | None:
-        if holds(case):
-            return None
-        actual, limit = (text.format(**case._asdict()) for text in (observed, allowed))
-        return Verdict("", outcome, rule, actual, limit, cure, unplaced)
-
-    return Rule(source, judged)
+def _needs(placed: ScanTransforms, *roles: str) -> Iterator[Verdict]:
+    """Yield the verdict on a scan without a transform to the odometry's frame, to the robot's, or both."""
+    lacking = [role for role in roles if getattr(placed, role) is False]
+    if lacking:
+        rule = f"a scan without a transform to the {' and the '.join(f'{role} frame' for role in lacking)} is dropped"
+        observed = placed.missing or f"no transform from {placed.frame_id!r}"
+        cure = placed.cure or NO_TRANSFORMS
+        yield Verdict("", "ignored", rule, observed, "transforms at the scan's stamp", cure, unplaced=True)
 
 
-def _needs(source: str, *roles: str) -> Rule:
-    """Return the rule that a scan has transforms: to the odometry's frame, to the robot's, or both."""
+def _infinite_hits(scan: ConsumerScan, consumer: str) -> Iterator[Verdict]:
+    if scan.infinite and not scan.range_max < math.inf:
+        rule = "a range within range_max is a return, and inf <= inf"
+        observed = f"{scan.infinite} infinite ranges, range_max {scan.range_max:.9g}"
+        cure = f"give a finite `range_max`: pc2scan convert `preset={consumer}`"
+        yield Verdict("", "misplaced", rule, observed, "a finite range_max", cure)
 
-    def judged(case: Case) -> Verdict | None:
-        placed = case.placed
-        lacking = [role for role in roles if getattr(placed, role) is False]
-        if not lacking:
-            return None
-        return Verdict(
+
+def _kept_angles(case: Case) -> Iterator[Verdict]:
+    scan, first = case.scan, case.first
+    begin = scan.angle_min - first.angle_min
+    end = begin + (scan.beams - 1) * (scan.angle_increment - first.angle_increment)
+    off = max(abs(begin), abs(end))
+    if scan.beams and not off <= _OFF * abs(first.angle_increment):
+        observed, kept = (
+            f"angle_min {x.angle_min:.9g}, angle_increment {x.angle_increment:.9g}" for x in (scan, first)
+        )
+        yield Verdict(
+            "",
+            "misplaced",
+            "the first scan's angles are kept for all",
+            f"{observed}, a beam off by {math.degrees(off):.3g} deg",
+            kept,
+            "give all scans the same angles (pc2scan convert does, to scans made from clouds)",
+        )
+
+
+def _kept_pose(placed: ScanTransforms, *, angle: bool) -> Iterator[Verdict]:
+    """Yield the verdict on a scan whose frame is no longer where it was on the robot at first."""
+    if placed.moved > _MOVED or (angle and abs(placed.turned) > _TURNED):
+        turned = f"turned by {math.degrees(placed.turned):.3g} deg, and " if angle else ""
+        yield Verdict(
+            "",
+            "misplaced",
+            f"the {'pose' if angle else 'place'} of the scan's frame on the robot at the first scan is kept for all",
+            f"since then the frame {placed.frame_id!r} has {turned}moved by {placed.moved:.2f} m",
+            f"up to {f'{math.degrees(_TURNED):g} deg and ' if angle else ''}{_MOVED:g} m",
+            "a frame that is fixed on the robot: for scans made from clouds, pc2scan convert `target_frame=base_link`",
+        )
+
+
+def _off(
+    angle_increment: float, off: float, rule: str, observed: str, allowed: str, cure: str, which: str = "beams"
+) -> Iterator[Verdict]:
+    """Yield the verdict on a scan of which beams are off by up to ``off``, radians."""
+    share = abs(off) / abs(angle_increment) if angle_increment else math.inf if off else 0.0
+    if share <= _OFF:
+        return
+    turned = f"{which} off by up to {abs(math.degrees(off)):.3g} deg ({share:.3g} of an increment)"
+    if off == math.inf:
+        turned = "it reads beyond the end of the ranges"
+    yield Verdict("", "shifted" if share <= _SHIFTED else "misplaced", rule, f"{observed}: {turned}", allowed, cure)
+
+
+def _slam_toolbox(case: Case) -> Iterator[Verdict]:
+    scan, first, placed = case.scan, case.first, case.placed
+    # laserCallback, LaserAssistant::toLaserMetadata
+    yield from _needs(placed, "odometry", "robot")
+    # LaserAssistant::makeLaser, LaserRangeFinder::Update and Validate
+    expected = expected_by_karto(first)
+    if expected != scan.beams:
+        rule = "len(ranges) must be round((angle_max - angle_min) / angle_increment) + 1, or + 0 for a full circle"
+        advertised = "advertise the angles of the beams, angle_min + i * angle_increment"
+        if has_angles(first):
+            advertised = f"advertise angle_max {last_beam(first):.9g}, the last beam's angle"
+        cure = f"{advertised}: pc2scan convert `preset=slam_toolbox`, or `geometry=centered`"
+        if scan.beams != first.beams and expected == first.beams:
+            rule = "every scan must be as long as the angles of the first one require"
+            cure = "give all scans one number of beams: pc2scan convert `preset=slam_toolbox`"
+        allowed = f"{expected} ranges" if expected is not None and expected > 0 else "angles for a number of beams"
+        yield Verdict("", "ignored", rule, f"{scan.beams} ranges", allowed, cure)
+    # LocalizedRangeScan::Update, OccupancyGrid::AddScan
+    if not (first.range_max > _KARTO_RANGE or scan.full <= _MISSES * scan.beams):
+        yield Verdict(
+            "",
+            "misplaced",
+            "a finite range up to range_max is a return if range_max is at most max_laser_range (default 25 m)",
+            f"{scan.full} ranges of range_max {scan.range_max:.9g} or 0.1 mm less, taken for returns",
+            "inf for no return, or a range_max above max_laser_range",
+            "`no_return=inf`, or `range_max=100.0`: pc2scan convert `preset=slam_toolbox`",
+        )
+    # LaserAssistant::makeLaser, once a sensor
+    yield from _kept_angles(case)
+    yield from _kept_pose(placed, angle=True)
+    # scanToReadings: of a sensor that is upside down, Karto reads beam i in the place of beam N - 1 - i.
+    if placed.up is not None and not placed.up > 0 and scan.beams:
+        yield from _off(
+            scan.angle_increment,
+            math.remainder(first.angle_min + last_beam(first), _TWO_PI),
+            "ranges of a sensor that is upside down are taken in reverse order, at the same angles",
+            f"angle_min {first.angle_min:.9g}, the last beam at {last_beam(first):.9g}",
+            "a sector around 0",
+            "pc2scan convert `target_frame=base_link`, or `geometry=symmetric`",
+        )
+
+
+def _cartographer(case: Case) -> Iterator[Verdict]:
+    scan, placed = case.scan, case.placed
+    # SensorBridge::HandleRangefinder
+    yield from _needs(placed, "robot")
+    # LaserScanToPointCloudWithIntensities
+    low, high = f"range_min {scan.range_min:.9g}", f"range_max {scan.range_max:.9g}"
+    if not scan.range_min >= 0:
+        yield Verdict("", "aborts", "CHECK range_min >= 0", low, ">= 0", "`range_min=0.0`")
+    if not scan.range_max >= scan.range_min:
+        cure = "give a `range_max` beyond `range_min`"
+        yield Verdict("", "aborts", "CHECK range_max >= range_min", high, f">= {low}", cure)
+    begin, end = scan.angle_min, scan.angle_max
+    if not (end > begin if scan.angle_increment > 0 else begin > end):
+        yield Verdict(
+            "",
+            "aborts",
+            "CHECK angle_max > angle_min, or < for a negative angle_increment",
+            f"angle_min {begin:.9g}, angle_max {end:.9g}, angle_increment {scan.angle_increment:.9g}",
+            "angles in the order of the beams",
+            "advertise angles in the order of the beams: pc2scan convert `preset=cartographer`",
+        )
+    # For ranges within the limits.
+    hits = scan.returns + (scan.infinite if scan.range_max == math.inf else 0)
+    if hits and scan.intensities not in (0, scan.beams):
+        rule, cure = (
+            "CHECK len(intensities) == len(ranges), if there are intensities",
+            "write none, or one for every beam",
+        )
+        yield Verdict("", "aborts", rule, f"{scan.intensities} intensities", f"0 or {scan.beams}", cure)
+    # CheckNoLeadingSlash, for a scan with points
+    if hits and placed.frame_id.startswith("/"):
+        rule, cure = (
+            "CHECK that the frame_id has no leading slash",
+            "for scans made from clouds: pc2scan convert `source_frame`",
+        )
+        yield Verdict("", "aborts", rule, f"frame_id {placed.frame_id!r}", "the name without the slash", cure)
+    # LocalTrajectoryBuilder2D::AddRangeData
+    if hits > 1 and scan.time_increment < 0:
+        rule = "points are taken in the order of time: those that are earlier than the first are placed at its pose"
+        cure = "`time_increment=0.0`: pc2scan convert `preset=cartographer`"
+        yield Verdict("", "misplaced", rule, f"time_increment {scan.time_increment:.6g} s", ">= 0", cure)
+    # LaserScanToPointCloudWithIntensities
+    yield from _infinite_hits(scan, "cartographer")
+
+
+def _gmapping(case: Case) -> Iterator[Verdict]:
+    scan, first, placed = case.scan, case.first, case.placed
+    # getOdomPose
+    yield from _needs(placed, "odometry", "robot")
+    # initMapper
+    if not (case.started or placed.up is None or abs(abs(placed.up) - 1) <= _GMAPPING_TILT):
+        yield Verdict(
             "",
             "ignored",
-            f"a scan without a transform to the {' and the '.join(f'{role} frame' for role in lacking)} is dropped",
-            placed.missing or f"no transform from {placed.frame_id!r}",
-            "transforms at the scan's stamp",
-            placed.cure or NO_TRANSFORMS,
+            "it does not start unless the sensor is level: abs(abs(z) - 1) <= 0.001 for the point 1 m above it",
+            f"z {placed.up:.6g} in the scan's frame {placed.frame_id!r}",
+            "0.999 to 1.001, or -1.001 to -0.999",
+            "make level scans: pc2scan convert `target_frame=base_link`",
             unplaced=True,
         )
-
-    return Rule(source, judged)
-
-
-def _length_of_karto(case: Case) -> Verdict | None:
-    scan, first = case.scan, case.first
-    expected = expected_by_karto(first)
-    if expected == scan.beams:
-        return None
-    if scan.beams != first.beams and expected == first.beams:
-        return Verdict(
-            "",
-            "ignored",
-            "every scan must be as long as the angles of the first one require",
-            f"{scan.beams} ranges",
-            f"{expected} ranges",
-            "give all scans one number of beams: pc2scan convert `preset=slam_toolbox`",
+    # ScanMatcher::setLaserParameters
+    if first.beams >= _GMAPPING_BEAMS:
+        rule, cure = "assert(beams < LASER_MAXBEAMS)", "fewer beams: give `beams`, or a larger `angle_increment`"
+        yield Verdict("", "aborts", rule, f"{first.beams} ranges", f"at most {_GMAPPING_BEAMS - 1}", cure)
+    # addScan
+    if scan.beams != first.beams:
+        rule, cure = (
+            "every scan must be as long as the first",
+            "give all scans one number of beams: pc2scan convert `preset=gmapping`",
         )
-    advertised = "advertise the angles of the beams, angle_min + i * angle_increment"
-    if has_angles(first):
-        advertised = f"advertise angle_max {last_beam(first):.9g}, the last beam's angle"
-    return Verdict(
-        "",
-        "ignored",
-        "len(ranges) must be round((angle_max - angle_min) / angle_increment) + 1, or + 0 for a full circle",
-        f"{scan.beams} ranges",
-        f"{expected} ranges" if expected is not None and expected > 0 else "angles for a number of beams",
-        f"{advertised}: pc2scan convert `preset=slam_toolbox`, or `geometry=centered`",
-    )
+        yield Verdict("", "ignored", rule, f"{scan.beams} ranges", f"{first.beams} ranges", cure)
+    # addScan, ScanMatcher::computeActiveArea: it skips ranges above the first scan's range_max, and replaces ranges
+    # below range_min by range_max.
+    if not first.range_max < math.inf and (scan.infinite or (scan.short and scan.range_max == math.inf)):
+        yield Verdict(
+            "",
+            "aborts",
+            "the map grows until it contains every range up to range_max; ranges below range_min become range_max",
+            f"{scan.infinite} infinite ranges, {scan.short} below range_min, range_max {first.range_max:.9g}",
+            "a finite range_max",
+            "give a finite `range_max`: pc2scan convert `preset=gmapping`",
+        )
+    # initMapper, once
+    yield from _kept_angles(case)
+    # initMapper, RangeSensor
+    if scan.beams:
+        yield from _off_from_middle(scan, -1 if placed.up is not None and placed.up <= 0 else 1)
 
 
-def _inverted_by_karto(case: Case) -> Verdict | None:
-    first, up = case.first, case.placed.up
-    if up is None or up > 0 or not case.scan.beams:
-        return None
-    return _off(
-        case.scan.angle_increment,
-        # Karto reads beam i in the place of beam N - 1 - i.
-        math.remainder(first.angle_min + last_beam(first), _TWO_PI),
-        "ranges of a sensor that is upside down are taken in reverse order, at the same angles",
-        f"angle_min {first.angle_min:.9g}, the last beam at {last_beam(first):.9g}",
-        "a sector around 0",
-        "pc2scan convert `target_frame=base_link`, or `geometry=symmetric`",
-    )
-
-
-def _in_order(case: Case) -> bool:
-    scan = case.scan
-    low, high = scan.angle_min, scan.angle_max
-    return high > low if scan.angle_increment > 0 else low > high
-
-
-def _hits(scan: ConsumerScan) -> int:
-    """Return how many ranges Cartographer takes for returns."""
-    return scan.returns + (scan.infinite if scan.range_max == math.inf else 0)
-
-
-def _half_open(case: Case) -> Verdict | None:
-    if not case.scan.beams:
-        return None
-    scan, down = case.scan, case.placed.up is not None and case.placed.up <= 0
-    return _off_from_middle(scan.angle_min, scan.angle_max, scan.angle_increment, scan.beams, down=down)
-
-
-@lru_cache(maxsize=64)
-def _off_from_middle(
-    angle_min: float, angle_max: float, angle_increment: float, beams: int, *, down: bool
-) -> Verdict | None:
-    """Return the verdict of gmapping on the places of a scan's beams; ``down`` if the sensor is upside down.
+def _off_from_middle(scan: ConsumerScan, way: int) -> Iterator[Verdict]:
+    """Yield the verdict of gmapping on the places of a scan's beams; ``way`` is -1 if the sensor is upside down.
 
     It orders beams by growing angle, and places beam ``i`` at ``(i - N / 2) * angle_increment`` from the middle between
     ``angle_min`` and ``angle_max``; for a sensor that is upside down, as seen from below.
     """
-    step = abs(angle_increment)
-    middle = float32(float32(angle_min + angle_max) / 2)
-    reverse = angle_min < angle_max if down else angle_min > angle_max
-    off = max(
-        (
-            middle
-            + (-1 if down else 1) * ((beams - 1 - beam if reverse else beam) - beams / 2) * step
-            - (angle_min + beam * angle_increment)
-            for beam in (0, beams - 1)
-        ),
-        key=abs,
-    )
+    beams, begin, end, increment = scan.beams, scan.angle_min, scan.angle_max, scan.angle_increment
+    middle = float32(float32(begin + end) / 2)
+    reverse = begin * way > end * way
+    places = {beam: (beams - 1 - beam if reverse else beam) - beams / 2 for beam in (0, beams - 1)}
+    offs = [middle + way * place * abs(increment) - (begin + beam * increment) for beam, place in places.items()]
     steps = beams - 2 if reverse else beams
-    return _off(
-        angle_increment,
-        off,
+    yield from _off(
+        increment,
+        max(offs, key=abs),
         "beam i is placed at (i - len(ranges) / 2) * angle_increment from the middle between angle_min and angle_max",
-        f"angle_max {angle_max:.9g}",
-        f"angle_max {float32(angle_min + steps * angle_increment):.9g}",
+        f"angle_max {end:.9g}",
+        f"angle_max {float32(begin + steps * increment):.9g}",
         f"advertise angle_max = angle_min + {steps} * angle_increment: pc2scan convert `preset=gmapping`",
     )
 
 
-def _symmetric(case: Case) -> Verdict | None:
-    scan = case.scan
-    return _off_from_0(scan.angle_min, scan.angle_max, scan.angle_increment, scan.beams)
+def _amcl(case: Case) -> Iterator[Verdict]:
+    # The message filter, AmclNode::addNewScanner
+    yield from _needs(case.placed, "odometry", "robot")
+    # AmclNode::updateFilter
+    if case.scan.range_max <= 0:
+        observed, cure = (
+            f"range_max {case.scan.range_max:.9g}",
+            "give a positive `range_max`: pc2scan convert `preset=amcl`",
+        )
+        yield Verdict("", "ignored", "range_max must be above 0", observed, "> 0", cure)
+    # AmclNode::addNewScanner, once a frame: it looks up the directions of the beams anew for each scan, but not the
+    # place of the sensor.
+    yield from _kept_pose(case.placed, angle=False)
 
 
-@lru_cache(maxsize=64)
-def _off_from_0(angle_min: float, angle_max: float, angle_increment: float, beams: int) -> Verdict | None:
-    """Return the verdict of MRPT on the places of a scan's beams."""
-    misread = {name: _mrpt_off(angle_min, angle_max, angle_increment, beams, name) for name in _MRPT_BRIDGES}
+def _nav2(case: Case) -> Iterator[Verdict]:
+    # Source::getTransform
+    yield from _needs(case.placed, "robot")
+    # Scan::getSourceData
+    yield from _infinite_hits(case.scan, "nav2")
+
+
+def _mrpt(case: Case) -> Iterator[Verdict]:
+    scan, fewest = case.scan, SYMMETRIC_BEAMS[0]
+    # The bridges' sensor pose
+    yield from _needs(case.placed, "robot")
+    # fromROS
+    if scan.beams < fewest:
+        rule = "ASSERT(ranges.size() > 2)"
+        yield Verdict("", "aborts", rule, f"{scan.beams} ranges", f"at least {fewest}", "more beams")
+    begin, end, increment, beams = scan.angle_min, scan.angle_max, scan.angle_increment, scan.beams
+    misread = {name: _mrpt_off(begin, end, increment, beams, name) for name in _MRPT_BRIDGES}
     number, off = (max(values) for values in zip(*misread.values(), strict=True))
     bridges = [name for name, (count, _) in misread.items() if count]
     allowed = "angles of the beams"
-    half = (beams - 1) * abs(angle_increment) / 2
+    half = (beams - 1) * abs(increment) / 2
     if 0 < half <= math.pi:
         low, high = symmetric_sector(half)
         allowed = f"angle_min {low:.9g}, angle_max {high:.9g}"
-    return _off(
-        angle_increment,
+    yield from _off(
+        increment,
         off,
         "angles run from -(angle_max - angle_min) / 2 to + that in equal steps; angle_increment is not read",
-        f"angle_min {angle_min:.9g}, angle_max {angle_max:.9g}" + (f", in {bridges[0]}" if len(bridges) == 1 else ""),
+        f"angle_min {begin:.9g}, angle_max {end:.9g}" + (f", in {bridges[0]}" if len(bridges) == 1 else ""),
         allowed,
         "pc2scan convert `preset=mrpt`, or `geometry=symmetric`",
-        which=f"{number:,} of {beams:,} beams",
+        f"{number:,} of {beams:,} beams",
     )
 
 
+@lru_cache(maxsize=64)
 def _mrpt_off(angle_min: float, angle_max: float, angle_increment: float, beams: int, bridge: str) -> tuple[int, float]:
     """Return how many beams of MRPT have the range of another direction, and the largest angle between the two.
 
@@ -370,230 +453,14 @@ def _mrpt_off(angle_min: float, angle_max: float, angle_increment: float, beams:
     return int((off > _OFF * abs(angle_increment)).sum()), float(off.max())
 
 
-def _off(
-    angle_increment: float,
-    off: float,
-    rule: str,
-    observed: str,
-    allowed: str,
-    cure: str,
-    *,
-    which: str = "beams",
-) -> Verdict | None:
-    """Return the verdict on a scan of which beams are off by up to ``off``, radians."""
-    share = abs(off) / abs(angle_increment) if angle_increment else math.inf if off else 0.0
-    if share <= _OFF:
-        return None
-    turned = f"{which} off by up to {abs(math.degrees(off)):.3g} deg ({share:.3g} of an increment)"
-    if off == math.inf:
-        turned = "it reads beyond the end of the ranges"
-    return Verdict("", "shifted" if share <= _SHIFTED else "misplaced", rule, f"{observed}: {turned}", allowed, cure)
-
-
-def _infinite_hits(consumer: str, source: str) -> Rule:
-    return _unless(
-        source,
-        lambda case: not case.scan.infinite or case.scan.range_max < math.inf,
-        "misplaced",
-        "a range within range_max is a return, and inf <= inf",
-        "{scan.infinite} infinite ranges, range_max {scan.range_max:.9g}",
-        "a finite range_max",
-        f"give a finite `range_max`: pc2scan convert `preset={consumer}`",
-    )
-
-
-def _kept_angles(case: Case) -> Verdict | None:
-    scan, first = case.scan, case.first
-    begin = scan.angle_min - first.angle_min
-    end = begin + (scan.beams - 1) * (scan.angle_increment - first.angle_increment)
-    off = max(abs(begin), abs(end))
-    if not scan.beams or off <= _OFF * abs(first.angle_increment):
-        return None
-    return Verdict(
-        "",
-        "misplaced",
-        "the first scan's angles are kept for all",
-        f"angle_min {scan.angle_min:.9g}, angle_increment {scan.angle_increment:.9g}, "
-        f"a beam off by {math.degrees(off):.3g} deg",
-        f"angle_min {first.angle_min:.9g}, angle_increment {first.angle_increment:.9g}",
-        "give all scans the same angles (pc2scan convert does, to scans made from clouds)",
-    )
-
-
-def _kept_pose(source: str, *, angle: bool) -> Rule:
-    """Return the rule that a scan's frame stays where it was on the robot at first."""
-
-    def judged(case: Case) -> Verdict | None:
-        placed = case.placed
-        if placed.moved <= _MOVED and not (angle and abs(placed.turned) > _TURNED):
-            return None
-        turned = f"turned by {math.degrees(placed.turned):.3g} deg, and " if angle else ""
-        return Verdict(
-            "",
-            "misplaced",
-            f"the {'pose' if angle else 'place'} of the scan's frame on the robot at the first scan is kept for all",
-            f"since then the frame {placed.frame_id!r} has {turned}moved by {placed.moved:.2f} m",
-            f"up to {f'{math.degrees(_TURNED):g} deg and ' if angle else ''}{_MOVED:g} m",
-            "a frame that is fixed on the robot: for scans made from clouds, pc2scan convert `target_frame=base_link`",
-        )
-
-    return Rule(source, judged)
-
-
-#: The consumers by name, in the order in which they are shown: the source of each rule, and the rule. Rules by which a
-#: scan is not used come before those by which its beams are misplaced. Conditions are written so that NaN fails them as
-#: in C++.
-CONSUMERS: dict[str, tuple[Rule, ...]] = {
-    "slam_toolbox": (
-        _needs("laserCallback, LaserAssistant::toLaserMetadata", "odometry", "robot"),
-        Rule("LaserAssistant::makeLaser, LaserRangeFinder::Update and Validate", _length_of_karto),
-        _unless(
-            "LocalizedRangeScan::Update, OccupancyGrid::AddScan",
-            lambda case: case.first.range_max > _KARTO_RANGE or case.scan.full <= _MISSES * case.scan.beams,
-            "misplaced",
-            "a finite range up to range_max is a return if range_max is at most max_laser_range (default 25 m)",
-            "{scan.full} ranges of range_max {scan.range_max:.9g} or 0.1 mm less, taken for returns",
-            "inf for no return, or a range_max above max_laser_range",
-            "`no_return=inf`, or `range_max=100.0`: pc2scan convert `preset=slam_toolbox`",
-        ),
-        Rule("LaserAssistant::makeLaser, once a sensor", _kept_angles),
-        _kept_pose("LaserAssistant::makeLaser, once a sensor", angle=True),
-        Rule("scanToReadings", _inverted_by_karto),
-    ),
-    "cartographer": (
-        _needs("SensorBridge::HandleRangefinder", "robot"),
-        _unless(
-            "LaserScanToPointCloudWithIntensities",
-            lambda case: case.scan.range_min >= 0,
-            "aborts",
-            "CHECK range_min >= 0",
-            "range_min {scan.range_min:.9g}",
-            ">= 0",
-            "`range_min=0.0`",
-        ),
-        _unless(
-            "LaserScanToPointCloudWithIntensities",
-            lambda case: case.scan.range_max >= case.scan.range_min,
-            "aborts",
-            "CHECK range_max >= range_min",
-            "range_max {scan.range_max:.9g}",
-            ">= range_min {scan.range_min:.9g}",
-            "give a `range_max` beyond `range_min`",
-        ),
-        _unless(
-            "LaserScanToPointCloudWithIntensities",
-            _in_order,
-            "aborts",
-            "CHECK angle_max > angle_min, or < for a negative angle_increment",
-            "angle_min {scan.angle_min:.9g}, angle_max {scan.angle_max:.9g}, angle_increment "
-            "{scan.angle_increment:.9g}",
-            "angles in the order of the beams",
-            "advertise angles in the order of the beams: pc2scan convert `preset=cartographer`",
-        ),
-        _unless(
-            "LaserScanToPointCloudWithIntensities, for a range within the limits",
-            lambda case: case.scan.intensities in (0, case.scan.beams) or not _hits(case.scan),
-            "aborts",
-            "CHECK len(intensities) == len(ranges), if there are intensities",
-            "{scan.intensities} intensities",
-            "0 or {scan.beams}",
-            "write no intensities, or one for every beam",
-        ),
-        _unless(
-            "CheckNoLeadingSlash, for a scan with points",
-            lambda case: not (_hits(case.scan) and case.placed.frame_id.startswith("/")),
-            "aborts",
-            "CHECK that the frame_id has no leading slash",
-            "frame_id {placed.frame_id!r}",
-            "the name without the slash",
-            "for scans made from clouds: pc2scan convert `source_frame`",
-        ),
-        _unless(
-            "LocalTrajectoryBuilder2D::AddRangeData",
-            lambda case: _hits(case.scan) <= 1 or not case.scan.time_increment < 0,
-            "misplaced",
-            "points are taken in the order of time: those that are earlier than the first are placed at its pose",
-            "time_increment {scan.time_increment:.6g} s",
-            ">= 0",
-            "`time_increment=0.0`: pc2scan convert `preset=cartographer`",
-        ),
-        _infinite_hits("cartographer", "LaserScanToPointCloudWithIntensities"),
-    ),
-    "gmapping": (
-        _needs("getOdomPose", "odometry", "robot"),
-        _unless(
-            "initMapper",
-            lambda case: case.started or case.placed.up is None or abs(abs(case.placed.up) - 1) <= _GMAPPING_TILT,
-            "ignored",
-            "it does not start unless the sensor is level: abs(abs(z) - 1) <= 0.001 for the point 1 m above it",
-            "z {placed.up:.6g} in the scan's frame {placed.frame_id!r}",
-            "0.999 to 1.001, or -1.001 to -0.999",
-            "make level scans: pc2scan convert `target_frame=base_link`",
-            unplaced=True,
-        ),
-        _unless(
-            "ScanMatcher::setLaserParameters",
-            lambda case: case.first.beams < _GMAPPING_BEAMS,
-            "aborts",
-            "assert(beams < LASER_MAXBEAMS)",
-            "{first.beams} ranges",
-            f"at most {_GMAPPING_BEAMS - 1}",
-            "fewer beams: give `beams`, or a larger `angle_increment`",
-        ),
-        _unless(
-            "addScan",
-            lambda case: case.scan.beams == case.first.beams,
-            "ignored",
-            "every scan must be as long as the first",
-            "{scan.beams} ranges",
-            "{first.beams} ranges",
-            "give all scans one number of beams: pc2scan convert `preset=gmapping`",
-        ),
-        # It skips ranges above the first scan's range_max, and replaces ranges below range_min by range_max.
-        _unless(
-            "addScan, ScanMatcher::computeActiveArea",
-            lambda case: (
-                case.first.range_max < math.inf
-                or not (case.scan.infinite or (case.scan.short and case.scan.range_max == math.inf))
-            ),
-            "aborts",
-            "the map grows until it contains every range up to range_max; ranges below range_min become range_max",
-            "{scan.infinite} infinite ranges, {scan.short} below range_min, range_max {first.range_max:.9g}",
-            "a finite range_max",
-            "give a finite `range_max`: pc2scan convert `preset=gmapping`",
-        ),
-        Rule("initMapper, once", _kept_angles),
-        Rule("initMapper, RangeSensor", _half_open),
-    ),
-    "amcl": (
-        _needs("the message filter, AmclNode::addNewScanner", "odometry", "robot"),
-        _unless(
-            "AmclNode::updateFilter",
-            lambda case: not case.scan.range_max <= 0,
-            "ignored",
-            "range_max must be above 0",
-            "range_max {scan.range_max:.9g}",
-            "> 0",
-            "give a positive `range_max`: pc2scan convert `preset=amcl`",
-        ),
-        # It looks up the directions of the beams anew for each scan, but not the place of the sensor.
-        _kept_pose("AmclNode::addNewScanner, once a frame", angle=False),
-    ),
-    "nav2": (
-        _needs("Source::getTransform", "robot"),
-        _infinite_hits("nav2", "Scan::getSourceData"),
-    ),
-    "mrpt": (
-        _needs("the bridges' sensor pose", "robot"),
-        _unless(
-            "fromROS",
-            lambda case: case.scan.beams >= SYMMETRIC_BEAMS[0],
-            "aborts",
-            "ASSERT(ranges.size() > 2)",
-            "{scan.beams} ranges",
-            f"at least {SYMMETRIC_BEAMS[0]}",
-            "more beams",
-        ),
-        Rule("fromROS", _symmetric),
-    ),
+#: The consumers by name, in the order in which they are shown: functions that yield what they do with a scan, by the
+#: first rule that it breaks. Rules by which a scan is not used come before those by which its beams are misplaced.
+#: Conditions are written so that NaN fails them as in C++.
+CONSUMERS: dict[str, Callable[[Case], Iterator[Verdict]]] = {
+    "slam_toolbox": _slam_toolbox,
+    "cartographer": _cartographer,
+    "gmapping": _gmapping,
+    "amcl": _amcl,
+    "nav2": _nav2,
+    "mrpt": _mrpt,
 }
