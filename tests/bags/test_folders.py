@@ -22,7 +22,7 @@ MINUTE = 60 * SECOND
 
 @pytest.mark.parametrize(("names", "parts"), rows(TABLES, "names, and whether they are parts of one recording"))
 def test_names_of_parts(names: list[str], parts: bool) -> None:
-    assert are_named_as_parts(map(Path, names)) is parts
+    assert are_named_as_parts([Path(name) for name in names]) is parts
 
 
 def test_recordings_of_a_folder(tmp_path: Path) -> None:

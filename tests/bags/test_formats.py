@@ -64,8 +64,7 @@ def toy(monkeypatch: pytest.MonkeyPatch) -> None:
     """A new container needs only an entry in the table."""
     entry = Format(
         name="toy",
-        readable="toys",
-        readable_one="toy",
+        readable="toy",
         open_reader=toy_reader,
         open_writer=ToyWriter,
         magic=MAGIC,

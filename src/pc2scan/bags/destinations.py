@@ -18,27 +18,6 @@ if TYPE_CHECKING:
     from pc2scan.model import Summary, Writer
 
 
-_NOT_WRITTEN = "this format is not written"
-
-#: Suffixes of formats that are not written; a directory of such a name would be confusing.
-_REFUSED_SUFFIXES = {
-    **dict.fromkeys((".db3", ".sqlite3", ".db"), "rosbag2 keeps .db3 files in a directory: name that directory"),
-    **dict.fromkeys(
-        (".yaml", ".yml"),
-        "pc2scan map writes maps with such names; metadata.yaml is written inside a directory: name that directory",
-    ),
-    **dict.fromkeys((".html", ".htm"), "pc2scan view writes a page"),
-    **dict.fromkeys((".png", ".svg"), "pc2scan plot draws clouds, pc2scan map scans"),
-    **dict.fromkeys((".csv", ".npz", ".tum"), "pc2scan export writes such files"),
-    **dict.fromkeys((".pcd", ".bin"), "pc2scan export writes them, into a folder"),
-    **dict.fromkeys(
-        (".zip", ".gz", ".tgz", ".bz2", ".xz", ".7z", ".tar", ".lz4", ".zst", ".zstd"),
-        "recordings are compressed inside: `compression` chooses how",
-    ),
-    **dict.fromkeys((".active", ".pcap", ".ply", ".las", ".laz", ".json", ".txt", ".npy"), _NOT_WRITTEN),
-}
-
-
 class Destination(NamedTuple):
     """A destination with all its options decided.
 
@@ -130,13 +109,15 @@ def plan_destination(
             "a recording is not written to standard output", hint="name a file: `destination=scans.mcap`"
         )
     suffix = path.suffix.lower()
-    written = _formats_by_suffix()
-    refused = {entry.suffix: _NOT_WRITTEN for entry in FORMATS.values()} | _REFUSED_SUFFIXES
-    if suffix not in written and (suffix in refused or (_is_like_a_file(suffix) and not is_directory)):
-        names = ", ".join(f"NAME{known}" for known in written if known)
-        why = refused.get(suffix, "a directory of this name would look like a file; `to=rosbag2` makes it")
+    written, known = _formats_by_suffix(), {entry.suffix for entry in FORMATS.values()}
+    # The suffix of a storage is one that a directory must not have.
+    if suffix not in written and (suffix in known or (_is_like_a_file(suffix) and not is_directory)):
+        names = ", ".join(f"NAME{each}" for each in written if each)
         raise DestinationError(
-            f"{suffix} is not a destination", path=path, hint=f"{why}. Use {names}, or NAME for a rosbag2 directory"
+            f"{suffix} is not a destination",
+            path=path,
+            hint=f"Use {names}, or NAME for a rosbag2 directory (`to=rosbag2` for any name). Other files are written "
+            "by pc2scan export, pc2scan view, pc2scan plot and pc2scan map",
         )
     entry = written.get(suffix, written[""])
     if storage is not None and not entry.storages:
@@ -146,7 +127,7 @@ def plan_destination(
             hint=f"leave it out, or leave {suffix} out of the name",
         )
     if profile is not None and not entry.profiles:
-        suffixes = " and ".join(known for known, other in written.items() if other.profiles)
+        suffixes = " and ".join(each for each, other in written.items() if other.profiles)
         raise DestinationError(f"`profile` is for {suffixes} files", path=path, hint="leave it out")
     if entry.storages:
         storage = _one_of("storage", storage or entry.storages[0], entry.storages, path)
@@ -214,7 +195,7 @@ def default_destination(
     for leftover in LEFTOVERS:
         stem = stem.removesuffix(leftover) or stem
     # A directory's name has no suffix to remove.
-    if entry.holds_recording is None:
+    if not entry.is_directory:
         for suffix in _source_suffixes():
             stem = stem[: -len(suffix)] if stem.lower().endswith(suffix) and len(stem) > len(suffix) else stem
     written = FORMATS[entry.written_as or entry.name] if to is None else _to_text(to)

@@ -4,7 +4,7 @@ A folder with a metadata.yaml is one recording. Without one, its files are one r
 
 - They are named as ``ros2 bag record`` and ``rosbag record --split`` name parts: ``drive_0.mcap``, ``drive_1.mcap``, or
   ``drive_2020-11-04-18-39-50_0.bag``, ``drive_2020-11-04-18-42-50_1.bag``.
-- A topic that several have is of one type in all of them, and two of them share a topic.
+- Each has a topic of the part before it, of the same type.
 - Their log times follow each other in the order of the numbers, with at most a second in common, and at most half of
   the shorter one. Between two whose numbers follow each other lies at most a minute.
 
@@ -22,13 +22,15 @@ from typing import TYPE_CHECKING, NamedTuple
 from pc2scan.errors import UsageError, name_list
 
 from . import zstd
-from .formats import FORMATS, and_list
+from .formats import FORMATS, and_list, storages
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
     from .reader import Reader
+
+METADATA_NAME = "metadata.yaml"
 
 #: Maximum overlap of parts, since a recorder's threads may write a message late: at most this, and at most half of
 #: the shorter part, although such a part may be shorter than that delay.
@@ -40,16 +42,19 @@ _MAX_GAP_NS = 60_000_000_000
 _DATE = re.compile(r"_?\d{4}([-_]\d{2}){5}")
 _NUMBERED = re.compile(r"(.+)_(\d+)")
 
+#: What may follow the suffix of a recording's name.
+_ENDS = ("", ".active", *zstd.SUFFIXES)
+
 #: Recordings that an error names; topics that a warning names.
 _MAX_NAMED = 4
 
 
 class _PartName(NamedTuple):
-    """The name of a part: that of the recording, the number of the part, and the suffix."""
+    """The name of a part: that of the recording, the suffix, and the number of the part."""
 
     recording: str
-    number: int
     suffix: str
+    number: int
 
 
 def recordings_in(folder: Path) -> list[Path]:
@@ -72,13 +77,29 @@ def is_named_as_recording(name: str) -> bool:
     return name.lower().endswith(suffixes)
 
 
-#: What may follow the suffix of a recording's name.
-_ENDS = ("", ".active", *zstd.SUFFIXES)
+def is_rosbag2(folder: Path) -> bool:
+    """Whether everything in a directory is one recording: it has a metadata.yaml, or all are named as parts of one."""
+    if (folder / METADATA_NAME).exists():
+        return True
+    recordings = recordings_in(folder)
+    return are_named_as_parts(recordings) and recordings == storage_files(folder)
+
+
+def storage_files(folder: Path) -> list[Path]:
+    """Return the files of a directory with a storage's suffix, in natural order: 2 comes before 10."""
+    files = [path for path in folder.iterdir() if path.is_file() and storage_of(path.name) is not None]
+    return sorted(files, key=natural_order)
+
+
+def storage_of(name: str) -> str | None:
+    """Return the format of a file of a rosbag2 directory by its name; None if it is none."""
+    _, dot, suffix = zstd.without_suffix(name).rpartition(".")
+    return next((storage for storage, entry in storages().items() if entry.suffix == dot + suffix), None)
 
 
 def _holds_recording(folder: Path) -> bool:
     with suppress(OSError):
-        return any(entry.holds_recording is not None and entry.holds_recording(folder) for entry in FORMATS.values())
+        return (folder / METADATA_NAME).exists() or bool(storage_files(folder))
     return False
 
 
@@ -99,15 +120,12 @@ def several_recordings(folder: Path, recordings: Sequence[Path], why: str = "") 
     )
 
 
-def are_named_as_parts(paths: Iterable[Path]) -> bool:
+# --- Parts ---
+
+
+def are_named_as_parts(paths: Sequence[Path]) -> bool:
     """Whether files are named as the parts of one recording; a single file is one."""
-    files = list(paths)
-    parts = [part for path in files if (part := _part_name(path)) is not None]
-    return len(files) == 1 or (
-        len(parts) == len(files)
-        and len({(path.parent, part.recording, part.suffix) for path, part in zip(files, parts, strict=True)}) == 1
-        and len({part.number for part in parts}) == len(parts)
-    )
+    return len(paths) == 1 or ([len(group) for group in groups_of_parts(paths)] == [len(paths)])
 
 
 def groups_of_parts(paths: Iterable[Path]) -> Iterator[list[Path]]:
@@ -115,87 +133,59 @@ def groups_of_parts(paths: Iterable[Path]) -> Iterator[list[Path]]:
 
     Whether they are parts, only their content says: see `continues`.
     """
-    groups: dict[tuple[str, str], dict[int, Path]] = {}
+    groups: dict[tuple[Path, str, str], dict[int, Path]] = {}
     for path in paths:
-        part = _part_name(path)
-        if part is not None:
-            groups.setdefault((part.recording, part.suffix), {}).setdefault(part.number, path)
+        if part := _part_name(path):
+            groups.setdefault((path.parent, part.recording, part.suffix), {}).setdefault(part.number, path)
     yield from ([group[number] for number in sorted(group)] for group in groups.values() if len(group) > 1)
 
 
-def continues(file: Path, reader: Reader, other: Path, other_reader: Reader) -> bool:
-    """Whether a file is the next part of a recording, whose part before it is ``file``."""
-    end_ns, start_ns = reader.summary.end_ns, other_reader.summary.start_ns
-    if end_ns is None or start_ns is None or start_ns - end_ns > _MAX_GAP_NS or not _follows(file, other):
-        return False
-    return not _why_unrelated((file, other), (reader, other_reader))
+def continues(reader: Reader, other: Reader) -> bool:
+    """Whether a recording is the next part of another one, by its name and its content."""
+    return _follows(reader, other) and not _why_unrelated(reader, other)
 
 
-def _part_name(path: Path) -> _PartName | None:
-    name = zstd.without_suffix(path.name).removesuffix(".active")
-    stem, dot, suffix = name.rpartition(".")
-    numbered = _NUMBERED.fullmatch(stem)
-    return _PartName(_DATE.sub("", numbered[1]), int(numbered[2]), dot + suffix) if numbered else None
-
-
-def refuse_unrelated(folder: Path, files: Sequence[Path], readers: Sequence[Reader]) -> None:
-    """Raise if the files of a folder, which are named as parts, cannot be those of one recording.
-
-    Parameters
-    ----------
-    folder
-        Where they are, without a metadata.yaml.
-    files, readers
-        The files in the order of their numbers, and what reads them.
+def refuse_unrelated(folder: Path, readers: Sequence[Reader]) -> None:
+    """Raise if the files of a folder without a metadata.yaml, in the order of their numbers, are no parts.
 
     Raises
     ------
     UsageError
         If they are several recordings.
     """
-    if why := _why_unrelated(files, readers):
-        raise several_recordings(folder, files, why)
+    for reader, other in pairwise(each for each in readers if each.summary.message_count != 0):
+        if why := _why_unrelated(reader, other):
+            raise several_recordings(folder, [each.path for each in readers], why)
 
 
-def _why_unrelated(files: Sequence[Path], readers: Sequence[Reader]) -> str:
-    """Return why files that are named as parts cannot be parts; empty if they may be."""
-    opened = [(file, reader) for file, reader in zip(files, readers, strict=True) if reader.summary.message_count != 0]
-    for (file, reader), (other, other_reader) in combinations(opened, 2):
-        types, others = _types_by_topic(reader), _types_by_topic(other_reader)
-        for topic in types.keys() & others.keys():
-            if types[topic] != others[topic]:
-                return f"{topic} has other types in {file.name} and {other.name}"
-        if not types.keys() & others.keys() and not reader.damage and not other_reader.damage:
-            return f"{file.name} and {other.name} have no topic in common"
-    for (file, reader), (other, other_reader) in pairwise(opened):
-        end_ns, start_ns = reader.summary.end_ns, other_reader.summary.start_ns
-        if end_ns is None or start_ns is None:
-            continue
-        if end_ns - start_ns > _allowed_ns(reader, other_reader):
-            return f"{other.name} does not begin where {file.name} ends"
-        if start_ns - end_ns > _MAX_GAP_NS and _follows(file, other):
-            return f"{other.name} begins {_seconds_text(start_ns - end_ns)} after the end of {file.name}"
+def _part_name(path: Path) -> _PartName | None:
+    stem, dot, suffix = zstd.without_suffix(path.name).removesuffix(".active").rpartition(".")
+    numbered = _NUMBERED.fullmatch(stem)
+    return _PartName(_DATE.sub("", numbered[1]), dot + suffix, int(numbered[2])) if numbered else None
+
+
+def _follows(reader: Reader, other: Reader) -> bool:
+    part, following = _part_name(reader.path), _part_name(other.path)
+    return part is not None and following == part._replace(number=part.number + 1)
+
+
+def _why_unrelated(reader: Reader, other: Reader) -> str:
+    """Return why two files that are named as parts are no parts, the second after the first; empty if they may be."""
+    topics, others = ({(own.topic, own.ros_type) for own in each.connections} for each in (reader, other))
+    if not topics & others and not reader.damage and not other.damage:
+        return f"{reader.path.name} and {other.path.name} have no topic in common"
+    end_ns, start_ns = reader.summary.end_ns, other.summary.start_ns
+    if end_ns is None or start_ns is None:
+        return ""
+    if end_ns - start_ns > _allowed_ns(reader, other):
+        return f"{other.path.name} does not begin where {reader.path.name} ends"
+    if start_ns - end_ns > _MAX_GAP_NS and _follows(reader, other):
+        return f"{other.path.name} begins {_seconds_text(start_ns - end_ns)} after the end of {reader.path.name}"
     return ""
 
 
-def _follows(file: Path, other: Path) -> bool:
-    part, next_part = _part_name(file), _part_name(other)
-    return part is not None and next_part is not None and next_part.number == part.number + 1
-
-
 def overlap_warnings(readers: Sequence[Reader]) -> list[str]:
-    """Warn of recordings that would be merged though they were not made one after the other.
-
-    Parameters
-    ----------
-    readers
-        Of the sources that become one recording.
-
-    Returns
-    -------
-    list[str]
-        One warning for all that overlap in time and have the same topics; none for parts of one recording.
-    """
+    """Return a warning of the sources of one recording that overlap in time and share topics; none for parts."""
     mixed = []
     for reader, other in combinations(readers, 2):
         common_ns = _common_ns(reader, other)
@@ -221,11 +211,8 @@ def _some_of(names: Iterable[str]) -> str:
 
 def _common_ns(reader: Reader, other: Reader) -> int:
     """Return how long two recordings overlap; 0 if they do not, or if their times are unknown."""
-    times = [time for each in (reader, other) for time in (each.summary.start_ns, each.summary.end_ns)]
-    start_ns, end_ns, other_start_ns, other_end_ns = times
-    if start_ns is None or end_ns is None or other_start_ns is None or other_end_ns is None:
-        return 0
-    return max(0, min(end_ns, other_end_ns) - max(start_ns, other_start_ns))
+    starts, ends = ([getattr(each.summary, name) for each in (reader, other)] for name in ("start_ns", "end_ns"))
+    return 0 if None in (*starts, *ends) else max(0, min(ends) - max(starts))
 
 
 def _allowed_ns(*readers: Reader) -> int:
@@ -236,18 +223,7 @@ def _allowed_ns(*readers: Reader) -> int:
 
 def _moving_topics(reader: Reader) -> set[str]:
     """Return topics with messages, without those that every part of a recording repeats."""
-    return {
-        connection.topic
-        for connection in reader.connections
-        if connection.message_count != 0 and not connection.is_latched
-    }
-
-
-def _types_by_topic(reader: Reader) -> dict[str, frozenset[str]]:
-    types: dict[str, frozenset[str]] = {}
-    for connection in reader.connections:
-        types[connection.topic] = types.get(connection.topic, frozenset()) | {connection.ros_type}
-    return types
+    return {own.topic for own in reader.connections if own.message_count != 0 and not own.is_latched}
 
 
 def _seconds_text(duration_ns: int) -> str:

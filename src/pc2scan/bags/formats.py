@@ -27,9 +27,7 @@ class Format(NamedTuple):
     name
         The name in `Summary.container` and in reports.
     readable
-        The name of such recordings in errors.
-    readable_one
-        The name of one such recording.
+        The name of such a recording in errors.
     open_reader
         Opens a recording: takes its path, and ``strict``, whether damage is an error, which otherwise is in `damage` of
         the reader. With `packs_messages`, it takes ``message_compression``, too: that of each message by metadata.yaml.
@@ -38,8 +36,6 @@ class Format(NamedTuple):
         `profiles` also ``profile``. None if it cannot be a destination by itself.
     magic
         The first bytes of every such file; empty for a directory.
-    is_magic_shared
-        Whether files of other programs begin with the same bytes.
     suffix
         The suffix of such files, in lower case. With ``open_writer``, a destination of such a name gets this format;
         the format with the empty suffix gets all other names.
@@ -47,10 +43,6 @@ class Format(NamedTuple):
         The name of the format in the option `to`; empty if it cannot be a destination by itself.
     play
         The command that plays a recording of the format's ``ros_version``, with ``{}`` for its path; empty for none.
-    holds_recording
-        For a directory: whether a directory holds one or several such recordings.
-    is_recording
-        For a directory: whether everything in a directory is one recording.
     open_storage
         Starts a file of a directory with a compression; returns its writer, and a function that takes the directory's
         metadata as text. None if it is not a storage of a directory.
@@ -68,30 +60,23 @@ class Format(NamedTuple):
         Whether messages are in chunks that can be copied as a whole to another file of this format.
     has_extras
         Whether it has attachments and metadata records.
-    holds_any
-        Whether it holds messages of every encoding, not only those of ROS.
-    one_a_topic
-        Whether the publishers of a topic share a connection, because readers identify topics by name.
     ros_version
-        The ROS version of its messages: 1 or 2. Formats with profiles can hold either.
+        The ROS version of its messages: 1 or 2.
     profiles
-        The names of its profiles, ROS 1's and ROS 2's; empty if it has none.
+        The names of its profiles, ROS 1's and ROS 2's; empty if it has none. A format that has them holds messages of
+        every encoding.
     times_ns
         The first and the last log time that it can store.
     """
 
     name: str
     readable: str
-    readable_one: str
     open_reader: Callable[..., Reader]
     open_writer: Callable[..., Writer] | None = None
     magic: bytes = b""
-    is_magic_shared: bool = False
     suffix: str = ""
     to: str = ""
     play: str = ""
-    holds_recording: Callable[[Path], bool] | None = None
-    is_recording: Callable[[Path], bool] | None = None
     open_storage: Callable[[Path, str], tuple[Writer, Callable[[str], None]]] | None = None
     storages: tuple[str, ...] = ()
     written_as: str = ""
@@ -100,8 +85,6 @@ class Format(NamedTuple):
     packs_messages: bool = False
     has_chunks: bool = False
     has_extras: bool = False
-    holds_any: bool = False
-    one_a_topic: bool = False
     ros_version: int = 2
     profiles: tuple[str, ...] = ()
     times_ns: tuple[int, int] = (0, (1 << 64) - 1)
@@ -125,8 +108,7 @@ def _late(place: str) -> Callable[..., Any]:
 _ENTRIES = (
     Format(
         name="rosbag1",
-        readable="ROS 1 bags",
-        readable_one="ROS 1 bag",
+        readable="ROS 1 bag",
         open_reader=_late(".rosbag1.read:Rosbag1Reader"),
         open_writer=_late(".rosbag1.write:Rosbag1Writer"),
         magic=b"#ROSBAG V2.0\n",
@@ -141,25 +123,19 @@ _ENTRIES = (
     ),
     Format(
         name="rosbag2",
-        readable="rosbag2 directories",
-        readable_one="rosbag2 directory",
+        readable="rosbag2 directory",
         open_reader=_late(".rosbag2.read:Rosbag2Reader"),
         open_writer=_late(".rosbag2.write:Rosbag2Writer"),
         to="rosbag2",
         play="ros2 bag play {} --clock",
-        holds_recording=_late(".rosbag2.metadata:holds_recording"),
-        is_recording=_late(".rosbag2.metadata:is_recording"),
         storages=("mcap", "sqlite3"),
-        one_a_topic=True,
         times_ns=(-MAX_ROSBAG2_NS - 1, MAX_ROSBAG2_NS),
     ),
     Format(
         name="sqlite3",
-        readable=".db3 files",
-        readable_one=".db3 file",
+        readable=".db3 file",
         open_reader=_late(".rosbag2.sqlite3.read:Sqlite3Reader"),
         magic=b"SQLite format 3\0",
-        is_magic_shared=True,
         suffix=".db3",
         open_storage=_late(".rosbag2.sqlite3.write:open_storage"),
         written_as="rosbag2",
@@ -169,8 +145,7 @@ _ENTRIES = (
     ),
     Format(
         name="mcap",
-        readable="MCAP",
-        readable_one="MCAP file",
+        readable="MCAP file",
         open_reader=_late(".mcap.read:McapReader"),
         open_writer=_late(".mcap.write:McapWriter"),
         magic=b"\x89MCAP0\r\n",
@@ -182,7 +157,6 @@ _ENTRIES = (
         default_compression="zstd",
         has_chunks=True,
         has_extras=True,
-        holds_any=True,
         profiles=("ros1", "ros2"),
     ),
 )
@@ -202,6 +176,6 @@ def storages() -> dict[str, Format]:
     return {name: entry for name, entry in FORMATS.items() if entry.open_storage is not None}
 
 
-def and_list(names: Sequence[str]) -> str:
+def and_list(names: Sequence[str], word: str = "and") -> str:
     """Return names as a list in a sentence: ``none, lz4 and zstd``."""
-    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
+    return f" {word} ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))

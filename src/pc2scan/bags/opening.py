@@ -8,14 +8,14 @@ import stat
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import MissingError, RecordingError
-from pc2scan.files.compression import LZ4_MAGIC, ZSTD_MAGIC
+from pc2scan.files.compression import ZSTD_MAGIC
 from pc2scan.files.places import missing_hint, working_names
 from pc2scan.files.source import LFS_HINT, LFS_POINTER, open_bytes
 from pc2scan.files.transfers import fetched
 from pc2scan.files.urls import UrlPath
 
 from . import zstd
-from .folders import recordings_in, several_recordings
+from .folders import is_rosbag2, recordings_in, several_recordings
 from .formats import FORMATS, and_list
 from .merged import MergedReader
 
@@ -26,22 +26,11 @@ if TYPE_CHECKING:
 
     from .reader import Reader
 
-#: Other files that users try to open, with a hint.
-_LOOKALIKES = {
-    b"\x1f\x8b": ("gzip-compressed", ""),
-    b"BZh": ("bzip2-compressed", ""),
-    b"\xfd7zXZ": ("xz-compressed", ""),
-    LZ4_MAGIC: ("lz4-compressed", ""),
-    b"PK\x03\x04": ("a ZIP archive", ""),
-    b"7z\xbc\xaf": ("a 7z archive", ""),
-    LFS_POINTER: ("a Git LFS pointer, not the file itself", LFS_HINT),
-    b"\xd4\xc3\xb2\xa1": ("a packet capture (pcap)", ""),
-    b"\x0a\x0d\x0d\x0a": ("a packet capture (pcapng)", ""),
-    b"# .PCD": ("a single point cloud (PCD)", ""),
-    b"\x89MCAP": ("MCAP of an unknown version", ""),
-    b"#ROSBAG V1": ("a ROS bag of version 1", "ROS 1's rosbag reindex converts it"),
-    b"rosbag2_bagfile_information": ("the metadata.yaml of a rosbag2 recording", "name the directory it is in"),
-}
+#: Other files that users try to open: their first bytes, what they are, and a hint.
+_LOOKALIKES = (
+    (LFS_POINTER, "a Git LFS pointer, not the file itself", LFS_HINT),
+    (b"#ROSBAG V1", "a ROS bag of version 1", "ROS 1's rosbag reindex converts it"),
+)
 
 
 def sniff(path: Path) -> str:
@@ -134,13 +123,8 @@ def _interruption_hint(path: Path) -> str | None:
 
 
 def _sniff_directory(path: Path) -> str:
-    for name, entry in FORMATS.items():
-        if (
-            entry.holds_recording is not None
-            and entry.holds_recording(path)
-            and (entry.is_recording is None or entry.is_recording(path))
-        ):
-            return name
+    if is_rosbag2(path):
+        return "rosbag2"
     recordings = recordings_in(path)
     if len(recordings) > 1:
         raise several_recordings(path, recordings)
@@ -160,10 +144,10 @@ def _content_hint(head: bytes, path: Path, state: str = "") -> str:
         raise RecordingError(f"is empty{state}", path=path)
     if any(magic.startswith(head) for magic in magics):
         raise RecordingError(f"is cut off after {len(head)} bytes: there is nothing to recover{state}", path=path)
-    readable = f"{and_list([entry.readable for entry in FORMATS.values()])} can be read"
-    for magic, (description, hint) in _LOOKALIKES.items():
+    for magic, description, hint in _LOOKALIKES:
         if head.startswith(magic):
-            raise RecordingError(f"is not a recording: it is {description}{state}", path=path, hint=hint or readable)
+            raise RecordingError(f"is not a recording: it is {description}{state}", path=path, hint=hint)
+    readable = f"a recording is a {and_list([entry.readable for entry in FORMATS.values()], 'or')}"
     # Bytes of unknown origin for a terminal: printable ASCII as it is, everything else escaped.
     raise RecordingError(f"is not a recording: it begins with {repr(head[:16])[1:]}{state}", path=path, hint=readable)
 

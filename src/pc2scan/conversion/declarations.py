@@ -191,7 +191,7 @@ class RecordingTopics:
             return
         foreign = connection.ros_version is None
         # The same kind of container can store the message as it is, even if its type is unknown.
-        as_it_is = (self._same_kind and (foreign or options.repair)) or (foreign and target.format.holds_any)
+        as_it_is = (self._same_kind and (foreign or options.repair)) or (foreign and bool(target.format.profiles))
         defined_already = connection.definition.data or options.repair
         if as_it_is or (connection.ros_version == target.ros_version and defined_already):
             self.add(connection, route)
@@ -201,7 +201,7 @@ class RecordingTopics:
             return
         try:
             if foreign:
-                holding = " or ".join(each.suffix for each in FORMATS.values() if each.holds_any)
+                holding = " or ".join(each.suffix for each in FORMATS.values() if each.profiles)
                 form = connection.serialization or "unspecified"
                 raise MessageError(f"{form} messages can only be stored in an {holding} file")
             transcoding = _transcode().transcoder(connection, target.ros_version)
@@ -228,7 +228,7 @@ class RecordingTopics:
 
     def declare(self, writer: Writer) -> None:
         """Declare all topics, and set the writer's handles."""
-        handles = declare(writer, [each for each, _ in self._added], one_a_topic=self.target.format.one_a_topic)
+        handles = declare(writer, [each for each, _ in self._added], one_a_topic=self.target.format.is_directory)
         for (_, owners), handle in zip(self._added, handles, strict=True):
             for owner in owners:
                 owner.handle = handle

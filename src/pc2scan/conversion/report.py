@@ -358,7 +358,7 @@ class Report(Result):
             frames = [repr(spec.params.target_frame) if spec.params.target_frame else _OWN for spec in self.scans]
             named = ", ".join(dict.fromkeys(frames))
             yield f"frame{'s' * (',' in named)}: {named}; points: those of the first messages"
-            yield f"{place}: {FORMATS[self.container].readable_one}, which can be written; from {read}"
+            yield f"{place}: {FORMATS[self.container].readable}, which can be written; from {read}"
         else:
             yield f"{place}: {written} from {read} in {duration(self.seconds)}"
         if self.container == "mcap":

@@ -201,7 +201,7 @@ def _recognise(path: Path, root: Path, search: _Search, *, named: bool) -> Itera
         return
     try:
         container = _sniff(path).partition("+")[0]
-        if FORMATS[container].is_magic_shared and not named:
+        if container == "sqlite3" and not named:
             # Other programs write such files, too: open it to see whether it is a recording.
             with ExitStack() as stack:
                 open_recordings([path], stack)
@@ -254,7 +254,7 @@ def _chains(group: Sequence[Recording], search: _Search) -> Iterator[list[Record
             reader, stack = None, ExitStack()
             with suppress(Pc2ScanError):
                 (reader,) = open_recordings(recording.paths, stack)
-            if chain and not (last and reader and continues(chain[-1].paths[0], last, recording.paths[0], reader)):
+            if chain and not (last and reader and continues(last, reader)):
                 yield chain
                 chain = []
             chain.append(recording)

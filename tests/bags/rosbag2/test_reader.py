@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from ruamel.yaml import YAML
 
-from pc2scan.bags.rosbag2.metadata import storage_files
+from pc2scan.bags.folders import storage_files
 from pc2scan.bags.rosbag2.read import Rosbag2Reader
 from pc2scan.errors import DamageError, RecordingError
 from support.rosbag2_files import (

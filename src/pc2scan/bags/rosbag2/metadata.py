@@ -27,8 +27,7 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags import zstd
 from pc2scan.bags.damage import DamageLog
-from pc2scan.bags.folders import are_named_as_parts, natural_order, recordings_in
-from pc2scan.bags.formats import storages
+from pc2scan.bags.folders import METADATA_NAME, storage_files, storage_of
 from pc2scan.bags.topics import latches
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.files.records import Record
@@ -39,8 +38,6 @@ from pc2scan.model import Connection
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
-
-METADATA_NAME = "metadata.yaml"
 
 #: The name of the MCAP metadata record in which rosbag2 repeats metadata.yaml.
 RECORD_NAME = "rosbag2"
@@ -108,25 +105,6 @@ def read_info(folder: Path, log: DamageLog) -> BagInfo:
     return _guess_info(folder)
 
 
-def holds_recording(folder: Path) -> bool:
-    """Whether a directory holds a recording: metadata.yaml, or files with a storage's suffix."""
-    return (folder / METADATA_NAME).exists() or bool(storage_files(folder))
-
-
-def is_recording(folder: Path) -> bool:
-    """Whether everything in a directory is one recording: it has a metadata.yaml, or all are named as parts of one."""
-    if (folder / METADATA_NAME).exists():
-        return True
-    recordings = recordings_in(folder)
-    return are_named_as_parts(recordings) and recordings == storage_files(folder)
-
-
-def storage_files(folder: Path) -> list[Path]:
-    """Return the files of a directory with a storage's suffix, in natural order: 2 comes before 10."""
-    files = [path for path in folder.iterdir() if path.is_file() and _storage_of(path.name) is not None]
-    return sorted(files, key=natural_order)
-
-
 def locate_files(folder: Path, names: Iterable[str]) -> tuple[dict[str, Path | None], list[str]]:
     """Find the files that metadata.yaml names, also if they were compressed, decompressed or renamed since.
 
@@ -177,21 +155,16 @@ def recorded_in(folder: Path) -> Record | str:
         if isinstance(err.__cause__, OSError):
             raise
         return f"its {METADATA_NAME} is not understood: {err.message}"
-    plain = {zstd.without_suffix(name) for name in info.files if _storage_of(name) is not None}
+    plain = {zstd.without_suffix(name) for name in info.files if storage_of(name) is not None}
     # Not what it names in other folders: versions 1 and 2 begin with the directory's name.
     plain = {name for name in plain if "/" not in name}
     own = (METADATA_NAME, *(name + suffix for name in plain for suffix in ("", *zstd.SUFFIXES, *_LOGS)))
     return Record(dict.fromkeys(own), METADATA_NAME)
 
 
-def _storage_of(name: str) -> str | None:
-    suffix = Path(zstd.without_suffix(name)).suffix
-    return next((storage for storage, entry in storages().items() if entry.suffix == suffix), None)
-
-
 def _guess_info(folder: Path) -> BagInfo:
     files = storage_files(folder)
-    storages = sorted({_storage_of(file.name) or "" for file in files})
+    storages = sorted({storage_of(file.name) or "" for file in files})
     if not files:
         raise RecordingError(f"has neither {METADATA_NAME} nor .db3 or .mcap files", path=folder)
     if len(storages) > 1:

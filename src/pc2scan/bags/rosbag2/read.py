@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 
 from pc2scan.bags import zstd
 from pc2scan.bags.damage import RECOVER, DamageLog
-from pc2scan.bags.folders import refuse_unrelated
+from pc2scan.bags.folders import METADATA_NAME, refuse_unrelated
 from pc2scan.bags.formats import and_list, storages
 from pc2scan.bags.merged import MergedReader
 from pc2scan.bags.opening import sniff
 from pc2scan.bags.reader import ConnectionLimit
 from pc2scan.errors import DamageError, RecordingError
 
-from .metadata import METADATA_NAME, RECORD_NAME, locate_files, missing_error, read_info
+from .metadata import RECORD_NAME, locate_files, missing_error, read_info
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -76,7 +76,7 @@ class Rosbag2Reader(MergedReader):
                 files.append(file)
                 opened.append(reader)
             if self._info.is_guessed:
-                refuse_unrelated(path, files, opened)
+                refuse_unrelated(path, opened)
             super().__init__(opened, path)
             self._compare_types()
             self._compare_counts()

@@ -6,6 +6,7 @@ import os
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from pc2scan.bags.folders import METADATA_NAME
 from pc2scan.bags.formats import storages
 from pc2scan.bags.mcap.write import McapWriter
 from pc2scan.bags.qos import MAX_CHARACTERS, respell_qos
@@ -14,7 +15,7 @@ from pc2scan.files.system import sync_directory
 from pc2scan.files.yaml import dump_yaml
 from pc2scan.model import MAX_ROSBAG2_NS, Connection, Metadata
 
-from .metadata import METADATA_NAME, RECORD_NAME, ROOT, WRITTEN_VERSION
+from .metadata import RECORD_NAME, ROOT, WRITTEN_VERSION
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
