@@ -472,18 +472,15 @@ def common_ground(looks: Sequence[Ground]) -> Ground:
 
     The ground keeps its place while a robot drives; a wall that was mistaken for it does not.
     """
-    if not looks:
-        return Ground("unknown", clouds=0, sampled=0)
-    kinds = {look.kind for look in looks} - {"unknown"}
-    if len(kinds) != 1:
-        return Ground("unknown", clouds=0, sampled=len(looks))
-    (kind,) = kinds
+    kind: Kind = min({look.kind for look in looks} - {"unknown"}, default="unknown")
     same = [look for look in looks if look.kind == kind]
-    if 2 * len(same) < len(looks):
-        return Ground("unknown", clouds=0, sampled=len(looks))
+    ceilings = [look.ceiling for look in looks if look.ceiling is not None]
+    ceiling = median(ceilings) if ceilings and 2 * len(ceilings) >= len(same) else None
+    unknown = Ground("unknown", ceiling=ceiling, clouds=0, sampled=len(looks))
+    contradict = any(look.kind not in {kind, "unknown"} for look in looks)
+    if kind == "unknown" or contradict or 2 * len(same) < len(looks):
+        return unknown
     seen = [look for look in same if look.up is not None]
-    ceilings = [look.ceiling for look in same if look.ceiling is not None]
-    ceiling = median(ceilings) if 2 * len(ceilings) >= len(same) else None
     if 2 * len(seen) < len(same):
         return Ground(kind, clouds=len(same), sampled=len(looks))
     middle = np.array([median(axis) for axis in zip(*(look.up for look in seen if look.up is not None), strict=True)])
@@ -494,8 +491,7 @@ def common_ground(looks: Sequence[Ground]) -> Ground:
         apart = max(math.acos(max(-1.0, min(1.0, float(up @ np.array(look.up))))) for look in seen)
         moved = max(abs(other - height) for other in heights)
         if apart > math.radians(4.0) or moved > max(0.06, 0.2 * height):
-            rest: Kind = "optical" if kind == "optical" else "unknown"
-            return Ground(rest, clouds=len(same) if kind == "optical" else 0, sampled=len(looks))
+            return Ground("optical", clouds=len(same), sampled=len(looks)) if kind == "optical" else unknown
     rough = min(look.rough for look in seen)
     normal = (float(up[0]), float(up[1]), float(up[2]))
     return Ground(kind, normal, height, ceiling, rough, len(same), len(looks))

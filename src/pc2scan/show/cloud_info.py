@@ -102,12 +102,12 @@ class CloudLook:
     Attributes
     ----------
     parts
-        Points of these once they are described, each (3, N), without those at (0, 0, 0) or with NaN.
+        The stamps of these once they are described, and points, each (3, N), without those at (0, 0, 0) or with NaN.
     """
 
     def __init__(self, topic: str) -> None:
         self._topic = topic
-        self.parts: list[NDArray[np.floating[Any]]] = []
+        self.parts: list[tuple[int, NDArray[np.floating[Any]]]] = []
         self._problems: dict[str, None] = {}
         self._sampled = 0
         self._clouds: list[_Sampled] = []
@@ -164,12 +164,13 @@ class CloudLook:
             result.shape, result.point_step, result.fields = placed[0].layout
             result.points_min = min(sample.size for sample in placed)
             result.points_max = max(sample.size for sample in placed)
-            self.parts = [sample.points for sample in placed]
+            self.parts = [(sample.stamp_ns, sample.points) for sample in placed]
+            parts = [sample.points for sample in placed]
             returns, zeros = (sum(getattr(sample, name) for sample in placed) for name in ("returns", "zeros"))
-            count, total = sum(part.shape[1] for part in self.parts), max(1, returns + zeros)
+            count, total = sum(part.shape[1] for part in parts), max(1, returns + zeros)
             result.nan_share, result.zero_share = (returns - count) / total, zeros / total
-            result.above_zero_share = sum(int((part[2] > 0).sum()) for part in self.parts) / max(1, count)
-            result.limits = _limits(self.parts)
+            result.above_zero_share = sum(int((part[2] > 0).sum()) for part in parts) / max(1, count)
+            result.limits = _limits(parts)
             result.mounting = mounting
         return result
 

@@ -345,9 +345,7 @@ def info_of(
                 on_robot[each.topic],
                 surveyed.buffer,
                 # Where the robot moves in the frame of these points, its own body is not at one place.
-                of_clouds[each.topic].parts
-                if on_robot[each.topic] is each.mounting and not surveyed.registered(each.mounting.frame)
-                else (),
+                of_clouds[each.topic].parts if on_robot[each.topic] is each.mounting else (),
                 bool(each.zero_share),
                 ((end_ns or 0) - (start_ns or 0)) / 1e9,
                 (start_ns or 0, end_ns if surveyed.knows_end else None),

@@ -155,7 +155,8 @@ class Lidar:
     buffer
         The transforms; None if there are none.
     clouds
-        Points of clouds that are spread over the recording, each (3, N), in the frame in which they were judged.
+        Stamps and points, each (3, N), of clouds that are spread over the recording, in the frame in which they were
+        judged; registered ones in their own.
     has_zeros
         Whether points at (0, 0, 0) stand for no return.
     seconds
@@ -168,7 +169,7 @@ class Lidar:
     facts: TopicFacts
     mounting: Mounting
     buffer: TransformBuffer | None
-    clouds: Sequence[NDArray[np.floating[Any]]]
+    clouds: Sequence[tuple[int, NDArray[np.floating[Any]]]]
     has_zeros: bool
     seconds: float
     span_ns: tuple[int, int | None]
@@ -184,6 +185,11 @@ class Lidar:
         own = self.mounting
         return own.target_frame or (own.judged_in if own.judged_in != own.frame else "")
 
+    @property
+    def is_registered(self) -> bool:
+        """Whether its clouds are in a frame that does not move with the robot: their points are placed already."""
+        return bool(self.target) and self.mounting.frame.removeprefix("/") in WORLDS
+
     @cached_property
     def period(self) -> float:
         """The time from cloud to cloud, seconds; 0 if it is not known."""
@@ -193,7 +199,7 @@ class Lidar:
     def duration(self) -> float:
         """The time that the points of a cloud take by their own times, seconds; 0 without plausible ones."""
         times = self.facts.found(_TIMES)
-        if not times or any(time_warnings(self.facts, PointTime())):
+        if not times or self.is_registered or any(time_warnings(self.facts, PointTime())):
             return 0.0
         return median([each.high - each.low for each in times])
 
@@ -260,7 +266,8 @@ class Lidar:
 
     def motion(self, seconds: float) -> SensorMotion | None:
         """Return how it moves within some time; None if it stands still, or no transforms say how it moves."""
-        return None if self.buffer is None else sensor_motion(self.buffer, self.mounting.frame, seconds)
+        frame = self.target if self.is_registered else self.mounting.frame
+        return None if self.buffer is None else sensor_motion(self.buffer, frame, seconds)
 
     @cached_property
     def pattern(self) -> Pattern:
@@ -289,7 +296,7 @@ class Lidar:
     @property
     def placed(self) -> Iterator[NDArray[np.float64]]:
         """The spread clouds in the frame of the scans, each (N, 3)."""
-        return (self.in_target(each, self.mounting.judged_in) for each in self.clouds)
+        return (self.in_target(points, stamp_ns=stamp_ns) for stamp_ns, points in self.clouds)
 
     def tried_clouds(self, most: int, points: int) -> tuple[list[NDArray[np.floating[Any]]], bool]:
         """Return clouds to try a command on, each (3, N), and whether they are parts of one scan.
@@ -303,22 +310,25 @@ class Lidar:
             is_own = self.mounting.judged_in == self.mounting.frame
             return self.facts.found(_PATTERN) if is_own else [], True
         chosen = self.clouds[:: max(1, len(self.clouds) // most)][:most]
-        return [each[:, :: -(-each.shape[1] // points) or 1] for each in chosen], False
+        thinned = [(stamp_ns, each[:, :: -(-each.shape[1] // points) or 1]) for stamp_ns, each in chosen]
+        if self.is_registered:
+            return [self.in_target(each, stamp_ns=stamp_ns).T for stamp_ns, each in thinned], False
+        return [each for _, each in thinned], False
 
-    def in_target(self, points: NDArray[np.floating[Any]], frame: str = "") -> NDArray[np.float64]:
-        """Return points of a frame, (3, N), in the frame of the scans, (N, 3)."""
+    def in_target(self, points: NDArray[np.floating[Any]], frame: str = "", stamp_ns: int = 0) -> NDArray[np.float64]:
+        """Return points of a frame, (3, N), in the frame of the scans, (N, 3): of `clouds`, if none is given."""
         with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
             xyz = points.T.astype(np.float64)
-        frame = frame or self.mounting.judged_in
+        frame = frame or (self.mounting.frame if self.is_registered else self.mounting.judged_in)
         target, static = self.target, self.mounting.static_tf
         if static and frame == self.mounting.frame:
             return np.asarray(StaticTransform.parse(static).parent_from_child.apply(xyz))
         if not target or target == frame or self.buffer is None:
             return xyz
         try:
-            return np.asarray(self.buffer.lookup(target, frame, 0).apply(xyz))
+            return np.asarray(self.buffer.lookup(target, frame, stamp_ns).apply(xyz))
         except TransformError:
-            return xyz
+            return xyz[:0] if self.is_registered else xyz
 
 
 def _connects(buffer: TransformBuffer, target: str, source: str) -> bool:

@@ -51,8 +51,10 @@ _TILTS = math.radians(1.0)
 #: From this share of returns on rising ground, a command removes it.
 _MOST_GROUND = 0.04
 #: An option removes the ground if at most this share of the returns, and a quarter of those before, are still on it,
-#: and the second share of what was seen is still seen.
+#: and the second share of what stands on it is seen.
 _STILL_ON, _STILL_SEEN = 0.15, 0.9
+#: Scans reach so far at least, metres.
+_REACHES = 20.0
 #: How much higher scans begin where it is also rough, metres.
 _ROUGH = 0.15
 
@@ -207,8 +209,10 @@ def _tried(options: Mapping[str, Any], group: Sequence[Lidar], summary: Summary)
     for way in ([remove], [remove, above], [steep]):
         more = {each.name: each.value for each in way}
         outcome = _worst([tried({**options, **more}, lidar, summary, grounds) for lidar in group])
-        if outcome.on_ground <= most and outcome.seen > _STILL_SEEN * trial.seen:
-            return way, outcome.findings
+        if outcome.on_ground <= most and outcome.seen > _STILL_SEEN:
+            reach = (options["max_height"] - options["min_height"]) / steep.value
+            ends = f"scans end {reach:.0f} m away, where `min_height_slope` reaches max_height"
+            return way, (*outcome.findings, *([ends] if way == [steep] and reach < _REACHES else ()))
     said = f"{trial.on_ground:.0%} of the returns are on the ground, which rises; `pc2scan view` shows it"
     return [], (*trial.findings, said)
 

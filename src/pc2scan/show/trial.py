@@ -42,9 +42,6 @@ _POINTS = 60_000
 #: A beam that ends on the ground, or misses what stands on it, is off by more than this, metres.
 _OFF = 0.2
 
-#: How much higher things on rising ground are, metres.
-_TALLER = 2.0
-
 #: A robot's floor is looked for from so far above its frame, metres.
 _ABOVE = 0.5
 
@@ -60,7 +57,7 @@ class Trial(NamedTuple):
     on_ground
         The share of its returns that are on the ground.
     seen
-        The share of the beams that things above the ground fill which have a return there.
+        The share of the beams that things above the ground fill, within the heights, which have a return there.
     slope
         How steeply the ground rises above the lower limit, metres a metre (98 %).
     findings
@@ -90,9 +87,10 @@ def tried(
         request = conversion_of(Options("convert", given))
         spec, findings = request.scan, request_warnings(request, summary)
         clouds, merges = lidar.tried_clouds(_CLOUDS, _POINTS)
-        is_placed = bool(lidar.mounting.static_tf) or spec.level
-        if is_placed:
+        is_placed = bool(lidar.mounting.static_tf) or spec.level or lidar.is_registered
+        if is_placed and not lidar.is_registered:
             clouds = [lidar.in_target(each).T for each in clouds]
+        clouds = [each for each in clouds if each.size]
         if spec.level:
             clouds = [np.concatenate(clouds, axis=1)] if merges else clouds
             clouds = [level.T for each in clouds if (level := _levelled(each.T)) is not None]
@@ -112,9 +110,7 @@ def tried(
         grounds[lidar.topic] = [_on_ground(points, floor) for points in placed]
     low = grounds[lidar.topic]
     above = [points[:, ~ground] for points, ground in zip(clouds, low, strict=True)]
-    # What stands on rising ground is higher than the heights of the scans.
-    taller = replace(spec.params, max_height=spec.params.max_height + _TALLER)
-    standing, _ = _scans(replace(spec, params=taller, filters=()), lidar, above, is_placed=is_placed, merges=merges)
+    standing, _ = _scans(replace(spec, filters=()), lidar, above, is_placed=is_placed, merges=merges)
     scan, stand = np.concatenate(scans), np.concatenate(standing)
     returns = np.isfinite(scan)
     on_ground_share = (returns & ~(scan > stand - _OFF)).sum() / max(returns.sum(), 1)
