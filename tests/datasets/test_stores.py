@@ -1,14 +1,15 @@
-"""Batches whose sources and results are in a store in memory, or on a web server."""
+"""Batches whose sources are in a store in memory, or on a web server."""
 
 from __future__ import annotations
 
 import json
 import sys
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pc2scan.errors import MissingError, UsageError
+from pc2scan.errors import DestinationError, MissingError, RecordingError, UsageError
 from support.batches import batch, contents, place, run_batch
 from support.builders import CONTENT, write_mcap
 from support.stores import memory_store, web_server
@@ -36,15 +37,6 @@ class Store:
     def put(self, key: str, data: bytes) -> None:
         self.fs.pipe_file(f"{self.bucket}/{key}", data)
 
-    def contents(self, key: str) -> dict[str, bytes]:
-        """The bytes below a key; not the manifest."""
-        found = {path.partition(f"{self.bucket}/{key}/")[2]: path for path in self.fs.find(f"{self.bucket}/{key}")}
-        return {name: self.fs.cat_file(path) for name, path in found.items() if name != "manifest.jsonl"}
-
-    def manifest(self) -> bytes:
-        data: bytes = self.fs.cat_file(f"{self.bucket}/out/manifest.jsonl")
-        return data
-
 
 @pytest.fixture
 def store(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Store]:
@@ -64,22 +56,21 @@ def drives(tmp_path: Path) -> Path:
 
 
 def test_a_bucket_becomes_what_a_folder_becomes(store: Store, drives: Path, tmp_path: Path) -> None:
-    source, out, scratch = store.upload(drives), f"{store.url}/out", tmp_path / "scratch"
+    source, out, scratch = store.upload(drives), tmp_path / "out", tmp_path / "scratch"
     scratch.mkdir()
     done = run_batch(source, "-o", out, "--scratch", scratch)
     assert (done.status, "failed: empty.bag: is empty" in done.stderr) == (1, True), done.stderr
     assert batch(drives, tmp_path / "local").exit_status == 1
-    batch(f"{source}/", tmp_path / "here", scratch=scratch)
-    # No note is left there, and no copy here.
-    assert store.contents("out") == contents(tmp_path / "here") == contents(tmp_path / "local")
-    assert str(scratch) not in store.manifest().decode() + str(done)
+    assert contents(out) == contents(tmp_path / "local")
+    manifest = (out / "manifest.jsonl").read_text()
+    assert str(scratch) not in manifest + str(done)
     assert list(scratch.iterdir()) == []
-    line = {each["key"]: each for each in map(json.loads, store.manifest().splitlines())}["robot1/drive_0.mcap"]
+    line = {each["key"]: each for each in map(json.loads, manifest.splitlines())}["robot1/drive_0.mcap"]
     assert line["source"]["paths"] == [f"{source}/robot1/drive_{number}.mcap" for number in (0, 1)]
 
     # Only what is missing, changed or failed is done again.
     assert batch(source, out).unchanged == 4
-    store.fs.rm_file(f"{store.bucket}/out/a_scan.bag")
+    (out / "a_scan.bag").unlink()
     store.put("in/b.mcap", (drives / "a.bag").read_bytes())
     found = {each.key: each.why for each in batch(source, out).outcomes if each.action != "refuse"}
     assert found["a.bag"] == "its output is missing"
@@ -105,21 +96,15 @@ def test_globs_and_single_files(store: Store, drives: Path, tmp_path: Path) -> N
             keys(f"{source}/{wrong}")
 
 
-def test_what_others_wrote_stays(store: Store, drives: Path, tmp_path: Path) -> None:
-    source, out = f"{store.upload(drives)}/a.bag", f"{store.url}/out"
-    store.put("out/a_scan.bag", b"mine")
-    assert "exists already" in batch(source, out).outcomes[0].error
-    assert store.contents("out") == {"a_scan.bag": b"mine"}
-    assert batch(source, out, overwrite=True).exit_status == 0
-    store.fs.rm(f"{store.bucket}/out", recursive=True)
-    batch(source, out, format="csv")
-    batch(drives / "a.bag", tmp_path / "csv", format="csv")
-    assert store.contents("out") == contents(tmp_path / "csv")
-    assert batch(source, out, format="csv").unchanged == 1
-    store.put("out/a/labels.npz", b"mine")
-    before = store.contents("out")
-    assert "labels.npz" in batch(source, out, format="csv", overwrite=True).outcomes[0].error
-    assert store.contents("out") == before
+def test_what_is_fetched_at_once_must_have_room(
+    store: Store, drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source, room = store.upload(drives), (drives / "a.bag").stat().st_size + 1
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=room))
+    with pytest.raises(RecordingError, match="no space for local copies"):
+        batch(source, tmp_path / "out", jobs=3)
+    with pytest.raises(DestinationError, match="a batch writes into a folder of this machine"):
+        batch(source, f"{store.url}/out")
 
 
 def test_a_web_server_has_single_files(tmp_path: Path, drives: Path) -> None:

@@ -13,7 +13,6 @@ import pytest
 from pc2scan.bags.rosbag2.metadata import recorded_in
 from pc2scan.errors import DestinationError, OutputError
 from pc2scan.files.outputs import files_output
-from pc2scan.files.ownership import Permission
 from pc2scan.files.staging import staged_output as output_anywhere
 from support.rosbag2_files import write_metadata
 
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def staged_output(destination: Path, *, overwrite: bool) -> AbstractContextManager[Path]:
-    return output_anywhere(destination, Permission(overwrite, None, recorded_in))
+    return output_anywhere(destination, overwrite=overwrite, record_in=recorded_in)
 
 
 def seen(folder: Path) -> dict[str, Any]:

@@ -11,7 +11,6 @@ import pytest
 
 from pc2scan.errors import DestinationError
 from pc2scan.files import staging
-from pc2scan.files.ownership import Permission
 from pc2scan.files.staging import staged_output
 from support import ROOT, sampled
 from support.batches import contents
@@ -58,7 +57,7 @@ def test_a_poor_system_makes_the_same_bytes(name: str, tmp_path: Path) -> None:
 
 
 def write(path: Path) -> None:
-    with staged_output(path, Permission(overwrite=False)) as partial:
+    with staged_output(path, overwrite=False) as partial:
         partial.touch()
 
 
@@ -66,9 +65,8 @@ def test_a_second_run_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("fcntl")
     program = (
         "import sys, pathlib\n"
-        "from pc2scan.files.ownership import Permission\n"
         "from pc2scan.files.staging import staged_output\n"
-        "with staged_output(pathlib.Path(sys.argv[1]), Permission(overwrite=True)) as partial:\n"
+        "with staged_output(pathlib.Path(sys.argv[1]), overwrite=True) as partial:\n"
         "    partial.write_text('other'); print('ready', flush=True); sys.stdin.read()\n"
     )
     with subprocess.Popen(

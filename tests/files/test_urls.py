@@ -29,7 +29,6 @@ def test_secrets_are_not_shown(tmp_path: Path) -> None:
     path = path_or_url("https://me:secret@h:8/in/x.bag?token=1#f")
     assert isinstance(path, UrlPath)
     assert (str(path), path.name, path.suffix) == ("https://h:8/in/x.bag", "x.bag", ".bag")
-    assert path.relative_to(path.parent.parent) == Path("in/x.bag")
     # A new name has no signature; the folder still has the password.
     assert os.fspath(path.with_name("y.bag")) == "https://me:secret@h:8/in/y.bag"
     copy = CopyPath.of(path, str(tmp_path))

@@ -34,7 +34,7 @@ from pc2scan.errors import (
     UsageError,
 )
 from pc2scan.files.outputs import check_file_output, file_output
-from pc2scan.files.ownership import OutputPath, Permission, inputs_of, refuse_overlap
+from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.places import output_folder
 from pc2scan.files.source import changed_while_read, state_of
 from pc2scan.files.staging import check_destination, staged_output
@@ -86,8 +86,6 @@ class OutputOptions(NamedTuple):
         The profile of an ``.mcap`` file: ``ros1`` or ``ros2``.
     overwrite
         Whether an existing destination, and an existing file at the report's path, are replaced.
-    owned
-        The files of the destination that a batch has recorded: it is replaced without ``overwrite``, too.
     report
         Path of the report as JSON; None for no file.
     folder
@@ -107,7 +105,6 @@ class OutputOptions(NamedTuple):
     compression: str | None = None
     profile: str | None = None
     overwrite: bool = False
-    owned: frozenset[str] | None = None
     report: Path | None = None
     folder: Path | None = None
     to: str | None = None
@@ -241,7 +238,7 @@ class _Run:
         stack.enter_context(copying_to(output.scratch))
         if self.destination is not None and any(isinstance(path, UrlPath) for path in self._read):
             # Before anything is fetched.
-            check_destination(self.destination, Permission(output.overwrite, output.owned, recorded_in))
+            check_destination(self.destination, overwrite=output.overwrite, record_in=recorded_in)
         if len(self.sources) > 1 and self.destination is None and output.folder is None:
             _refuse_missing_destination(self.sources)
         readers = open_recordings(self.sources, stack, strict=options.strict)
@@ -305,10 +302,10 @@ class _Run:
             stack.enter_context(output_folder(output.folder))
         self._open_report(stack)
         if output.dry_run:
-            check_destination(target.path, Permission(output.overwrite, None, recorded_in), output.folder)
+            check_destination(target.path, overwrite=output.overwrite, record_in=recorded_in, folder=output.folder)
             yield None
             return
-        with staged_output(target.path, Permission(output.overwrite, output.owned, recorded_in)) as unfinished:
+        with staged_output(target.path, overwrite=output.overwrite, record_in=recorded_in) as unfinished:
             writer = open_writer(target, unfinished, target.path.name)
             try:
                 yield writer

@@ -141,14 +141,15 @@ def _place(source: str, out: Path) -> tuple[Path, list[Path]]:
     folder = path.parent
     while _GLOB & set(str(folder)):
         folder = folder.parent
-    matches: list[Path]
-    if isinstance(path, UrlPath):
-        matches = [*path.matches(folder)]
+    matches: Iterable[Path]
+    if isinstance(path, UrlPath) and isinstance(folder, UrlPath):
+        matches = folder.listed("glob", path)
     else:
         matches = [Path(match) for match in glob.glob(text, recursive=True)]  # noqa: PTH207  # the text may be absolute
-    if not matches:
+    found = sorted(matches)
+    if not found:
         raise UsageError(f"{source!r} matches nothing")
-    return folder, [match for match in sorted(matches) if not is_dir(match) or _is_rosbag2(match)]
+    return folder, [match for match in found if not is_dir(match) or _is_rosbag2(match)]
 
 
 def _common_folder(folders: Sequence[Path]) -> Path | None:

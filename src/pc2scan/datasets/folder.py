@@ -1,8 +1,4 @@
-"""The folder that a batch writes into, on a disk or in a store: its manifest, and the note of unfinished outputs.
-
-On a disk, a lock keeps other runs out. A store has no locks: there, a manifest that another run has written meanwhile
-is an error, and the manifest is uploaded from time to time while recordings are converted, and at the end.
-"""
+"""The folder that a batch writes into: its manifest, the note of unfinished outputs, and a lock for one run."""
 
 from __future__ import annotations
 
@@ -14,7 +10,7 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.errors import DestinationError, MissingError, OutputError
+from pc2scan.errors import DestinationError, OutputError
 from pc2scan.files.outputs import file_output
 from pc2scan.files.places import check_new_folder, output_folder
 from pc2scan.files.staging import only_run
@@ -24,8 +20,6 @@ from pc2scan.version import __version__
 
 from .manifest import (
     MANIFEST,
-    Identity,
-    identity_among,
     identity_of,
     records_in,
     refuse_outside,
@@ -35,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator
     from typing import BinaryIO
 
-    from .manifest import ManifestRecord
+    from .manifest import Identity, ManifestRecord
 
 #: Seconds that a run waits for the workers of a killed run.
 _WAIT_SECONDS = 5.0
@@ -43,9 +37,6 @@ _WAIT_SECONDS = 5.0
 #: The name of the note of unfinished outputs, and its beginning.
 _UNFINISHED = ".pc2scan-begun.json"
 _NOTE_BEGINNING = b'{"pc2scan begun": '
-
-#: Seconds between two uploads of the manifest, at least.
-_PUSH_SECONDS = 10.0
 
 
 class BatchFolder:
@@ -79,9 +70,6 @@ class BatchFolder:
     def __init__(self, path: Path, lock: int | None = None) -> None:
         self.path = path
         self.lock = lock
-        #: What a store has; None on a disk.
-        self._stored = _listing(path)
-        self._version = self._stored_version()
         data = self._read_manifest()
         noted, after = self._read_note()
         self.records: dict[str, ManifestRecord] = {}
@@ -95,10 +83,8 @@ class BatchFolder:
                 noted -= {line.output}
             self._count += 1
         self.unfinished = noted
-        #: How many bytes of the manifest are whole lines; in a store, those lines, and the time of the next upload.
+        #: How many bytes of the manifest are whole lines.
         self._whole = data.rfind(b"\n") + 1
-        self._lines = data[: self._whole] if isinstance(path, UrlPath) else b""
-        self._next_push = 0.0
         self._file: BinaryIO | None = None
         self._ended: set[str] = set()
 
@@ -131,8 +117,6 @@ class BatchFolder:
 
     def _read(self, name: str) -> bytes | None:
         """Return the content of a small file in the folder; None if there is none."""
-        if self._stored is not None:
-            return self._stored[name].remote.read() if name in self._stored else None
         try:
             return (self.path / name).read_bytes()
         except FileNotFoundError:
@@ -141,9 +125,7 @@ class BatchFolder:
     # --- Outputs ---
 
     def present(self, output: str) -> Identity:
-        """Return the identity that an output has, in a store when the run began; without files if it does not exist."""
-        if self._stored is not None:
-            return identity_among(self._stored, output)
+        """Return the identity that an output has; without files if it does not exist."""
         return identity_of([self.path / output])
 
     @cached_property
@@ -161,14 +143,6 @@ class BatchFolder:
     def may_replace(self, output: str, there: Identity) -> bool:
         """Whether an output that is there may be replaced: no one else has written or edited it."""
         return not there.files or output in self._unknown or there == self.left.get(output)
-
-    def owned(self, output: str) -> frozenset[str] | None:
-        """Return the recorded files of an output, relative to its folder; None if it was never written."""
-        if output not in self.outputs:
-            return None
-        name = PurePosixPath(output).name
-        left = self.left.get(output, Identity())
-        return frozenset(file if file == name else f"{name}/{file}" for file, _, _ in left.files)
 
     @cached_property
     def _containers(self) -> dict[tuple[str, Any], str]:
@@ -189,11 +163,7 @@ class BatchFolder:
 
     def _unrecorded(self, outputs: Iterable[str]) -> dict[str, Identity]:
         """Return what those outputs are that exist now, and not as the manifest had them."""
-        stored = _listing(self.path)
-        now = {
-            each: identity_of([self.path / each]) if stored is None else identity_among(stored, each)
-            for each in outputs
-        }
+        now = {each: self.present(each) for each in outputs}
         return {each: found for each, found in now.items() if found.files and found != self.left.get(each)}
 
     @contextmanager
@@ -206,8 +176,7 @@ class BatchFolder:
         folders: list[str] = []
         others: dict[str, Identity] = {}
         if outputs:
-            if not isinstance(self.path, UrlPath):
-                folders = sorted(folder for folder in _folders_of(outputs) if not (self.path / folder).is_dir())
+            folders = sorted(folder for folder in _folders_of(outputs) if not (self.path / folder).is_dir())
             self._write_note(self.unfinished.union(outputs))
             # What is there already and unknown is somebody else's, until this run replaces it.
             others = self._unrecorded(set(outputs) - self.unfinished)
@@ -227,7 +196,7 @@ class BatchFolder:
                 identities = self._unrecorded(self.unfinished.union(outputs) - self._ended)
                 if left := [each for each, now in identities.items() if now != others.get(each)]:
                     self._write_note(left)
-                elif outputs or self._stored is None or _UNFINISHED in self._stored:
+                else:
                     (self.path / _UNFINISHED).unlink(missing_ok=True)
 
     def _write_note(self, outputs: Iterable[str]) -> None:
@@ -243,24 +212,17 @@ class BatchFolder:
 
         Raises
         ------
-        DestinationError
-            If another run has written the manifest of a store meanwhile.
         OutputError
             If it cannot be written.
         """
-        line = f"{json.dumps(record.as_dict(), ensure_ascii=True)}\n".encode("ascii")
-        if isinstance(self.path, UrlPath):
-            self._lines += line
-            self._push()
-        else:
-            try:
-                if self._file is None:
-                    self._file = self._open_manifest()
-                self._file.write(line)
-                self._file.flush()
-                os.fsync(self._file.fileno())
-            except OSError as err:
-                raise OutputError(f"the manifest cannot be written: {err.strerror}", path=self.path / MANIFEST) from err
+        try:
+            if self._file is None:
+                self._file = self._open_manifest()
+            self._file.write(f"{json.dumps(record.as_dict(), ensure_ascii=True)}\n".encode("ascii"))
+            self._file.flush()
+            os.fsync(self._file.fileno())
+        except OSError as err:
+            raise OutputError(f"the manifest cannot be written: {err.strerror}", path=self.path / MANIFEST) from err
         self._count += 1
         self._ended.add(record.output)
 
@@ -270,7 +232,6 @@ class BatchFolder:
             # What `append` has written is on the disk; a line that had no room there is an error already.
             with suppress(OSError):
                 self._file.close()
-        self._push(at_once=True)
 
     def _open_manifest(self) -> BinaryIO:
         path = self.path / MANIFEST
@@ -282,30 +243,6 @@ class BatchFolder:
             # Without the line that a killed run has begun.
             file.truncate(self._whole)
         return file
-
-    def _push(self, *, at_once: bool = False) -> None:
-        """Upload the manifest to a store if it has new lines, and the last upload is long enough ago."""
-        path = self.path / MANIFEST
-        if not isinstance(path, UrlPath) or len(self._lines) == self._whole:
-            return
-        if time.monotonic() < self._next_push and not at_once:
-            return
-        if self._stored_version() != self._version:
-            raise DestinationError(
-                "was changed meanwhile: another batch is writing into this folder",
-                path=path,
-                hint="let one run end, and run the other one again",
-            )
-        path.remote.write(self._lines)
-        self._version, self._whole = self._stored_version(), len(self._lines)
-        self._next_push = time.monotonic() + _PUSH_SECONDS
-
-    def _stored_version(self) -> str | None:
-        """Return the version of the manifest in a store; None if there is none."""
-        path = self.path / MANIFEST
-        with suppress(MissingError):
-            return path.known().version if isinstance(path, UrlPath) else None
-        return None
 
 
 @contextmanager
@@ -319,16 +256,15 @@ def open_folder(out: Path, *, dry_run: bool) -> Iterator[BatchFolder]:
     OutputError
         If it cannot be written.
     """
+    if isinstance(out, UrlPath):
+        raise DestinationError("a batch writes into a folder of this machine", path=out, hint="upload it afterwards")
     with ExitStack() as stack:
-        if isinstance(out, UrlPath) or not dry_run:
+        if not dry_run:
             stack.enter_context(output_folder(out))
         elif not out.is_dir():
             check_new_folder(out)
-        if isinstance(out, UrlPath):
-            yield BatchFolder(out)
-        else:
-            lock = None if dry_run else _hold(out, stack)
-            yield BatchFolder(Path(os.path.realpath(out)), lock)
+        lock = None if dry_run else _hold(out, stack)
+        yield BatchFolder(Path(os.path.realpath(out)), lock)
 
 
 def _hold(out: Path, stack: ExitStack) -> int:
@@ -346,13 +282,6 @@ def _hold(out: Path, stack: ExitStack) -> int:
             if time.monotonic() > deadline:
                 raise DestinationError("another batch is writing into this folder", path=out) from err
             time.sleep(0.05)
-
-
-def _listing(folder: Path) -> dict[str, UrlPath] | None:
-    """Return the files of a folder in a store, by their paths relative to it; None for a folder on a disk."""
-    if not isinstance(folder, UrlPath):
-        return None
-    return {path.relative_to(folder).as_posix(): path for path in folder.below()}
 
 
 def _folders_of(outputs: Iterable[str]) -> set[str]:

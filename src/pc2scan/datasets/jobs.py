@@ -23,7 +23,7 @@ from pc2scan.exports.report import ExportReport
 from pc2scan.exports.run import ExportOptions
 from pc2scan.exports.run import run as export
 from pc2scan.files.system import copying_to, is_full
-from pc2scan.files.urls import UrlPath, absolute
+from pc2scan.files.urls import absolute
 from pc2scan.options.call import Options
 from pc2scan.options.table import conversion_options, options_of
 from pc2scan.requests import conversion_of, output_of
@@ -191,7 +191,7 @@ class Job:
     error
         Why it is refused.
     owned
-        The recorded files of the output: it is replaced without ``overwrite``, too. None if there are none.
+        Whether an earlier run has recorded the output: it is replaced without ``overwrite``, too.
     there
         The output as the plan found it; None: it is not compared.
     threads
@@ -211,7 +211,7 @@ class Job:
     action: str = "convert"
     why: str = ""
     error: Pc2ScanError | None = None
-    owned: frozenset[str] | None = None
+    owned: bool = False
     there: Identity | None = None
     threads: int = 1
     dry_run: bool = False
@@ -230,7 +230,7 @@ class Job:
 
     def retried(self) -> Job:
         """Return the job for another attempt: one that died may have completed the output, which may be replaced."""
-        return replace(self, owned=self.owned or frozenset(), there=None)
+        return replace(self, owned=True, there=None)
 
     def record(self, **found: Any) -> ManifestRecord:
         """Return the line of the manifest, with what the conversion says."""
@@ -275,8 +275,7 @@ def convert_one(job: Job) -> ManifestRecord:
             known |= {"outcome": NO_CLOUDS, "exit_status": 0}
         record = job.failure(err, **known)
     except Pc2ScanError as err:
-        # What is uploaded stays on no disk of this machine; and the next recording may fit where this one did not.
-        full = isinstance(err, OutputError) and not isinstance(job.destination, UrlPath) and is_full(err)
+        full = isinstance(err, OutputError) and is_full(err)
         record = job.failure(err, disk_is_full=full, **known)
     except Exception as err:  # noqa: BLE001  # one recording must not end the others; the manifest has the traceback
         kind, text = type(err).__name__, "".join(traceback.format_exception(err))
@@ -288,22 +287,23 @@ def convert_one(job: Job) -> ManifestRecord:
 def _run_job(job: Job) -> Report | ExportReport:
     """Convert or export; raises the errors of that."""
     request, sources, destination = job.request, job.recording.paths, job.destination
-    if job.there is not None and not request.output.overwrite and not isinstance(destination, UrlPath):
+    if job.there is not None and not request.output.overwrite:
         now = identity_of([destination])
         if now.files and now != job.there:
             hint = "move it away, or `overwrite=True` replaces it"
             raise DestinationError("was edited since the batch began", path=destination, hint=hint)
     options = replace(request.options, jobs=job.threads)
+    overwrite = request.output.overwrite or job.owned
     if job.dry_run and request.export is not None and not request.export.converting:
         # Opened, and not read.
         return ExportReport([*map(str, sources)], str(destination), str(request.export.format), damage=_damage_of(job))
     if request.export is None or job.dry_run:
         # An export that converts clouds would do what the conversion would.
-        output = request.output._replace(owned=job.owned, dry_run=job.dry_run)
+        output = request.output._replace(overwrite=overwrite, dry_run=job.dry_run)
         # The batch says its notes once; here they count if they are errors.
         notes = options.notes if options.fail_on == "warning" else ()
         return run(sources, destination, replace(options, notes=notes), output)
-    form = replace(request.export, overwrite=request.output.overwrite, owned=job.owned)
+    form = replace(request.export, overwrite=overwrite)
     return export(sources, destination, options, form, in_folder=True)
 
 

@@ -87,18 +87,8 @@ def _file_and_logs(path: Path) -> list[tuple[str, int, int | str]]:
 
 def _stored_files(path: UrlPath) -> list[tuple[str, int, int | str]]:
     """Return the entries of a file at a URL, or of the files in a folder; none if it does not exist."""
-    if not path.is_dir():
-        return [(path.name, *path.known()[:2])] if path.exists() else []
-    return _summed_up(sorted((below.relative_to(path).as_posix(), *below.known()[:2]) for below in path.below()))
-
-
-def identity_among(stored: Mapping[str, UrlPath], output: str) -> Identity:
-    """Return the identity of an output (a file or a folder) from a listing of the folder in a store."""
-    if output in stored:
-        return identity_of([stored[output]])
-    below = f"{output}/"
-    files = [(key[len(below) :], *found.known()[:2]) for key, found in stored.items() if key.startswith(below)]
-    return Identity(tuple(_summed_up(sorted(files))))
+    files = path.iterdir() if path.is_dir() else [path] * path.exists()
+    return sorted((file.name, *file.entry[:2]) for file in files)
 
 
 def _files_in(folder: Path) -> list[tuple[str, int, int | str]]:

@@ -124,7 +124,7 @@ def make_plan(
         why, error = "", recording.error
         if error is None:
             present = folder.present(output)
-            job = replace(job, owned=folder.owned(output), there=present)
+            job = replace(job, owned=output in folder.outputs, there=present)
             why = "asked for" if again else _reason(job, record, folder, present)
         if why:
             error = (

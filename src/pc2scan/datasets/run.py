@@ -15,7 +15,8 @@ from pc2scan.errors import DestinationError, DiskFullError, OutputError, UsageEr
 from pc2scan.files.outputs import check_file_output, file_output
 from pc2scan.files.ownership import InputPath, first_link, inputs_of
 from pc2scan.files.staging import clean_up
-from pc2scan.files.system import is_full
+from pc2scan.files.system import copying_to, is_full
+from pc2scan.files.transfers import refuse_without_room
 from pc2scan.files.urls import UrlPath, absolute
 from pc2scan.result import BEGINNING
 from pc2scan.text import counted
@@ -213,9 +214,9 @@ def _plan(sources: Sequence[str], folder: BatchFolder, choices: Choices, options
         inputs.append(InputPath(options.dataset, "file of `dataset`"))
     for request in {id(request): request for request in requests.values() if request is not None}.values():
         inputs += inputs_of((), request.options.frames.tf_from, request.options.files)
-    paths = (folder.path, *(path for each in recordings for path in each.paths))
+    paths = (path for each in recordings for path in each.paths)
     if options.scratch is not None and not any(isinstance(path, UrlPath) for path in paths):
-        raise UsageError("`scratch` has no effect: no source and no destination is a URL")
+        raise UsageError("`scratch` has no effect: no source is a URL")
     return make_plan(recordings, requests, folder, inputs, again=options.again)
 
 
@@ -300,6 +301,12 @@ class _Batch:
 
     def _run(self, jobs: Sequence[Job]) -> None:
         """Run jobs, and record and show each as it ends."""
+        # The largest come first.
+        remote = [job for job in jobs if any(isinstance(path, UrlPath) for path in job.recording.paths)][: self.workers]
+        if remote and not self._options.dask:
+            with copying_to(self._options.scratch):
+                place = remote[0].recording.paths[0]
+                refuse_without_room(sum(job.size_bytes for job in remote), place, "lower `jobs`, or give `scratch`")
         done, total = 0, sum(job.size_bytes for job in jobs)
         self.watch.progress(BatchProgress(0, total, 0, len(jobs)))
         records = self._executor(jobs, workers=self.workers, lock=self._folder.lock)

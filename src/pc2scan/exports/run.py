@@ -19,7 +19,7 @@ from pc2scan.errors import (
     UsageError,
     name_list,
 )
-from pc2scan.files.ownership import OutputPath, Permission, inputs_of, refuse_overlap
+from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.records import read_record, write_record
 from pc2scan.files.staging import staged_output
 from pc2scan.files.system import remove
@@ -86,8 +86,6 @@ class ExportOptions:
         Whether scans are made of clouds; otherwise they are read.
     overwrite
         Whether an existing destination is replaced.
-    owned
-        The files of the destination that a batch has recorded: it is replaced without ``overwrite``, too.
     """
 
     format: str | None = None
@@ -95,7 +93,6 @@ class ExportOptions:
     base_frame: str = ""
     converting: bool = False
     overwrite: bool = False
-    owned: frozenset[str] | None = None
 
     @classmethod
     def of(cls, options: Options, conversion: ConvertOptions) -> ExportOptions:
@@ -182,9 +179,7 @@ def run(
         report = ExportReport([str(source) for source in sources], str(destination), file_format.name, entries)
         stream.listener = tell = partial(tell_early, report.warnings, warn)
         # Before transforms are read, which may take long.
-        unfinished = stack.enter_context(
-            staged_output(destination, Permission(form.overwrite, form.owned, read_record))
-        )
+        unfinished = stack.enter_context(staged_output(destination, overwrite=form.overwrite, record_in=read_record))
         poses, readers = None, []
         if form.pose_frame or frames.odometry:
             readers = open_recordings(sources, stack, strict=options.strict)

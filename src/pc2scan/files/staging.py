@@ -10,38 +10,39 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, OutputError
 
-from .ownership import check_existing, existing_error, refuse_others
-from .places import LEFTOVERS, LOCK, OLD, PARTIAL, check_new_folder, check_place, working_names
+from .ownership import check_existing
+from .places import LOCK, OLD, PARTIAL, check_new_folder, check_place, private_folder, working_names
 from .records import files_below
-from .system import REFUSES_LINKS, lock_descriptor, remove, sync_directory
+from .system import lock_descriptor, remove, sync_directory
 from .transfers import upload
 from .urls import UrlPath
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from .ownership import Permission
     from .records import FolderRecord
 
 
 @contextmanager
-def staged_output(dst: Path, may: Permission) -> Iterator[Path]:
+def staged_output(dst: Path, *, overwrite: bool, record_in: FolderRecord | None = None) -> Iterator[Path]:
     """Yield a path to write to, and rename it to the destination at the end; see `staged`."""
-    with staged(dst, may) as (partial, finish):
+    with staged(dst, overwrite=overwrite, record_in=record_in) as (partial, finish):
         yield partial
         finish()
 
 
 @contextmanager
-def staged(dst: Path, may: Permission) -> Iterator[tuple[Path, Callable[[], None]]]:
+def staged(
+    dst: Path, *, overwrite: bool, record_in: FolderRecord | None = None
+) -> Iterator[tuple[Path, Callable[[], None]]]:
     """Yield a path to write to, and the function that renames it to the destination.
 
     Parameters
     ----------
     dst
         The file or directory to write. Neither it nor one of its `working_names` may be an input.
-    may
-        What may be replaced. What is there stays unchanged until the new one is complete.
+    overwrite, record_in
+        What may be replaced: see `check_existing`. What is there stays unchanged until the new one is complete.
 
     Yields
     ------
@@ -59,17 +60,18 @@ def staged(dst: Path, may: Permission) -> Iterator[tuple[Path, Callable[[], None
     """
     check_place(dst)
     if isinstance(dst, UrlPath):
-        check_existing(dst, may)
-        with upload(dst, may) as (local, finish):
-            yield local, finish
+        check_existing(dst, overwrite=overwrite)
+        with private_folder(dst) as folder:
+            local = Path(folder, dst.name)
+            yield local, lambda: upload(local, dst, overwrite=overwrite)
         return
     partial = dst.with_name(dst.name + PARTIAL)
     with only_run(dst):
         # A partial file that exists now was left by a run that died, because a running one would hold the lock.
         _recover(dst)
-        check_existing(dst, may)
+        check_existing(dst, overwrite=overwrite, record_in=record_in)
         try:
-            yield partial, lambda: _commit(partial, dst, may)
+            yield partial, lambda: _commit(partial, dst, overwrite=overwrite, record_in=record_in)
         except OutputError as err:
             # The error names the final path: the user knows it, and the temporary one is gone.
             if err.path is not None and Path(err.path).is_relative_to(partial):
@@ -80,38 +82,32 @@ def staged(dst: Path, may: Permission) -> Iterator[tuple[Path, Callable[[], None
                 remove(partial)
 
 
-def check_destination(dst: Path, may: Permission, folder: Path | None = None) -> None:
+def check_destination(
+    dst: Path, *, overwrite: bool, record_in: FolderRecord | None = None, folder: Path | None = None
+) -> None:
     """Raise what `staged` would raise at its beginning, as far as that is known without writing anything.
 
     ``folder`` is the folder of ``dst``, if it will be made; see `pc2scan.files.places.output_folder`.
     """
     if folder is not None and not isinstance(dst, UrlPath) and not folder.is_dir():
         check_new_folder(folder)
-        return
-    check_place(dst)
-    if not may.overwrite and not isinstance(dst, UrlPath) and os.path.lexists(dst.with_name(dst.name + OLD)):
-        # An interrupted run has set the old output aside. It would be restored first, and then exist.
-        raise existing_error(dst)
-    check_existing(dst, may)
+    else:
+        check_place(dst)
+        check_existing(dst, overwrite=overwrite, record_in=record_in)
 
 
-def clean_up(dst: Path) -> bool:
-    """Remove what a killed run left beside a destination that nobody writes, and restore what it had set aside.
-
-    Returns whether nothing of any run is left there.
-    """
-    if isinstance(dst, UrlPath) or not any(map(os.path.lexists, working_names(dst))):
-        return True
-    with suppress(DestinationError), only_run(dst):
-        _recover(dst)
-    return not any(map(os.path.lexists, working_names(dst)))
+def clean_up(dst: Path) -> None:
+    """Remove what a killed run left beside a destination that nobody writes, and restore what it had set aside."""
+    if any(map(os.path.lexists, working_names(dst))):
+        with suppress(DestinationError), only_run(dst):
+            _recover(dst)
 
 
 def _recover(dst: Path) -> None:
     """Undo or complete what a killed run left; the caller holds the destination's lock."""
-    partial, aside = (dst.with_name(dst.name + ending) for ending in LEFTOVERS)
+    aside = dst.with_name(dst.name + OLD)
     try:
-        remove(partial)
+        remove(dst.with_name(dst.name + PARTIAL))
         if os.path.lexists(dst):
             # The new output is in place; only the old one was still to be removed.
             remove(aside)
@@ -121,16 +117,18 @@ def _recover(dst: Path) -> None:
         raise OutputError(f"the files of an interrupted run cannot be removed: {err.strerror}", path=dst) from err
 
 
-def _commit(partial: Path, dst: Path, may: Permission) -> None:
+def _commit(partial: Path, dst: Path, *, overwrite: bool, record_in: FolderRecord | None) -> None:
     """Rename what is complete at a temporary path to the destination."""
+    is_folder = partial.is_dir()
     try:
         sync(partial)
-        if not os.path.lexists(dst):
-            partial.rename(dst)
-        elif may.replaces:
-            _replace(partial, dst, may.record_in)
+        # Something may have been added since the beginning.
+        written = set(files_below(partial)) if is_folder else ()
+        check_existing(dst, overwrite=overwrite, record_in=record_in, written=written)
+        if os.path.lexists(dst) and (is_folder or (dst.is_dir() and not dst.is_symlink())):
+            _exchange(partial, dst)
         else:
-            raise existing_error(dst)
+            partial.replace(dst)
         sync_directory(dst.parent)
     except OSError as err:
         raise OutputError(f"cannot be renamed to its final name: {err.strerror}", path=dst) from err
@@ -148,15 +146,8 @@ def sync(path: Path) -> None:
             os.fsync(file.fileno())
 
 
-def _replace(partial: Path, dst: Path, record_in: FolderRecord | None) -> None:
-    """Replace the old output by the new one; if that fails, restore the old one."""
-    is_folder = dst.is_dir() and not dst.is_symlink()
-    if not is_folder and not partial.is_dir():
-        partial.replace(dst)
-        return
-    if is_folder:
-        # Other files may have been added since the beginning.
-        refuse_others(dst, record_in, set(files_below(partial)) if partial.is_dir() else ())
+def _exchange(partial: Path, dst: Path) -> None:
+    """Replace the old output by the new one, where one is a folder; if that fails, restore the old one."""
     aside = dst.with_name(dst.name + OLD)
     dst.rename(aside)
     try:
@@ -191,22 +182,22 @@ def only_run(dst: Path) -> Iterator[int]:
         yield descriptor
     finally:
         # Removed before it is released: a run that locks the removed file notices, in _acquire.
-        is_there = True
-        with suppress(OSError):
-            lock.unlink()
-            is_there = False
-        with suppress(OSError):
-            os.close(descriptor)
+        steps: list[Callable[[], None]] = [lock.unlink, lambda: os.close(descriptor)]
         # Windows removes only files that no process has open.
-        with suppress(OSError):
-            if is_there:
-                lock.unlink()
+        for step in reversed(steps) if os.name == "nt" else steps:
+            with suppress(OSError):
+                step()
 
 
 def _acquire(lock: Path) -> int:
     """Open a lock file and lock it; BlockingIOError if another process has locked it."""
     while True:
-        descriptor = _open_lock(lock)
+        with suppress(FileNotFoundError):
+            status = lock.lstat()
+            if not stat.S_ISREG(status.st_mode) or status.st_size:
+                message = "has the name of the run's lock, but is not one: it is a link, or not empty"
+                raise DestinationError(message, path=lock, hint="move it away")
+        descriptor = os.open(lock, os.O_RDWR | os.O_CREAT, 0o644)
         try:
             lock_descriptor(descriptor)
             with suppress(FileNotFoundError):
@@ -220,16 +211,3 @@ def _acquire(lock: Path) -> int:
             raise
         # The run that held the lock has removed the file between opening and locking it here.
         os.close(descriptor)
-
-
-def _open_lock(lock: Path) -> int:
-    """Open a lock file, or create it; never through a link, and never a file that is not empty."""
-    wrong = "a symbolic link" if lock.is_symlink() else ""
-    if not wrong:
-        descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | REFUSES_LINKS, 0o644)
-        status = os.fstat(descriptor)
-        if stat.S_ISREG(status.st_mode) and not status.st_size:
-            return descriptor
-        os.close(descriptor)
-        wrong = "not a lock of pc2scan: it is not empty"
-    raise DestinationError(f"has the name of the run's lock, but is {wrong}", path=lock, hint="move it away")

@@ -5,7 +5,6 @@ The stores' libraries only notice silence, so each download must also keep a pac
 
 from __future__ import annotations
 
-import errno
 import os
 from concurrent.futures import wait
 from contextlib import contextmanager, suppress
@@ -14,6 +13,8 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.errors import MissingError, OutputError, Pc2ScanError, RecordingError, UsageError
+
+from .system import is_full
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -27,16 +28,9 @@ SLOWEST_SECONDS = 60.0
 _CONNECT_SECONDS, _READ_SECONDS = 10, 20
 
 #: Attributes that distinguish versions of an object, the best first. Stores differ in which of these they have.
-_VERSION = (
-    *("ETag", "etag", "md5Hash", "generation", "mtime", "LastModified", "last_modified", "Last-Modified"),
-    *("Content-MD5", "created"),
-)
+_VERSION = ("ETag", "etag", "generation", "Last-Modified", "created")
 
-_DENIED = (401, 403)
-_NOT_FOUND = 404
-
-#: Names of the stores' libraries' errors for hosts that do not answer.
-_UNREACHABLE = ("ClientConnector", "EndpointConnectionError", "ConnectTimeout", "ConnectionRefused", "gaierror")
+_DENIED, _NOT_FOUND = (401, 403), 404
 
 _NO_RIGHTS = (
     "check the permissions, and the credentials that the store's own tools use (environment, configuration files)"
@@ -45,12 +39,8 @@ _AGAIN = "try again; if it fails again, check the network and the store"
 NO_SPACE = "set the environment variable TMPDIR to a folder with enough space, or give one as `scratch`"
 
 
-class TooSlowError(Exception):
-    """A transfer is too slow."""
-
-
-class RedirectError(Exception):
-    """A web server names another host."""
+class TransferError(Exception):
+    """A transfer is too slow, or a web server names another host."""
 
 
 class StoredObject(NamedTuple):
@@ -105,51 +95,39 @@ class RemotePath:
             ) from err
 
     def entry(self) -> StoredObject:
-        """Return what is there now.
-
-        Raises
-        ------
-        MissingError
-            If nothing is there.
-        """
+        """Return what is there now; raises MissingError if nothing is."""
         stored = _object(self._call("info"))
         if stored.size < 0:
             hint = "download it, and convert the copy"
             raise RecordingError("the server does not report its size", path=self.shown, hint=hint)
         return stored
 
-    def listed(self, method: str, folder: str = "") -> dict[str, StoredObject]:
-        """Return what ``ls``, ``find`` or ``glob`` of fsspec lists, by paths relative to a folder; default: this one.
+    def listed(self, method: str, folder: str) -> dict[str, StoredObject]:
+        """Return what ``ls`` or ``glob`` of fsspec lists, by paths relative to a folder, in order.
 
         Long listings take long: only silence ends them.
         """
         with self._translated_errors():
             listing = getattr(self._fs, method)(self.key, detail=True)
-        start = (folder or self.key).strip("/")
         objects = {
-            str(each["name"]).strip("/").removeprefix(start).lstrip("/"): _object(each)
+            str(each["name"]).strip("/").removeprefix(folder.strip("/")).lstrip("/"): _object(each)
             for each in (listing.values() if isinstance(listing, dict) else listing)
         }
         # Some stores list the folder itself, as an empty file.
         return {name: objects[name] for name in sorted(objects) if name}
 
-    def read(self, end: int | None = None) -> bytes:
-        """Return the content of a small file, or its first bytes."""
-        return bytes(self._call("cat_file", end=end))
-
-    def write(self, data: bytes) -> None:
-        """Write a small file."""
-        with self._translated_errors(writes=True):
-            self._fs.pipe_file(self.key, data)
+    def head(self, length: int) -> bytes:
+        """Return the first bytes of a file."""
+        return bytes(self._call("cat_file", end=length))
 
     def delete(self) -> None:
         """Remove a file if it exists."""
-        with self._translated_errors(writes=True), suppress(FileNotFoundError):
+        with self._translated_errors(OutputError), suppress(FileNotFoundError):
             self._fs.rm_file(self.key)
 
     def upload(self, source: Path) -> None:
         """Upload a file. It is visible when it is complete."""
-        with self._translated_errors(writes=True):
+        with self._translated_errors(OutputError):
             self._fs.put_file(os.fspath(source), self.key)
 
     def download(self, target: Path, size: int) -> None:
@@ -183,21 +161,21 @@ class RemotePath:
                     if (done := arrived()) >= wanted:
                         wanted, deadline = done + LEAST_BYTES, monotonic() + SLOWEST_SECONDS
                     elif monotonic() > deadline:
-                        raise TooSlowError
+                        least = f"fewer than {LEAST_BYTES:,} bytes arrived in {SLOWEST_SECONDS:g} seconds"
+                        raise TransferError(f"the transfer is too slow to finish: {least}")
                 return future.result()
             finally:
                 future.cancel()
 
     @contextmanager
-    def _translated_errors(self, *, writes: bool = False) -> Iterator[None]:
+    def _translated_errors(self, kind: type[Pc2ScanError] = RecordingError) -> Iterator[None]:
         """Turn errors of fsspec and the stores' libraries into our own: one line, without secrets."""
         try:
             yield
         except (Pc2ScanError, ImportError):
             raise
         except Exception as err:  # noqa: BLE001  # each store's library has errors of its own
-            kind, message, hint = _meaning(err, writes=writes)
-            raise kind(message, path=self.shown, hint=hint) from None
+            raise _translated(err, self.shown, kind) from None
 
 
 def _object(found: dict[str, Any]) -> StoredObject:
@@ -232,7 +210,7 @@ def _web_client(connect_seconds: float, read_seconds: float) -> dict[str, Any]:
         response = redirect.response
         target = response.url.join(type(response.url)(response.headers.get("Location", "")))
         if target.host != response.url.host:
-            raise RedirectError(target.host)
+            raise TransferError(f"the server redirects to another host, {target.host}")
 
     traces = TraceConfig()
     traces.on_request_redirect.append(stay)
@@ -241,44 +219,24 @@ def _web_client(connect_seconds: float, read_seconds: float) -> dict[str, Any]:
     return {"timeout": timeout, "trace_configs": [traces], "headers": {"Accept-Encoding": "identity"}}
 
 
-def _meaning(err: BaseException, *, writes: bool) -> tuple[type[Pc2ScanError], str, str]:
-    """Return which of our errors a store's library means, with message and hint.
-
-    The text of its error is not shown, because it may have the URL with its signature.
-    """
+def _translated(err: BaseException, shown: str, kind: type[Pc2ScanError]) -> Pc2ScanError:
+    """Return our error for one of a store's library. Its text is not shown: it may have the URL with its signature."""
+    response = getattr(cause := err.__cause__, "response", None)
     # fsspec raises FileNotFoundError for every error of a web server, not only for 404.
-    cause = err.__cause__
-    is_web = cause is not None and not hasattr(cause, "response")
-    if isinstance(err, FileNotFoundError) and is_web and getattr(cause, "status", 0) != _NOT_FOUND:
-        err = cause or err
-    kind: type[Pc2ScanError] = OutputError if writes else RecordingError
-    name, status = type(err).__name__, _status(err)
+    if isinstance(err, FileNotFoundError) and cause and response is None and getattr(cause, "status", 0) != _NOT_FOUND:
+        err = cause
+    metadata = response.get("ResponseMetadata", {}) if isinstance(response, dict) else {}
+    name, status = type(err).__name__, getattr(err, "status", metadata.get("HTTPStatusCode"))
     if isinstance(err, FileNotFoundError) or "NoSuchBucket" in name:
-        if writes:
-            return kind, "there is no such bucket or folder", _NO_RIGHTS
+        if kind is OutputError:
+            return kind("there is no such bucket or folder", path=shown, hint=_NO_RIGHTS)
         hint = "check its spelling (case matters), and the bucket's; some stores answer this if permissions are missing"
-        return MissingError, "does not exist", hint
-    if isinstance(err, RedirectError):
-        return kind, f"the server redirects to another host, {err}", "give the URL of that host, if you trust it"
+        return MissingError("does not exist", path=shown, hint=hint)
+    if isinstance(err, TransferError):
+        return kind(str(err), path=shown, hint=_AGAIN)
     if isinstance(err, PermissionError) or status in _DENIED or "Credential" in name:
-        return kind, f"access is refused ({status or 403}, or no credentials)", _NO_RIGHTS
-    if isinstance(err, OSError) and err.errno == errno.ENOSPC:
-        return kind, "no space for its local copy", NO_SPACE
-    if isinstance(err, TooSlowError):
-        least = f"fewer than {LEAST_BYTES:,} bytes arrived in {SLOWEST_SECONDS:g} seconds"
-        return kind, f"the transfer is too slow to finish: {least}", _AGAIN
-    if name.startswith(_UNREACHABLE):
-        return kind, f"the host cannot be reached ({name})", _AGAIN
-    if "Timeout" in name:
-        return kind, f"the store does not answer in time ({name})", _AGAIN
-    what = f"status {status}" if status else name
-    return kind, f"the {'upload' if writes else 'download'} failed ({what})", _AGAIN
-
-
-def _status(err: BaseException) -> int | None:
-    """Return the HTTP status that an error reports; None if it has none."""
-    status = getattr(err, "status", None)
-    if status is None:
-        response = getattr(err.__cause__, "response", None)
-        status = response.get("ResponseMetadata", {}).get("HTTPStatusCode") if isinstance(response, dict) else None
-    return status if isinstance(status, int) else None
+        return kind(f"access is refused ({status or 403}, or no credentials)", path=shown, hint=_NO_RIGHTS)
+    if is_full(err):
+        return kind("no space for its local copy", path=shown, hint=NO_SPACE)
+    what = f"status {status}" if status else "no answer in time" if "Timeout" in name else name
+    return kind(f"the {'upload' if kind is OutputError else 'download'} failed ({what})", path=shown, hint=_AGAIN)

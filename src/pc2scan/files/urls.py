@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import posixpath
 from collections.abc import Iterable
-from contextlib import suppress
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from socket import gethostname
@@ -23,7 +23,7 @@ from pc2scan.errors import MissingError, UsageError
 from .store import RemotePath
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterator
+    from collections.abc import Generator
     from typing import TypeAlias
 
     from typing_extensions import Self
@@ -45,10 +45,6 @@ LIBRARIES = {
     "http": "aiohttp",
     "memory": "",
 }
-
-
-#: Copies whose URLs are known.
-_MOST_SHOWN = 1000
 
 
 def is_url(path: str | PathLike[str] | None) -> bool:
@@ -213,9 +209,6 @@ class UrlPath(_LocalPath):
     `pc2scan.files.transfers`.
     """
 
-    #: What a listing has said of it; None if that is not known.
-    entry: StoredObject | None = None
-
     @property
     def url(self) -> str:
         """The whole URL, with secrets."""
@@ -261,82 +254,49 @@ class UrlPath(_LocalPath):
         """Return the path itself."""
         return self
 
-    def relative_to(self, *other: Any) -> Path:  # type: ignore[override]  # what is relative is no URL
-        """Return the path below a folder."""
-        *folders, last = super().relative_to(*other).parts or ("",)
-        # Over HTTP, the last part may have a secret query.
-        return Path(*folders, self.name if last else "")
-
-    def known(self) -> StoredObject:
-        """Return what is there: from a listing, or else from the store.
-
-        Raises
-        ------
-        MissingError
-            If nothing is there.
-        """
-        return self.remote.entry() if self.entry is None else self.entry
+    @cached_property
+    def entry(self) -> StoredObject:
+        """What is there: from a listing, or else from the store; raises MissingError if nothing is."""
+        return self.remote.entry()
 
     def exists(self, *, follow_symlinks: bool = True) -> bool:  # noqa: ARG002  # the signature of Path
         """Return whether anything is there."""
-        return self._found() is not None
-
-    def _found(self) -> StoredObject | None:
         try:
-            return self.known()
+            return bool(self.entry)
         except MissingError:
-            return None
+            return False
 
     def is_dir(self, *, follow_symlinks: bool = True) -> bool:  # noqa: ARG002  # the signature of Path
         """Return whether it is a folder."""
-        return (stored := self._found()) is not None and stored.is_folder
+        return self.exists() and self.entry.is_folder
 
     def is_file(self, *, follow_symlinks: bool = True) -> bool:  # noqa: ARG002  # the signature of Path
         """Return whether it is a file."""
-        return (stored := self._found()) is not None and not stored.is_folder
+        return self.exists() and not self.entry.is_folder
 
     def iterdir(self) -> Generator[Self]:
         """Yield what is in a folder."""
-        yield from self._children(self.remote.listed("ls"))
+        yield from self.listed("ls", self)
 
-    def below(self) -> Iterator[Self]:
-        """Yield all files in a folder and the folders in it."""
-        objects: dict[str, StoredObject] = {}
-        with suppress(MissingError):
-            objects = self.remote.listed("find")
-        return self._children({name: each for name, each in objects.items() if not each.is_folder})
-
-    def matches(self, root: Path) -> Iterator[UrlPath]:
-        """Yield what this path matches as a pattern (``*``, ``**``, ``?``, ``[abc]``), below a folder without signs."""
-        assert isinstance(root, UrlPath)
-        entries = self.remote.listed("glob", root.remote.key).items()
-        # Hidden files are not matched, as on a disk.
-        return root._children({name: each for name, each in entries if "/." not in f"/{name}"})  # noqa: SLF001
-
-    def _children(self, found: dict[str, StoredObject]) -> Iterator[Self]:
-        for name, entry in found.items():
-            child = self / name
-            child.entry = entry
-            yield child
-
-    def unlink(self, missing_ok: bool = False) -> None:  # noqa: ARG002  # the signature of Path
-        """Remove a file, if it exists."""
-        self.remote.delete()
+    def listed(self, method: str, place: UrlPath) -> Generator[Self]:
+        """Yield what ``ls`` or ``glob`` of fsspec lists of a place in this folder, without hidden files."""
+        for name, entry in place.remote.listed(method, self.remote.key).items():
+            if "/." not in f"/{name}":
+                child = self / name
+                child.entry = entry
+                yield child
 
 
 class CopyPath(_LocalPath):
     """The local copy of what is at a URL, or a path in it; its text is the URL without secrets."""
 
     #: The folders that have copies, and what is shown in place of each. Errors show it also after a copy is removed.
-    #: Bounded, for long-lived processes.
     _shown: ClassVar[dict[str, str]] = {}
 
     @classmethod
     def of(cls, url: UrlPath, folder: str) -> Self:
         """Return the path of a copy in a folder of its own."""
         cls._shown[folder] = str(url).rstrip("/").removesuffix(url.name)
-        if len(cls._shown) > _MOST_SHOWN:
-            del cls._shown[next(iter(cls._shown))]
         return cls(folder, url.name)
 
     def __str__(self) -> str:

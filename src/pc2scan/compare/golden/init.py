@@ -12,7 +12,6 @@ from pc2scan.bags.opening import open_recordings
 from pc2scan.bags.topics import find_topics, types_by_topic
 from pc2scan.conversion.run import OutputOptions, run
 from pc2scan.errors import DestinationError, OutputError, ResultError
-from pc2scan.files.ownership import Permission
 from pc2scan.files.places import output_folder
 from pc2scan.files.staging import staged_output
 from pc2scan.messages.clouds import CLOUDS, SCANS
@@ -88,7 +87,7 @@ def make_case(
     with ExitStack() as stack:
         if folder.parent != folder and not os.path.lexists(folder.parent):
             stack.enter_context(output_folder(folder.parent))
-        partial = stack.enter_context(staged_output(folder, Permission(overwrite=False)))
+        partial = stack.enter_context(staged_output(folder, overwrite=False))
         partial.mkdir()
         (reader,) = open_recordings([source], stack)
         kept = _needed_topics(reader, topics)
