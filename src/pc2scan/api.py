@@ -122,7 +122,7 @@ def batch(
         (``s3://``, ``gs://``, ``az://``; single files at ``https://``).
     destination
         The folder for the results, in the same subfolders as the sources, and for ``manifest.jsonl``. A second call
-        converts only recordings whose results are missing, out of date or failed. It may be a URL.
+        converts only recordings whose results are missing, out of date or failed.
     **options
 
     Returns

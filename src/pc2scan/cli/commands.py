@@ -87,7 +87,7 @@ COMMANDS = {
         failed. OUT/manifest.jsonl has the result of each recording.""",
         (
             _sources("Folders that have recordings; recordings; globs in quotes; URLs.")._replace(is_path=False),
-            _output("OUT", "Folder for the results and manifest.jsonl. May be a URL.", required=True),
+            _output("OUT", "Folder for the results and manifest.jsonl.", required=True),
         ),
         (
             ("pc2scan batch recordings/ -o scans/ --preset slam_toolbox", "every recording, several at a time"),
