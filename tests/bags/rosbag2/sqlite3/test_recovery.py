@@ -9,7 +9,6 @@ import pytest
 
 from pc2scan.bags.rosbag2.sqlite3.read import Sqlite3Reader
 from pc2scan.errors import DamageError
-from support import sampled
 from support.sqlite3_files import build, recovered, rosbag2_pages
 
 if TYPE_CHECKING:
@@ -23,14 +22,13 @@ def _pages(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("pages", sampled([9, 2], 1))
-def test_cut_at_every_page(pages: int, tmp_path: Path) -> None:
+def test_cut_at_many_pages(tmp_path: Path) -> None:
     complete = build(tmp_path / "a.db3")
     data = (tmp_path / "a.db3").read_bytes()
     path = tmp_path / "b.db3"
     sizes = {0, 1, 2048}
     found = []
-    for size in sorted({page + more for page in range(0, len(data), pages * 4096) for more in sizes}):
+    for size in sorted({page + more for page in range(0, len(data), 7 * 4096) for more in sizes}):
         if not 16 <= size < len(data):
             continue
         path.write_bytes(data[:size])
