@@ -45,7 +45,7 @@ FINE = (*FINE_BEAMS, "--min-height", "0.1")
 #: Scans of a robot that moves; and the same without any correction of its motion, for comparison.
 MOVED = ("--target-frame", "base_link", "--fixed-frame", "odom")
 UNMOVED = ("--target-frame", "base_link")
-#: `two_topics` and `MOVED`, and where the floor ends, for Python.
+#: `TWO` and `MOVED`, and where the floor ends, for Python.
 BOTH: dict[str, Any] = {
     "topics": ["/front:=/scan", "/rear:=/scan"],
     "target_frame": "base_link",
@@ -71,36 +71,33 @@ def converted(folder: Path, source: Path, *options: str, status: int = 0) -> Mad
     return made
 
 
-def errors(scans: Sequence[LaserScan], drive: Drive = Drive(), mount: Rigid | None = None) -> Any:  # noqa: B008
+def errors(scans: Sequence[LaserScan], mount: Rigid | None = None) -> Any:
     """How far the returns of scans are from the walls, metres."""
-    return np.concatenate([off_the_walls(returns_in_odom(scan, drive, mount)) for scan in scans])
+    return np.concatenate([off_the_walls(returns_in_odom(scan, Drive(), mount)) for scan in scans])
 
 
-def misplaced(scans: Sequence[LaserScan], drive: Drive = Drive(), mount: Rigid | None = None) -> float:  # noqa: B008
+def misplaced(scans: Sequence[LaserScan], mount: Rigid | None = None) -> float:
     """The share of returns that are off the walls by more than half the width of their beam, and a millimetre.
 
     A beam stands for every direction within half its width, so not even exact scans are nearer. The millimetre is for
     float32 and for poses that are interpolated between those of the odometry.
     """
     widths = np.concatenate([scan.ranges[np.isfinite(scan.ranges)] * scan.angle_increment for scan in scans])
-    return float(np.mean(errors(scans, drive, mount) > widths / 2 + 0.001))
+    return float(np.mean(errors(scans, mount) > widths / 2 + 0.001))
 
 
 def joined(*topics: str) -> tuple[str, ...]:
     return tuple(word for topic in topics for word in ("--topic", f"{topic}:=/scan"))
 
 
-def two_topics(*others: str) -> tuple[str, ...]:
-    return joined("/front", "/rear", *others)
-
-
+TWO = joined("/front", "/rear")
 TURNS = ("--topic", "/front:=/scan", "--every", "0.1", "--accumulate", "0.1")
 
 #: Lidars, seconds, options, the number of scans, and the share of misplaced returns if motion is not corrected.
 EXACT: dict[str, tuple[list[Lidar], float, tuple[str, ...], int, float]] = {
-    "two lidars": ([FRONT, REAR], 0.5, (*two_topics(), *FINE), 5, 0.7),
+    "two lidars": ([FRONT, REAR], 0.5, (*TWO, *FINE), 5, 0.7),
     "packets": ([PACKETS], 0.6, (*TURNS, *FINE), 6, 0.7),
-    "three lidars and a scanner": ([FRONT, REAR, TOP, FLAT], 1.0, (*two_topics("/top", "/flat"), *FINE), 10, 0.8),
+    "three lidars and a scanner": ([FRONT, REAR, TOP, FLAT], 1.0, (*TWO, *joined("/top", "/flat"), *FINE), 10, 0.8),
     "two scanners": ([FLAT, FLAT2], 1.0, ("--rebin", *joined("/flat", "/flat2"), *FINE_BEAMS), 9, 0.8),
 }
 
@@ -135,8 +132,6 @@ def test_every_return_is_on_its_wall(name: str, world: Callable[..., Path], tmp_
         top = counts["/top"]
         assert (top["messages"], top["used"], top["unmatched"], counts["/flat"]["used"]) == (19, 10, 9, 9)
         assert "9 of 19 messages of /top are in no scan on /scan" in done.stdout
-    else:
-        assert done.topic("/flat")["points"]["height"] == 0
 
 
 def test_a_scanner_with_varying_beams_gets_a_constant_number(world: Callable[..., Path], tmp_path: Path) -> None:
@@ -157,8 +152,6 @@ def test_a_scanner_with_varying_beams_gets_a_constant_number(world: Callable[...
         lit = scan.intensities[np.isfinite(scan.ranges)]
         assert set(lit.tolist()) == {10.0, 20.0, 30.0, 40.0}
         assert lit.size > 600
-    assert done.topic("/flat")["target"] == "/flat"
-    assert "refuse" not in done.stderr
     assert misplaced(converted(tmp_path, source, *rebin).scans, mount=FLAT.mount) > 0.7
 
 
@@ -174,11 +167,7 @@ def test_any_number_of_jobs_gives_the_same_bytes(
     assert len(found) == 1
 
 
-# What is said
-
-
-NEAR = (*two_topics(), *UNMOVED)
-LOW = ("--min-height", "0.1")
+NEAR = (*TWO, *UNMOVED)
 
 
 @pytest.mark.parametrize(("options", "status", "said"), rows(TABLES, "what is wrong"))
@@ -214,7 +203,7 @@ def test_gaps_of_the_odometry_and_silent_lidars_are_reported(world: Callable[...
     assert "transforms to --fixed-frame were missing for up to 0.333 s" in done.stderr
     assert done.topic("/front")["motion"]["longest_gap_s"] == pytest.approx(1 / 3, abs=1e-6)
     front, rear = world(SMALL_FRONT, seconds=3.0), world(SMALL_REAR, seconds=1.0)
-    silent = run("convert", front, rear, "-o", tmp_path / "o.mcap", *two_topics(), *MOVED, *LOW)
+    silent = run("convert", front, rear, "-o", tmp_path / "o.mcap", *TWO, *MOVED, "--min-height", "0.1")
     assert silent.status == 0, silent.stderr
     assert "21 scans on /scan have nothing of /rear; 21 in a row" in " ".join(silent.stderr.split())
 
@@ -228,6 +217,3 @@ def test_the_last_scan_was_logged_with_its_last_message(name: str, world: Callab
         last_ns = max(each.log_time_ns for each in reader.messages() if each.connection.topic in {"/front", "/rear"})
     pc2scan.convert([driven, later], tmp_path / name, **BOTH)
     assert [scan.log_time_ns for scan in pc2scan.scans(tmp_path / name)][-1] == last_ns
-
-
-# Other commands, and files

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -18,29 +17,11 @@ from support.builders import (
     SECOND,
     SOURCES,
     T0,
-    write_rosbag1,
 )
-from support.command import run
 from support.outputs import opened
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-
-@pytest.fixture
-def bag(tmp_path: Path) -> Path:
-    return write_rosbag1(tmp_path / "drive.bag", CONTENT)
-
-
-def report_of(*args: str | Path, folder: Path) -> dict[str, Any]:
-    """Run a conversion, and return its report."""
-    done = run("convert", *args, "--min-height=-2", "--max-height=2", "--report", folder / "report.json")
-    assert done.status == 0, done.stderr
-    found: dict[str, Any] = json.loads((folder / "report.json").read_text())
-    return found
-
-
-# --- Times ---
 
 
 @cache
@@ -86,9 +67,6 @@ def test_a_cut_has_its_messages_and_what_is_latched(
     assert sorted(found) == sorted([("/tf_static", first)] * len(latched) + expected)
 
 
-# --- Sources and destinations ---
-
-
 @pytest.mark.parametrize("kind", sampled(["bag-none", "mcap-zstd", "db3", "rosbag2-sqlite3-v8"], 2))
 def test_two_halves_are_the_whole(kind: str, tmp_path: Path) -> None:
     first, second = CONTENT.halves()
@@ -98,9 +76,9 @@ def test_two_halves_are_the_whole(kind: str, tmp_path: Path) -> None:
         places[name] = SOURCES[kind](tmp_path / name, content)
     suffix = {"bag-none": ".bag", "mcap-zstd": ".mcap"}.get(kind, "")
     whole, merged = tmp_path / f"whole{suffix}", tmp_path / f"merged{suffix}"
-    report_of(places["both"], "-o", whole, folder=tmp_path)
     # The order in which they are given is no difference.
-    report_of(places["later"], places["earlier"], "-o", merged, folder=tmp_path)
+    for sources, made in (([places["both"]], whole), ([places["later"], places["earlier"]], merged)):
+        pc2scan.convert(sources, made, min_height=-2, max_height=2)
     one, two = opened(whole), opened(merged)
     assert [(m.topic, m.log_time_ns, m.data) for m in one.messages] == [
         (m.topic, m.log_time_ns, m.data) for m in two.messages

@@ -82,7 +82,7 @@ def assert_absent_or_complete(outcome: dict[str, Any], sound: dict[str, Any], ki
     moved = there == "" and aside in outcome["left"] and outcome["status"] < 0
     assert complete or there == ("old" if outcome["old"] else "") or moved, what
     # The exit status shows it.
-    assert outcome["status"] in ((-9, 0) if outcome["status"] < 0 or outcome["fault"] == "timed" else (0, 1)), what
+    assert outcome["status"] in ((-9, 0) if outcome["status"] < 0 else (0, 1)), what
     assert complete or outcome["status"] != 0, what
     # The next run cleans up.
     assert outcome["again"] == 0, what

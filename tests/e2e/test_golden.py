@@ -60,15 +60,9 @@ def expected(name: str) -> list[Found]:
 
 
 def converted(name: str, destination: Path, *options: str) -> None:
-    case = load_case(CASES[name])
-    line: list[str | Path] = [
-        CASES[name] / "input.bag",
-        "-o",
-        destination,
-        "--params-file",
-        CASES[name] / "params.yaml",
-    ]
-    done = run("convert", *line, "--only-scans", *case.arguments, "--quiet", *options)
+    case, folder = load_case(CASES[name]), CASES[name]
+    files = (folder / "input.bag", "-o", destination, "--params-file", folder / "params.yaml")
+    done = run("convert", *files, "--only-scans", *case.arguments, "--quiet", *options)
     assert done.status == case.exit_status, done.stderr
 
 
@@ -150,12 +144,3 @@ def outcome_of(name: str, folder: Path, bit: int) -> str:
 @pytest.mark.parametrize("name", sampled(OWN, 4))
 def test_every_case_notices_a_bit(name: str, tmp_path: Path) -> None:
     assert [outcome_of(name, tmp_path, bit) for bit in (0, 1)] == ["passed", "failed"]
-
-
-@pytest.mark.parametrize(
-    ("name", "numbers"), [("scan_tf", [0] * 6), ("reverse_tilted_0", [0] * 8), ("reverse_deskew_0", [*range(8)])]
-)
-def test_transformed_clouds_are_numbered_as_upstream_does(name: str, numbers: list[int]) -> None:
-    # tf2 gives a transformed cloud the transform's header, whose sequence number is 0; `seq` is not ignored.
-    # laser_geometry keeps the scan's.
-    assert [deserialized(found.data, CLOUD, 1).header.seq for found in expected(name)] == numbers

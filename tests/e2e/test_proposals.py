@@ -38,12 +38,9 @@ WORLDS = {
     "Mid-360 in a hall": (World(HALL, DESKS, "mid-360", at(0.5)), ""),
     "Mid-360 in a corridor, no mount": (World(CORRIDOR, (), "mid-360", at(0.5), has_mount=False, odometry=""), ""),
     "packets": (World(ROOM, DESKS, "packets", at(0.6), "drives"), ""),
-    "packets, no mount": (World(ROOM, DESKS, "packets", at(0.6), has_mount=False, odometry=""), ""),
     "sparse pattern": (World(ROOM, DESKS, "sparse", at(0.7)), ""),
     "clouds in odom": (World(ROOM, DESKS, "32 rings", at(0.6), "drives", in_odom=True), ""),
-    "clouds in odom, stands": (World(ROOM, DESKS, "32 rings", at(0.6), in_odom=True), ""),
     "one ring": (World(HALL, DESKS, "1 ring", at(0.4)), ""),
-    "one ring, no mount": (World(ROOM, DESKS, "1 ring", at(0.4), has_mount=False, odometry=""), ""),
     "two rings near the floor": (World(HALL, DESKS, "2 rings", at(0.27), "drives"), ""),
     "four rings": (World(HALL, DESKS, "4 rings", at(0.4), "drives"), ""),
     "64 rings, pitches": (World(HALL, DESKS, "64 rings", at(1.2), "pitches"), ""),
@@ -68,7 +65,7 @@ WORLDS = {
 }
 
 
-@pytest.mark.parametrize("name", sampled(WORLDS, 8))
+@pytest.mark.parametrize("name", sampled(WORLDS, 4))
 def test_a_proposed_command_sees_what_is_there(name: str, tmp_path: Path) -> None:
     world, said = WORLDS[name]
     found = outcome(world, tmp_path)

@@ -17,6 +17,7 @@ from ruamel.yaml import YAML
 from pc2scan.core.presets import PRESETS
 from pc2scan.options.table import PARAMETERS, output_options
 from support import ROOT
+from support.batches import in_this_process
 from support.builders import T0, Item, Recording, Stream, write_rosbag1
 from support.clouds import LIVOX, livox_points
 from support.clouds import livox as livox_message
@@ -229,7 +230,8 @@ def test_the_shown_commands_run(page: str, recordings: Path, tmp_path: Path) -> 
             shutil.rmtree(written, ignore_errors=True)
             written.unlink(missing_ok=True)
         before = set(folder.iterdir())
-        done = run(*words, cwd=folder)
+        with in_this_process():
+            done = run(*words, cwd=folder)
         # Not every consumer accepts every scan.
         assert done.status == 0 or (words[0] == "check" and done.status == 1), (words, done.stderr)
         if "-o" not in words:

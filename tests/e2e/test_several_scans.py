@@ -1,4 +1,4 @@
-"""Several scans of one recording in Python, and in the report; `tests/transcripts/several_scans.txt` has the rest."""
+"""Several scans of one recording in Python; `tests/transcripts/several_scans.txt` has the rest."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 HALL = ROOT / "fixtures" / "hall.mcap"
-FILES = ROOT / "tests" / "transcripts" / "files"
-SCANS, NODES = FILES / "four_scans.yaml", FILES / "two_nodes.yaml"
+NODES = ROOT / "tests" / "transcripts" / "files" / "two_nodes.yaml"
 
 
 def test_python_writes_what_the_command_writes(tmp_path: Path) -> None:
@@ -25,15 +24,3 @@ def test_python_writes_what_the_command_writes(tmp_path: Path) -> None:
     assert [spec.place for spec in report.scans] == [f"{NODES}, {node}" for node in nodes]
     # Without sources a scan has the only topic.
     assert pc2scan.convert(HALL, tmp_path / "a.mcap", scans={"/a": {"min_height": -1}}).exit_status == 0
-
-
-def test_the_report_has_each_scan(tmp_path: Path) -> None:
-    report = pc2scan.convert(HALL, tmp_path / "a.mcap", scans=SCANS, range_max=3.0).as_dict()
-    names = ["/scan", "/low", "/own", "/coarse"]
-    assert [each["name"] for each in report["scans"]] == names
-    assert [each["params"]["max_height"] for each in report["scans"][:2]] == [1.0, 0.3]
-    assert {each["params"]["range_max"] for each in report["scans"]} == {3.0}
-    assert report["scans"][2]["filters"] == [{"name": "where", "condition": "ring in (3, 4, 5)"}]
-    topics = [topic for topic in report["topics"] if topic["action"] == "converted"]
-    assert [topic["scan"] for topic in topics] == names
-    assert len({topic["points"]["used"] for topic in topics}) == 4

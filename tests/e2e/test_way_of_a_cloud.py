@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from support import sampled
 from support.loops import needs_compiled
 from support.tables import rows
 from support.way_of_a_cloud import way_of
@@ -16,7 +17,7 @@ BOUNDS = Path(__file__).with_name("way_of_a_cloud.txt")
 @needs_compiled
 @pytest.mark.parametrize(
     ("arguments", "frames", "functions", "files", "classes", "decompressions"),
-    rows(BOUNDS, "bounds"),
+    sampled(rows(BOUNDS, "bounds"), 2),
 )
 def test_a_conversion_stays_within_its_bounds(
     arguments: str, frames: int, functions: int, files: int, classes: int, decompressions: int

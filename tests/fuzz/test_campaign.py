@@ -15,6 +15,7 @@ from fuzz.seeds import Seed, make_seeds, make_small_seeds
 if TYPE_CHECKING:
     from pathlib import Path
 
+
 def test_no_mutant_is_lost_without_a_word(tmp_path: Path) -> None:
     seeds = make_seeds()
     for number in range(10_000, 10_020):

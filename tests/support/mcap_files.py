@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import struct
 import zlib
 from contextlib import closing
@@ -23,7 +22,7 @@ from pc2scan.errors import RecordingError
 from pc2scan.model import Connection, Definition
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Iterable
     from pathlib import Path
 
 
@@ -223,28 +222,3 @@ BODY = raw_channel() + raw_message()
 
 def zstd(data: bytes, *, size: bool = True) -> bytes:
     return zstandard.ZstdCompressor(write_content_size=size).compress(data)
-
-
-def altered_index(
-    path: Path, kind: str, change: Callable[[Any], None], *, times: int = 1, every: bool = False, crc: bool = True
-) -> Path:
-    """Change the first summary record of a kind, or every one, and put the summary back, with a CRC that is right."""
-    data = path.read_bytes()
-    start, offset_start, _ = struct.unpack_from("<QQI", data, len(data) - 28)
-    parts = []
-    changed = False
-    for item in StreamReader(io.BytesIO(data[start:-8]), skip_magic=True, validate_crcs=False).records:
-        if isinstance(item, Footer):
-            break
-        if type(item).__name__ == kind and (every or not changed):
-            change(item)
-            changed = True
-            parts += [encoded(item)] * times
-        else:
-            parts.append(encoded(item))
-    assert changed
-    summary = b"".join(parts)
-    footer = struct.pack("<BQQQ", 2, 20, start, offset_start)
-    checksum = zlib.crc32(footer, zlib.crc32(summary)) if crc else 0
-    path.write_bytes(data[:start] + summary + footer + struct.pack("<I", checksum) + MAGIC)
-    return path
