@@ -73,7 +73,7 @@ def page(name: str, command: Command) -> str:
     description, *further = cleandoc(command.help).split("\n\n")
     sentences = [description, *_sentences(" ".join(further))[:1]]
     statuses = [_prose(text) for text in further[1:] if text.startswith("Exit status")]
-    typed, what = command.examples[0]
+    typed, what = next(iter(command.examples.items()))
     taken = " ".join(_usage(each) for each in command.arguments if each.required or not each.spellings)
     parts = [
         f"# pc2scan {name}",

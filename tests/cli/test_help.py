@@ -6,7 +6,6 @@ import ast
 import os
 import re
 import shlex
-import signal
 from pathlib import Path
 from typing import TYPE_CHECKING
 from unittest.mock import patch
@@ -42,10 +41,8 @@ def test_the_version_says_if_loops_are_not_compiled(compiled: bool, monkeypatch:
 def test_the_shell_completes_options_and_their_values(
     typed: str, offered: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(completion, "_PATIENCE", 60.0)
-    before = signal.getsignal(signal.SIGALRM)
+    monkeypatch.setattr(completion, "_PATIENCE", 60)
     assert completed(typed.replace("HALL", str(HALL)).replace("ROOT", str(ROOT))) == offered.split()
-    assert signal.getsignal(signal.SIGALRM) == before
 
 
 def completed(typed: str) -> list[str]:
@@ -64,10 +61,10 @@ def test_help_has_examples_and_says_each_default_once(name: str) -> None:
     assert 2 <= sum(line.startswith("pc2scan ") for line in lines[1:7]) <= 3
     assert max(map(len, text.splitlines())) <= 80
     assert not re.search(r"\[default:\s[^]]*\]\s+\[default:\s", text)
-    for typed, _ in COMMANDS[name].examples:
+    for typed in COMMANDS[name].examples:
         program, *words = shlex.split(typed)
-        parsed = parse(words)
-        assert (program, parsed.command) == ("pc2scan", name)
+        assert (program, words[0]) == ("pc2scan", name)
+        assert parse(words)
 
 
 def test_defaults_are_for_people() -> None:

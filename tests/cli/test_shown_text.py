@@ -11,6 +11,7 @@ from pc2scan.bags.damage import Damage
 from pc2scan.cli.render import say, show, show_error
 from pc2scan.conversion.report import Report
 from pc2scan.errors import DecodeError, UsageError
+from pc2scan.options.call import Options
 from pc2scan.request.options import ScanSpec
 from pc2scan.tables import fitted
 from support.tables import rows
@@ -70,6 +71,6 @@ def test_a_run_says_what_was_recovered(
 ) -> None:
     damage = [Damage("x", PATH, *place) for place in places]
     report = Report(["a"], "b", (ScanSpec(),), damage=damage, messages_read=1200, messages_declared=declared)
-    show(report, quiet=True)
+    show(report, Options("convert", {"quiet": True}))
     assert capsys.readouterr().err.splitlines()[-1] == f"recovered: {found}; {lost}; {times}"
     assert report.exit_status == 3

@@ -70,7 +70,9 @@ def test_a_signal_is_meant_for_the_whole_process(
     number: signal.Signals, raised: type[BaseException], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def ended(_words: object) -> int:
-        raise SystemExit(128 + number)
+        if number == signal.SIGTERM:
+            raise SystemExit(128 + number)
+        return 128 + number
 
     monkeypatch.setattr("pc2scan.cli.in_process.run", ended)
     with pytest.raises(raised):

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.cli import app
-from pc2scan.cli.render import Screen
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -40,7 +39,7 @@ def run(*args: str | Path, cwd: Path | None = None) -> Finished:
     words = [str(arg) for arg in args]
     stdout, stderr = (TextIOWrapper(BytesIO(), "utf-8", write_through=True) for _ in range(2))
     status = 0
-    with _guarded(), _inside(cwd), redirect_stdout(Screen(stdout, guarded=True)), redirect_stderr(Screen(stderr)):
+    with _guarded(), _inside(cwd), redirect_stdout(stdout), redirect_stderr(stderr):
         try:
             status = app.run(words)
         except SystemExit as err:

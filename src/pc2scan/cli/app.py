@@ -4,35 +4,34 @@ from __future__ import annotations
 
 import os
 import signal
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from functools import cache
 from importlib import import_module
 from inspect import Parameter as Keyword
 from inspect import Signature
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperCommand
 from typer.main import get_command
 
 from pc2scan.core.kernel import COMPILED
-from pc2scan.errors import OutputError, Pc2ScanError
+from pc2scan.errors import OutputError, Pc2ScanError, UsageError
 from pc2scan.options.option import Parameter
 from pc2scan.options.table import options_of
 from pc2scan.options.values import Flag
+from pc2scan.text import did_you_mean, shell_word
 from pc2scan.version import __version__
 
-from . import completion
 from .commands import COMMANDS
+from .completion import offered
 from .failures import in_our_words, show_failure
 from .help import ABOUT, help_of
-from .interrupts import interruptible
 from .options import arguments_of, call_options
 from .render import say
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
     from types import FrameType
 
     from pc2scan.options.option import Option
@@ -42,32 +41,21 @@ if TYPE_CHECKING:
 _INTERRUPTED = 128 + signal.SIGINT
 
 
-class Typed(NamedTuple):
-    """A command, and what was typed for its arguments and options: texts, lists of texts, and flags, by name."""
-
-    command: str
-    values: dict[str, Any]
-
-
 def run(words: Sequence[str]) -> int:
     """Run the command that was typed after ``pc2scan``, and return its exit status.
 
     User errors become a message and an exit status; bugs keep their traceback.
     """
-    if not words and "_PC2SCAN_COMPLETE" not in os.environ:
-        for line in help_of(""):
-            say(line, err=True)
-        return 2
+    is_question = not words and "_PC2SCAN_COMPLETE" not in os.environ
     try:
-        with interruptible(_terminate):
-            if lines := _about(words):
+        with _interruptible():
+            if lines := help_of("") if is_question else _about(words):
                 for line in lines:
-                    say(line)
-                return 0
+                    say(line, err=is_question)
+                return 2 if is_question else 0
             typed = parse(words)
-            options = call_options(typed.command, typed.values)
-            command = getattr(import_module(f".{typed.command}", __package__), typed.command)
-            status: int = command(**arguments_of(typed.command, typed.values), options=options)
+            command = getattr(import_module(f".{words[0]}", __package__), words[0])
+            status: int = command(**arguments_of(words[0], typed), options=call_options(words[0], typed))
             return status
     except Pc2ScanError as err:
         return show_failure(err, words)
@@ -76,18 +64,45 @@ def run(words: Sequence[str]) -> int:
         if err.args:
             say(f"hint: {err}", err=True)
         return _INTERRUPTED
-    except MemoryError:
-        error = OutputError("memory ran out", hint="fewer threads take less: `jobs=1`")
-        return show_failure(error, words)
-    except FileNotFoundError:
-        try:
-            Path.cwd()
-        except FileNotFoundError:
-            return show_failure(OutputError("the current folder was deleted", hint="cd to another one"), words)
+    except SystemExit as err:
+        # The terminal may be gone.
+        with suppress(OSError):
+            if isinstance(err.code, int) and err.code > _INTERRUPTED:
+                say("terminated: what was not complete was removed", err=True)
         raise
+    except MemoryError:
+        return show_failure(OutputError("memory ran out", hint="fewer threads take less: `jobs=1`"), words)
+    except FileNotFoundError as err:
+        if err.filename is not None:
+            raise
+        return show_failure(OutputError("the current folder was deleted", hint="cd to another one"), words)
 
 
-def _about(words: Sequence[str]) -> list[str]:
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Let signals that end a command raise, so that partial output is removed while the stack unwinds."""
+    handlers: dict[int, Any] = {signal.SIGTERM: _terminate}
+    # Windows has no terminals that are closed; under nohup, that is ignored.
+    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
+        handlers[signal.SIGHUP] = _terminate
+    if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
+        handlers[signal.SIGINT] = signal.default_int_handler
+    previous = {}
+    # Only the main thread may set handlers. In another thread, the program around this handles signals.
+    with suppress(ValueError):
+        previous = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+def _terminate(number: int, _frame: FrameType | None) -> None:
+    raise SystemExit(128 + number)
+
+
+def _about(words: Sequence[str]) -> Iterable[str]:
     """Return the lines that ``--help`` and ``--version`` show; empty if none of them is typed."""
     typed = list(words[: words.index("--")] if "--" in words else words)
     command = typed[0] if typed and typed[0] in COMMANDS else ""
@@ -95,36 +110,43 @@ def _about(words: Sequence[str]) -> list[str]:
         slower = "" if COMPILED else " (slower than usual: installed without a C compiler)"
         return [f"pc2scan {__version__}{slower}"]
     if (command and "--help-all" in typed) or {"-h", "--help"} & set(typed if command else typed[:1]):
-        return [*help_of(command, every="--help-all" in typed)]
-    return []
+        return help_of(command, every="--help-all" in typed)
+    return ()
 
 
-def parse(words: Sequence[str]) -> Typed:
-    """Return what was typed.
+def parse(words: Sequence[str]) -> dict[str, Any]:
+    """Return what was typed for a command's arguments and options: texts, lists of texts, and flags, by name.
 
     Raises
     ------
     UsageError
         If there is no such command or option, or if a value is missing.
     """
+    name = words[0] if words and words[0] in COMMANDS else ""
+    if words and not name and not words[0].startswith("-"):
+        hint = did_you_mean(words[0], COMMANDS) or "pc2scan --help shows what it takes"
+        if os.path.lexists(words[0]):
+            hint = f"the command comes first: pc2scan info {shell_word(words[0])}"
+        raise UsageError(f"no such command {words[0]!r}", hint=hint)
+    prepared = []
+    # In the forms that Typer knows: no value is optional, and ROS 2's marker is left out.
+    for word, after in zip(words, [*words[1:], ""], strict=False):
+        if word != "--ros-args":
+            prepared.append("--dask=local" if word == "--dask" and "://" not in after else word)
     try:
-        command = words[0] if words and words[0] in COMMANDS else ""
-        typed: Typed = application(command)(_prepared(words), prog_name="pc2scan", standalone_mode=False)
+        typed: dict[str, Any] = application(name)(prepared[bool(name) :], prog_name="pc2scan", standalone_mode=False)
     except typer.TyperException as err:
-        raise in_our_words(err.format_message(), words) from err
+        raise in_our_words(err.format_message(), name) from err
     return typed
 
 
 @cache
 def application(command: str) -> Any:
     """Make the parser, of all commands or only of the one that is going to run: to build its options takes a while."""
-    names = [command] if command else [*COMMANDS]
-    completes = len(names) > 1
     app = typer.Typer(
-        name="pc2scan", help=ABOUT, add_help_option=False, rich_markup_mode=None, add_completion=completes
+        name="pc2scan", help=ABOUT, add_help_option=False, rich_markup_mode=None, add_completion=not command
     )
-    app.callback()(_root)
-    for name in names:
+    for name in [command] if command else COMMANDS:
         text = COMMANDS[name].help.partition("\n")[0]
         app.command(name, help=text, add_help_option=False, no_args_is_help=False, cls=_Command)(_parser_of(name))
     return get_command(app)
@@ -148,18 +170,14 @@ class _Command(TyperCommand):
         return rest
 
 
-def _root() -> None:
-    """Without this, Typer makes an application of one command."""
-
-
-def _parser_of(name: str) -> Callable[..., Typed]:
+def _parser_of(name: str) -> Callable[..., dict[str, Any]]:
     """Return the function that Typer calls with what was typed; its signature is made from the table of options.
 
     All values are text, and an option that is not typed is None: `pc2scan.options` reads and checks them.
     """
 
-    def parsed(**values: Any) -> Typed:
-        return Typed(name, {key: value for key, value in values.items() if value not in (None, [])})
+    def parsed(**values: Any) -> dict[str, Any]:
+        return {key: value for key, value in values.items() if value not in (None, [])}
 
     keywords = {argument.name: _annotation_of_own(argument) for argument in COMMANDS[name].arguments}
     keywords |= {key: _annotation(option) for key, option in options_of(name).items() if option.spelling}
@@ -175,43 +193,20 @@ def _annotation_of_own(argument: Argument) -> Any:
         several = argument.metavar.endswith("...")
         return Annotated[(list[str] if several else str) | None, typer.Argument(metavar=argument.metavar)]
     if argument.name == "lookup":
-        return Annotated[tuple[str, str] | None, typer.Option("--lookup", autocompletion=completion.frames)]
+        return Annotated[tuple[str, str] | None, typer.Option("--lookup", autocompletion=_offering(("frames",)))]
     return Annotated[list[str] | None, typer.Option(*argument.spellings)]
 
 
 def _annotation(option: Option) -> Any:
     """Return the annotation of an option of the table."""
-    value = option.value
-    spellings = [option.spelling, *filter(None, [option.short])]
+    value, spellings = option.value, [option.spelling, *filter(None, [option.short])]
     if isinstance(value, Flag):
         if isinstance(option, Parameter):
             spellings[0] += f"/{option.negation}"
         return Annotated[bool | None, typer.Option(*spellings)]
-    offers = value.offers
-
-    def offered(incomplete: str) -> list[str]:
-        return completion.offered(offers, incomplete)
-
-    return Annotated[
-        (list[str] if value.repeats else str) | None,
-        typer.Option(*spellings, autocompletion=offered if offers else None),
-    ]
+    how = typer.Option(*spellings, autocompletion=_offering(value.offers) if value.offers else None)
+    return Annotated[(list[str] if value.repeats else str) | None, how]
 
 
-def _prepared(words: Sequence[str]) -> list[str]:
-    """Return the words in the forms that Typer knows: no value is optional, and ROS 2's marker is left out."""
-    prepared = []
-    for word, after in zip(words, [*words[1:], ""], strict=False):
-        if word == "--dask" and "://" not in after:
-            prepared.append("--dask=local")
-        elif word != "--ros-args":
-            prepared.append(word)
-    return prepared
-
-
-def _terminate(number: int, _frame: FrameType | None) -> None:
-    """End a command by an exception, so that partial output is removed while the stack unwinds."""
-    # The terminal may be gone.
-    with suppress(OSError):
-        say("terminated: what was not complete was removed", err=True)
-    raise SystemExit(128 + number)
+def _offering(offers: Sequence[str]) -> Callable[[str], list[str]]:
+    return lambda incomplete: offered(offers, incomplete)

@@ -13,8 +13,7 @@ from .render import progress_bar, show
 
 def check(sources: list[Path], *, options: Options) -> int:
     """Check whether SLAM and navigation accept scans."""
-    with progress_bar(enabled=not options.as_json) as progress:
+    with progress_bar(options) as progress:
         rules = options.among(("consumers", "topics", "odom_frame", "base_frame", "echo"))
         result = judge(sources, frames=frames_of(options), progress=progress, **rules)
-    show(result, as_json=options.as_json)
-    return result.exit_status
+    return show(result, options)

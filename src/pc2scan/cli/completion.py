@@ -8,42 +8,44 @@ from __future__ import annotations
 import os
 import shlex
 import signal
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import Pc2ScanError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
 #: Time limit in seconds; what was found by then is offered.
-_PATIENCE = 1.0
-
-
-class _TooLateError(Exception):
-    """The time limit is reached."""
+_PATIENCE = 1
 
 
 def offered(offers: Sequence[str], incomplete: str) -> list[str]:
     """Return what the shell offers: see `pc2scan.options.values.Value.offers`; or ``words`` and the words."""
     kind, *words = offers
     names = set(words if kind == "words" else ())
-    with _patiently():
-        for path in () if kind == "words" else _typed():
+    if kind != "words":
+        # Windows has no such timer.
+        if hasattr(signal, "SIGALRM"):
+            signal.signal(signal.SIGALRM, _stop)
+            signal.alarm(_PATIENCE)
+        # Errors of a recording are not shown during completion.
+        with suppress(Exception):
             from pc2scan.show.naming import frames_in, topics_in
 
-            with suppress(Pc2ScanError):
-                # Added one by one, so that those found within the time limit are offered.
-                for name in frames_in([path]) if kind == "frames" else topics_in([path], tuple(words)):
-                    names.add(name)
+            for path in _typed():
+                with suppress(Pc2ScanError):
+                    # Added one by one, so that those found within the time limit are offered.
+                    for name in frames_in([path]) if kind == "frames" else topics_in([path], tuple(words)):
+                        names.add(name)
+            signal.alarm(0)
     # Names with control characters are not offered: the shell would send them to the terminal unescaped.
     return sorted(name for name in names if name.startswith(incomplete) and name.isprintable())
 
 
-def frames(incomplete: str) -> list[str]:
-    """Offer the frames that have transforms in the recordings that were typed."""
-    return offered(("frames",), incomplete)
+def _stop(*_: Any) -> None:
+    raise TimeoutError
 
 
 def _typed() -> list[Path]:
@@ -57,23 +59,3 @@ def _typed() -> list[Path]:
     except ValueError:  # a quotation that is still open
         words = line.split()
     return [Path(word) for word in words[2:] if not word.startswith("-") and os.path.exists(word)]  # noqa: PTH110
-
-
-@contextmanager
-def _patiently() -> Iterator[None]:
-    """End the body at the time limit or at any error, and ignore the error."""
-
-    def stop(*_: Any) -> None:
-        raise _TooLateError
-
-    # Windows has no such timer, so there is no time limit there.
-    timed = hasattr(signal, "setitimer")
-    if timed:
-        previous = signal.signal(signal.SIGALRM, stop)
-        signal.setitimer(signal.ITIMER_REAL, _PATIENCE)
-    # Errors of a recording are not shown during completion.
-    with suppress(Exception):
-        yield
-    if timed:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, previous)

@@ -15,55 +15,44 @@ from pc2scan.text import shell_word
 from .render import LiveWarnings, progress_bar, say, show
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from pc2scan.conversion.report import Report
 
 
 def convert(sources: list[Path], destination: str | None, *, options: Options) -> int:
     """Convert a recording."""
-    sources, further = _ros_arguments(sources)
-    if further:
-        options = options.with_further(further)
+    # Remappings and parameters as rosrun has them. Names with two underscores are the node's own.
+    words = [word for word in map(str, sources) if ":=" in word and not word.startswith("__")]
+    if words:
+        params = [word for word in words if word.startswith("_")]
+        remaps = [word for word in words if not word.startswith("_")]
+        options = options.with_further({"param": params, "remap": remaps})
+    recordings = [source for source in sources if ":=" not in str(source)]
     warn = LiveWarnings()
-    with progress_bar(enabled=not options.quiet) as progress:
-        result = run(sources, destination, options, warn=warn, progress=progress)
-    show(result, quiet=options.quiet, verbose=options.verbose, known=warn)
-    if not options.quiet and not result.dry_run:
-        say(f"next: {next_command(result)}")
-    return result.exit_status
+    with progress_bar(options) as progress:
+        result = run(recordings, destination, options, warn=warn, progress=progress)
+    status = show(result, options, known=warn)
+    if not result.dry_run:
+        say_next(result, options)
+    return status
 
 
-def _ros_arguments(words: Iterable[Path]) -> tuple[list[Path], dict[str, list[str]]]:
-    """Split the positional arguments into recordings, and remappings and parameters as ``rosrun`` reads them."""
-    sources: list[Path] = []
-    further: dict[str, list[str]] = {}
-    for word in words:
-        text = str(word)
-        if ":=" not in text:
-            sources.append(word)
-        elif not text.startswith("__"):
-            further.setdefault("param" if text.startswith("_") else "remap", []).append(text)
-    return sources, further
+def say_next(report: Report, options: Options) -> None:
+    """Show the command that most users run after a recording was written: scans are checked, clouds are played."""
+    if not options.given.keys() & {"quiet", "as_json"}:
+        say(f"next: {_next_command(report)}")
 
 
-def next_command(report: Report) -> str:
-    """Return the command that most users run after a recording was written: scans are checked, clouds are played.
-
-    It is quoted for a shell, and right for the destination's container and ROS version.
-    """
-    entry = FORMATS[report.container]
-    destination = _quoted(report.destination)
+def _next_command(report: Report) -> str:
+    """Return the next command: quoted for a shell, and right for the destination's container and ROS version."""
+    entry, destination = FORMATS[report.container], _quoted(report.destination)
     if report.all_empty:
         return f"pc2scan info {_quoted(report.sources[0])}"
-    consumer = next(filter(None, map(preset_of, report.origins.values())), "")
-    if consumer:
+    if consumer := next(filter(None, map(preset_of, report.origins.values())), ""):
         return f"pc2scan check {destination} --for {consumer}"
-    converted = [topic.spec for topic in report.converted]
-    if any(spec is not None and not spec.reverse for spec in converted):
+    specs = [topic.spec for topic in report.converted]
+    if any(spec is not None and not spec.reverse for spec in specs):
         return f"pc2scan check {destination}"
-    is_playable = entry.ros_version == report.ros_version
-    if converted and entry.play and is_playable and not is_url(report.destination):
+    if specs and entry.play and entry.ros_version == report.ros_version and not is_url(report.destination):
         return entry.play.format(destination)
     # For the rest there is no player: none reads URLs, and none of ROS 1 reads MCAP.
     return f"pc2scan info {destination}"

@@ -14,9 +14,8 @@ from .render import progress_bar, show
 
 def diff(a: Path, b: Path | None, *, options: Options) -> int:
     """Show the differences between two recordings."""
-    with progress_bar(enabled=not (options.as_json or options.quiet)) as progress:
+    with progress_bar(options) as progress:
         pairs = [TopicPair.parse(topic) for topic in options.topics]
         rules = Rules.of(options)
         result = compare(a, b, topics=pairs, all_topics=options.all_topics, rules=rules, progress=progress)
-    show(result, as_json=options.as_json, quiet=options.quiet)
-    return result.exit_status
+    return show(result, options)

@@ -13,7 +13,6 @@ from .render import LiveWarnings, progress_bar, show
 def export(sources: list[Path], destination: str, *, options: Options) -> int:
     """Write scans, the trajectory, or clouds as files."""
     warn = LiveWarnings()
-    with progress_bar(enabled=not options.as_json) as progress:
+    with progress_bar(options) as progress:
         report = run(sources, destination, options, warn=warn, progress=progress)
-    show(report, as_json=options.as_json, known=warn)
-    return report.exit_status
+    return show(report, options, known=warn)

@@ -23,8 +23,7 @@ def golden(folder: Path, pattern: str | None, *, options: Options) -> int:
     if options.init is not None:
         if pattern or options.given.keys() & {"update", "as_json"}:
             raise UsageError("--init makes one case, and cannot be combined with -k, --update or --json")
-        _init(folder, options)
-        return 0
+        return _init(folder, options)
     refuse_idle(options.given, "golden")
 
     def show_case(case: CaseResult) -> None:
@@ -33,17 +32,17 @@ def golden(folder: Path, pattern: str | None, *, options: Options) -> int:
 
     report = check_cases(folder, pattern or "", run_command, update=options.update, each=show_case)
     if options.as_json:
-        show(report, as_json=True)
-    else:
-        show_parts(report.conclusion())
+        return show(report, options)
+    show_parts(report.conclusion())
     return report.exit_status
 
 
-def _init(folder: Path, options: Options) -> None:
+def _init(folder: Path, options: Options) -> int:
     """Make a case, and list its files."""
-    with progress_bar(enabled=not options.quiet) as progress:
+    with progress_bar(options) as progress:
         part = {"start": options.start, "end": options.end, "topics": options.topics, "params": options.params_file}
         case = make_case(folder, options.init, run_command, progress=progress, **part)
-    show(case, quiet=options.quiet)
     if not options.quiet:
+        show(case, options)
         say(f"next: look at {case.folder}/expected.txt, commit the folder, and: pc2scan golden {folder}")
+    return 0

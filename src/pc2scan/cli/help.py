@@ -12,10 +12,10 @@ from pc2scan.options.table import options_of
 from pc2scan.options.values import Flag
 
 from .commands import COMMANDS
-from .render import as_typed
+from .render import as_typed, width_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator, Sequence
 
     from pc2scan.options.option import Option
 
@@ -24,11 +24,9 @@ if TYPE_CHECKING:
 ABOUT = "Recorded 3D lidar to the 2D laser scans that SLAM and navigation need, without a ROS installation."
 
 _STATUSES = (
-    "Exit status: 0 done, 1 failed and nothing written, 2 wrong usage or a missing file, "
-    "3 written but with messages skipped, from a damaged source, or without the report, "
-    "4 written but no scan has a return. "
-    "batch: 0 all converted, 3 some with messages skipped, damage or empty scans, 1 any failed, "
-    "5 ended early because the disk is full. "
+    "Exit status: 0 done, 1 failed and nothing written, 2 wrong usage or a missing file, 3 written but with messages "
+    "skipped, from a damaged source, or without the report, 4 written but no scan has a return. "
+    "batch: 3 if some have status 3 or 4, 1 if any failed, 5 if the disk is full. "
     "check, diff and golden: 0 accepted or the same, 1 not, 2 could not be judged."
 )
 
@@ -38,52 +36,46 @@ _FEW = 30
 #: The width where it is unknown, the largest, and that of the column of options.
 _WIDTH, _WIDEST, _COLUMN = 80, 120, 30
 
-
-def has_more(command: str) -> bool:
-    """Return whether ``--help-all`` shows more options of a command than ``--help``."""
-    return len(options_of(command)) > _FEW
+#: The options of ``pc2scan`` without a command.
+_OPTIONS = (
+    ("--version", "Show the version and exit."),
+    ("--install-completion", "Install completion for the current shell."),
+    ("--show-completion", "Show completion for the current shell, to copy it or customize the installation."),
+    ("-h, --help", "Show this message and exit."),
+)
 
 
 def help_of(command: str, *, every: bool = False) -> Iterator[str]:
     """Yield the lines of the help of a command, or of all commands if there is none."""
-    width = min(getattr(sys.stdout, "width", None) or _WIDTH, _WIDEST)
+    width = min(width_of(sys.stdout) or _WIDTH, _WIDEST)
     if not command:
-        yield from _help_of_all(width)
+        yield "Usage: pc2scan [OPTIONS] COMMAND [ARGS]..."
+        yield from _paragraphs(ABOUT, width)
+        yield from _section("Options", _OPTIONS, width)
+        lines = [(name, each.help.partition("\n")[0]) for name, each in COMMANDS.items()]
+        yield from _section("Commands", lines, width)
+        yield from _paragraphs(_STATUSES, width)
         return
-    shown = COMMANDS[command]
-    positional = [argument for argument in shown.arguments if not argument.spellings]
-    yield " ".join(("Usage: pc2scan", command, "[OPTIONS]", *(argument.metavar for argument in positional)))
-    yield ""
-    for typed, what in shown.examples:
+    shown, known = COMMANDS[command], options_of(command).values()
+    taken = [argument.metavar for argument in shown.arguments if not argument.spellings]
+    yield from (" ".join(("Usage: pc2scan", command, "[OPTIONS]", *taken)), "")
+    for typed, what in shown.examples.items():
         yield from (f"  # {what}", f"  {typed}")
     yield from _paragraphs(shown.help, width)
-    short = has_more(command) and not every
-    sections = {"Arguments": [_row_of_own(argument) for argument in positional]}
-    sections["Options"] = [_row_of_own(argument) for argument in shown.arguments if argument.spellings]
-    for option in options_of(command).values():
-        if option.spelling and (option.common or not short):
+    has_more = len(known) > _FEW
+    sections: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+    for argument in shown.arguments:
+        sections["Options" if argument.spellings else "Arguments"].append(_row_of_own(argument))
+    for option in known:
+        if option.spelling and (option.common or every or not has_more):
             sections.setdefault(option.panel or "Options", []).append(_row(option))
     sections["Options"].append(("-h, --help", "Show this message and exit."))
-    if has_more(command):
+    if has_more:
         sections["Options"].append(("--help-all", "Show all options, and exit."))
     for title, rows in sections.items():
         yield from _section(title, rows, width)
-    if short:
+    if has_more and not every:
         yield from ("", f"pc2scan {command} --help-all shows all options.")
-
-
-def _help_of_all(width: int) -> Iterator[str]:
-    yield "Usage: pc2scan [OPTIONS] COMMAND [ARGS]..."
-    yield from _paragraphs(ABOUT, width)
-    options = (
-        ("--version", "Show the version and exit."),
-        ("--install-completion", "Install completion for the current shell."),
-        ("--show-completion", "Show completion for the current shell, to copy it or customize the installation."),
-        ("-h, --help", "Show this message and exit."),
-    )
-    yield from _section("Options", options, width)
-    yield from _section("Commands", [(name, each.help.partition("\n")[0]) for name, each in COMMANDS.items()], width)
-    yield from _paragraphs(_STATUSES, width)
 
 
 def _paragraphs(text: str, width: int) -> Iterator[str]:
@@ -92,9 +84,8 @@ def _paragraphs(text: str, width: int) -> Iterator[str]:
         yield from wrap(paragraph, width, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False)
 
 
-def _section(title: str, rows: Iterable[tuple[str, str]], width: int) -> Iterator[str]:
+def _section(title: str, rows: Sequence[tuple[str, str]], width: int) -> Iterator[str]:
     """Yield a title and two columns: what is typed, and what it does."""
-    rows = list(rows)
     yield from ("", f"{title}:")
     column = min(max(len(typed) for typed, _ in rows), _COLUMN, width // 2) + 4
     for typed, text in rows:

@@ -13,13 +13,9 @@ from pc2scan.options.option import Scope
 from pc2scan.options.table import options_of
 
 from .app import parse, run
-from .render import say
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-#: The option of ``convert`` that decides where the output is written: a case does not have it.
-_PLACE = {"to"}
 
 
 def run_command(arguments: Sequence[str], chosen: Sequence[str] = ()) -> CommandResult:
@@ -36,30 +32,21 @@ def run_command(arguments: Sequence[str], chosen: Sequence[str] = ()) -> Command
         _refuse_others(arguments[0], chosen)
     said = StringIO()
     with redirect_stdout(StringIO()), redirect_stderr(said):
-        try:
-            status = run([*arguments, *chosen])
-        except SystemExit as err:
-            status = err.code if isinstance(err.code, int) else 1
+        status = run([*arguments, *chosen])
     if status == 128 + signal.SIGINT:
         raise KeyboardInterrupt
-    if status > 128:
-        for line in said.getvalue().splitlines():
-            say(line, err=True)
-        raise SystemExit(status)
     return CommandResult(status, said.getvalue())
 
 
 def _refuse_others(name: str, chosen: Sequence[str]) -> None:
     """Raise if any of these options decides something else than what is converted."""
-    typed = parse([name, *chosen])
-    unnamed = typed.values.pop("sources", None)
     known = options_of(name)
-    allowed = {key for key, option in known.items() if option.scope != Scope.CALL_ONLY} - _PLACE | {"jobs"}
-    others = [known[key].spelling if key in known else "--output" for key in typed.values if key not in allowed]
-    if others:
-        raise UsageError(
-            f"{', '.join(others)} may not be in a case",
-            hint="a case decides what is converted, but not where the output is written or what is shown",
-        )
-    if unnamed:
-        raise UsageError(f"{unnamed[0]!r} is not an option", hint="a case names its recordings under 'input'")
+    for key, value in parse([name, *chosen]).items():
+        if key == "sources":
+            raise UsageError(f"{value[0]!r} is not an option", hint="a case names its recordings under 'input'")
+        option = known.get(key)
+        if option is None or key == "to" or (option.scope == Scope.CALL_ONLY and key != "jobs"):
+            raise UsageError(
+                f"{option.spelling if option else '--output'} may not be in a case",
+                hint="a case decides what is converted, but not where the output is written or what is shown",
+            )

@@ -12,6 +12,4 @@ from .render import show
 
 def info(sources: list[Path], *, options: Options) -> int:
     """Describe a recording."""
-    result = describe(sources, options)
-    show(result, as_json=options.as_json)
-    return result.exit_status
+    return show(describe(sources, options), options)

@@ -1,9 +1,8 @@
-"""Prints lines, errors, results and JSON, shows progress, and fits all to the terminal.
+"""Prints lines, errors, results and JSON, and shows progress.
 
-All text of the commands is printed here, so that it is safe to show. On a terminal, lines are wrapped at its width, and
-coloured if it shows colours, as they are written, so that no command has to deal with it. Pipes and files get every
-line unchanged (except of `limit_width`), even if COLUMNS is set: shells and Python's readline also set it for programs
-whose output others read.
+All text of the commands is printed here, so that it is safe to show. Lines are fitted to a terminal's width; pipes and
+files get every line unchanged, even if COLUMNS is set: shells and Python's readline also set it for programs whose
+output others read.
 """
 
 from __future__ import annotations
@@ -13,9 +12,9 @@ import os
 import re
 import sys
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, TextIO
-
-import typer
+from shutil import get_terminal_size
+from textwrap import wrap
+from typing import TYPE_CHECKING, TextIO
 
 from pc2scan.errors import visible
 from pc2scan.options.call import call_words
@@ -28,48 +27,57 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterable, Iterator
 
     from pc2scan.errors import Pc2ScanError
+    from pc2scan.options.call import Options
     from pc2scan.result import Part, Result
-
-#: The width of lines in pipes and files, where a command limits it.
-_IN_PIPES = 120
 
 #: The smallest width that is used, because no table fits into less.
 _NARROWEST = 40
 
-_RED, _YELLOW, _GREEN, _BOLD, _PLAIN = "\x1b[31m", "\x1b[33m", "\x1b[32m", "\x1b[1m", "\x1b[0m"
-
-#: Moves the cursor to the beginning of the line, and erases the line.
-_ERASED = "\r\x1b[2K"
-
-#: Patterns of the beginnings of lines, and their colours. They are compiled at their first use, because most output is
-#: not coloured.
-_COLOURS = (
-    (r"\s*(?:error|defect|aborts|different|not ok|failed|FAILED)\b:?", _BOLD + _RED),
-    (r"\s*(?:warning|notice|skipped|damaged|misplaced|ignored|empty):", _BOLD + _YELLOW),
-    (r"(?:ok|same|passed)\b:?", _BOLD + _GREEN),
-    (r"(?:hint|next|note|recovered):", _BOLD),
-)
+#: How a terminal shows the first word of a line.
+_COLOURS = {"error:": "\x1b[1;31m", "warning:": "\x1b[1;33m"}
 
 #: An option in a text, as in Python, in backticks.
 _NAMED = re.compile(r"`([a-z_]+)(?:=([^`]*))?`")
 
 
+class StdoutError(Exception):
+    """Standard output cannot be written; ``args[0]`` is the operating system's error."""
+
+
 def say(text: str = "", *, err: bool = False) -> None:
     """Print one line, with whatever a terminal or a CI system would obey made visible. All commands print with it."""
-    typer.echo(visible(text, ascii_only=_ascii_only()), err=err)
+    stream = sys.stderr if err else sys.stdout
+    line = visible(text, ascii_only=_ascii_only(stream))
+    width = width_of(stream) or len(line)
+    # A command stays one line, to be copied.
+    if len(line) > width and not line.lstrip().startswith(("next: ", "pc2scan ")):
+        indent = line[: -len(line.lstrip())] + "  "
+        line = "\n".join(wrap(line, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False))
+    label = line.partition(" ")[0]
+    # See https://no-color.org.
+    if label in _COLOURS and stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb":
+        line = f"{_COLOURS[label]}{label}\x1b[0m{line[len(label) :]}"
+    _write(f"{line}\n", stream)
 
 
-def _ascii_only() -> bool:
+def _ascii_only(stream: TextIO) -> bool:
     """Whether the output file or terminal cannot show every character."""
-    encodings = (getattr(stream, "encoding", None) or "ascii" for stream in (sys.stdout, sys.stderr))
-    return any(not encoding.lower().startswith("utf") for encoding in encodings)
+    return not (getattr(stream, "encoding", None) or "ascii").lower().startswith("utf")
 
 
-def limit_width() -> None:
-    """Fit lines in pipes and files, too: of results whose lines would be as long as a user's folders and names."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, Screen) and stream.width is None:
-            stream.width = _IN_PIPES
+def _write(text: str, stream: TextIO) -> None:
+    try:
+        stream.write(text)
+        stream.flush()
+    except OSError as err:
+        if stream is sys.stdout:
+            raise StdoutError(err) from err
+        raise
+
+
+def width_of(stream: TextIO) -> int | None:
+    """Return the maximum width of lines on a stream in columns; None for no limit."""
+    return max(get_terminal_size().columns, _NARROWEST) if stream.isatty() else None
 
 
 def show_error(err: Pc2ScanError) -> None:
@@ -79,18 +87,13 @@ def show_error(err: Pc2ScanError) -> None:
         say(as_typed(f"hint: {err.hint}"), err=True)
 
 
-def warn(text: str) -> None:
-    """Show a warning on standard error."""
-    say(as_typed(f"warning: {text}"), err=True)
-
-
 class LiveWarnings(list[str]):
     """The warnings that were shown while a command ran."""
 
     def __call__(self, text: str) -> None:
-        """Show a warning."""
+        """Show a warning on standard error."""
         self.append(text)
-        warn(text)
+        say(as_typed(f"warning: {text}"), err=True)
 
 
 def as_typed(text: str) -> str:
@@ -118,40 +121,34 @@ def _spelled(named: re.Match[str]) -> str:
 def print_json(document: object) -> None:
     """Print JSON on standard output."""
     # Everything else that is not text for a terminal or a CI system is escaped in JSON anyway.
-    text = json.dumps(document, indent=2).replace("##", r"\u0023\u0023")
-    getattr(sys.stdout, "write_as_it_is", sys.stdout.write)(f"{text}\n")
-    sys.stdout.flush()
+    _write(json.dumps(document, indent=2).replace("##", r"\u0023\u0023") + "\n", sys.stdout)
 
 
-def show(
-    result: Result,
-    *,
-    as_json: bool = False,
-    quiet: bool = False,
-    verbose: bool = False,
-    known: Container[str] = (),
-) -> None:
+def show(result: Result, options: Options, known: Container[str] = ()) -> int:
     """Show a result: what was found or done on standard output, remarks about it on standard error.
 
     Parameters
     ----------
-    as_json
-        Whether to print the result as JSON instead.
-    quiet
-        Whether to print nothing on standard output.
-    verbose
-        Whether to show everything.
+    options
+        Of the call: ``as_json``, ``quiet`` and ``verbose`` are read.
     known
         Warnings that were shown while it was made.
+
+    Returns
+    -------
+    int
+        Its exit status.
     """
-    if as_json:
+    verbose = bool(options.given.get("verbose"))
+    if options.given.get("as_json"):
         print_json(result.as_dict())
-    elif not quiet:
+    elif not options.given.get("quiet"):
         show_parts(result.body(verbose=verbose))
         show_parts(f"note: {note}" for note in result.notes)
     for remark in result.remarks(verbose=verbose):
         if remark.label != "warning" or remark.text not in known:
             say(as_typed(str(remark)), err=True)
+    return result.exit_status
 
 
 def show_parts(parts: Iterable[Part]) -> None:
@@ -162,159 +159,33 @@ def show_parts(parts: Iterable[Part]) -> None:
     for part in parts:
         if isinstance(part, Table):
             shown = part._replace(rows=[[as_typed(cell) for cell in row] for row in part.rows])
-            for line in shown.lines(getattr(sys.stdout, "width", None), ascii_only=_ascii_only()):
+            for line in shown.lines(width_of(sys.stdout), ascii_only=_ascii_only(sys.stdout)):
                 say(line)
         elif isinstance(part, Call):
-            words = map(shell_word, call_words(part))
-            say(f"  {' '.join(words)}")
+            say(f"  {' '.join(map(shell_word, call_words(part)))}")
         else:
             say(as_typed(str(part)))
 
 
 @contextmanager
-def progress_bar(
-    text: str = "{task.fields[messages]:,} messages", *names: str, enabled: bool
-) -> Iterator[Callable[..., None] | None]:
-    """Show the share done, a text and the time left on a terminal; yields the function that updates the bar, or None.
+def progress_bar(options: Options, noun: str = "messages") -> Iterator[Callable[..., None] | None]:
+    """Show the share done, a number and the time left on a terminal, unless the call is quiet.
 
-    The function takes what is done so far, what there is in all, and the numbers in the text, by default the messages.
+    Yields the function that updates the bar, or None. It takes what is done so far, what there is in all, and how many
+    of what the noun names are done; also of how many, if that is known.
     """
-    if not enabled or not sys.stderr.isatty():
+    if options.given.get("quiet") or not sys.stderr.isatty():
         yield None
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-    names = names or ("messages",)
-    with Progress(
-        BarColumn(),
-        TaskProgressColumn(),
-        TextColumn(text),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-        transient=True,
-        # `Screen` writes lines above the bar, fitted to the terminal; rich would write them as they are.
-        redirect_stdout=False,
-        redirect_stderr=False,
-    ) as bar:
-        fields: dict[str, Any] = dict.fromkeys(names, 0)
-        task = bar.add_task("", total=None, **fields)
+    columns = BarColumn(), TaskProgressColumn(), TextColumn("{task.description}"), TimeRemainingColumn()
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=None)
 
         def update(done: int, total: int, *numbers: int) -> None:
-            fields.update(zip(names, numbers, strict=True))
-            bar.update(task, completed=done, total=total, **fields)
+            count = " of ".join(f"{number:,}" for number in numbers)
+            bar.update(task, completed=done, total=total, description=f"{count} {noun}")
 
         yield update
-
-
-class StdoutError(Exception):
-    """Standard output cannot be written; ``args[0]`` is the operating system's error."""
-
-
-def width_of(stream: Any) -> int | None:
-    """Return the maximum width of lines on a stream in columns; None for no limit."""
-    try:
-        if not stream.isatty():
-            return None
-        width = os.environ.get("COLUMNS", "")
-        columns = int(width) if width.isdecimal() else os.get_terminal_size(stream.fileno()).columns
-    except (OSError, ValueError):
-        return None
-    return max(columns or 80, _NARROWEST)
-
-
-def _has_colours(stream: Any) -> bool:
-    """Whether a stream shows colours. See https://no-color.org and https://force-color.org."""
-    if os.environ.get("NO_COLOR"):
-        return False
-    if os.environ.get("FORCE_COLOR"):
-        return True
-    return bool(stream.isatty()) and os.environ.get("TERM", "") not in {"", "dumb"}
-
-
-class Screen:
-    """A text stream that fits lines to the terminal.
-
-    Parameters
-    ----------
-    stream
-        The stream to write to.
-    guarded
-        Whether errors are raised as `StdoutError`, to distinguish them from those of other files.
-
-    Attributes
-    ----------
-    width
-        The maximum width of lines in columns; None for no limit.
-    """
-
-    def __init__(self, stream: TextIO, *, guarded: bool = False) -> None:
-        self._stream = stream
-        self._guarded = guarded
-        self.width = width_of(stream)
-        self._colours = _has_colours(stream)
-        # Whether the cursor is at the end of a progress bar.
-        self._at_bar = False
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
-
-    def write(self, text: str) -> int:
-        """Write text with its lines fitted. Text that moves the cursor (a progress bar) is written unchanged.
-
-        Lines that follow a progress bar replace it, because it is drawn again below them.
-        """
-        if "\x1b" in text or "\r" in text:
-            self._at_bar = not text.endswith("\n")
-        elif text.endswith("\n"):
-            if self.width or self._colours:
-                text = "".join(f"{self._shown(line)}\n" for line in text[:-1].split("\n"))
-            if self._at_bar:
-                text, self._at_bar = f"{_ERASED}{text}", False
-        return self.write_as_it_is(text)
-
-    def write_as_it_is(self, text: str) -> int:
-        """Write text for programs, such as JSON, unchanged."""
-        with self._guard():
-            return self._stream.write(text)
-
-    def flush(self) -> None:
-        """Flush."""
-        with self._guard():
-            self._stream.flush()
-
-    @contextmanager
-    def _guard(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as err:
-            if self._guarded:
-                raise StdoutError(err) from err
-            raise
-
-    def _shown(self, line: str) -> str:
-        if self.width and len(line) > self.width:
-            line = _wrapped(line, self.width)
-        return _coloured(line) if self._colours else line
-
-
-def _wrapped(line: str, width: int) -> str:
-    """Break a line at spaces and indent the rest. A command gets backslashes, so that the shell still reads it."""
-    indent = len(line) - len(line.lstrip())
-    is_command = line.startswith("next: ")
-    hanging = " " * min(indent + 2, width // 2)
-    room = width - 2 if is_command else width
-    lines = [""]
-    for word in re.findall(r"""\s*(?:'[^']*'|"[^"]*"|\S)+""" if is_command else r"\s*\S+", line):
-        if len(lines[-1]) + len(word) > room and lines[-1].strip():
-            lines.append(hanging + word.lstrip())
-        else:
-            lines[-1] += word
-    return (" \\\n" if is_command else "\n").join(lines)
-
-
-def _coloured(line: str) -> str:
-    for pattern, colour in _COLOURS:
-        if match := re.match(pattern, line):
-            return f"{colour}{match[0]}{_PLAIN}{line[match.end() :]}"
-    return line

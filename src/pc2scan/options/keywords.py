@@ -38,6 +38,7 @@ SYNONYMS = {
     "ros2": "to=rosbag2",
     "format": "to",
     "force": "overwrite",
+    "json": "report",
     "topic": "topics",
     "source": "sources",
     "channel": "channels",
