@@ -89,7 +89,7 @@ def test_no_false_alarm_where_it_is_level(name: str, sensor: str) -> None:
         for stand, height in enumerate(place.heights if not without_what else place.heights[:1]):
             found = seen(where, sensor, 0, 0, height, stand)
             assert not found.off, (without_what, height, found)
-            if not without_what and found.height is not None:
+            if not without_what and found.up is not None:
                 assert found.height == pytest.approx(height, abs=0.12), found
 
 

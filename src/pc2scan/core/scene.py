@@ -3,8 +3,8 @@
 Planes are found by RANSAC (Fischler and Bolles, "Random sample consensus", Communications of the ACM 24 (6), 1981), the
 largest first, each refined by weighted least squares, its inliers removed before the next. The triplets follow a
 low-discrepancy sequence instead of random numbers, so that the same cloud always has the same planes. Points are first
-thinned to one per cell, because a spinning lidar measures near objects a hundred times as densely as far ones. A level
-floor, the most frequent case, is found without RANSAC in a millisecond.
+thinned to one per cell, because a spinning lidar measures near objects a hundred times as densely as far ones. A large
+level floor, the most frequent case, is found without RANSAC in a millisecond.
 
 A plane alone is no proof of the ground: a wall beside a level lidar looks like the ground under a lidar that lies on
 its side, and a ceiling like the ground under one that hangs upside down. So a frame is called tilted or upside down
@@ -109,35 +109,14 @@ _LEAST_TILT = math.radians(0.9)
 _LEVEL_BESIDE = 0.3
 
 #: Points with a larger median distance, metres, are in another unit: lidars do not see as far.
-FARTHEST_MEDIAN = 400.0
+_FARTHEST_MEDIAN = 400.0
 
 #: The golden ratio's inverse.
 GOLDEN = 0.6180339887498949
 
-#: The conditions of a floor: the least share of the cells on it, the largest share below it, and metres below the
-#: sensor.
-_LEAST_SHARE = 0.15
-_MOST_BELOW = 0.05
-_LEAST_HEIGHT = 0.03
-
-
-class Floor(NamedTuple):
-    """A level floor.
-
-    Attributes
-    ----------
-    up
-        Its normal, upwards.
-    height
-        The height of the sensor above it, metres.
-    above
-        How far the points above the sensor reach, metres; negative if there are none. If that is less than the height,
-        the floor may be a ceiling, and the sensor upside down.
-    """
-
-    up: tuple[float, float, float]
-    height: float
-    above: float
+#: A level plane of this share of the cells is the floor, whatever else there is; floors are so far below the sensor,
+#: metres.
+_LEAST_SHARE, _LEAST_HEIGHT = 0.15, 0.03
 
 
 @dataclass(frozen=True)
@@ -156,8 +135,6 @@ class CloudSample:
         The transform to that frame; None if it is the cloud's own.
     zeros
         How many points of the whole cloud are at the sensor itself.
-    distance
-        The median distance of the points, metres; 0 if there are too few.
     lossy
         See `pc2scan.core.points.Points`.
     """
@@ -168,7 +145,6 @@ class CloudSample:
     points: _Points
     transform: Rigid | None = None
     zeros: int = 0
-    distance: float = 0.0
     lossy: str = ""
 
     @classmethod
@@ -178,9 +154,7 @@ class CloudSample:
         with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
             zeros = int(np.count_nonzero((x == 0) & (y == 0) & (z == 0)))
         points = thin_points(x, y, z)
-        distance = _median_distance(points) if len(points) >= FEWEST_POINTS else 0.0
-        header = cloud.frame_id, cloud.stamp_ns, cloud.frame_id
-        return cls(*header, points, zeros=zeros, distance=distance, lossy=cloud.lossy)
+        return cls(cloud.frame_id, cloud.stamp_ns, cloud.frame_id, points, zeros=zeros, lossy=cloud.lossy)
 
     def placed_in(self, frame: str, transform: Rigid | None) -> CloudSample:
         """Return the sample in another frame, in which it is judged; without a transform, only the name differs."""
@@ -206,35 +180,40 @@ class CloudSample:
         return np.asarray(self.points + self.origin)
 
     @cached_property
-    def floor_tilted_by_transform(self) -> Floor | None:
+    def ground(self) -> Ground:
+        """How the frame in which it is judged is mounted, by this cloud alone."""
+        return find_ground(self.points)
+
+    @property
+    def floor(self) -> Ground | None:
+        """The ground, if it is level, and visible."""
+        return self.ground if self.ground.kind == "level" else None
+
+    @cached_property
+    def floor_tilted_by_transform(self) -> Ground | None:
         """The floor in the frame in which it is judged, if the transform tilts it, and the cloud's own frame does not.
 
         None if the floor is not level in the cloud's own frame: then the sensor is tilted, or the robot. None, too, if
         it seems level in both, as parts of floors do.
         """
-        if self.transform is None or len(self.points) < FEWEST_POINTS:
+        if self.transform is None:
             return None
         matrix = self.transform.matrix
-        turned = _angle(matrix[2, 2])
-        if turned <= _LEAST_TILT:
+        turned, here = _angle(matrix[2, 2]), self.floor
+        if turned <= _LEAST_TILT or (here is not None and here.tilt < _LEVEL_BESIDE * turned):
             return None
-        own, here = level_floor(cells_of(self.points @ matrix)), self.floor
-        if own is None or _angle(own.up[2]) > _LEVEL_BESIDE * turned:
-            return None
-        if here is not None and _angle(here.up[2]) < _LEVEL_BESIDE * turned:
+        own = find_ground(self.points @ matrix)
+        if own.kind != "level" or own.tilt > _LEVEL_BESIDE * turned:
             return None
         x, y, z = (matrix @ np.array(own.up)).tolist()
-        return Floor((x, y, z), own.height, own.above) if abs(_angle(z) - turned) < _LEVEL_BESIDE * turned else None
-
-    @cached_property
-    def floor(self) -> Floor | None:
-        """The level floor; None if there is none, or if the cloud is too small."""
-        return level_floor(cells_of(self.points)) if len(self.points) >= FEWEST_POINTS else None
+        tilted = Ground("tilted", (x, y, z), own.height)
+        return tilted if abs(tilted.tilt - turned) < _LEVEL_BESIDE * turned else None
 
 
-def are_far(points: _Points) -> bool:
-    """Return whether points are so far away that they are in another unit than metres."""
-    return len(points) >= FEWEST_POINTS and _median_distance(points) > FARTHEST_MEDIAN
+def far_away(points: _Points) -> float:
+    """Return the median distance of points so far away that they are in another unit than metres; otherwise 0."""
+    distance = _median_distance(points) if len(points) >= FEWEST_POINTS else 0.0
+    return distance if distance > _FARTHEST_MEDIAN else 0.0
 
 
 def _angle(cosine: float) -> float:
@@ -246,9 +225,7 @@ def gathered(samples: Sequence[CloudSample]) -> list[CloudSample]:
     if not samples or len(samples[0].points) >= WHOLE_POINTS:
         return list(samples)
     points = np.concatenate([each.points for each in samples])
-    distance = _median_distance(points) if len(points) >= FEWEST_POINTS else 0.0
-    zeros = sum(each.zeros for each in samples)
-    return [replace(samples[0], points=points, zeros=zeros, distance=distance)]
+    return [replace(samples[0], points=points, zeros=sum(each.zeros for each in samples))]
 
 
 def are_enough(samples: Sequence[CloudSample]) -> bool:
@@ -301,49 +278,6 @@ def _median_distance(points: _Points) -> float:
     return math.sqrt(float(squares[len(squares) // 2]))
 
 
-def level_floor(cells: _Points) -> Floor | None:
-    """Return the level floor of a cloud; None if there is none, or if this method cannot find it.
-
-    Parameters
-    ----------
-    cells
-        The result of `cells_of`, some hundred at least.
-    """
-    below = np.sort(cells[cells[:, 2] < 0, 2])
-    if len(below) < 0.1 * len(cells):
-        return None
-    tolerance = tolerances(cells)
-    low = float(below[len(below) // 50])
-    if -low < _LEAST_HEIGHT:
-        return None
-    bins = 24
-    width = -low / bins
-    peak = int(np.bincount(np.clip((below - low) / width, 0, bins - 1).astype(np.intp)).argmax())
-    inliers = np.abs(cells[:, 2] - (low + (peak + 0.5) * width)) < tolerance + width / 2
-    slope = (0.0, 0.0, 0.0)
-    distance = np.zeros(len(cells))
-    for _ in range(4):
-        members = cells[inliers]
-        fitted = _fit_plane(members, 1 / tolerance[inliers] ** 2) if len(members) >= 10 else None
-        if fitted is None:
-            return None
-        slope = fitted
-        distance = cells[:, 2] - cells[:, 0] * slope[0] - cells[:, 1] * slope[1] - slope[2]
-        inliers = np.abs(distance) < tolerance
-    length = math.sqrt(1 + slope[0] ** 2 + slope[1] ** 2)
-    height = -slope[2] / length
-    if length > 1 / math.cos(LEVEL) or height < _LEAST_HEIGHT:
-        return None
-    if inliers.mean() < _LEAST_SHARE or (distance < -2.5 * tolerance).mean() > _MOST_BELOW:
-        return None
-    if percentiles(np.linalg.norm(cells[inliers], axis=1), 10)[0] > _FARTHEST * height:
-        return None
-    if not _is_surface(cells, inliers, tolerance, height, -1):
-        return None
-    above = float(np.sort(cells[:, 2])[-1 - len(cells) // 100])
-    return Floor((-slope[0] / length, -slope[1] / length, 1 / length), height, above)
-
-
 def _is_surface(
     cells: _Points, at: NDArray[np.bool_], tolerance: NDArray[np.float64], height: float, side: int
 ) -> bool:
@@ -362,19 +296,6 @@ def _is_surface(
     # Where few points are beside each other, also on walls, only an edge in their heights shows a surface.
     near = inside & (heights > level - 6 * median(tolerance))
     return bool(at.sum() > 2 * near.sum() or count[count > 1].sum() > 0.5 * inside.sum())
-
-
-def _fit_plane(points: _Points, weights: NDArray[np.float64]) -> tuple[float, float, float] | None:
-    """Return the least-squares plane z = a x + b y + c; None if the points are on a line."""
-    middle = (weights[:, None] * points).sum(axis=0) / weights.sum()
-    x, y, z = (points - middle).T
-    xx, xy, yy = float((weights * x * x).sum()), float((weights * x * y).sum()), float((weights * y * y).sum())
-    xz, yz = float((weights * x * z).sum()), float((weights * y * z).sum())
-    determinant = xx * yy - xy * xy
-    if not determinant > 1e-9 * xx * yy:
-        return None
-    a, b = (xz * yy - yz * xy) / determinant, (yz * xx - xz * xy) / determinant
-    return a, b, float(middle[2] - a * middle[0] - b * middle[1])
 
 
 class Plane(NamedTuple):
@@ -406,7 +327,7 @@ class Plane(NamedTuple):
     @property
     def tilt(self) -> float:
         """Angle between its normal and the z axis, radians."""
-        return math.acos(max(-1.0, min(1.0, self.up[2])))
+        return _angle(self.up[2])
 
 
 class Ground(NamedTuple):
@@ -420,7 +341,7 @@ class Ground(NamedTuple):
     up
         The direction of up in the frame, a unit vector; None if no ground is visible.
     height
-        Height of the frame's origin above the floor, metres; None if no ground is visible.
+        Height of the frame's origin above the floor, metres; 0 if no ground is visible.
     ceiling
         From the origin up to the ceiling, metres; None if no ceiling is visible.
     rough
@@ -431,7 +352,7 @@ class Ground(NamedTuple):
 
     kind: Kind
     up: _Direction | None = None
-    height: float | None = None
+    height: float = 0.0
     ceiling: float | None = None
     rough: float = 0.0
     clouds: int = 1
@@ -441,6 +362,11 @@ class Ground(NamedTuple):
     def off(self) -> bool:
         """Whether z is not up in this frame, so that heights in it have no meaning."""
         return self.kind in {"tilted", "upside-down", "optical", "slanted"}
+
+    @property
+    def normal(self) -> _Direction:
+        """The direction of up; z if no ground is visible."""
+        return self.up or (0.0, 0.0, 1.0)
 
     @property
     def level_from_frame(self) -> tuple[float, float, float]:
@@ -462,9 +388,8 @@ class Ground(NamedTuple):
     @property
     def tilt(self) -> float:
         """Angle between up and the z axis, radians; for a frame that is upside down, between up and -z."""
-        up = self.up or (0.0, 0.0, 1.0)
-        cosine = -up[2] if self.kind == "upside-down" else up[2]
-        return math.acos(max(-1.0, min(1.0, cosine)))
+        up = self.normal
+        return _angle(-up[2] if self.kind == "upside-down" else up[2])
 
 
 def common_ground(looks: Sequence[Ground]) -> Ground:
@@ -483,12 +408,12 @@ def common_ground(looks: Sequence[Ground]) -> Ground:
     seen = [look for look in same if look.up is not None]
     if 2 * len(seen) < len(same):
         return Ground(kind, clouds=len(same), sampled=len(looks))
-    middle = np.array([median(axis) for axis in zip(*(look.up for look in seen if look.up is not None), strict=True)])
+    middle = np.array([median(axis) for axis in zip(*(look.normal for look in seen), strict=True)])
     up = middle / np.linalg.norm(middle)
-    heights = [look.height for look in seen if look.height is not None]
+    heights = [look.height for look in seen]
     height = median(heights)
     if kind != "level":
-        apart = max(math.acos(max(-1.0, min(1.0, float(up @ np.array(look.up))))) for look in seen)
+        apart = max(_angle(up @ np.array(look.normal)) for look in seen)
         moved = max(abs(other - height) for other in heights)
         if apart > math.radians(4.0) or moved > max(0.06, 0.2 * height):
             return Ground("optical", clouds=len(same), sampled=len(looks)) if kind == "optical" else unknown
@@ -509,13 +434,14 @@ def find_ground(points: _Points) -> Ground:
         return Ground("unknown")
     if not _is_optical(points):
         cells = cells_of(points)
-        floor = level_floor(cells)
-        ground = Ground("level", floor.up, floor.height) if floor is not None else _choose_ground(points)
-        if ground.kind == "unknown" and (low := outermost(cells, -1)) is not None:
+        low = outermost(cells, -1)
+        is_large = low is not None and low.share >= _LEAST_SHARE and low.nearest <= _FARTHEST * low.height
+        ground = Ground("unknown") if is_large else _choose_ground(points)
+        if ground.kind == "unknown" and low is not None:
             ground = Ground("level", low.up, low.height)
         high = outermost(cells, 1) if ground.kind in {"level", "unknown"} else None
         if ground.up is not None:
-            off = cells @ np.array(ground.up) + (ground.height or 0.0)
+            off = cells @ np.array(ground.up) + ground.height
             below = -off[(off < 0) & (off > -_ROUGHEST)]
             ground = ground._replace(rough=percentiles(below, 95)[0] if len(below) else 0.0)
         return ground._replace(ceiling=None if high is None else high.height) if not ground.off else ground
@@ -759,7 +685,7 @@ def _ground_of(kind: Kind, floor: Plane, planes: Sequence[Plane]) -> Ground:
 
 def _angle_between(one: Plane, other: Plane) -> float:
     """Return the angle between two planes' normals, degrees."""
-    return math.degrees(math.acos(max(-1.0, min(1.0, float(np.dot(one.up, other.up))))))
+    return math.degrees(_angle(np.dot(one.up, other.up)))
 
 
 def _opposite_plane(plane: Plane, planes: Sequence[Plane]) -> Plane | None:

@@ -45,6 +45,8 @@ _OFF = 0.2
 #: A robot's floor is looked for from so far above its frame, metres.
 _ABOVE = 0.5
 
+_NO_FLOOR = "the robot tilts, and no floor is visible: returns on rising ground would not be noticed"
+
 #: Slopes are measured from this distance on, metres.
 _NEAR = 2.0
 
@@ -93,7 +95,10 @@ def tried(
         clouds = [each for each in clouds if each.size]
         if spec.level:
             clouds = [np.concatenate(clouds, axis=1)] if merges else clouds
-            clouds = [level.T for each in clouds if (level := _levelled(each.T)) is not None]
+            levelled = [level.T for each in clouds if (level := _levelled(each.T)) is not None]
+            if clouds and not levelled:
+                findings.append(_NO_FLOOR)
+            clouds = levelled
         if not clouds:
             return Trial(findings=tuple(findings))
         scans, first = _scans(spec, lidar, clouds, is_placed=is_placed, merges=merges)

@@ -15,13 +15,12 @@ import numpy as np
 from pc2scan.core.percentiles import percentiles
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.scene import (
-    FARTHEST_MEDIAN,
     JUDGED_CLOUDS,
     LEVEL,
     Ground,
     are_enough,
-    are_far,
     common_ground,
+    far_away,
     find_ground,
     floor_at_side,
     gathered,
@@ -153,12 +152,12 @@ class Mounting(NamedTuple):
 
 def unit_warning(topic: str, sample: CloudSample) -> str:
     """Return the warning that a cloud is in another unit than metres; empty if it is not."""
-    if sample.distance <= FARTHEST_MEDIAN:
+    if not (distance := far_away(sample.points)):
         return ""
     return (
-        f"{topic}: the points are {sample.distance:,.0f} m away (median), so they are in another unit: in millimetres "
-        f"that is {sample.distance / 1000:.3g} m (`cloud_scale=0.001` corrects it), in centimetres "
-        f"{sample.distance / 100:.3g} m (`cloud_scale=0.01`)"
+        f"{topic}: the points are {distance:,.0f} m away (median), so they are in another unit: in millimetres "
+        f"that is {distance / 1000:.3g} m (`cloud_scale=0.001` corrects it), in centimetres "
+        f"{distance / 100:.3g} m (`cloud_scale=0.01`)"
     )
 
 
@@ -182,7 +181,7 @@ def mounting(
     clouds = gathered(clouds)[: 1 if are_enough(clouds[:1]) else JUDGED_CLOUDS]
     judged_in, origin_z, stamp_ns = clouds[0].judged_in, clouds[0].origin[2], clouds[0].stamp_ns
     samples = [cloud.points for cloud in clouds]
-    seen = _Observation(topic, frame, judged_in, samples, common_ground([find_ground(points) for points in samples]))
+    seen = _Observation(topic, frame, judged_in, samples, common_ground([cloud.ground for cloud in clouds]))
     if judged_in.removeprefix("/") != frame.removeprefix("/"):
         seen = seen._replace(ground=_believed(seen.ground, origin_z))
         ground, fault = seen.ground, _fault(seen.ground)
@@ -215,7 +214,7 @@ def mounting(
             return by_transforms
     if not seen.ground.off or seen.ground.kind == "slanted":
         return seen.verdict(_fault(seen.ground), heights=suitable_heights(seen.ground, samples))
-    level = Rigid.from_rpy(*seen.ground.level_from_frame, (0.0, 0.0, seen.ground.height or 0.0))
+    level = Rigid.from_rpy(*seen.ground.level_from_frame, (0.0, 0.0, seen.ground.height))
     return seen.replace_frame(f"{frame.removeprefix('/')}_level", level, suitable_heights(seen.ground, samples, level))
 
 
@@ -318,7 +317,7 @@ def _believed(ground: Ground, height: float) -> Ground:
 
     What is not as far away as the transforms say that the sensor is high is another plane.
     """
-    if not ground.off or ground.height is None or height <= 0:
+    if not ground.off or ground.up is None or height <= 0:
         return ground
     return ground if abs(ground.height - height) < _NEAR_MOUNT * height else Ground("unknown", sampled=ground.sampled)
 
@@ -400,7 +399,7 @@ def _fault(ground: Ground) -> str:
             f"slanted: floor and walls are neither level nor upright {seen}, and which of them is the floor is not "
             "known; expected z up"
         )
-    if not ground.off or ground.up is None or ground.height is None:
+    if not ground.off or ground.up is None:
         return ""
     normal = ", ".join(_short(f"{part:.2f}") for part in ground.up)
     if ground.kind == "upside-down":
@@ -454,7 +453,7 @@ def suitable_heights(
     is no floor.
     """
     points = [points for points in samples if len(points)]
-    if not points or are_far(points[0]):
+    if not points or far_away(points[0]):
         return None
     moved = target_from_frame or Rigid.from_pose((0.0, 0.0, origin_z, 0.0, 0.0, 0.0, 1.0))
     every = np.concatenate(points)
@@ -462,7 +461,7 @@ def suitable_heights(
     sensor = float(moved.translation[2])
     floor = ceiling = None
     question, least = "", _LOW
-    if ground.up is not None and ground.height is not None:
+    if ground.up is not None:
         floor = _along(ground.up, -ground.height, moved)
         least = min(_ROUGHEST, max(_LOW, 1.5 * ground.rough))
     if ground.ceiling is not None:
@@ -502,7 +501,7 @@ def _is_large(ground: Ground, points: NDArray[np.float64]) -> bool:
     """Whether the ground is so large, and seen from so near, that it contradicts what is recorded."""
     on_it = np.abs(points @ np.array(ground.up) + ground.height) < tolerances(points)
     near = np.linalg.norm(points[on_it], axis=1)
-    return bool(on_it.mean() > _LARGE and percentiles(near, 10)[0] < _SEEN_FROM * (ground.height or 0.0))
+    return bool(on_it.mean() > _LARGE and percentiles(near, 10)[0] < _SEEN_FROM * ground.height)
 
 
 def _around(z: NDArray[np.float64], sensor: float, top: float) -> Heights:

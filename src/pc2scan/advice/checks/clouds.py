@@ -118,8 +118,11 @@ class CloudFacts:
     @cached_property
     def is_level(self) -> bool:
         """Whether the first cloud has a level floor below it, which the transforms leave level."""
-        first = self.samples[0]
-        if first.floor is None or (0 < first.floor.above < first.floor.height and self.are_upside_down):
+        first, floor = self.samples[0], self.samples[0].floor
+        if floor is None:
+            return False
+        # The floor may be a ceiling.
+        if 0 < percentiles(first.points[:, 2], 99)[0] < floor.height and self.are_upside_down:
             return False
         return self.spec.level or first.floor_tilted_by_transform is None
 
@@ -198,7 +201,7 @@ class CloudFacts:
     def floor_share(self) -> float:
         """The share of beams that end on the floor; see `share_on`."""
         floor = self.samples[0].floor
-        return 0.0 if floor is None else self.share_on(floor.up, floor.height)
+        return 0.0 if floor is None else self.share_on(floor.normal, floor.height)
 
     @cached_property
     def ceiling(self) -> Plane | None:
