@@ -485,7 +485,10 @@ def outermost(cells: _Points, side: int) -> Plane | None:
             continue
         at = np.abs(cells @ np.array(plane.up) + plane.height) < tolerance
         if _is_surface(cells, at, tolerance, plane.height, side):
-            return plane
+            if plane.share >= _LEAST_SHARE:
+                return plane
+            # A small one says little of its tilt, so its height is that of its own place.
+            return plane._replace(up=(0.0, 0.0, float(-side)), height=side * median(cells[at, 2]))
     return None
 
 
@@ -644,7 +647,9 @@ def _choose_ground(points: _Points, *, level_needs_proof: bool = False) -> Groun
     level = [
         plane
         for plane in planes
-        if plane.tilt <= LEVEL and plane.height > least and plane.beyond < (0.35 if plane.height > 0.3 else 0.05)
+        if plane.tilt <= LEVEL
+        and plane.height > max(least, plane.nearest / _FARTHEST)
+        and plane.beyond < (0.35 if plane.height > 0.3 else 0.05)
     ]
     if level:
         floor = max(level, key=lambda plane: plane.share * (plane.beyond < 0.05))

@@ -95,7 +95,7 @@ def tried(
         clouds = [each for each in clouds if each.size]
         if spec.level:
             clouds = [np.concatenate(clouds, axis=1)] if merges else clouds
-            levelled = [level.T for each in clouds if (level := _levelled(each.T)) is not None]
+            levelled: list[NDArray[Any]] = [level.T for each in clouds if (level := _levelled(each.T)) is not None]
             if clouds and not levelled:
                 findings.append(_NO_FLOOR)
             clouds = levelled
