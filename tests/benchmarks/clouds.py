@@ -13,18 +13,15 @@ from pc2scan.messages.definitions import definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
 from pc2scan.messages.tfmessage import encode_transforms
 from pc2scan.model import Connection
+from support.containers import write_rows
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     Columns = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
-
-__all__ = [
-    "CLOUD_BYTES", "FORMS", "POINTS", "POINT_BYTES", "TRIFLE", "Form", "cloud", "serialized_clouds", "write_recording",
-    "write_two",
-]  # fmt: skip
 
 #: The topic of the large clouds, and one with a single small cloud, for conversions that let the others pass.
 POINTS = "/points"
@@ -179,34 +176,24 @@ def write_two(path: Path, clouds: int) -> Path:
     for axis, values in enumerate((x, y, z)):
         data[:, axis] = values.ravel()
     points = data.tobytes()
-    writer = open_writer(plan_destination(path, compression="none", source_ros_version=2), path, path.name)
-    topics = {"/tf_static": _TF, "/tf": _TF, "/front": POINTCLOUD2, "/rear": POINTCLOUD2}
-    handles = {}
-    for topic, msgtype in topics.items():
-        text, digest = definition(msgtype, 2)
-        handles[topic] = writer.add_connection(Connection(0, topic, msgtype, "cdr", text, digest))
     mounts = {"front": Rigid.from_rpy(0, 0, 0, (0.4, 0, 0.5)), "rear": Rigid.from_rpy(0, 0, 3.1, (-0.4, 0, 0.5))}
-    static = [("base_link", frame, _BEGIN_NS, *mount.pose) for frame, mount in mounts.items()]
-    writer.write(handles["/tf_static"], _BEGIN_NS, encode_transforms(static, "cdr"), _BEGIN_NS)
     fields = [PointField(name, 4 * place, 7) for place, name in enumerate("xyz")]
-    for tick in range(clouds * 100 + 50):
-        time_ns = _BEGIN_NS + tick * 1_000_000
-        if tick % 20 == 0:
-            moved = Rigid.from_rpy(0, 0, 0, (tick * 0.0015, 0, 0))
-            row = ("odom", "base_link", time_ns, *moved.pose)
-            writer.write(handles["/tf"], time_ns, encode_transforms([row], "cdr"), time_ns)
-        for topic, phase in (("/front", 0), ("/rear", 37)):
-            if tick % 100 == phase and tick < clouds * 100:
-                message = encode_pointcloud2(
-                    serialization="cdr",
-                    sequence=0,
-                    stamp_ns=time_ns,
-                    frame_id=topic.removeprefix("/"),
-                    fields=fields,
-                    point_step=32,
-                    data=points,
-                    height=x.shape[0],
-                )
-                writer.write(handles[topic], time_ns, message, time_ns)
-    writer.finish()
-    return path
+
+    def rows() -> Iterator[tuple[int, str, bytes]]:
+        static = [("base_link", frame, _BEGIN_NS, *mount.pose) for frame, mount in mounts.items()]
+        yield _BEGIN_NS, "/tf_static", encode_transforms(static, "cdr")
+        for tick in range(clouds * 100 + 50):
+            time_ns = _BEGIN_NS + tick * 1_000_000
+            if tick % 20 == 0:
+                moved = Rigid.from_rpy(0, 0, 0, (tick * 0.0015, 0, 0))
+                yield time_ns, "/tf", encode_transforms([("odom", "base_link", time_ns, *moved.pose)], "cdr")
+            if tick % 100 in (0, 37) and tick < clouds * 100:
+                frame = "rear" if tick % 100 else "front"
+                cloud_data = encode_pointcloud2(
+                    serialization="cdr", sequence=0, stamp_ns=time_ns, frame_id=frame, fields=fields, point_step=32,
+                    data=points, height=x.shape[0],
+                )  # fmt: skip
+                yield time_ns, f"/{frame}", cloud_data
+
+    types = {"/tf_static": _TF, "/tf": _TF, "/front": POINTCLOUD2, "/rear": POINTCLOUD2}
+    return write_rows(path, types, rows(), "none")

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
+import pty
 import shutil
+import struct
 import subprocess
 import sys
+import termios
 from pathlib import Path
 
 import pytest
@@ -13,7 +17,6 @@ import pytest
 from support import ROOT, sampled
 from support.command import COMMAND, environment
 from support.tables import rows
-from support.terminal import shown
 
 HALL = ROOT / "fixtures" / "hall.bag"
 GOLDEN = ROOT / "fixtures" / "golden"
@@ -77,7 +80,32 @@ def test_what_may_not_be_read_or_written(words: str, error: str, tmp_path: Path)
     assert done.stderr.startswith(error)
 
 
-# --- Terminals ---
+def shown(*arguments: str | Path, columns: int | None = None, **variables: str) -> str:
+    """What a command prints on a pipe, or with ``columns`` on a terminal so wide."""
+    command = [*COMMAND, *map(str, arguments)]
+    env = {name: value for name, value in environment().items() if name not in ("COLUMNS", "NO_COLOR", "FORCE_COLOR")}
+    env |= {"TERM": "xterm", **variables}
+    if columns is None:
+        done = subprocess.run(
+            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=env, timeout=120, check=False
+        )
+        return done.stdout
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
+    process = subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs, env=env)
+    os.close(theirs)
+    data = b""
+    while True:
+        try:
+            piece = os.read(ours, 65536)
+        except OSError:  # the terminal was closed
+            break
+        if not piece:
+            break
+        data += piece
+    process.wait(60)
+    os.close(ours)
+    return data.decode().replace("\r\n", "\n")
 
 
 @pytest.mark.parametrize("words", sampled([words for (words,) in rows(TABLES, "in a terminal")], 1))

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float32]
 
-__all__ = ["differing", "glibc_atan2f", "points", "why_not"]
-
 #: Quotients at which the algorithm, or glibc's treatment of its result, changes.
 _EDGES = [7 / 16, 11 / 16, 1.0, 19 / 16, 39 / 16, 2.0**25, 2.0**26, 2.0**60, 2.0**61, 2.0**-29, 2.0**-60, 2.0**-61]
 _SPECIAL = np.array(

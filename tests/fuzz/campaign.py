@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from fuzz.mutants import Mutant
     from fuzz.seeds import Seed
 
-__all__ = ["mutant_of"]
-
 
 def mutant_of(number: int, seeds: Sequence[Seed]) -> Mutant:
     """The mutant of a number: the same every time."""

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
     from pc2scan.core.project import ProjectedScan
 
-__all__ = ["project_cloud", "project_moving"]
-
 #: What is asked for (parameters, reduction, smallest number of returns, flags); height, width, point_step, row_step.
 _HEAD = struct.Struct("<4B4I")
 #: Offset, datatype and count of x, y, z and the intensity.

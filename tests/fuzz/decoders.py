@@ -35,8 +35,6 @@ from support.memory_reader import MemoryReader
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["CORPUS", "DECODERS", "decode"]
-
 CORPUS = Path(__file__).with_name("corpus")
 
 _ENCODINGS = ("ros1msg", "ros2msg")

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from fuzz.mutants import Mutant
     from fuzz.seeds import Seed
 
-__all__ = ["Finding", "Outcome", "attempt"]
-
 #: How often there is a message of a topic, a log time and these bytes.
 Messages: TypeAlias = Counter[tuple[str, int, bytes]]
 

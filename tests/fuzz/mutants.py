@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from fuzz.seeds import Seed
 
-__all__ = ["Mutant", "at_each", "damaged", "rearranged"]
-
 
 @dataclass(frozen=True, slots=True)
 class Mutant:

@@ -13,8 +13,6 @@ import zstandard
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["FIRST_LINE", "BagRecord", "Stretch", "bag_records", "edges", "mcap_records", "stretches"]
-
 FIRST_LINE = b"#ROSBAG V2.0\n"
 _MAGIC = b"\x89MCAP0\r\n"
 _MCAP_RECORD = struct.Struct("<BQ")

@@ -15,8 +15,6 @@ from support.builders import CONTENT, SECOND, Mcap, Recording, write_db3, write_
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-__all__ = ["Seed", "make_seeds", "make_small_seeds", "place"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seed:

@@ -19,8 +19,6 @@ from support.builders import CONTENT, write_db3, write_mcap, write_rosbag2
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["make_hostile"]
-
 FILES = Path(__file__).with_name("files")
 
 #: Seeds of which there is a mutant.

@@ -13,8 +13,6 @@ from pc2scan.model import Connection, Definition
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["CODES", "SEPARATOR", "Twin", "check_both_ways", "of_kind", "parsed", "ros1", "ros2"]
-
 
 SEPARATOR = "=" * 80
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
 import shutil
 import subprocess
 from pathlib import Path
@@ -11,10 +13,10 @@ import numpy as np
 
 from pc2scan.core.rigid import Rigid
 from pc2scan.messages.laserscan import LaserScan
-from support.compiling import compiled_once
 from transforms.trees import EPOCH, SECOND, row
 
 if TYPE_CHECKING:
+    import pytest
     from numpy.typing import NDArray
 
     from transforms.through import Through
@@ -36,12 +38,24 @@ def why_not() -> str:
     return f"Debian's ROS is not here: apt-get install {' '.join(missing)}" if missing else ""
 
 
-def compiled(folder: Path) -> Path:
-    """Compile the program into a folder; returns what an earlier call compiled there."""
+def compiled(factory: pytest.TempPathFactory) -> Path:
+    """Compile the program once for all workers of a run: one that comes meanwhile waits for it."""
+    own = factory.getbasetemp()
+    return compiled_in(own.parent if "PYTEST_XDIST_WORKER" in os.environ else own)
+
+
+def compiled_in(folder: Path) -> Path:
+    """Compile the program into a folder, or return what an earlier call compiled there."""
     program = folder / "oracle"
-    # As Debian builds its packages: tf2_sensor_msgs is a header, and without fused operations only without -march.
-    options, libraries = ["-O2", "-I/usr/include/eigen3"], ["tf2", "laser_geometry", "rostime"]
-    return compiled_once(program, SOURCE, options, libraries)
+    with program.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not program.exists():
+            made = program.with_suffix(".made")
+            # As Debian builds its packages: tf2_sensor_msgs is a header, and without -march without fused operations.
+            words = ["g++", "-O2", "-I/usr/include/eigen3", "-o", str(made), str(SOURCE)]
+            subprocess.run([*words, "-ltf2", "-llaser_geometry", "-lrostime"], check=True)
+            made.rename(program)
+    return program
 
 
 def time_of(stamp_ns: int) -> str:

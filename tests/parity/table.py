@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from transforms.through import Through
     from transforms.trees import Question, Rows
 
-__all__ = ["Row", "against_debian", "lookups", "rows", "text"]
-
 
 class Row(NamedTuple):
     """A line of the table: what was compared, with what, how many values, and how many of them differ."""
@@ -205,7 +203,7 @@ def main() -> int:
         sys.stderr.write(f"{why}\n")
         return 2
     with tempfile.TemporaryDirectory() as folder:
-        oracle = debian.compiled(Path(folder))
+        oracle = debian.compiled_in(Path(folder))
         compared = list(rows(oracle, lookups=wanted.lookups, points=wanted.points, seed=wanted.seed))
     print(*text(iter(compared)), sep="\n")  # noqa: T201
     return int(any(row.differing for row in compared if not row.equal_means.startswith("expected")))

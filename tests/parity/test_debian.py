@@ -17,7 +17,6 @@ from pc2scan.errors import MessageError
 from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import decode_pointcloud2
 from pc2scan.transforms.placing import Placer
-from support.compiling import folder_of_the_run
 from support.conversions import serialized_by
 from transforms.trees import EPOCH, SECOND, built, row
 
@@ -35,7 +34,7 @@ pytestmark = pytest.mark.slow
 def oracle(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if debian.why_not():
         pytest.skip(debian.why_not())
-    return debian.compiled(folder_of_the_run(tmp_path_factory))
+    return debian.compiled(tmp_path_factory)
 
 
 def assert_same_clouds(program: Path, rows: Rows, target: str, deskewed: bool, scans: list[LaserScan]) -> int:

@@ -17,8 +17,6 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["Fault", "faults_in", "plant", "sample"]
-
 #: How much more often a fault is drawn where it harms users than its code's size says: wrong numbers, lost messages,
 #: lost files.
 HARM = {

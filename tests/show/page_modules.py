@@ -13,8 +13,6 @@ from support import ROOT
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["MODULES", "needs_node", "node"]
-
 MODULES = ROOT / "src" / "pc2scan" / "show" / "page"
 
 needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="needs node")

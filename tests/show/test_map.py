@@ -35,7 +35,7 @@ CELL = 0.05
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:
-    return drive_recording(rate=5.0, beams=361)
+    return drive_recording()
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,7 @@ def wrong_cells(made: pc2scan.Map) -> int:
 def test_beams_are_placed_at_their_own_times(tmp_path: Path) -> None:
     increment = 0.09 / 361
     told, untold = (
-        write_mcap(tmp_path / f"{name}.mcap", drive_recording(rate=5.0, beams=361, time_increment=increment, said=said))
+        write_mcap(tmp_path / f"{name}.mcap", drive_recording(time_increment=increment, said=said))
         for name, said in (("told", None), ("untold", 0.0))
     )
     assert wrong_cells(pc2scan.map(told)) == 0
@@ -149,7 +149,7 @@ def test_scans_are_drawn_unless_clouds_are_asked_for(tmp_path: Path) -> None:
 
 
 def test_scans_without_a_place_are_counted(tmp_path: Path) -> None:
-    source = write_mcap(tmp_path / "late.mcap", drive_recording(rate=5.0, beams=91, motion_from=2.0))
+    source = write_mcap(tmp_path / "late.mcap", drive_recording(beams=91, motion_from=2.0))
     done = run("map", source, "-o", tmp_path / "map.png")
     assert done.status == 3
     assert "skipped: 10 of /scan: their stamps are before the first [base_link] in [odom]" in done.stderr
@@ -157,8 +157,8 @@ def test_scans_without_a_place_are_counted(tmp_path: Path) -> None:
 
 
 def test_a_map_without_end_is_refused(tmp_path: Path) -> None:
-    recording = drive_recording(seconds=1.0, rate=5.0, beams=91)
-    far = {2: transform_message([("odom", "base_link", T0 + 600_000_000, drive(0.6)._replace(x=1e6, y=1e6))])}
+    recording = drive_recording(seconds=1.0, beams=91)
+    far = {2: transform_message("odom", "base_link", T0 + 600_000_000, drive(0.6)._replace(x=1e6, y=1e6))}
     items = [
         Item(item.stream, item.log_time_ns, far)
         if item.stream.topic == "/tf" and item.log_time_ns == T0 + 600_000_000
@@ -171,7 +171,7 @@ def test_a_map_without_end_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_recording_without_transforms(tmp_path: Path) -> None:
-    recording = drive_recording(seconds=1.0, rate=5.0, beams=91)
+    recording = drive_recording(seconds=1.0, beams=91)
     scans = tuple(item for item in recording.items if item.stream.topic == "/scan")
     source = write_mcap(tmp_path / "scans.mcap", Recording(recording.streams[:1], scans))
     done = run("map", source, "-o", tmp_path / "map.png")
@@ -179,5 +179,5 @@ def test_a_recording_without_transforms(tmp_path: Path) -> None:
     assert "the recording has no transforms" in done.stderr
     assert "--odom-frame laser draws all scans as if the robot stood still" in done.stderr
     assert run("map", source, "-o", tmp_path / "map.png", "--odom-frame", "laser").status == 0
-    drive = write_mcap(tmp_path / "a.mcap", drive_recording(seconds=1.0, rate=5.0, beams=91, odom="robot1/odom"))
+    drive = write_mcap(tmp_path / "a.mcap", drive_recording(seconds=1.0, beams=91, odom="robot1/odom"))
     assert "hint: --odom-frame robot1/odom\n" in run("map", drive, "-o", tmp_path / "other.png").stderr

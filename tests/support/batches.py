@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from pc2scan.datasets.manifest import ManifestRecord
     from pc2scan.datasets.summary import BatchReport
 
-__all__ = ["HEIGHTS", "KEYWORDS", "batch", "contents", "in_this_process", "manifest_of", "place", "run_batch"]
-
 #: Heights that leave points of `support.builders.CONTENT` in its scans, as they are typed and as keywords.
 HEIGHTS = ("--min-height", "-2", "--max-height", "2")
 KEYWORDS: dict[str, Any] = {"min_height": -2, "max_height": 2}

@@ -14,8 +14,6 @@ from support.command import Finished, run
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["Hang", "refused", "run_bounded", "size_of", "watched"]
-
 #: What a run may take besides four times its source. With an interpreter and its libraries these are 300 MB.
 _MARGIN_BYTES = 230_000_000
 

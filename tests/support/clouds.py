@@ -18,28 +18,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = [
-    "COMPRESSED",
-    "COMPRESSORS",
-    "DRACO",
-    "ECHO_INTENSITIES",
-    "ECHO_RANGES",
-    "LIVOX",
-    "MULTI_ECHO",
-    "OLD_CLOUD",
-    "VELODYNE",
-    "compressed",
-    "draco_points",
-    "lidar_points",
-    "livox",
-    "livox_points",
-    "multi_echo",
-    "old_cloud",
-    "packet",
-    "structured",
-    "velodyne",
-]
-
 LIVOX = ("livox_ros_driver/msg/CustomMsg", "livox_ros_driver2/msg/CustomMsg")
 COMPRESSED = "point_cloud_interfaces/msg/CompressedPointCloud2"
 OLD_CLOUD = "sensor_msgs/msg/PointCloud"

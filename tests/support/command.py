@@ -17,8 +17,6 @@ from pc2scan.cli import app
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["COMMAND", "INTERRUPTED", "Finished", "environment", "run", "run_process"]
-
 COMMAND = (sys.executable, "-m", "pc2scan")
 
 #: How an interrupted command may end; a shell calls both 130. Python ends by the signal itself if the interruption

@@ -12,16 +12,15 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.destinations import open_writer, plan_destination
 from pc2scan.bags.opening import open_recording
-from pc2scan.model import Attachment, Connection, Definition
+from pc2scan.model import LATCHED_QOS, Attachment, Connection, Definition
+from support.builders import definition
 from support.rosbag2_files import QOS_NUMBERS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.model import Metadata, Writer
-
-__all__ = ["ATTACHMENTS", "FORMATS", "KINDS", "METADATA", "Kind", "Row", "connection_for", "read", "recorded"]
 
 #: Topic, log time and data of a message.
 Row = tuple[str, int, bytes]
@@ -106,6 +105,21 @@ def recorded(
             writer.add_metadata(each)
     writer.finish()
     return folder / kind.name
+
+
+def write_rows(
+    path: Path, types: Mapping[str, str], rows: Iterable[tuple[int, str, bytes]], compression: str | None = None
+) -> Path:
+    """Write log times, topics and data of ROS 2 with pc2scan's writer; ``types`` are those of the topics."""
+    writer = open_writer(plan_destination(path, compression=compression, source_ros_version=2), path, path.name)
+    handles = {}
+    for topic, kind in types.items():
+        text, qos = Definition("ros2msg", definition(kind, 2).encode()), LATCHED_QOS if topic == "/tf_static" else ""
+        handles[topic] = writer.add_connection(Connection(0, topic, kind, "cdr", text, qos=qos))
+    for log_time_ns, topic, data in rows:
+        writer.write(handles[topic], log_time_ns, data, log_time_ns)
+    writer.finish()
+    return path
 
 
 def read(path: Path, **options: Any) -> list[Row]:

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from pc2scan.conversion.steps import Conversion
 
-__all__ = ["Made", "converted", "serialized_by", "stepped"]
-
 
 def serialized_by(conversion: Conversion, topic: str, source: str, target: str) -> Callable[[bytes], Any]:
     """Return what makes serialised messages of serialised messages, each with what is counted of it."""

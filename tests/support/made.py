@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-__all__ = ["FORMS", "MADE", "write_json"]
-
 
 def _second_cloud(make: Callable[[int, int], bytes]) -> Recording:
     """The common content, the second cloud replaced."""

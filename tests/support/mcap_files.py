@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 import zstandard
-from mcap.reader import make_reader
 from mcap.records import Chunk, DataEnd, Footer, Header, McapRecord
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType
@@ -38,19 +37,17 @@ QOS = "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1"
 SAMPLE = [(i % 2, 1000 + 10 * (i // 2) + (i * 7) % 13, bytes([i]) * (i * 5)) for i in range(60)]
 
 
+_NO_SUMMARY: dict[str, Any] = {
+    **dict.fromkeys(("repeat_channels", "repeat_schemas", "use_statistics", "use_summary_offsets"), False),
+    "index_types": IndexType.NONE,
+}
+
 LIBRARY_OPTIONS: dict[str, dict[str, Any]] = {
     "default": {},
     "lz4": {"compression": CompressionType.LZ4},
     "uncompressed": {"compression": CompressionType.NONE},
     "unchunked": {"use_chunking": False},
-    "unchunked without summary": {
-        "use_chunking": False,
-        "repeat_channels": False,
-        "repeat_schemas": False,
-        "use_statistics": False,
-        "use_summary_offsets": False,
-        "index_types": IndexType.NONE,
-    },
+    "unchunked without summary": {"use_chunking": False, **_NO_SUMMARY},
     "channels only in chunks": {"repeat_channels": False, "repeat_schemas": False},
     "schemas only in chunks": {"repeat_schemas": False},
     "no statistics": {"use_statistics": False},
@@ -60,20 +57,8 @@ LIBRARY_OPTIONS: dict[str, dict[str, Any]] = {
     "no attachment indexes": {"index_types": IndexType.CHUNK | IndexType.MESSAGE},
     "no crc": {"enable_crcs": False},
     "data crc": {"enable_data_crcs": True},
-    "no summary": {
-        "repeat_channels": False,
-        "repeat_schemas": False,
-        "use_statistics": False,
-        "use_summary_offsets": False,
-        "index_types": IndexType.NONE,
-    },
-    "no summary but message indexes": {
-        "repeat_channels": False,
-        "repeat_schemas": False,
-        "use_statistics": False,
-        "use_summary_offsets": False,
-        "index_types": IndexType.MESSAGE,
-    },
+    "no summary": _NO_SUMMARY,
+    "no summary but message indexes": {**_NO_SUMMARY, "index_types": IndexType.MESSAGE},
 }
 
 
@@ -127,15 +112,6 @@ def failing(path: Path, match: str, **options: Any) -> RecordingError:
     return caught.value
 
 
-def library(path: Path) -> list[tuple[int, int, int, int, bytes]]:
-    """Read the same with the mcap library's reader."""
-    with path.open("rb") as file:
-        return [
-            (m.channel_id, m.sequence, m.log_time, m.publish_time, m.data)
-            for _, _, m in make_reader(file, validate_crcs=True).iter_messages()
-        ]
-
-
 def streamed(path: Path) -> list[Any]:
     """Read every record with the mcap library, end to end."""
     with path.open("rb") as file:
@@ -180,18 +156,8 @@ def encoded(item: McapRecord) -> bytes:
 
 def raw_file(path: Path, *data_section: bytes) -> Path:
     """Make a file without a summary out of records."""
-    path.write_bytes(
-        b"".join(
-            (
-                MAGIC,
-                encoded(Header("", "raw")),
-                *data_section,
-                encoded(DataEnd(0)),
-                encoded(Footer(0, 0, 0)),
-                MAGIC,
-            )
-        )
-    )
+    ends = encoded(DataEnd(0)), encoded(Footer(0, 0, 0)), MAGIC
+    path.write_bytes(b"".join((MAGIC, encoded(Header("", "raw")), *data_section, *ends)))
     return path
 
 

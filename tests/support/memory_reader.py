@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from pc2scan.model import ChunkRule, Connection
 
-__all__ = ["MemoryReader"]
-
 
 def _load(message: RawMessage, callback: Callable[[RawMessage], Any]) -> list[Any]:
     return [callback(message)]

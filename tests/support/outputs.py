@@ -21,8 +21,6 @@ from support.builders import CLOUD, SCAN, deserialized
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["Found", "Output", "Publisher", "opened", "physical_order"]
-
 
 class Found(NamedTuple):
     """A message in the order of log time."""

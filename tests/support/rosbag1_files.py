@@ -67,11 +67,6 @@ def write(
     return path
 
 
-def read(path: Path) -> list[tuple[str, int, bytes]]:
-    with closing(Rosbag1Reader(path)) as reader:
-        return [(item.connection.topic, item.log_time_ns, bytes(item.data)) for item in reader.messages()]
-
-
 def read_rows(path: Path) -> list[Row]:
     with closing(Rosbag1Reader(path)) as reader:
         return [(item.connection.id, item.log_time_ns, bytes(item.data)) for item in reader.messages()]

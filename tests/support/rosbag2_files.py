@@ -13,6 +13,7 @@ from pc2scan.bags.mcap.write import McapWriter
 from pc2scan.bags.rosbag2.read import Rosbag2Reader
 from pc2scan.bags.rosbag2.sqlite3.write import Sqlite3Writer
 from pc2scan.model import Connection, Definition
+from support.builders import STRING, Stream, qos_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,36 +22,11 @@ if TYPE_CHECKING:
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 
 
-STRING = "std_msgs/msg/String"
-
-
 DEFINITION = Definition("ros2msg", b"string data\n")
 
 
-QOS_NUMBERS = """\
-- history: 1
-  depth: 5
-  reliability: 1
-  durability: 1
-  deadline:
-    sec: 9223372036
-    nsec: 854775807
-  lifespan:
-    sec: 9223372036
-    nsec: 854775807
-  liveliness: 1
-  liveliness_lease_duration:
-    sec: 9223372036
-    nsec: 854775807
-  avoid_ros_namespace_conventions: false"""
-
-
-QOS_NAMES = (
-    QOS_NUMBERS.replace("history: 1", "history: keep_last")
-    .replace("reliability: 1", "reliability: reliable")
-    .replace("durability: 1", "durability: transient_local")
-    .replace("liveliness: 1", "liveliness: automatic")
-)
+_RECORDER = [Stream("", STRING, latched=True)]
+QOS_NUMBERS, QOS_NAMES = qos_text(_RECORDER), qos_text(_RECORDER, by_name=True)
 
 
 def names(folder: str | Path) -> list[str]:

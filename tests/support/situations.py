@@ -21,8 +21,6 @@ from support.worlds.weaving import REAR, RINGS, Fault, Weaving, Winding, write_w
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["MISTAKES", "hall"]
-
 FLAT = Lidar(kind="flat", topic="/scan", columns=720)
 SOUND = Fault()
 SWAPPED = Fault(pair=("base_link", "odom"))

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.damage import Damage
 
-__all__ = ["Rows", "build", "hot_log", "recovered", "rosbag2_pages"]
-
 #: Topic, log time and data of messages.
 Rows = list[tuple[str, int, bytes]]
 

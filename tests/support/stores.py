@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-__all__ = ["memory_store", "s3_server", "web_server"]
-
 
 @contextmanager
 def memory_store(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:

@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["rows"]
-
 
 def rows(path: Path, section: str, *, text: bool = False) -> list[tuple[Any, ...]]:
     """Read a section of a file: lines of Python's literals, separated by `` -> ``.

@@ -27,8 +27,6 @@ from support import ROOT
 if TYPE_CHECKING:
     from types import CodeType, FrameType
 
-__all__ = ["Way", "way_of"]
-
 _PACKAGE = f"{Path(pc2scan.__file__).parent}{os.sep}"
 
 

@@ -11,8 +11,6 @@ from pc2scan.transforms.placing import FrameOptions, Placer
 from pc2scan.transforms.reading import read_transforms
 from support.memory_reader import MemoryReader
 
-__all__ = ["TF", "connection", "frames", "made", "row"]
-
 TF = "tf2_msgs/TFMessage"
 
 

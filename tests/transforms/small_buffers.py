@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from pc2scan.core.rigid import TransformRow
     from pc2scan.transforms.buffer import TransformBuffer
 
-__all__ = ["EPOCH", "SECOND", "at", "built", "refusal", "row", "x_of"]
-
 SECOND = 1_000_000_000
 EPOCH = 1_700_000_000 * SECOND
 

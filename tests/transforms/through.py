@@ -17,17 +17,6 @@ if TYPE_CHECKING:
     from pc2scan.transforms.buffer import TransformBuffer
     from transforms.trees import Rows
 
-__all__ = [
-    "RECORDED",
-    "Through",
-    "assert_close",
-    "found",
-    "lookup_through",
-    "random_drive",
-    "random_throughs",
-    "recorded",
-]
-
 #: What tf2 answered; numbers as hexadecimal text, so that every bit survives.
 RECORDED = Path(__file__).with_name("through.json")
 

@@ -12,19 +12,6 @@ if TYPE_CHECKING:
     from pc2scan.core.rigid import TransformRow
     from pc2scan.transforms.buffer import TransformBuffer
 
-__all__ = [
-    "EPOCH",
-    "SECOND",
-    "Question",
-    "Rows",
-    "built",
-    "changing_tree",
-    "random_pose",
-    "random_questions",
-    "random_tree",
-    "row",
-]
-
 #: Target, source, stamp in nanoseconds.
 Question: TypeAlias = tuple[str, str, int]
 

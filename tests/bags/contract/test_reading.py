@@ -19,11 +19,11 @@ from pc2scan.bags.opening import open_recording, sniff
 from pc2scan.errors import RecordingError
 from pc2scan.model import Attachment, Definition, Metadata
 from support import sampled
-from support.builders import CONTENT, SOURCES, Recording, definition, ros_version_of
+from support.builders import CONTENT, SOURCES, STRING, Recording, definition, ros_version_of
 from support.containers import FORMATS, KINDS, Row, recorded
 from support.mcap_files import LIBRARY_OPTIONS, SAMPLE, library_file
 from support.rosbag1_files import ROS1, SCRIPT, ros1, ros1_missing, string
-from support.rosbag2_files import STORE, STRING, text
+from support.rosbag2_files import STORE, text
 
 if TYPE_CHECKING:
     from pathlib import Path

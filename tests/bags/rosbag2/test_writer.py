@@ -15,7 +15,8 @@ from ruamel.yaml import YAML
 from pc2scan.bags.mcap.read import McapReader
 from pc2scan.bags.rosbag2.read import Rosbag2Reader
 from pc2scan.bags.rosbag2.write import Rosbag2Writer
-from support.rosbag2_files import QOS_NUMBERS, STORE, STRING, names, read, text, topic
+from support.builders import STRING
+from support.rosbag2_files import QOS_NUMBERS, STORE, names, read, text, topic
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -65,7 +66,7 @@ def test_rosbags_reads_what_is_written(storage: str, compression: str, tmp_path:
         a = next(c for c in theirs.connections if c.topic == "/a")
         assert (a.msgdef.data, a.digest) == ("string data\n", STORE.hash_rihs01(STRING))
         (qos,) = a.ext.offered_qos_profiles  # type: ignore[union-attr]
-        assert (qos.depth, qos.durability, qos.history) == (5, QosDurability.TRANSIENT_LOCAL, QosHistory.KEEP_LAST)
+        assert (qos.depth, qos.durability, qos.history) == (10, QosDurability.TRANSIENT_LOCAL, QosHistory.KEEP_LAST)
     with AnyReader([path]) as any_reader:
         found = [any_reader.deserialize(d, c.msgtype).data for c, _, d in any_reader.messages()]  # type: ignore[attr-defined]
         assert found == [f"message {n}" for n in range(6)]

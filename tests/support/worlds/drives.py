@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from support.builders import SCAN, SECOND, T0, TF, Item, Recording, Stream, header, serialized, typestore
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from numpy.typing import NDArray
-
-__all__ = ["ROOMS", "Pose", "cast", "distance_to_wall", "drive", "drive_recording", "is_inside", "scan_message"]
+from pc2scan.core.rigid import Rigid
+from pc2scan.messages.laserscan import LaserScan, encode_laserscan
+from pc2scan.messages.tfmessage import encode_transforms
+from support.builders import SCAN, SECOND, T0, TF, Item, Recording, Stream
 
 Wall = tuple[float, float, float, float]
 
@@ -93,47 +89,9 @@ def composed(a: Pose, b: Pose) -> Pose:
     )
 
 
-def scan_message(
-    ranges: NDArray[np.float32],
-    *,
-    stamp_ns: int,
-    time_increment: float = 0.0,
-    range_max: float = 30.0,
-    frame: str = "laser",
-    angle_min: float = _FROM,
-) -> bytes:
-    """A serialised LaserScan over 270 degrees."""
-    store = typestore(2)
-    message = store.types[SCAN](
-        header=header(store, 2, 0, stamp_ns, frame),
-        angle_min=angle_min,
-        angle_max=_TO,
-        angle_increment=(_TO - _FROM) / max(1, len(ranges) - 1),
-        time_increment=time_increment,
-        scan_time=0.1,
-        range_min=0.1,
-        range_max=range_max,
-        ranges=np.ascontiguousarray(ranges, np.float32),
-        intensities=np.empty(0, np.float32),
-    )
-    return serialized(store, message, SCAN, 2)
-
-
-def transform_message(rows: list[tuple[str, str, int, Pose]]) -> bytes:
-    store = typestore(2)
-    types = store.types
-    stamped = [
-        types["geometry_msgs/msg/TransformStamped"](
-            header(store, 2, 0, stamp_ns, parent),
-            child,
-            types["geometry_msgs/msg/Transform"](
-                types["geometry_msgs/msg/Vector3"](pose.x, pose.y, 0.0),
-                types["geometry_msgs/msg/Quaternion"](0.0, 0.0, math.sin(pose.heading / 2), math.cos(pose.heading / 2)),
-            ),
-        )
-        for parent, child, stamp_ns, pose in rows
-    ]
-    return serialized(store, types[TF](stamped), TF, 2)
+def transform_message(parent: str, child: str, stamp_ns: int, pose: Pose) -> bytes:
+    turned = Rigid.from_rpy(0.0, 0.0, pose.heading, (pose.x, pose.y, 0.0))
+    return encode_transforms([(parent, child, stamp_ns, *turned.pose)], "cdr")
 
 
 _SCANS, _MOTION, _MOUNTS = Stream("/scan", SCAN), Stream("/tf", TF), Stream("/tf_static", TF, latched=True)
@@ -142,59 +100,29 @@ _SCANS, _MOTION, _MOUNTS = Stream("/scan", SCAN), Stream("/tf", TF), Stream("/tf
 def drive_recording(
     *,
     seconds: float = 8.0,
-    rate: float = 10.0,
-    beams: int = 541,
+    beams: int = 361,
     time_increment: float = 0.0,
     said: float | None = None,
     odom: str = "odom",
     motion_from: float = 0.0,
-    measure: Callable[[float, float, float], float] = cast,
 ) -> Recording:
-    """Record the drive.
+    """Record the drive, with five scans a second.
 
-    Parameters
-    ----------
-    seconds, rate, beams
-        How long it takes, and the scans: a second, and their beams.
-    time_increment
-        Between beams, in truth; ``said``: in the messages, if that is something else.
-    odom
-        The frame of the odometry.
-    motion_from
-        When the odometry begins to be recorded.
-    measure
-        The range of a beam, from x, y and angle in the world.
+    ``time_increment`` is that of the beams, in truth; ``said``: in the messages, if that is something else. ``odom`` is
+    the frame of the odometry, which begins to be recorded at ``motion_from``.
     """
-    items = [Item(_MOUNTS, T0, {2: transform_message([("base_link", "laser", T0, MOUNT)])})]
-    items += sorted(
-        [*_odometry(seconds, odom, motion_from), *_scans(seconds, rate, beams, time_increment, said, measure)],
-        key=lambda item: item.log_time_ns,
-    )
-    return Recording((_SCANS, _MOTION, _MOUNTS), tuple(items))
-
-
-def _odometry(seconds: float, odom: str, begins: float) -> Iterator[Item]:
-    for number in range(round(begins * 50), round(seconds * 50) + 20):
+    items = [Item(_MOUNTS, T0, {2: transform_message("base_link", "laser", T0, MOUNT)})]
+    for number in range(round(motion_from * 50), round(seconds * 50) + 20):
         stamp_ns = T0 + number * SECOND // 50
-        data = transform_message([(odom, "base_link", stamp_ns, drive(number / 50))])
-        yield Item(_MOTION, stamp_ns, {2: data})
-
-
-def _scans(
-    seconds: float,
-    rate: float,
-    beams: int,
-    time_increment: float,
-    said: float | None,
-    measure: Callable[[float, float, float], float],
-) -> Iterator[Item]:
-    for number in range(round(seconds * rate)):
-        begin = number / rate
+        items.append(Item(_MOTION, stamp_ns, {2: transform_message(odom, "base_link", stamp_ns, drive(number / 50))}))
+    step = (_TO - _FROM) / (beams - 1)
+    for number in range(round(seconds * 5)):
         ranges = np.empty(beams, np.float32)
         for beam in range(beams):
             if not beam or time_increment:
-                pose = composed(drive(begin + beam * time_increment), MOUNT)
-            ranges[beam] = measure(pose.x, pose.y, pose.heading + _FROM + beam * (_TO - _FROM) / (beams - 1))
-        stamp_ns = T0 + round(begin * SECOND)
-        data = scan_message(ranges, stamp_ns=stamp_ns, time_increment=time_increment if said is None else said)
-        yield Item(_SCANS, stamp_ns + 1000, {2: data})
+                pose = composed(drive(number / 5 + beam * time_increment), MOUNT)
+            ranges[beam] = cast(pose.x, pose.y, pose.heading + _FROM + beam * step)
+        stamp_ns, increment = T0 + number * SECOND // 5, time_increment if said is None else said
+        scan = LaserScan(0, stamp_ns, "laser", _FROM, _TO, step, increment, 0.1, 0.1, 30.0, ranges)
+        items.append(Item(_SCANS, stamp_ns + 1000, {2: encode_laserscan(scan, "cdr")}))
+    return Recording((_SCANS, _MOTION, _MOUNTS), tuple(sorted(items, key=lambda item: item.log_time_ns)))

@@ -11,8 +11,6 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-__all__ = ["GRAVITY", "Simulated", "errors", "simulated"]
-
 GRAVITY = 9.81
 
 

@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from support.worlds.mounted import SENSORS, Rectangle, box, mounted, room
+from support.worlds.mounted import SENSORS, Rectangle, box, cast, mounted, room
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
-
-__all__ = ["PLACES", "Labelled", "labelled"]
 
 
 class Labelled(NamedTuple):
@@ -177,18 +175,7 @@ def labelled(place: str, sensor: str, *, pitch: float = 0.0, lidar: float | None
     turn = mounted(0, 0, scene.heading)
     rays = SENSORS[sensor]() @ tilt.T
     origin = np.array([0.0, 0.0, scene.lidar if lidar is None else lidar])
-    nearest, label = np.full(len(rays), np.inf), np.full(len(rays), -1)
-    world = rays @ turn.T
-    for number, surface in enumerate(scene.surfaces):
-        corner, one, other = (np.array(part, float) for part in (surface.corner, surface.one, surface.other))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            normal = np.cross(one, other)
-            distance = ((corner - origin) @ normal) / (world @ normal)
-            at = origin - corner + distance[:, None] * world
-            # The edges of ramps are not at right angles to each other's projections, those of a rectangle are.
-            u, v = at @ one / (one @ one), at @ other / (other @ other)
-            hit = (distance > 0) & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1) & (distance < nearest)
-        nearest[hit], label[hit] = distance[hit], number
+    nearest, label = cast(tuple(scene.surfaces), origin, rays @ turn.T)
     seen = (nearest > 0.3) & (nearest < 100)
     distance = nearest[seen]
     distance = distance + random.normal(0, 0.02, distance.size) * (distance / 3 if "camera" in sensor else 1)

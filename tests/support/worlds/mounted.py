@@ -9,11 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pc2scan.bags.destinations import open_writer, plan_destination
-from pc2scan.messages.definitions import definition
-from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
 from pc2scan.messages.tfmessage import encode_transforms
-from pc2scan.model import LATCHED_QOS, Connection
+from support import builders
+from support.containers import write_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -22,8 +20,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pc2scan.core.rigid import TransformRow
-
-__all__ = ["PLACES", "SENSORS", "Place", "cloud", "mounted", "up_in_sensor", "without", "write_clouds"]
 
 _FAR = 120.0
 
@@ -221,7 +217,7 @@ def cloud(
     turn = mounted(0, 0, math.degrees(heading)) @ rotation
     rays = _rays(sensor)
     origin = np.array([x, y, height])
-    distance = _cast(place, origin, rays @ turn.T)
+    distance, _ = cast(place.surfaces, origin, rays @ turn.T)
     hit = (distance > 0.1) & (distance < _FAR)
     rays, distance = rays[hit], distance[hit]
     distance = distance + random.normal(0, noise, distance.size) * (distance / 3 if "camera" in sensor else 1)
@@ -233,29 +229,25 @@ def cloud(
 
 @cache
 def _planes(surfaces: tuple[Rectangle, ...]) -> list[tuple[NDArray[Any], ...]]:
-    """The corner, the edges and the normal of each surface that has an area."""
-    planes: list[tuple[NDArray[Any], ...]] = []
-    for surface in surfaces:
-        corner, one, other = (np.array(part, float) for part in (surface.corner, surface.one, surface.other))
-        normal = np.cross(one, other)
-        if normal.any():
-            planes.append((corner, one, other, normal))
-    return planes
+    """The corner, the edges and the normal of each surface."""
+    planes = [[np.array(part, float) for part in (each.corner, each.one, each.other)] for each in surfaces]
+    return [(corner, one, other, np.cross(one, other)) for corner, one, other in planes]
 
 
-def _cast(place: Place, origin: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
-    nearest = np.full(len(rays), np.inf)
-    for corner, one, other, normal in _planes(place.surfaces):
+def cast(
+    surfaces: tuple[Rectangle, ...], origin: NDArray[np.float64], rays: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """How far away what each ray meets is, and which surface that is; infinite, and -1, for nothing."""
+    nearest, met = np.full(len(rays), np.inf), np.full(len(rays), -1)
+    for number, (corner, one, other, normal) in enumerate(_planes(surfaces)):
         with np.errstate(divide="ignore", invalid="ignore"):
             distance = ((corner - origin) @ normal) / (rays @ normal)
             (first,) = np.nonzero((distance > 0) & (distance < nearest))
-            if not first.size:
-                continue
             at = origin - corner + distance[first, None] * rays[first]
             u, v = at @ one / (one @ one), at @ other / (other @ other)
         first = first[(u >= 0) & (u <= 1) & (v >= 0) & (v <= 1)]
-        nearest[first] = distance[first]
-    return nearest
+        nearest[first], met[first] = distance[first], number
+    return nearest, met
 
 
 def write_clouds(
@@ -267,25 +259,8 @@ def write_clouds(
 ) -> Path:
     """An MCAP file of clouds on /points, ten a second, and static transforms."""
     begin_ns = 1_700_000_000_000_000_000
-    writer = open_writer(plan_destination(path, source_ros_version=2), path, path.name)
-    handles = {}
-    for topic, msgtype in (("/tf_static", "tf2_msgs/msg/TFMessage"), ("/points", POINTCLOUD2)):
-        text, digest = definition(msgtype, 2)
-        qos = LATCHED_QOS if topic == "/tf_static" else ""
-        handles[topic] = writer.add_connection(Connection(0, topic, msgtype, "cdr", text, digest, qos=qos))
-    if tf:
-        writer.write(handles["/tf_static"], begin_ns, encode_transforms(list(tf), "cdr"), begin_ns)
+    rows = [(begin_ns, "/tf_static", encode_transforms(list(tf), "cdr"))] if tf else []
     for number, points in enumerate(clouds):
         stamp_ns = begin_ns + number * 100_000_000
-        message = encode_pointcloud2(
-            serialization="cdr",
-            sequence=number,
-            stamp_ns=stamp_ns,
-            frame_id=frame,
-            fields=[PointField(name, 4 * place, 7) for place, name in enumerate("xyz")],
-            point_step=12,
-            data=np.ascontiguousarray(points, "<f4").tobytes(),
-        )
-        writer.write(handles["/points"], stamp_ns, message, stamp_ns)
-    writer.finish()
-    return path
+        rows.append((stamp_ns, "/points", builders.cloud(points, 2, seq=number, stamp_ns=stamp_ns, frame_id=frame)))
+    return write_rows(path, {"/tf_static": builders.TF, "/points": builders.CLOUD}, rows)

@@ -13,15 +13,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from pc2scan.bags.destinations import open_writer, plan_destination
 from pc2scan.core.rigid import Rigid
-from pc2scan.messages.definitions import definition
-from pc2scan.messages.laserscan import LASERSCAN, LaserScan, encode_laserscan
-from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
+from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.messages.tfmessage import encode_transforms
-from pc2scan.model import LATCHED_QOS, Connection, Definition
-from support.builders import definition as message_text
-from support.builders import imu_message
+from support.builders import CLOUD, IMU, SCAN, TF, imu_message
+from support.clouds import structured
+from support.containers import write_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -31,25 +28,11 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-__all__ = [
-    "BEGIN_NS",
-    "WALLS",
-    "Drive",
-    "Lidar",
-    "Message",
-    "off_the_walls",
-    "returns_in_odom",
-    "write_imu",
-    "write_world",
-]
-
 #: The time 0 of the world, nanoseconds.
 BEGIN_NS = 1_700_000_000_000_000_000
 
 #: The walls: an axis of odom (0 is x), and where on it the wall is, metres. The floor is z = 0.
 WALLS = ((0, -5.0), (0, 7.0), (1, -6.0), (1, 6.0))
-
-_TFMESSAGE = "tf2_msgs/msg/TFMessage"
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,8 +215,8 @@ def _scan(lidar: Lidar, stamp_ns: int, distances: Floats) -> bytes:
 
 
 def _cloud(lidar: Lidar, stamp_ns: int, times: Floats, directions: Floats, distances: Floats) -> bytes:
-    # A field with the points' times: its name, kind and PointField's datatype.
-    name, kind, datatype = ("t", "<u4", 6) if lidar.points_clock is None else ("timestamp", "<f8", 8)
+    # A field with the points' times.
+    name, kind = ("t", "<u4") if lidar.points_clock is None else ("timestamp", "<f8")
     points = np.empty(len(times), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), (name, kind)])
     with np.errstate(invalid="ignore"):
         for axis, values in zip("xyz", (directions * distances[:, np.newaxis]).T, strict=True):
@@ -243,16 +226,7 @@ def _cloud(lidar: Lidar, stamp_ns: int, times: Floats, directions: Floats, dista
         points[name] = np.round(times * 1e9 * lidar.time_scale)
     else:
         points[name] = stamp_ns / 1e9 + lidar.points_clock + times
-    fields = [PointField(name, 4 * place, 7) for place, name in enumerate(("x", "y", "z", "intensity"))]
-    return encode_pointcloud2(
-        serialization="cdr",
-        sequence=0,
-        stamp_ns=stamp_ns,
-        frame_id=lidar.frame,
-        fields=[*fields, PointField(name, 16, datatype)],
-        point_step=points.itemsize,
-        data=points.tobytes(),
-    )
+    return structured(points, 2, stamp_ns=stamp_ns, frame_id=lidar.frame)
 
 
 def write_world(
@@ -285,20 +259,11 @@ def write_world(
         pose = odometry(time).pose
         moved = encode_transforms([(frames(pair[0]), frames(pair[1]), stamp_ns, *pose)], "cdr")
         rows.append((stamp_ns, "/tf", moved))
-    types = {"/tf_static": _TFMESSAGE, "/tf": _TFMESSAGE}
+    types = {"/tf_static": TF, "/tf": TF}
     for lidar in lidars:
-        types[lidar.topic] = LASERSCAN if lidar.kind == "flat" else POINTCLOUD2
+        types[lidar.topic] = SCAN if lidar.kind == "flat" else CLOUD
         rows += ((message.log_time_ns, lidar.topic, message.data) for message in messages(drive, lidar, seconds))
-    writer = open_writer(plan_destination(path, compression=compression, source_ros_version=2), path, path.name)
-    handles = {}
-    for topic, msgtype in types.items():
-        text, digest = definition(msgtype, 2)
-        qos = LATCHED_QOS if topic == "/tf_static" else ""
-        handles[topic] = writer.add_connection(Connection(0, topic, msgtype, "cdr", text, digest, qos=qos))
-    for log_time_ns, topic, data in sorted(rows):
-        writer.write(handles[topic], log_time_ns, data, log_time_ns)
-    writer.finish()
-    return path
+    return write_rows(path, types, sorted(rows), compression)
 
 
 def write_imu(
@@ -317,9 +282,7 @@ def write_imu(
     ``mount`` is base_link_from_imu_link. For ``gap`` seconds in the middle it is silent. Its gyroscope is off by
     ``vibration`` (standard deviation, radians a second).
     """
-    writer = open_writer(plan_destination(path, source_ros_version=2), path, path.name)
-    text = Definition("ros2msg", message_text("sensor_msgs/msg/Imu", 2).encode())
-    handle = writer.add_connection(Connection(0, "/imu", "sensor_msgs/msg/Imu", "cdr", text, ""))
+    rows = []
     times = np.arange(-20.0, seconds + 0.4, 0.01)
     times = times[np.abs(times - seconds / 2) >= gap / 2]
     ends = [drive.rotations(times + off) for off in (-5e-5, 5e-5)]
@@ -339,9 +302,8 @@ def write_imu(
             acceleration=attitudes[place].T @ felt[place],
             stamp_ns=log_time_ns + clock_ns,
         )
-        writer.write(handle, log_time_ns, data, log_time_ns)
-    writer.finish()
-    return path
+        rows.append((log_time_ns, "/imu", data))
+    return write_rows(path, {"/imu": IMU}, rows)
 
 
 def returns_in_odom(

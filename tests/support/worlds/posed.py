@@ -27,8 +27,6 @@ from support.builders import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-__all__ = ["KINDS", "SAMPLES", "message", "pose_at", "recording"]
-
 #: The types of messages with poses.
 KINDS = {
     "odometry": "nav_msgs/msg/Odometry",

@@ -15,16 +15,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pc2scan.bags.destinations import open_writer, plan_destination
 from pc2scan.bags.opening import open_recording
 from pc2scan.core.rigid import Rigid
-from pc2scan.messages.definitions import definition
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
-from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
 from pc2scan.messages.tfmessage import encode_transforms
-from pc2scan.model import LATCHED_QOS, Connection, Definition
-from support.builders import definition as message_text
+from support.builders import CLOUD, TF
+from support.clouds import structured
 from support.command import run
+from support.containers import write_rows
 from support.worlds.moving import BEGIN_NS, Drive
 from support.worlds.posed import KINDS, message
 
@@ -35,8 +33,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
-
-__all__ = ["Outcome", "World", "outcome", "random_world"]
 
 _NOISE = 0.01
 _FAR = 100.0
@@ -183,9 +179,9 @@ class World:
         drive = DRIVES[self.drive]
         lift = Rigid.from_rpy(0.0, 0.0, 0.0, (0.0, 0.0, self.axle))
         rows: list[tuple[int, str, bytes]] = []
-        types = {f"/{name}": POINTCLOUD2 for name in self.lidars}
+        types = {f"/{name}": CLOUD for name in self.lidars}
         if self.has_mount:
-            types["/tf_static"] = "tf2_msgs/msg/TFMessage"
+            types["/tf_static"] = TF
             mounts = [("base_link", name, lift.inverse().compose(each)) for name, each in self.lidars.items()]
             if self.claim is not None:
                 x, z, _, pitch, yaw = self.mount
@@ -195,7 +191,7 @@ class World:
             rows.append((BEGIN_NS - 500_000_000, "/tf_static", encode_transforms(static, "cdr")))
         if self.odometry:
             topic = "/tf" if self.odometry == "tf" else "/odom"
-            types[topic] = "tf2_msgs/msg/TFMessage" if self.odometry == "tf" else KINDS["odometry"]
+            types[topic] = TF if self.odometry == "tf" else KINDS["odometry"]
         for number in range(-20, round(_SECONDS * 50) + 20) if self.odometry else ():
             pose = drive.pose(number / 50).compose(lift).pose
             stamp_ns = BEGIN_NS + number * 20_000_000
@@ -210,19 +206,7 @@ class World:
                 stamp_ns = BEGIN_NS + round(times[0] * 1e9)
                 data = _cloud("odom" if self.in_odom else turn.name, stamp_ns, times - times[0], points)
                 rows.append((BEGIN_NS + round(times[-1] * 1e9) + 2_000_000, f"/{turn.name}", data))
-        writer = open_writer(plan_destination(path, source_ros_version=2), path, path.name)
-        handles = {}
-        for topic, msgtype in types.items():
-            if msgtype == KINDS["odometry"]:
-                text, digest = Definition("ros2msg", message_text(msgtype, 2).encode()), ""
-            else:
-                text, digest = definition(msgtype, 2)
-            qos = LATCHED_QOS if topic == "/tf_static" else ""
-            handles[topic] = writer.add_connection(Connection(0, topic, msgtype, "cdr", text, digest, qos=qos))
-        for log_time_ns, topic, data in sorted(rows):
-            writer.write(handles[topic], log_time_ns, data, log_time_ns)
-        writer.finish()
-        return path
+        return write_rows(path, types, sorted(rows))
 
     @property
     def top(self) -> float:
@@ -245,11 +229,7 @@ def _cloud(frame: str, stamp_ns: int, times: Floats, xyz: Floats) -> bytes:
     for axis, values in zip("xyz", xyz.T, strict=True):
         points[axis] = values
     points["t"] = np.round(times * 1e9)
-    fields = [PointField(name, 4 * place, 6 if name == "t" else 7) for place, name in enumerate(("x", "y", "z", "t"))]
-    return encode_pointcloud2(
-        serialization="cdr", sequence=0, stamp_ns=stamp_ns, frame_id=frame, fields=fields, point_step=16,
-        data=points.tobytes(),
-    )  # fmt: skip
+    return structured(points, 2, stamp_ns=stamp_ns, frame_id=frame)
 
 
 class Outcome(NamedTuple):

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-__all__ = ["REAR", "RINGS", "Fault", "Weaving", "write_weaving"]
-
 
 @dataclass(frozen=True, slots=True)
 class Weaving(Drive):
