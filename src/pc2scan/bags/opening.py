@@ -65,8 +65,7 @@ def sniff(path: Path) -> str:
         with open_bytes(path) as file:
             head = file.read(64)
     except FileNotFoundError as err:
-        suffixes = [entry.suffix for entry in FORMATS.values() if entry.suffix]
-        hint = _interruption_hint(path) or missing_hint(path, suffixes)
+        hint = _interruption_hint(path) or missing_hint(path)
         raise MissingError("does not exist", path=path, hint=hint) from err
     except OSError as err:
         raise RecordingError(f"cannot be read: {err.strerror}", path=path) from err

@@ -30,9 +30,6 @@ LZ4_MAGIC = b"\x04\x22\x4d\x18"
 #: The first bytes of every zstd frame.
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
-#: Bytes that are decompressed at a time if the size of the result is not known; see `Decoder.feed`.
-_PIECE = 1 << 11
-
 #: Size to which any chunk or message may be decompressed, even if it is stored in few bytes.
 MAX_UNPACKED = 32 << 20
 
@@ -117,11 +114,7 @@ def compress(compression: str, data: Buffer, level: int | None = None) -> Buffer
             return bz2.compress(data)
         case "lz4":
             return bytes(import_module("lz4.frame").compress(data))
-    try:
-        return zstandard.ZstdCompressor(level=_ZSTD_LEVEL if level is None else level).compress(data)
-    except zstandard.ZstdError as err:
-        # Any data can be compressed.
-        raise MemoryError(str(err)) from err
+    return zstandard.ZstdCompressor(level=_ZSTD_LEVEL if level is None else level).compress(data)
 
 
 class Decoder:
@@ -228,23 +221,13 @@ def _zlib_within(data: Buffer, limit: int) -> Buffer:
 
 
 def _zstd_within(data: Buffer, limit: int) -> Buffer:
-    size = zstd_content_size(data)
-    if size > limit:
+    if (size := zstd_content_size(data)) > limit:
         raise CompressionError(f"the compressed data declare {size:,} bytes, at most {limit:,} are allowed")
-    if size >= 0:
-        content = memoryview(bytearray(size))
-        decompress("zstd", data, content)
-        return content
-    # Frames without their size, which streaming compressors write.
-    pieces, total, unzstd = list[bytes](), 0, Decoder("zstd")
-    for start in range(0, len(data), _PIECE):
-        pieces.append(unzstd.feed(data[start : start + _PIECE]))
-        total += len(pieces[-1])
-        if total > limit or unzstd.eof:
-            break
-    if total <= limit and not unzstd.eof:
-        raise CompressionError("the data are cut off")
-    return b"".join(pieces)
+    try:
+        # Streaming compressors write frames without their size: memory is used as far as it is filled.
+        return zstandard.ZstdDecompressor().decompress(data, max_output_size=limit)
+    except zstandard.ZstdError as err:
+        raise CompressionError(str(err)) from err
 
 
 _DECOMPRESS: dict[str, Callable[[Buffer, memoryview], int]] = {

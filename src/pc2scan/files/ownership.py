@@ -201,13 +201,9 @@ class Inputs:
             relation, source = related
             if path != output.path:
                 # What a killed run left may be a source.
-                better = output.path.with_name(f"interrupted_{output.path.name}")
-                rename = f"mv -n {shlex.quote(str(path))} {shlex.quote(str(better))}"
-                raise DestinationError(
-                    f"needs the name {path.name} while it is written, which is a {source.role}",
-                    path=output.path,
-                    hint=f"choose another name for it, or rename the {source.role} first ({rename})",
-                )
+                message = f"needs the name {path.name} while it is written, which is a {source.role}"
+                hint = f"choose another name for it, or rename the {source.role} first"
+                raise DestinationError(message, path=output.path, hint=hint)
             what = f"a {source.role}" if relation == "is" else f"the {source.role} {source.path}"
             hint = "sources are never changed; choose another name"
             raise DestinationError(f"{_subject(output)}{relation} {what}", path=path, hint=hint)

@@ -19,7 +19,7 @@ from . import system
 from .urls import UrlPath, is_dir
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator
     from pathlib import Path
     from tempfile import TemporaryDirectory
 
@@ -116,14 +116,12 @@ def private_folder(path: Path) -> TemporaryDirectory[str]:
     RecordingError
         If the system has no folder for temporary files.
     """
-    try:
+    with copy_errors(path):
         return tempfile.TemporaryDirectory(prefix="pc2scan-", dir=system.scratch.get())
-    except OSError as err:
-        raise _no_copy(err, path, None) from err
 
 
 @contextmanager
-def copy_errors(path: Path, folder: Path) -> Iterator[None]:
+def copy_errors(path: Path, folder: Path | None = None) -> Iterator[None]:
     """Wrap errors of copying ``path`` to a private folder; they name the folder.
 
     Raises
@@ -134,14 +132,9 @@ def copy_errors(path: Path, folder: Path) -> Iterator[None]:
     try:
         yield
     except OSError as err:
-        raise _no_copy(err, path, folder.parent) from err
-
-
-def _no_copy(err: OSError, path: Path, folder: Path | None) -> RecordingError:
-    place = "" if folder is None else f" in {folder}"
-    return RecordingError(
-        f"cannot be copied to a temporary file{place}: {err.strerror}", path=path, hint=TEMPORARY_HINT
-    )
+        place = "" if folder is None else f" in {folder.parent}"
+        message = f"cannot be copied to a temporary file{place}: {err.strerror}"
+        raise RecordingError(message, path=path, hint=TEMPORARY_HINT) from err
 
 
 # --- Paths that do not exist ---
@@ -150,43 +143,17 @@ def _no_copy(err: OSError, path: Path, folder: Path | None) -> RecordingError:
 _MOST = 2_000
 
 
-def missing_hint(path: Path, suffixes: Iterable[str] = ()) -> str | None:
-    """Return a hint for a path that does not exist.
-
-    Parameters
-    ----------
-    path
-        The path.
-    suffixes
-        Suffixes of the files that are listed if no name is similar.
-
-    Returns
-    -------
-    str or None
-        The target of a broken link, a similar name in the directory, the files in it, or the directory that is missing;
-        None if there is no hint.
-    """
+def missing_hint(path: Path) -> str | None:
+    """Return a hint for a path that does not exist: the target of a broken link, or a similar name; else None."""
     if str(path) == "-":
         return "recordings cannot be read from a pipe; save it as a file first"
     # Not Path.is_symlink: the name may be too long.
     if os.path.islink(path):  # noqa: PTH114
         return f"it is a link to {path.readlink()}, which does not exist"
-    above = path.parent
-    while not above.is_dir():
-        if above == above.parent:
-            return None
-        path, above = above, above.parent
     try:
-        with os.scandir(above) as entries:
+        with os.scandir(path.parent) as entries:
             names = sorted(entry.name for entry in islice(entries, _MOST) if not entry.name.startswith("."))
     except OSError:
         return None
     similar = nearest(path.name, names)
-    if similar is not None:
-        return f"did you mean {above / similar}?"
-    wanted = tuple(suffixes)
-    files = [str(above / name) for name in names if wanted and name.endswith(wanted)]
-    if not files:
-        return None
-    more = f" and {len(files) - 3} more" if len(files) > 3 else ""
-    return f"the folder has {', '.join(files[:3])}{more}"
+    return None if similar is None else f"did you mean {path.parent / similar}?"

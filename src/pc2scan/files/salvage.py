@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import struct
+from contextlib import suppress
 from typing import TYPE_CHECKING
-
-import lz4.block
 
 from .compression import LZ4_MAGIC, CompressionError, Decoder, allowed_bytes
 
@@ -17,9 +15,6 @@ SIZE_LIMIT = 16 << 20
 
 #: A decompressor that fails drops its output for the piece that it was given, so pieces are small.
 _PIECE = 64
-
-_LZ4_WINDOW = 1 << 16
-_LZ4_BLOCK_SIZES = {4: 1 << 16, 5: 1 << 18, 6: 1 << 20, 7: 4 << 20}
 
 
 def decompressed_prefix(data: Buffer, compression: str, declared: int) -> bytes:
@@ -34,95 +29,67 @@ def decompressed_prefix(data: Buffer, compression: str, declared: int) -> bytes:
     declared
         The size that the chunk declares, bytes. It may be wrong: the result may have up to `SIZE_LIMIT`.
     """
-    limit = min(max(declared, SIZE_LIMIT), allowed_bytes(len(data)))
+    limit, data, out = min(max(declared, SIZE_LIMIT), allowed_bytes(len(data))), bytes(data), bytearray()
     if compression == "none":
-        return bytes(data)
+        return data
     if compression == "lz4":
-        return _lz4_frame(memoryview(data), limit)
-    if compression not in {"bz2", "zstd"}:
-        return b""
-    decoding, view = Decoder(compression), memoryview(data)
-    parts, size = list[bytes](), 0
-    for start in range(0, len(data), _PIECE):
-        try:
-            part = decoding.feed(bytes(view[start : start + _PIECE]), limit - size)
-        except (CompressionError, MemoryError):
-            break
-        parts.append(part)
-        size += len(part)
-        if decoding.eof or size >= limit:
-            break
-    return b"".join(parts)[:limit]
-
-
-def _lz4_frame(data: memoryview, limit: int) -> bytes:
-    """Decode an LZ4 frame block by block; ROS 1's chunks are one block. Source: lz4_Frame_format.md."""
-    if len(data) < 7 or bytes(data[:4]) != LZ4_MAGIC:
-        return b""
-    flags, most = data[4], _LZ4_BLOCK_SIZES.get(data[5] >> 4 & 7, 4 << 20)
-    position = 7 + (8 if flags & 0x08 else 0) + (4 if flags & 0x01 else 0)
-    out = bytearray()
-    while position + 4 <= len(data) and len(out) < limit:
-        (length,) = struct.unpack_from("<I", data, position)
-        stored, length = length >> 31, length & 0x7FFF_FFFF
-        # A block that compression would lengthen is stored uncompressed: none is longer than `most`.
-        if not 0 < length <= most:
-            break
-        block = bytes(data[position + 4 : position + 4 + length])
-        position += 4 + length + 4 * bool(flags & 0x10)
-        if stored:
-            out += block
-            continue
-        history = b"" if flags & 0x20 else bytes(out[-_LZ4_WINDOW:])
-        try:
-            if len(block) < length:
-                raise ValueError("cut off")
-            # lz4 raises RuntimeError on truncated dictionaries, and its own errors are ValueErrors and MemoryErrors.
-            out += lz4.block.decompress(block, uncompressed_size=most, dict=history)
-        except (lz4.block.LZ4BlockError, ValueError, RuntimeError, MemoryError):
-            out += _lz4_block_prefix(block, history, most)
-            break
+        # Behind the end, there is no byte.
+        with suppress(IndexError):
+            _decode_lz4(data, out, limit)
+    elif compression in {"bz2", "zstd"}:
+        decoder = Decoder(compression)
+        with suppress(CompressionError, MemoryError):
+            for start in range(0, len(data), _PIECE):
+                out += decoder.feed(data[start : start + _PIECE], limit - len(out))
+                if decoder.eof or len(out) >= limit:
+                    break
     return bytes(out[:limit])
 
 
-def _lz4_block_prefix(block: bytes, history: bytes, limit: int) -> bytes:
-    """Decode the sequences of an LZ4 block until one is impossible. Source: lz4_Block_format.md."""
-    out = bytearray(history)
-    limit += len(history)
-    position, end = 0, len(block)
+def _decode_lz4(data: bytes, out: bytearray, limit: int) -> None:
+    """Decode the blocks of an LZ4 frame; ROS 1's chunks are one block. Source: lz4_Frame_format.md."""
+    flags = data[4]
+    position = 7 + 8 * bool(flags & 0x08) + 4 * bool(flags & 0x01)
+    while data.startswith(LZ4_MAGIC) and len(out) < limit:
+        length = int.from_bytes(data[position : position + 4], "little")
+        stored, length = length >> 31, length & 0x7FFF_FFFF
+        block = data[position + 4 : position + 4 + length]
+        position += 4 + length + 4 * bool(flags & 0x10)
+        if stored:
+            out += block
+        elif not block or not _decode_block(block, out, limit):
+            break
+
+
+def _decode_block(block: bytes, out: bytearray, limit: int) -> bool:
+    """Decode the sequences of a block, which refer to what is before them, and return whether it is whole.
+
+    Source: lz4_Block_format.md.
+    """
+    position = 0
 
     def extended(length: int) -> int:
         nonlocal position
-        while length >= 15:
-            if position >= end:
-                return -1
+        more = 255 if length == 15 else 0
+        while more == 255:
             more = block[position]
             position += 1
             length += more
-            if more != 255:
-                break
         return length
 
-    while position < end and len(out) < limit:
+    while len(out) < limit:
         token = block[position]
         position += 1
         literals = extended(token >> 4)
-        if literals < 0:
-            break
         out += block[position : position + literals]
         position += literals
-        if position + 2 > end:
-            break
+        # The last sequence has literals only.
+        if position == len(block):
+            return True
         distance = block[position] | block[position + 1] << 8
         position += 2
-        length = extended(token & 15)
-        if length < 0 or not 0 < distance <= len(out):
+        length = min(extended(token & 15) + 4, limit)
+        if not 0 < distance <= len(out):
             break
-        length += 4
-        start = len(out) - distance
-        if distance >= length:
-            out += out[start : start + length]
-        else:
-            pattern = bytes(out[start:])
-            out += (pattern * (length // distance + 1))[:length]
-    return bytes(out[len(history) : limit])
+        out += (out[-distance:] * (length // distance + 1))[:length]
+    return False

@@ -19,8 +19,8 @@ from .urls import UrlPath
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from io import BufferedReader
     from pathlib import Path
-    from typing import BinaryIO
 
 #: Sizes that are read into a reused buffer. Memory for fewer bytes costs no page faults, and a larger buffer would take
 #: too much memory beside the results.
@@ -70,7 +70,7 @@ def file_beside(path: Path, suffix: str) -> Path | None:
     return None
 
 
-def open_bytes(path: Path) -> BinaryIO:
+def open_bytes(path: Path) -> BufferedReader:
     """Open a file for reading; special files are refused, as a FIFO would wait for a writer and a device has no end.
 
     Raises
@@ -88,9 +88,8 @@ def open_text(path: Path) -> TextIOWrapper:
     """Open a file of UTF-8 text as `open_bytes` does; an error for what Git LFS has in place of it."""
     file = open_bytes(path)
     try:
-        refuse_pointer(file.read(len(LFS_POINTER)), path)
-        file.seek(0)
-    except BaseException:
+        refuse_pointer(file.peek(len(LFS_POINTER)), path)
+    except UsageError:
         file.close()
         raise
     return TextIOWrapper(file, encoding="utf-8")
@@ -111,10 +110,8 @@ def refuse_pointer(data: bytes, path: Path) -> None:
 def _open_regular(path: str, flags: int) -> int:
     """Open a file; a special file is not even opened, which may have an effect. For a directory, opening raises."""
     mode = os.stat(path).st_mode  # noqa: PTH116  # an opener's paths are text
-    kinds = {stat.S_ISFIFO: "FIFO", stat.S_ISSOCK: "socket", stat.S_ISCHR: "device", stat.S_ISBLK: "device"}
-    for is_kind, name in kinds.items():
-        if is_kind(mode):
-            raise OSError(errno.EINVAL, f"it is a {name}, not a file; save it as a file first", path)
+    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+        raise OSError(errno.EINVAL, "it is a FIFO, a socket or a device, not a file; save it as a file first", path)
     return os.open(path, flags)
 
 
@@ -242,9 +239,7 @@ class SourceFile:
 
     def close(self) -> None:
         """Release the file; reading afterwards is an error."""
-        descriptor, closed = self._opened(), _Descriptor(-1)
-        self._opened = lambda: closed
-        if descriptor is not None:
+        if (descriptor := self._opened()) is not None:
             descriptor.close()
 
     def error(self, message: str, hint: str | None = None) -> RecordingError:
@@ -257,45 +252,34 @@ class SourceFile:
 
     def read(self, offset: int, length: int) -> bytes:
         """Read exactly ``length`` bytes."""
-        if offset + length > self.size:
-            raise self._outside(offset, length)
-        file = self._file()
-        try:
-            data = read_at(file.number, length, offset)
-            # A call may return fewer bytes than requested.
-            while len(data) < length and (more := read_at(file.number, length - len(data), offset + len(data))):
-                data += more
-        except OSError as err:
-            raise self._unreadable(offset, err) from err
-        if len(data) < length:
-            raise self._truncation_error(offset + len(data))
-        return data
+        pieces: list[bytes] = []
+
+        def read(descriptor: int, done: int) -> int:
+            pieces.append(read_at(descriptor, length - done, offset + done))
+            return len(pieces[-1])
+
+        self._read_all(offset, length, read)
+        return b"".join(pieces)
 
     def borrow(self, offset: int, length: int) -> memoryview:
         """Read exactly these bytes; many bytes are read into a buffer that is used again: see `lend`."""
         if length not in _BORROWED_BYTES or not hasattr(os, "preadv"):
             return memoryview(self.read(offset, length))
-        if offset + length > self.size:
-            raise self._outside(offset, length)
         view = lend(length, STORED)
-        file, done = self._file(), 0
-        try:
-            while done < length and (more := os.preadv(file.number, [view[done:]], offset + done)):
-                done += more
-        except OSError as err:
-            raise self._unreadable(offset, err) from err
-        if done < length:
-            raise self._truncation_error(offset + done)
+        self._read_all(offset, length, lambda descriptor, done: os.preadv(descriptor, [view[done:]], offset + done))
         return view.toreadonly()
 
-    def _outside(self, offset: int, length: int) -> Exception:
-        return self.damage(f"{length} bytes are declared from byte {offset} on, but the file has {self.size} bytes")
-
-    def _unreadable(self, offset: int, err: OSError) -> RecordingError:
-        return self.error(f"cannot be read at byte {offset}: {err.strerror}")
-
-    def _truncation_error(self, offset: int) -> RecordingError:
-        return self.error(
-            f"ended at byte {offset} while it was read; it had {self.size} bytes when opened",
-            "wait until the recording is complete",
-        )
+    def _read_all(self, offset: int, length: int, read: Callable[[int, int], int]) -> None:
+        """Call ``read`` with a descriptor and the number of bytes that were read, until it has read all."""
+        if offset + length > self.size:
+            raise self.damage(f"{length} bytes are declared from byte {offset} on, but the file has {self.size} bytes")
+        file, done = self._file(), 0
+        try:
+            # A call may read fewer bytes than requested.
+            while done < length and (more := read(file.number, done)):
+                done += more
+        except OSError as err:
+            raise self.error(f"cannot be read at byte {offset}: {err.strerror}") from err
+        if done < length:
+            message = f"ended at byte {offset + done} while it was read; it had {self.size} bytes when opened"
+            raise self.error(message, "wait until the recording is complete")

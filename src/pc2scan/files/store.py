@@ -24,9 +24,6 @@ if TYPE_CHECKING:
 LEAST_BYTES = 1 << 16
 SLOWEST_SECONDS = 60.0
 
-#: Timeouts in seconds: for a connection, and for the next bytes.
-_CONNECT_SECONDS, _READ_SECONDS = 10, 20
-
 #: Attributes that distinguish versions of an object, the best first. Stores differ in which of these they have.
 _VERSION = ("ETag", "etag", "generation", "Last-Modified", "created")
 
@@ -186,24 +183,23 @@ def _object(found: dict[str, Any]) -> StoredObject:
 
 
 def _patience(scheme: str, configured: dict[str, Any]) -> dict[str, Any]:
-    """Return options with timeouts for a store; what the user has configured wins.
+    """Return options of a store with our patience; what the user has configured wins.
 
     By default S3 takes minutes to give up, and a web server's file may not take longer than five minutes.
     """
     if scheme in {"http", "https"}:
-        name, ours = "client_kwargs", _web_client(_CONNECT_SECONDS, _READ_SECONDS)
+        name, ours = "client_kwargs", _web_client()
     elif scheme in {"s3", "s3a"}:
         # No retries of the S3 library: s3fs itself tries five times.
-        ours = {"connect_timeout": _CONNECT_SECONDS, "read_timeout": _READ_SECONDS, "retries": {"max_attempts": 0}}
-        name = "config_kwargs"
+        name, ours = "config_kwargs", {"connect_timeout": 10, "read_timeout": 20, "retries": {"max_attempts": 0}}
     else:
         return {}
     return {name: ours | configured.get(name, {})}
 
 
 @cache
-def _web_client(connect_seconds: float, read_seconds: float) -> dict[str, Any]:
-    """Return the options of aiohttp's client: its timeouts, and what refuses redirects to other hosts."""
+def _web_client() -> dict[str, Any]:
+    """Return the options of aiohttp's client: no timeout beside `SLOWEST_SECONDS`, no redirects to other hosts."""
     from aiohttp import ClientTimeout, TraceConfig  # noqa: PLC0415  # only where it is needed
 
     async def stay(_session: object, _context: object, redirect: Any) -> None:
@@ -214,9 +210,9 @@ def _web_client(connect_seconds: float, read_seconds: float) -> dict[str, Any]:
 
     traces = TraceConfig()
     traces.on_request_redirect.append(stay)
-    timeout = ClientTimeout(total=None, sock_connect=connect_seconds, sock_read=read_seconds)
     # What a server compresses would have another size than it declares.
-    return {"timeout": timeout, "trace_configs": [traces], "headers": {"Accept-Encoding": "identity"}}
+    headers = {"Accept-Encoding": "identity"}
+    return {"timeout": ClientTimeout(total=None), "trace_configs": [traces], "headers": headers}
 
 
 def _translated(err: BaseException, shown: str, kind: type[Pc2ScanError]) -> Pc2ScanError:

@@ -5,21 +5,17 @@ from __future__ import annotations
 import errno
 import os
 import shutil
-import stat
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from threading import Lock
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
     from pathlib import Path
 
 #: Windows would translate line ends in files that are opened without it.
 BINARY = getattr(os, "O_BINARY", 0)
-
-#: With this flag, opening a symbolic link fails; 0 if the system does not have it.
-REFUSES_LINKS = getattr(os, "O_NOFOLLOW", 0)
 
 #: Maximum number of bytes per call: Linux returns at most 2 GiB, and macOS refuses to return more.
 _MOST_AT_ONCE = 1 << 30
@@ -45,19 +41,15 @@ def copying_to(folder: Path | None) -> Iterator[None]:
 _turn = Lock()
 
 
-def _read_at(descriptor: int, length: int, offset: int) -> bytes:
-    return os.pread(descriptor, min(length, _MOST_AT_ONCE), offset)
-
-
-def seek_and_read(descriptor: int, length: int, offset: int) -> bytes:
-    """Do what `read_at` does without ``pread``, under a lock: all threads share the descriptor's position."""
+def read_at(descriptor: int, length: int, offset: int) -> bytes:
+    """Read at most ``length`` bytes of an open file, on any thread."""
+    length = min(length, _MOST_AT_ONCE)
+    if hasattr(os, "pread"):
+        return os.pread(descriptor, length, offset)
+    # All threads share the descriptor's position.
     with _turn:
         os.lseek(descriptor, offset, os.SEEK_SET)
-        return os.read(descriptor, min(length, _MOST_AT_ONCE))
-
-
-#: Reads at most ``length`` bytes of an open file, on any thread: ``read_at(descriptor, length, offset)``.
-read_at: Callable[[int, int, int], bytes] = _read_at if hasattr(os, "pread") else seek_and_read
+        return os.read(descriptor, length)
 
 
 def lock_descriptor(descriptor: int) -> None:
@@ -70,25 +62,17 @@ def lock_descriptor(descriptor: int) -> None:
     OSError
         If the file system cannot lock files, as some network file systems.
     """
-    try:
+    with suppress(ImportError):
         import fcntl  # noqa: PLC0415  # not on Windows
-    except ImportError:
-        _lock_on_windows(descriptor)
-    else:
+
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
-def _lock_on_windows(descriptor: int) -> None:
-    try:
+    with suppress(ImportError):
         import msvcrt  # noqa: PLC0415  # only there
-    except ImportError as err:
-        raise OSError(errno.ENOLCK, "this system has no locks") from err
-    try:
-        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined,unused-ignore]
-    except OSError as err:
-        if err.errno in {errno.EACCES, errno.EDEADLK}:
+
+        try:
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined,unused-ignore]
+        except PermissionError as err:
             raise BlockingIOError(err.errno, "is locked") from err
-        raise
 
 
 def sync_directory(path: Path) -> None:
@@ -113,11 +97,7 @@ def is_full(err: BaseException | None) -> bool:
 
 def remove(path: Path) -> None:
     """Delete a file or a directory if it exists; a symbolic link, not its target."""
-    try:
-        mode = path.lstat().st_mode
-    except FileNotFoundError:
-        return
-    if stat.S_ISDIR(mode):
+    if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:
-        path.unlink()
+        path.unlink(missing_ok=True)

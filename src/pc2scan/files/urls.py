@@ -15,7 +15,7 @@ from os import PathLike
 from pathlib import Path
 from socket import gethostname
 from typing import TYPE_CHECKING, Any, ClassVar
-from urllib.parse import unquote_to_bytes, urlsplit
+from urllib.parse import unquote, urlsplit
 
 from pc2scan.arguments import value_and_type
 from pc2scan.errors import MissingError, UsageError
@@ -125,16 +125,13 @@ def local_path(text: str, name: str = "a source") -> str:
     if scheme.lower() != "file" or not rest.startswith("/"):
         return text
     url = urlsplit(text)
-    if url.netloc.lower() not in {"", "localhost", gethostname().lower()}:
-        hint = "a path of this machine has three slashes: file:///data/drive.bag"
-        raise UsageError(f"is a file of another machine, {url.netloc}", path=text, hint=hint)
-    if not url.path or set("?#") & set(rest) or any(code in rest.upper() for code in ("%00", "%2F")):
+    is_here = url.netloc.lower() in {"", "localhost", gethostname().lower()}
+    if not is_here or not url.path or set("?#") & set(rest) or any(code in rest.upper() for code in ("%00", "%2F")):
         hint = "it has three slashes, %3F for ? and %23 for #: file:///data/drive.bag"
-        raise UsageError("is a URL that names no file", path=text, hint=hint)
-    path = "/" + os.fsdecode(unquote_to_bytes(os.fsencode(url.path))).lstrip("/")
-    # On Windows a drive follows the slash: file:///C:/data, or file:///C|/data.
-    has_drive = os.name == "nt" and path[2:3] in {":", "|"}
-    return f"{path[1]}:{path[3:]}" if has_drive else path
+        raise UsageError("is a URL that names no file of this machine", path=text, hint=hint)
+    path = "/" + unquote(url.path, errors="surrogateescape").lstrip("/")
+    # On Windows a drive follows the slash: file:///C:/data.
+    return path[1:] if os.name == "nt" and path[2:3] == ":" else path
 
 
 def paths_in(name: str, values: PathText | Iterable[PathText]) -> list[Path]:
@@ -192,13 +189,11 @@ def shown_url(url: str) -> str:
     return f"{scheme}://{host.rpartition('@')[2]}{slash}{path}"
 
 
-# Up to Python 3.11, Path itself has no subclasses, only these have.
+# Up to Python 3.11, Path itself has no subclasses, only this has.
 if TYPE_CHECKING:
     from pathlib import PosixPath as _LocalPath
-elif os.name == "nt":
-    from pathlib import WindowsPath as _LocalPath
 else:
-    from pathlib import PosixPath as _LocalPath
+    _LocalPath = type(Path())
 
 
 class UrlPath(_LocalPath):

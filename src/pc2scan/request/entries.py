@@ -107,7 +107,7 @@ def read_text(path: Path, example: str) -> str:
         with open_bytes(path) as file:
             data = file.read(MAX_FILE_BYTES + 1)
     except FileNotFoundError as err:
-        hint = missing_hint(path, (".yaml", ".yml")) or example
+        hint = missing_hint(path) or example
         raise ParameterError(f"{path}: does not exist", hint=hint) from err
     except IsADirectoryError as err:
         raise ParameterError(f"{path}: this is a directory, not a parameter file") from err

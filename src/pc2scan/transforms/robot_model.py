@@ -96,7 +96,7 @@ def model_in_file(path: Path) -> RobotModel:
     UsageError
         If it cannot be read, or is not a URDF.
     """
-    text = text_of(path, MAX_BYTES, "a URDF", (".urdf", ".xml"))
+    text = text_of(path, MAX_BYTES, "a URDF")
     try:
         return parse_model(text, str(path))
     except UsageError as err:

@@ -167,7 +167,7 @@ def load_static_transforms(path: Path) -> tuple[StaticTransform, ...]:
     UsageError
         If the file cannot be read, or has anything else in it.
     """
-    text = text_of(path, MAX_CHARACTERS, "a list of static transforms", (".yaml", ".yml"))
+    text = text_of(path, MAX_CHARACTERS, "a list of static transforms")
     try:
         document = load_yaml(text)
     except ValueError as err:

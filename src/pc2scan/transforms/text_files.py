@@ -15,14 +15,14 @@ if TYPE_CHECKING:
     from typing import TextIO
 
 
-def text_of(path: Path, most: int, what: str, suffixes: tuple[str, ...]) -> str:
+def text_of(path: Path, most: int, what: str) -> str:
     """Return the text of a file; see `open_bounded`."""
-    with open_bounded(path, most, what, suffixes) as file:
+    with open_bounded(path, most, what) as file:
         return file.read(most)
 
 
 @contextmanager
-def open_bounded(path: Path, most: int, what: str, suffixes: tuple[str, ...]) -> Iterator[TextIO]:
+def open_bounded(path: Path, most: int, what: str) -> Iterator[TextIO]:
     """Open a text file.
 
     Parameters
@@ -33,8 +33,6 @@ def open_bounded(path: Path, most: int, what: str, suffixes: tuple[str, ...]) ->
         The largest size, bytes.
     what
         What the file is, for errors: ``a trajectory``.
-    suffixes
-        Usual ends of its name, for hints about files that do not exist.
 
     Raises
     ------
@@ -47,7 +45,7 @@ def open_bounded(path: Path, most: int, what: str, suffixes: tuple[str, ...]) ->
         with open_text(path) as file:
             yield file
     except FileNotFoundError as err:
-        raise UsageError("does not exist", path=path, hint=missing_hint(path, suffixes)) from err
+        raise UsageError("does not exist", path=path, hint=missing_hint(path)) from err
     except OSError as err:
         raise UsageError(f"cannot be read: {err.strerror}", path=path) from err
     except UnicodeDecodeError as err:

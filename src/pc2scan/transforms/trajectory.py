@@ -111,7 +111,7 @@ def load_trajectory(path: Path, frames: tuple[str, str]) -> Trajectory:
         If a file cannot be read, or a line is not a pose; the error has the line.
     """
     stamps, numbers, values = array("q"), array("q"), array("d")
-    with open_bounded(path, _MAX_BYTES, "a trajectory", (".tum", ".txt")) as file:
+    with open_bounded(path, _MAX_BYTES, "a trajectory") as file:
         for number, line in enumerate(iter(partial(file.readline, _MAX_LINE), ""), 1):
             words = line.partition("#")[0].replace(",", " ").split()
             if not words:
