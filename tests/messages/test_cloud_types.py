@@ -132,11 +132,11 @@ DAMAGED: dict[str, tuple[dict[str, Any], str]] = {
     "cut gzip": ({"compressor": "zlib", "data": b"\x1f\x8b\x08\x00"}, "cannot be decompressed with zlib"),
     "no gzip": ({"compressor": "zlib", "data": b"nothing"}, "cannot be decompressed with zlib"),
     "cut zstd": ({"data": COMPRESSORS["zstd"][1](bytes(9999))[:-5]}, "cannot be decompressed with zstd"),
-    "cut stream": ({"data": COMPRESSORS["zstd stream"][1](bytes(9999))[:-5]}, "with zstd: the data are cut off"),
+    "cut stream": ({"data": COMPRESSORS["zstd stream"][1](bytes(9999))[:-5]}, "with zstd: .*did not decompress full frame"),
     "nothing": ({"data": b""}, "data has 0 bytes"),
     "fewer points": ({"data": COMPRESSORS["zstd"][1](bytes(100))}, "data has 100 bytes"),
     "bomb": ({"data": bomb("zstd")}, r"declare 52,428,800 bytes, at most 33,\d+,\d+"),
-    "stream bomb": ({"data": bomb("zstd stream")}, "are larger than"),
+    "stream bomb": ({"data": bomb("zstd stream")}, "with zstd: .*did not decompress full frame"),
     "gzip bomb": ({"compressor": "zlib", "data": bomb("zlib")}, "are larger than"),
     "cloudini": ({"form": "cloudini"}, "compressed with 'cloudini'; zlib, zstd and draco are read"),
 }
