@@ -206,13 +206,13 @@ def _tried(options: Mapping[str, Any], group: Sequence[Lidar], summary: Summary)
     remove = Choice("ground", "remove", why)
     above = Choice("min_height", float(f"{options['min_height'] + _ROUGH:g}"), "above the floor, and rough ground")
     most = max(_MOST_GROUND, min(_STILL_ON, trial.on_ground / 4))
-    for way in ([remove], [remove, above], [steep]):
+    reach = (options["max_height"] - options["min_height"]) / steep.value
+    ends = f"scans end {reach:.0f} m away, where `min_height_slope` reaches max_height"
+    for way, lost in (([remove], ()), ([remove, above], ()), ([steep], (ends,) if reach < _REACHES else ())):
         more = {each.name: each.value for each in way}
         outcome = _worst([tried({**options, **more}, lidar, summary, grounds) for lidar in group])
         if outcome.on_ground <= most and outcome.seen > _STILL_SEEN:
-            reach = (options["max_height"] - options["min_height"]) / steep.value
-            ends = f"scans end {reach:.0f} m away, where `min_height_slope` reaches max_height"
-            return way, (*outcome.findings, *([ends] if way == [steep] and reach < _REACHES else ()))
+            return way, (*outcome.findings, *lost)
     said = f"{trial.on_ground:.0%} of the returns are on the ground, which rises; `pc2scan view` shows it"
     return [], (*trial.findings, said)
 

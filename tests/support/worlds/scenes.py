@@ -288,8 +288,8 @@ def judged(world: World, path: Path) -> tuple[float, float]:
     margin = 0.02 + (0.05 if world.slope else 0.0)
     known = (height > 0.1 - margin) & (every[:, 2] < world.top + margin)
     firm = (height > 0.1 + margin) & (every[:, 2] < world.top - margin)
-    # A scan of a sparse pattern has the second before its stamp.
-    before = 1.0 if world.sensor == "sparse" else 0.15
+    # When a scan was measured: a turn from its stamp on; of packets, around it; of a sparse pattern, a second before it.
+    before, after = {"sparse": (1.0, 0.1), "packets": (0.15, 0.15)}.get(world.sensor, (0.01, 0.11))
     for scan in _scans(path):
         time = (scan.stamp_ns - BEGIN_NS) / 1e9
         place = drive.pose(time)
@@ -310,7 +310,7 @@ def judged(world: World, path: Path) -> tuple[float, float]:
             fits = np.abs(got[beam] - ranges[inside]) < 0.05 + ranges[inside] * step / 2
             right[beam[fits]] = True
         filled = np.zeros(len(got), bool)
-        now = firm & (at > time - before) & (at < time + 0.15) & (beams >= 0) & (beams < len(got))
+        now = firm & (at > time - before) & (at < time + after) & (beams >= 0) & (beams < len(got))
         now &= (ranges > scan.range_min) & (ranges < min(scan.range_max, 20))
         filled[beams[now]] = True
         counts += (right[is_return].sum(), is_return.sum(), (is_return & filled).sum(), filled.sum())
