@@ -10,7 +10,6 @@ With sanitizers, by hand: build with ``CFLAGS="-fsanitize=address,undefined" pip
 from __future__ import annotations
 
 import struct
-from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +21,7 @@ from pc2scan.core.moving import MovingTransform
 from pc2scan.core.presets import PRESETS
 from pc2scan.core.project import Projector
 from pc2scan.messages.pointcloud2 import PointCloud2, PointField
+from support.loops import loops_in_numpy
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -64,7 +64,7 @@ def project_cloud(data: bytes) -> None:
     project, flags, cloud = _read(data)
     xyz, lit = cloud.xyz(), cloud.field("intensity") if flags & _LIT else None
     moved = _TRANSFORM if flags & _MOVED else None
-    with _plain():
+    with loops_in_numpy():
         expected = project(*xyz, moved, lit)
     for _ in _widths():
         _compare(project(*xyz, moved, lit), expected)
@@ -84,7 +84,7 @@ def project_moving(data: bytes) -> None:
     lit = times if flags & _LIT else None
     outs = np.zeros((2, xyz[0].size, 3), np.float32)
     with np.errstate(all="ignore"):
-        with _plain():
+        with loops_in_numpy():
             expected = project(*xyz, motion, lit)
         lost, span = plain.deskew(*xyz, motion, outs[1]), plain.span(xyz[0], times)
         for _ in _widths():
@@ -126,13 +126,3 @@ def _widths() -> Iterator[int]:
     for width in (1, 8, 16):
         if _kernel.lanes(width) == width:
             yield width
-
-
-@contextmanager
-def _plain() -> Iterator[None]:
-    compiled = kernel.project, kernel.gather
-    kernel.project, kernel.gather = plain.project, plain.gather
-    try:
-        yield
-    finally:
-        kernel.project, kernel.gather = compiled

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 import pc2scan
-from fuzz import angles
-from parity import debian
+from parity import angles, debian
 from pc2scan.conversion.scan_to_cloud import ScanToCloud
 from pc2scan.core import fdlibm
 from pc2scan.core.params import ProjectionParams

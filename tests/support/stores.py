@@ -83,8 +83,6 @@ class _Handler(SimpleHTTPRequestHandler):
         with suppress(OSError):
             if kind == "silent":
                 ended.wait(20)
-            elif kind == "trickles_heads":
-                self._trickle(b"HTTP/1.1 200 OK\r\nX: " + b"x" * 100)
             elif kind.isdigit() or kind == "redirects":
                 self.send_response(int(kind) if kind.isdigit() else 302)
                 self.send_header("Location", f"http://localhost:{self.server.server_port}/hall.bag")  # type: ignore[attr-defined]
@@ -92,23 +90,14 @@ class _Handler(SimpleHTTPRequestHandler):
                 self.end_headers()
             else:
                 self.send_response(200)
-                self.send_header(
-                    "Content-Length", str({"declares": 10**14, "floods": len(body) or 1000}.get(kind, 100_000))
-                )
+                self.send_header("Content-Length", str(10**14 if kind == "declares" else 100_000))
                 self.end_headers()
-                if kind == "trickles":
-                    self._trickle(body)
+                # A byte now and then, so that the server is never silent for long.
+                while kind == "trickles" and body and not ended.wait(0.1):
+                    self.wfile.write(b"x")
+                    self.wfile.flush()
                 self.wfile.write(body)
                 self.wfile.flush()
-                ended.wait(20 if body and kind == "stalls" else 0)
-
-    def _trickle(self, data: bytes) -> None:
-        """Send a byte now and then, so that the server is never silent for long."""
-        for byte in data:
-            if self.server.ended.wait(0.1):  # type: ignore[attr-defined]
-                break
-            self.wfile.write(bytes([byte]))
-            self.wfile.flush()
 
 
 @contextmanager

@@ -1,13 +1,7 @@
-"""``angle_rounding: glibc-2.40`` against the ``atan2f`` of this machine's glibc, over random and adversarial points.
-
-The tests run it for some seconds. By hand, where glibc is 2.31 to 2.40 on x86-64, for as many points as one likes::
-
-    PYTHONPATH=src:tests python tests/fuzz/angles.py --points 250_000_000 --seed 1
-"""
+"""``angle_rounding: glibc-2.40`` against the ``atan2f`` of this machine's glibc, over random and adversarial points."""
 
 from __future__ import annotations
 
-import argparse
 import ctypes
 import platform
 import sys
@@ -104,27 +98,3 @@ def differing(y: Floats, x: Floats, expected: Floats) -> NDArray[np.intp]:
     for found in (compiled, fdlibm.atan2f(y, x)):
         wrong |= (found.view(np.int32) != expected.view(np.int32)) & ~(np.isnan(found) & np.isnan(expected))
     return np.flatnonzero(wrong)
-
-
-def main() -> None:
-    """Compare at least this many points."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--points", type=int, default=10_000_000)
-    parser.add_argument("--seed", type=int, default=0)
-    asked = parser.parse_args()
-    if reason := why_not():
-        sys.exit(f"nothing to compare with: {reason}")
-    rng = np.random.default_rng(asked.seed)
-    compared = 0
-    with np.errstate(all="ignore"):
-        while compared < asked.points:
-            y, x = points(rng, 1_000_000)
-            if (wrong := differing(y, x, glibc_atan2f(y, x))).size:
-                place = wrong[0]
-                sys.exit(f"{wrong.size} of {x.size} points differ; y {y[place]!r}, x {x[place]!r}")
-            compared += x.size
-    sys.stdout.write(f"{compared:,} points compared with glibc's atan2f, compiled: {kernel.COMPILED}; none differs\n")
-
-
-if __name__ == "__main__":
-    main()
