@@ -288,7 +288,7 @@ def judged(world: World, path: Path) -> tuple[float, float]:
     margin = 0.02 + (0.05 if world.slope else 0.0)
     known = (height > 0.1 - margin) & (every[:, 2] < world.top + margin)
     firm = (height > 0.1 + margin) & (every[:, 2] < world.top - margin)
-    # When a scan was measured: a turn from its stamp on; of packets, around it; of a sparse pattern, a second before it.
+    # When a scan was measured: a turn from its stamp on; of packets, around it; of a sparse pattern, 1 s before.
     before, after = {"sparse": (1.0, 0.1), "packets": (0.15, 0.15)}.get(world.sensor, (0.01, 0.11))
     for scan in _scans(path):
         time = (scan.stamp_ns - BEGIN_NS) / 1e9
