@@ -14,7 +14,7 @@ from .compare.diff import diff as compare
 from .compare.golden.check import check_cases
 from .compare.golden.init import make_case
 from .compare.rules import Rules
-from .datasets.run import BatchCallbacks, BatchOptions, run_batch
+from .datasets.run import run_batch
 from .errors import UsageError
 from .exports.run import export as write
 from .files.urls import path_of, paths_in
@@ -145,10 +145,8 @@ def batch(
     {'failed': 2, 'converted': 998}
     """
     call = Options("batch", options)
-    watch = BatchCallbacks() if call.progress is None else BatchCallbacks(progress=call.progress)
     names = [str(path) for path in paths_in("sources", sources)]
-    out = path_of("destination", destination)
-    return run_batch(names, out, call.of_conversions, BatchOptions.of(call), origins=call.origins, watch=watch)
+    return run_batch(names, path_of("destination", destination), call, progress=call.progress)
 
 
 @takes_options

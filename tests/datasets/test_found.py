@@ -95,7 +95,8 @@ def test_each_recording_has_a_line_of_json(tmp_path: Path) -> None:
         (tmp_path / "in" / name).touch()
     batch(tmp_path / "in", tmp_path / "out")
     lines = (tmp_path / "out" / "manifest.jsonl").read_bytes().splitlines()
-    assert [json.loads(line)["key"] for line in lines] == ["b.bag", "ü\n.bag", "a.bag"]
+    keys = [(line["key"], line["outcome"]) for line in map(json.loads, lines)]
+    assert keys == [("a.bag", "begun"), ("b.bag", "failed"), ("ü\n.bag", "failed"), ("a.bag", "converted")]
     line, source = manifest_of(tmp_path / "out")["a.bag"], tmp_path / "in" / "a.bag"
     assert line["source"]["paths"] == [str(source)]
     assert line["source"]["files"] == [["a.bag", source.stat().st_size, source.stat().st_mtime_ns]]

@@ -32,7 +32,9 @@ def test_processes_convert_as_this_process_does(tmp_path: Path) -> None:
     cut = tmp_path / "in" / "r" / "cut.bag"
     cut.write_bytes(cut.read_bytes()[:-4000])
     seen: list[Any] = []
-    report = pc2scan.batch(tmp_path / "in", tmp_path / "there", jobs=2, progress=seen.append, **KEYWORDS)
+    report = pc2scan.batch(
+        tmp_path / "in", tmp_path / "there", jobs=2, progress=lambda *numbers: seen.append(numbers), **KEYWORDS
+    )
     here = batch(tmp_path / "in", tmp_path / "here")
     assert contents(tmp_path / "there") == contents(tmp_path / "here")
     found = [{each.key: (each.outcome, each.output, each.scans) for each in made.outcomes} for made in (report, here)]
@@ -40,9 +42,9 @@ def test_processes_convert_as_this_process_does(tmp_path: Path) -> None:
     assert [each.key for each in report.outcomes] == ["a.bag", "b.mcap", "r/cut.bag"]
     assert (report.exit_status, report.counts) == (3, {"incomplete": 1, "converted": 2})
     assert "1 incomplete, 2 converted" in str(report)
-    assert seen[-1].recordings_done == seen[-1].recordings_total == 3
-    assert seen[-1].bytes_done == seen[-1].bytes_total
-    assert all(0 <= each.bytes_done <= each.bytes_total for each in seen)
+    size = sum(path.stat().st_size for path in (tmp_path / "in").rglob("*.*"))
+    assert seen[-1] == (size, size, 3, 3)
+    assert seen == sorted(seen)
 
 
 def test_a_dataset_is_continued_after_a_kill(tmp_path: Path) -> None:
@@ -52,7 +54,7 @@ def test_a_dataset_is_continued_after_a_kill(tmp_path: Path) -> None:
     before = contents(folder)
     assert batch(folder, clean).exit_status == 1
     process = start(folder, "-o", killed, *HEIGHTS, "--quiet", stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
-    while process.poll() is None and len(manifest_of(killed)) < 5:
+    while process.poll() is None and sum(line["outcome"] != "begun" for line in manifest_of(killed).values()) < 5:
         time.sleep(0.003)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
@@ -61,26 +63,6 @@ def test_a_dataset_is_continued_after_a_kill(tmp_path: Path) -> None:
     assert contents(killed) == contents(clean)
     assert contents(folder) == before
     assert batch(folder, killed).unchanged == 24
-
-
-def test_nothing_is_opened_that_is_known(tmp_path: Path) -> None:
-    """A run without anything to do takes a second for a thousand recordings: none of them is read."""
-    drives, out = place(tmp_path / "drives", "a.bag", "b.mcap", "c", "drive_0.bag", "drive_1.bag"), tmp_path / "out"
-    batch(drives, out)
-    code = (
-        "import sys\n"
-        "opened = []\n"
-        "sys.addaudithook(lambda event, args: opened.append(str(args[0])) if event == 'open' else None)\n"
-        "import pc2scan\n"
-        f"report = pc2scan.batch({str(drives)!r}, {str(out)!r}, min_height=-2, max_height=2)\n"
-        f"print([path for path in opened if path.startswith({str(drives)!r})])\n"
-        "print(report.unchanged)\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env=environment(), timeout=60, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines() == ["[]", "5"]
 
 
 # --- Interruptions ---
@@ -180,11 +162,10 @@ def test_a_worker_that_dies_is_replaced(tmp_path: Path, monkeypatch: pytest.Monk
     done = run("batch", drives, "-o", out, *HEIGHTS, "--jobs", "2")
     assert done.status == 1, done.stderr
     assert sorted(deaths.read_text().split()) == [f"{name}_scan.bag.pc2scan-partial" for name in "aabb"]
-    assert "was killed by SIGKILL, perhaps because memory ran out" in done.stderr
+    assert "was killed by SIGKILL; perhaps memory ran out" in done.stderr
     lines = manifest_of(out)
     assert {(line["outcome"], line["attempts"]) for line in lines.values()} == {("died", 2)}
     assert "2 died" in done.stdout
-    assert [path.name for path in out.iterdir()] == ["manifest.jsonl"]
 
 
 # --- Jobs and results ---

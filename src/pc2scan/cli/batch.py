@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pc2scan.datasets.run import BatchCallbacks, BatchOptions, run_batch
+from pc2scan.datasets.run import run_batch
 from pc2scan.files.urls import path_or_url
 from pc2scan.options.call import Options
 from pc2scan.text import counted, size
@@ -19,14 +19,15 @@ if TYPE_CHECKING:
 def batch(sources: list[str], destination: str, *, options: Options) -> int:
     """Convert every recording of a dataset."""
     with progress_bar(options, "recordings") as progress:
-        watch = BatchCallbacks(
-            planned=lambda plan: _show_plan(plan, options),
-            progress=(lambda now: progress(*now)) if progress is not None else lambda _: None,
-            done=lambda outcome: _show_outcome(outcome, options),
-        )
         try:
-            out, how = path_or_url(destination), BatchOptions.of(options)
-            report = run_batch(sources, out, options.of_conversions, how, origins=options.origins, watch=watch)
+            report = run_batch(
+                sources,
+                path_or_url(destination),
+                options,
+                planned=lambda plan: _show_plan(plan, options),
+                done=lambda outcome: _show_outcome(outcome, options),
+                progress=progress,
+            )
         except KeyboardInterrupt:
             raise KeyboardInterrupt("run the same command again to continue it") from None
     return show(report, options)

@@ -25,10 +25,7 @@ from pc2scan.files.urls import UrlPath, absolute, exists, is_dir, is_file, local
 from .manifest import Identity, identity_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
-    #: Returns the container of a recording that an earlier run has found, by its first path and its files; else "".
-    Known = Callable[[Path, Identity], str]
+    from collections.abc import Iterable, Iterator, Sequence
 
 #: Text in the first bytes of a rosbag2 directory's metadata.yaml. Other programs have files of this name, too.
 _METADATA, _METADATA_MARK, _METADATA_HEAD = "metadata.yaml", b"rosbag2_bagfile_information", 4096
@@ -65,9 +62,8 @@ class Recording:
 
 
 class _Search(NamedTuple):
-    """What a search knows, and where it has been."""
+    """Where a search has been."""
 
-    known: Known
     #: Files that batches have written. They are not sources.
     outputs: frozenset[Path]
     #: Folders that were searched, because links may form loops, that of the results, and files; all without links.
@@ -75,7 +71,7 @@ class _Search(NamedTuple):
     files: set[Path]
 
 
-def find(sources: Sequence[str], out: Path, *, known: Known, outputs: Iterable[Path] = ()) -> list[Recording]:
+def find(sources: Sequence[str], out: Path, *, outputs: Iterable[Path] = ()) -> list[Recording]:
     """Find recordings.
 
     Parameters
@@ -84,8 +80,6 @@ def find(sources: Sequence[str], out: Path, *, known: Known, outputs: Iterable[P
         Folders, which are searched; recordings; globs (``**`` for any folders). All of these may be URLs.
     out
         The folder that the batch writes into. It is not searched.
-    known
-        Returns the container of a recording that an earlier run has found, so that it need not be opened again.
     outputs
         Files that earlier runs have written. They are skipped.
 
@@ -103,7 +97,7 @@ def find(sources: Sequence[str], out: Path, *, known: Known, outputs: Iterable[P
         If a folder to be searched is in ``out``, a glob matches nothing, or two recordings would have one key.
     """
     places = [_place(source, out) for source in sources]
-    search = _Search(known, frozenset(map(absolute, outputs)), {_real(out)}, set())
+    search = _Search(frozenset(map(absolute, outputs)), {_real(out)}, set())
     common = _common_folder([folder for folder, _ in places])
     by_folder: dict[Path, list[Recording]] = {}
     for folder, paths in places:
@@ -111,7 +105,7 @@ def find(sources: Sequence[str], out: Path, *, known: Known, outputs: Iterable[P
             for recording in _recordings_at(path, common or folder, search):
                 by_folder.setdefault(recording.paths[0].parent, []).append(recording)
     by_key: dict[str, Recording] = {}
-    for recording in (each for beside in by_folder.values() for each in _join_parts(beside, search)):
+    for recording in (each for beside in by_folder.values() for each in _join_parts(beside)):
         other = by_key.setdefault(recording.key, recording)
         if other is not recording:
             raise UsageError(
@@ -163,7 +157,7 @@ def _common_folder(folders: Sequence[Path]) -> Path | None:
 
 def _recordings_at(path: Path, root: Path, search: _Search) -> Iterator[Recording]:
     """Yield a recording that is named, or those in a folder and its subfolders."""
-    if not is_dir(path) or _is_rosbag2(path, search):
+    if not is_dir(path) or _is_rosbag2(path):
         yield from _recognise(path, root, search, named=True)
         return
     real = _real(path)
@@ -197,9 +191,6 @@ def _recognise(path: Path, root: Path, search: _Search, *, named: bool) -> Itera
     if isinstance(path, UrlPath) and not named:
         return
     key, identity = _key_of(path, root), identity_of([path])
-    if container := search.known(absolute(path), identity):
-        yield Recording(key, (path,), container, identity)
-        return
     try:
         container = _sniff(path).partition("+")[0]
         if container == "sqlite3" and not named:
@@ -226,13 +217,13 @@ def _sniff(path: Path) -> str:
         return sniff(copy)
 
 
-def _join_parts(found: Sequence[Recording], search: _Search) -> Iterator[Recording]:
+def _join_parts(found: Sequence[Recording]) -> Iterator[Recording]:
     """Join the parts of split recordings."""
     by_path = {recording.paths[0]: recording for recording in found if recording.container}
     joined: dict[Path, Recording] = {}
     parts: set[Path] = set()
     for group in groups_of_parts(by_path):
-        for chain in _chains([by_path[path] for path in group], search):
+        for chain in _chains([by_path[path] for path in group]):
             if len(chain) > 1:
                 first = chain[0]
                 paths = tuple(recording.paths[0] for recording in chain)
@@ -243,11 +234,8 @@ def _join_parts(found: Sequence[Recording], search: _Search) -> Iterator[Recordi
             yield joined.get(recording.paths[0], recording)
 
 
-def _chains(group: Sequence[Recording], search: _Search) -> Iterator[list[Recording]]:
+def _chains(group: Sequence[Recording]) -> Iterator[list[Recording]]:
     """Divide files that are named like parts of one recording wherever a file does not continue the one before it."""
-    if chains := _known_chains(group, search):
-        yield from chains
-        return
     chain: list[Recording] = []
     last, opened = None, ExitStack()
     try:
@@ -266,29 +254,10 @@ def _chains(group: Sequence[Recording], search: _Search) -> Iterator[list[Record
     yield chain
 
 
-def _known_chains(group: Sequence[Recording], search: _Search) -> list[list[Recording]]:
-    """Return the parts as an earlier run has joined them; empty if a file has changed since."""
-    chains: list[list[Recording]] = []
-    rest = list(group)
-    while rest:
-        # The longest first: a file that was a recording of its own may now be the first part of several.
-        for count in range(len(rest), 0, -1):
-            chain = rest[:count]
-            if search.known(absolute(chain[0].paths[0]), identity_of(each.paths[0] for each in chain)):
-                chains.append(chain)
-                rest = rest[count:]
-                break
-        else:
-            return []
-    return chains
-
-
-def _is_rosbag2(folder: Path, search: _Search | None = None) -> bool:
+def _is_rosbag2(folder: Path) -> bool:
     """Whether a folder is a rosbag2 directory: it has the metadata.yaml of one."""
     if not exists(folder / _METADATA):
         return False
-    if search is not None and search.known(absolute(folder), identity_of([folder])):
-        return True
     try:
         with open_bytes(folder / _METADATA) as file:
             return _METADATA_MARK in file.read(_METADATA_HEAD)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from datetime import datetime, timezone
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.opening import open_recordings
 from pc2scan.conversion.run import run
@@ -32,8 +32,6 @@ from pc2scan.result import json_value
 from .manifest import NO_CLOUDS, Identity, ManifestRecord, identity_of
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Sequence
-
     from pc2scan.bags.damage import Damage
     from pc2scan.conversion.report import Report
     from pc2scan.conversion.run import OutputOptions
@@ -148,27 +146,6 @@ def _canonical(value: Any) -> Any:
 # --- Jobs ---
 
 
-class Executor(Protocol):
-    """Runs jobs, and yields a line of the manifest for each as it ends.
-
-    Closing the generator interrupts the jobs and removes their unfinished outputs.
-    """
-
-    def __call__(self, jobs: Sequence[Job], *, workers: int, lock: int | None) -> Generator[ManifestRecord]:
-        """Run jobs.
-
-        Parameters
-        ----------
-        jobs
-            In the order in which they begin.
-        workers
-            How many recordings are converted at a time.
-        lock
-            The file descriptor of a lock that the processes on this machine hold until they end.
-        """
-        ...
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Job:
     """What is done with a recording, with everything that another process needs for it.
@@ -198,8 +175,6 @@ class Job:
         The number of threads of the conversion.
     dry_run
         Whether nothing is written.
-    shown
-        Whether the line has the report as text.
     scratch
         The folder for local copies of what is at URLs; None: the system's folder for temporary files.
     """
@@ -215,7 +190,6 @@ class Job:
     there: Identity | None = None
     threads: int = 1
     dry_run: bool = False
-    shown: bool = False
     scratch: Path | None = None
 
     @property
@@ -266,7 +240,6 @@ def convert_one(job: Job) -> ManifestRecord:
             exit_status=report.exit_status,
             output_identity=Identity() if job.dry_run else identity_of([job.destination]),
             report=report.as_dict(),
-            text=str(report) if job.shown else "",
             **known,
         )
     except NothingToConvertError as err:

@@ -27,6 +27,10 @@ if TYPE_CHECKING:
 #: The outcome of a recording without a topic of the types to convert. It is no failure.
 NO_CLOUDS = "no clouds"
 
+#: The outcomes of a recording whose conversion has begun, which a later line replaces unless the run was killed; and of
+#: one that was to be converted by a run that was interrupted.
+BEGUN, STOPPED = "begun", "stopped"
+
 #: The name of the manifest in the folder of a batch.
 MANIFEST = "manifest.jsonl"
 
@@ -139,8 +143,8 @@ class ManifestRecord:
         The version of pc2scan that converted it.
     outcome
         ``converted``, ``incomplete`` (messages skipped, or a damaged source), ``empty`` (no scan has a return),
-        ``no clouds`` (nor other topics of the types to convert), ``failed``, or ``died`` (the process that converted it
-        ended unexpectedly).
+        ``no clouds`` (nor other topics of the types to convert), ``failed``, ``died`` (the process that converted it
+        ended unexpectedly), ``begun`` or ``stopped``.
     exit_status
         The exit status that `pc2scan convert` would have had; 0 for ``no clouds``.
     error
@@ -158,8 +162,6 @@ class ManifestRecord:
         How often the conversion was tried.
     report
         The report of the conversion, as ``convert --report`` writes it; None if it failed.
-    text
-        The report as tables, if they are shown; not part of the line.
     disk_is_full
         Whether it failed because the disk of the results has no room; not part of the line.
     """
@@ -179,7 +181,6 @@ class ManifestRecord:
     seconds: float = 0.0
     attempts: int = 1
     report: Mapping[str, Any] | None = None
-    text: str = ""
     disk_is_full: bool = False
 
     @property

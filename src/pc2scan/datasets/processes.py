@@ -21,7 +21,6 @@ from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import OutputError, Pc2ScanError
-from pc2scan.files.staging import clean_up
 from pc2scan.threads import cores
 
 from .jobs import convert_one
@@ -40,80 +39,54 @@ _PROGRAM = f"import json, sys; sys.path[:] = json.loads(sys.argv[1]); from {__na
 
 
 def run_jobs(jobs: Sequence[Job], *, workers: int, lock: int | None = None) -> Generator[ManifestRecord]:
-    """Convert recordings, and yield their lines of the manifest as they end; see `pc2scan.datasets.jobs.Executor`.
+    """Convert recordings, and yield their lines of the manifest as they end; closing it interrupts the conversions.
 
     A recording whose process died is tried once more at the end, when no other is converted.
+
+    Parameters
+    ----------
+    jobs
+        In the order in which they begin.
+    workers
+        How many recordings are converted at a time.
+    lock
+        The file descriptor of a lock that the processes hold until they end.
     """
-    processes = _Processes(lock)
+    processes = [_start(lock) for _ in range(workers)]
+    idle: SimpleQueue[subprocess.Popen[bytes] | None] = SimpleQueue()
+    for process in processes:
+        idle.put(process)
+
+    def convert(job: Job) -> ManifestRecord:
+        process = idle.get()
+        if process is None:
+            processes.append(process := _start(lock))
+        record = _converted(job, process)
+        idle.put(None if record.outcome == "died" else process)
+        return record
+
     threads = ThreadPoolExecutor(workers)
-    died = []
     try:
         by_key = {job.key: replace(job, threads=max(1, cores() // workers)) for job in jobs}
-        for future in as_completed([threads.submit(processes.convert, job) for job in by_key.values()]):
-            record = future.result()
-            if record.outcome == "died":
+        died = []
+        for future in as_completed([threads.submit(convert, job) for job in by_key.values()]):
+            if (record := future.result()).outcome == "died":
                 died.append(by_key[record.key])
             else:
                 yield record
         for job in died:
-            yield replace(threads.submit(processes.convert, job.retried()).result(), attempts=2)
+            yield replace(threads.submit(convert, job.retried()).result(), attempts=2)
     finally:
-        processes.close()
-        threads.shutdown(cancel_futures=True)
-
-
-class _Processes:
-    """The processes, one for each thread that asks; one that died is replaced."""
-
-    def __init__(self, lock: int | None) -> None:
-        self._lock = lock
-        self._own = threading.local()
-        self._guard = threading.Lock()
-        self._started: list[subprocess.Popen[bytes]] = []
-        self._is_closed = False
-
-    def convert(self, job: Job) -> ManifestRecord:
-        """Convert a recording in the process of this thread."""
-        process = self._process()
-        try:
-            _send(process.stdin, job)
-            record = pickle.load(process.stdout)  # type: ignore[arg-type]  # noqa: S301  # a process of this program
-        except (EOFError, OSError, pickle.UnpicklingError):
-            self._own.process = None
-            with suppress(Pc2ScanError):
-                clean_up(job.destination)
-            return job.death(_end_of(process))
-        except (pickle.PicklingError, AttributeError, TypeError) as err:
-            raise _unsendable(err) from err
-        if isinstance(record, str):
-            raise _unsendable(record)
-        done: ManifestRecord = record
-        return done
-
-    def _process(self) -> subprocess.Popen[bytes]:
-        """Return the process of this thread; start one if there is none."""
-        with self._guard:
-            if self._is_closed:
-                raise KeyboardInterrupt
-            process: subprocess.Popen[bytes] | None = getattr(self._own, "process", None)
-            if process is None:
-                process = self._own.process = _start(self._lock)
-                self._started.append(process)
-            return process
-
-    def close(self) -> None:
-        """Interrupt all processes, and wait for their end."""
-        with self._guard:
-            self._is_closed = True
-        for process in self._started:
+        threads.shutdown(wait=False, cancel_futures=True)
+        for process in processes:
             with suppress(OSError):
                 process.stdin.close()  # type: ignore[union-attr]
-        for process in self._started:
-            with suppress(subprocess.TimeoutExpired):
-                process.wait(_END_SECONDS)
-            process.kill()
-            process.wait()
-            process.stdout.close()  # type: ignore[union-attr]
+        for process in processes:
+            with process:
+                with suppress(subprocess.TimeoutExpired):
+                    process.wait(_END_SECONDS)
+                process.kill()
+        threads.shutdown()
 
 
 def _start(lock: int | None) -> subprocess.Popen[bytes]:
@@ -134,21 +107,23 @@ def _start(lock: int | None) -> subprocess.Popen[bytes]:
         raise OutputError(f"no worker process can be started: {err.strerror}") from err
 
 
-def _end_of(process: subprocess.Popen[bytes]) -> str:
-    """Return how a process ended that has closed its pipe, as text."""
-    code = process.wait()
-    how = f"ended with status {code}"
-    if code < 0:
-        name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
-        how = f"was killed by {name}" + (", perhaps because memory ran out" if name == "SIGKILL" else "")
-    return f"the process that converted it {how}"
-
-
-def _unsendable(why: object) -> Pc2ScanError:
-    return Pc2ScanError(
-        f"the options cannot be sent to another process: {why}",
-        hint="your own filters must be classes of a module that can be imported",
-    )
+def _converted(job: Job, process: subprocess.Popen[bytes]) -> ManifestRecord:
+    """Convert a recording in a process."""
+    try:
+        _send(process.stdin, job)
+        record: ManifestRecord | str = pickle.load(process.stdout)  # type: ignore[arg-type]  # noqa: S301  # our own
+    except (EOFError, OSError, pickle.UnpicklingError):
+        code = process.wait()
+        how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with status {code}"
+        return job.death(f"the process that converted it {how}; perhaps memory ran out")
+    except (pickle.PicklingError, AttributeError, TypeError) as err:
+        record = str(err)
+    if isinstance(record, str):
+        raise Pc2ScanError(
+            f"the options cannot be sent to another process: {record}",
+            hint="your own filters must be classes of a module that can be imported",
+        )
+    return record
 
 
 def serve() -> None:

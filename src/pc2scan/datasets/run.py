@@ -4,43 +4,42 @@ from __future__ import annotations
 
 import os
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import DestinationError, DiskFullError, OutputError, UsageError
 from pc2scan.files.outputs import check_file_output, file_output
-from pc2scan.files.ownership import InputPath, first_link, inputs_of
-from pc2scan.files.staging import clean_up
+from pc2scan.files.ownership import InputPath, inputs_of
 from pc2scan.files.system import copying_to, is_full
 from pc2scan.files.transfers import refuse_without_room
 from pc2scan.files.urls import UrlPath, absolute
 from pc2scan.result import BEGINNING
-from pc2scan.text import counted
 from pc2scan.threads import cores
 
-from .cluster import check_dask, run_jobs_on_dask
+from .cluster import run_jobs_on_dask
 from .dataset_file import Choices, DatasetFile, load_dataset_file
 from .find import find, natural_key
 from .folder import open_folder
-from .manifest import MANIFEST
+from .manifest import BEGUN, MANIFEST
 from .plan import have_same_outcome, make_plan
 from .processes import run_jobs
 from .summary import BatchReport, Outcome
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-    from os import PathLike
+    from collections.abc import Callable, Iterator, Sequence
 
     from pc2scan.options.call import Options
 
     from .folder import BatchFolder
-    from .jobs import Executor, Job
+    from .jobs import Job
     from .manifest import ManifestRecord
     from .plan import BatchPlan
+
+_NO_ROOM = "make room on that disk, and run the same command again"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,50 +84,14 @@ class BatchOptions:
             raise UsageError(f"`jobs={self.jobs}` has no effect with `dask={self.dask}`", hint="give only one of them")
 
 
-class BatchProgress(NamedTuple):
-    """The progress of a batch: bytes and recordings, done and in total."""
-
-    bytes_done: int
-    bytes_total: int
-    recordings_done: int
-    recordings_total: int
-
-
-def _ignore(_argument: object) -> None:
-    """Do nothing."""
-
-
-@dataclass(frozen=True, slots=True)
-class BatchCallbacks:
-    """Callbacks for what happens in a batch. All are called in the thread that runs the batch.
-
-    Attributes
-    ----------
-    planned
-        Called with the plan.
-    progress
-        Called from time to time with the progress.
-    done
-        Called with the outcome of each recording.
-    shown
-        Called with the report of each conversion as text; None: no such text is made.
-    """
-
-    planned: Callable[[BatchPlan], None] = _ignore
-    progress: Callable[[BatchProgress], None] = _ignore
-    done: Callable[[Outcome], None] = _ignore
-    shown: Callable[[str], None] | None = None
-
-
 def run_batch(
     sources: Sequence[str],
     out: Path,
-    keywords: Mapping[str, Any],
-    options: BatchOptions,
+    call: Options,
     *,
-    origins: Mapping[str, str] | None = None,
-    executor: Executor | None = None,
-    watch: BatchCallbacks | None = None,
+    planned: Callable[[BatchPlan], object] | None = None,
+    done: Callable[[Outcome], object] | None = None,
+    progress: Callable[[int, int, int, int], object] | None = None,
 ) -> BatchReport:
     """Convert every recording of a dataset; see `pc2scan.batch`.
 
@@ -138,43 +101,48 @@ def run_batch(
         See `pc2scan.datasets.find.find`.
     out
         The folder that is written into.
-    keywords
-        Options of the conversions, as `pc2scan.datasets.jobs.request_of` reads them.
-    options
-        How the batch runs; they do not affect the outputs.
-    origins
-        Where the keywords come from.
-    executor
-        Runs the jobs; None: the one that ``options`` names, or processes on this machine.
-    watch
-        Callbacks for what happens.
+    call
+        The options of the call: those of the conversions, and how the batch runs.
+    planned, done
+        Called with the plan, and with the outcome of each recording as it ends.
+    progress
+        Called with the bytes done, the bytes in all, the recordings done, and the recordings in all.
     """
     began = time.monotonic()
     if not sources:
         raise UsageError("no source given")
+    options = BatchOptions.of(call)
     dataset = DatasetFile() if options.dataset is None else load_dataset_file(options.dataset)
-    choices = Choices(dataset, keywords, origins or {})
-    if options.dask and not options.dry_run:
-        check_dask()
-        executor = executor or partial(run_jobs_on_dask, address="" if options.dask is True else options.dask)
+    choices = Choices(dataset, call.of_conversions, call.origins)
     with ExitStack() as stack:
         folder = stack.enter_context(open_folder(out, dry_run=options.dry_run))
         write_report = _open_report(options, folder, stack)
         plan = _plan(sources, folder, choices, options)
-        batch = _Batch(plan, folder, options, watch or BatchCallbacks(), executor or run_jobs)
-        batch.watch.planned(plan)
-        if options.dry_run:
-            batch.try_out()
-        else:
-            batch.convert()
-        outcomes = [*batch.outcomes.values(), *(Outcome.skipped_by_file(each.key) for each in plan.skipped)]
+        if planned is not None:
+            planned(plan)
+        jobs = {job.key: job for job in plan.jobs}
+        outcomes = {job.key: Outcome.of(job, folder.records[job.key]) for job in plan.of("keep")}
+        total, size, count = len(plan.of("convert")), 0, 0
+        size_in_all = sum(job.size_bytes for job in plan.of("convert"))
+        for record in _records(plan, folder, options):
+            job = jobs[record.key]
+            outcomes[job.key] = outcome = Outcome.of(job, record)
+            if done is not None:
+                done(outcome)
+            if job.action == "convert":
+                size, count = size + job.size_bytes, count + 1
+            if progress is not None:
+                progress(size, size_in_all, count, total)
         report = BatchReport(
             out,
-            outcomes=sorted(outcomes, key=lambda each: natural_key(each.key)),
+            outcomes=sorted(
+                [*outcomes.values(), *(Outcome.skipped_by_file(each.key) for each in plan.skipped)],
+                key=lambda outcome: natural_key(outcome.key),
+            ),
             dry_run=options.dry_run,
             seconds=round(time.monotonic() - began, 3),
-            workers=0 if isinstance(options.dask, str) else batch.workers,
-            warnings=[*choices.warnings(each.key for each in outcomes), *plan.warnings],
+            workers=0 if isinstance(options.dask, str) else _workers(plan, options),
+            warnings=[*choices.warnings([*jobs, *(each.key for each in plan.skipped)]), *plan.warnings],
         )
         if write_report is not None:
             write_report(report.as_json())
@@ -199,13 +167,9 @@ def _open_report(options: BatchOptions, folder: BatchFolder, stack: ExitStack) -
         raise
 
 
-# --- Planning ---
-
-
 def _plan(sources: Sequence[str], folder: BatchFolder, choices: Choices, options: BatchOptions) -> BatchPlan:
     """Find the recordings, and decide what is done with each."""
-    outputs = [folder.path / output for output in folder.outputs]
-    recordings = find(sources, folder.path, known=folder.container_of, outputs=outputs)
+    recordings = find(sources, folder.path, outputs=[folder.path / output for output in folder.outputs])
     if not recordings:
         raise UsageError(f"no recording found in {', '.join(sources)}")
     requests = choices.of(each.key for each in recordings)
@@ -214,128 +178,66 @@ def _plan(sources: Sequence[str], folder: BatchFolder, choices: Choices, options
         inputs.append(InputPath(options.dataset, "file of `dataset`"))
     for request in {id(request): request for request in requests.values() if request is not None}.values():
         inputs += inputs_of((), request.options.frames.tf_from, request.options.files)
-    paths = (path for each in recordings for path in each.paths)
-    if options.scratch is not None and not any(isinstance(path, UrlPath) for path in paths):
+    if options.scratch is not None and not any(isinstance(each.path, UrlPath) for each in inputs):
         raise UsageError("`scratch` has no effect: no source is a URL")
     return make_plan(recordings, requests, folder, inputs, again=options.again)
 
 
-# --- Converting ---
+def _workers(plan: BatchPlan, options: BatchOptions) -> int:
+    """Return how many recordings are converted at a time."""
+    return max(1, min(options.jobs or cores(), len(plan.of("convert"))))
 
 
-class _Batch:
-    """A batch that carries out its plan.
+def _records(plan: BatchPlan, folder: BatchFolder, options: BatchOptions) -> Iterator[ManifestRecord]:
+    """Refuse and convert recordings, write the manifest, and yield their lines; a dry run writes nothing.
 
-    Parameters
-    ----------
-    plan, folder, options, watch, executor
-        What is done, where, and how.
-
-    Attributes
-    ----------
-    outcomes
-        The outcomes so far, by key.
-    workers
-        How many recordings are converted at a time.
+    Raises
+    ------
+    DiskFullError
+        If there is no room for a result or for the manifest. All other recordings would fail, too.
     """
-
-    def __init__(
-        self, plan: BatchPlan, folder: BatchFolder, options: BatchOptions, watch: BatchCallbacks, executor: Executor
-    ) -> None:
-        self.watch = watch
-        self._folder = folder
-        self._options = options
-        self._executor = executor
-        self._by_key = {job.key: job for job in plan.jobs}
-        self._refused = plan.of("refuse")
-        scratch = None if options.scratch is None else absolute(options.scratch)
-        how: dict[str, Any] = {"dry_run": options.dry_run, "shown": watch.shown is not None, "scratch": scratch}
-        # The largest first, so that at the end no worker is busy with a long recording while the others are idle.
-        self._jobs = sorted((replace(job, **how) for job in plan.of("convert")), key=lambda job: -job.size_bytes)
-        self.workers = max(1, min(options.jobs or cores(), len(self._jobs)))
-        self.outcomes = {job.key: Outcome.of(job, folder.records[job.key]) for job in plan.of("keep")}
-
-    def try_out(self) -> None:
-        """Say what would be done, and write nothing."""
-        for job in self._refused:
-            self._show(self._refusal(job))
-        with TemporaryDirectory(prefix="pc2scan-") as folder:
+    # The largest first, so that at the end no worker is busy with a long recording while the others are idle.
+    jobs = sorted(plan.of("convert"), key=lambda job: -job.size_bytes)
+    scratch = None if options.scratch is None else absolute(options.scratch)
+    jobs = [replace(job, dry_run=options.dry_run, scratch=scratch) for job in jobs]
+    remote = [job for job in jobs if any(isinstance(path, UrlPath) for path in job.recording.paths)]
+    if remote and not options.dask:
+        at_once = remote[: _workers(plan, options)]
+        with copying_to(options.scratch):
+            place = at_once[0].recording.paths[0]
+            refuse_without_room(sum(job.size_bytes for job in at_once), place, "lower `jobs`, or give `scratch`")
+    run: Callable[..., Any] = run_jobs
+    if options.dask and not options.dry_run:
+        run = partial(run_jobs_on_dask, address="" if options.dask is True else options.dask)
+    with ExitStack() as stack:
+        if options.dry_run:
             # Nothing is written there either. It is needed because the folders of the outputs may not exist yet.
-            self._run([replace(job, destination=Path(folder, job.destination.name)) for job in self._jobs])
-
-    def convert(self) -> None:
-        """Convert the recordings, and write the manifest.
-
-        Raises
-        ------
-        DiskFullError
-            If there is no room for a result or for the manifest. All other recordings would fail, too.
-        """
-        self._clean_up()
+            there = Path(stack.enter_context(TemporaryDirectory(prefix="pc2scan-")))
+            jobs = [replace(job, destination=there / job.destination.name) for job in jobs]
         try:
-            with self._folder.writing({job.output for job in self._jobs}):
-                for record in map(self._refusal, self._refused):
-                    earlier = self._folder.records.get(record.key)
-                    if earlier is None or not have_same_outcome(earlier, record):
-                        self._folder.append(record)
-                    self._show(record)
-                if self._jobs:
-                    self._run(self._jobs)
+            if not options.dry_run:
+                begun = [job.record(outcome=BEGUN, exit_status=0, output_identity=job.there) for job in jobs]
+                stack.enter_context(folder.writing(begun))
+            for job in plan.of("refuse"):
+                record = _refusal(job, earlier := folder.records.get(job.key))
+                if not options.dry_run and (earlier is None or not have_same_outcome(earlier, record)):
+                    folder.append(record)
+                yield record
+            # Closed if the manifest cannot be written, too: the workers must end.
+            records = stack.enter_context(closing(run(jobs, workers=_workers(plan, options), lock=folder.lock)))
+            for record in records if jobs else ():
+                if record.disk_is_full and record.error is not None:
+                    raise DiskFullError(record.error["message"], path=record.error["path"], hint=_NO_ROOM)
+                if not options.dry_run:
+                    folder.append(record)
+                yield record
         except OutputError as err:
-            if is_full(err):
-                raise self._disk_is_full(err.message, err.path) from err
-            raise
+            if not is_full(err):
+                raise
+            raise DiskFullError(err.message, path=err.path, hint=_NO_ROOM) from err
 
-    def _clean_up(self) -> None:
-        """Remove the temporary files that killed runs have left beside the outputs in this folder."""
-        out = self._folder.path
-        for output in {*self._folder.outputs, *(job.output for job in self._by_key.values() if job.action != "refuse")}:
-            if first_link(out, output) is None:
-                clean_up(out / output)
 
-    def _refusal(self, job: Job) -> ManifestRecord:
-        """Return the line of a recording that is refused; it keeps the place of an earlier result."""
-        assert job.error is not None
-        earlier = self._folder.records.get(job.key)
-        return job.failure(job.error, output=earlier.output if earlier else "")
-
-    def _run(self, jobs: Sequence[Job]) -> None:
-        """Run jobs, and record and show each as it ends."""
-        # The largest come first.
-        remote = [job for job in jobs if any(isinstance(path, UrlPath) for path in job.recording.paths)][: self.workers]
-        if remote and not self._options.dask:
-            with copying_to(self._options.scratch):
-                place = remote[0].recording.paths[0]
-                refuse_without_room(sum(job.size_bytes for job in remote), place, "lower `jobs`, or give `scratch`")
-        done, total = 0, sum(job.size_bytes for job in jobs)
-        self.watch.progress(BatchProgress(0, total, 0, len(jobs)))
-        records = self._executor(jobs, workers=self.workers, lock=self._folder.lock)
-        try:
-            for number, record in enumerate(records, start=1):
-                if record.disk_is_full:
-                    assert record.error is not None  # that of the disk
-                    raise self._disk_is_full(record.error["message"], record.error["path"])
-                if not self._options.dry_run:
-                    self._folder.append(record)
-                self._show(record)
-                done += self._by_key[record.key].size_bytes
-                self.watch.progress(BatchProgress(done, total, number, len(jobs)))
-        finally:
-            # Also if the manifest cannot be written: the workers must end.
-            records.close()
-
-    def _disk_is_full(self, message: str, path: str | PathLike[str] | None) -> DiskFullError:
-        """Return the error that ends the batch, given that of a result or of the manifest."""
-        left = sum(job.key not in self.outcomes for job in self._jobs)
-        return DiskFullError(
-            message,
-            path=path,
-            hint="make room on that disk, and run the same command again: "
-            f"of {counted(len(self._jobs), 'recording')}, {left:,} {'are' if left > 1 else 'is'} left to convert",
-        )
-
-    def _show(self, record: ManifestRecord) -> None:
-        outcome = self.outcomes[record.key] = Outcome.of(self._by_key[record.key], record)
-        self.watch.done(outcome)
-        if record.text and self.watch.shown is not None:
-            self.watch.shown(record.text)
+def _refusal(job: Job, earlier: ManifestRecord | None) -> ManifestRecord:
+    """Return the line of a recording that is refused; it keeps the place of an earlier result."""
+    assert job.error is not None
+    return job.failure(job.error, output=earlier.output if earlier else "")

@@ -102,11 +102,7 @@ class BatchScreen(TypedDict, total=False):
     quiet: Annotated[
         bool, "Show warnings and errors only, no line for each recording.", How(short="-q", command_only=True)
     ]
-    verbose: Annotated[
-        bool,
-        "Show the tables of each conversion, and every recording in the summary.",
-        How(short="-v", command_only=True),
-    ]
+    verbose: Annotated[bool, "Show every recording in the summary.", How(short="-v", command_only=True)]
 
 
 @group(Section.PYTHON, Scope.CALL_ONLY)
@@ -116,8 +112,7 @@ class BatchRunProgress(TypedDict, total=False):
     progress: Annotated[
         Progress | None,
         Function(),
-        "A function that is called from time to time with a tuple: bytes_done, bytes_total, recordings_done, "
-        "recordings_total.",
+        "A function that is called with four numbers: bytes done, bytes in all, recordings done, recordings in all.",
         How(typed=""),
     ]
 
