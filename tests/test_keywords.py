@@ -12,7 +12,6 @@ import pc2scan
 from pc2scan.cli.commands import COMMANDS
 from pc2scan.errors import UsageError
 from pc2scan.options.table import options_of
-from pc2scan.options.values import Instance
 from support import ROOT
 from support.builders import SCAN, Recording, Stream, item, write_mcap
 from support.builders import scan as scan_message
@@ -42,7 +41,7 @@ def taken_by_function(function: str) -> set[str]:
 def test_a_function_takes_what_its_command_takes(command: str) -> None:
     known = options_of(command)
     only_typed = {name for name, option in known.items() if option.command_only} | ONLY_TYPED.get(command, set())
-    only_python = {name for name, option in known.items() if isinstance(option.value, Instance)}
+    only_python = {name for name, option in known.items() if option.value.kind == "object"}
     assert taken_by_command(command) - only_typed == taken_by_function(command) - only_python
     assert taken_by_function(command) - ARGUMENTS == {n for n, option in known.items() if not option.command_only}
 

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 from pc2scan.cli.commands import COMMANDS
 from pc2scan.options.option import Parameter
 from pc2scan.options.table import options_of, spelling_of
-from pc2scan.options.values import Flag
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -123,7 +122,7 @@ def _row(option: Option) -> str:
     """Return the row of an option of the table."""
     value = option.value
     spellings = [f"`{each}`" for each in (option.short, option.spelling) if each]
-    if not isinstance(value, Flag):
+    if value.kind != "bool":
         # A choice of words has no name of its own, nor has a number without a unit.
         name = "WORD" if value.words and value.metavar in {None, "|".join(value.words)} else value.metavar or "X"
         spellings[-1] = f"`{option.spelling} {name.replace('|', '` or `')}`"

@@ -19,7 +19,6 @@ from pc2scan.core.kernel import COMPILED
 from pc2scan.errors import OutputError, Pc2ScanError, UsageError
 from pc2scan.options.option import Parameter
 from pc2scan.options.table import options_of
-from pc2scan.options.values import Flag
 from pc2scan.text import did_you_mean, shell_word
 from pc2scan.version import __version__
 
@@ -200,7 +199,7 @@ def _annotation_of_own(argument: Argument) -> Any:
 def _annotation(option: Option) -> Any:
     """Return the annotation of an option of the table."""
     value, spellings = option.value, [option.spelling, *filter(None, [option.short])]
-    if isinstance(value, Flag):
+    if value.kind == "bool":
         if isinstance(option, Parameter):
             spellings[0] += f"/{option.negation}"
         return Annotated[bool | None, typer.Option(*spellings)]

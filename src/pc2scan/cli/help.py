@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 from pc2scan.options.option import Parameter
 from pc2scan.options.table import options_of
-from pc2scan.options.values import Flag
 
 from .commands import COMMANDS
 from .render import as_typed, width_of
@@ -107,7 +106,7 @@ def _row(option: Option) -> tuple[str, str]:
     """Return how an option is typed, and its help with its default."""
     value = option.value
     typed = ", ".join(filter(None, (option.short, option.spelling)))
-    if not isinstance(value, Flag):
+    if value.kind != "bool":
         typed += f" {value.metavar or '|'.join(value.words) or 'X'}"
     elif isinstance(option, Parameter):
         typed += f" / {option.negation}"

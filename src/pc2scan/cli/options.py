@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import UsageError
 from pc2scan.files.urls import local_path, path_or_url
-from pc2scan.options import values
 from pc2scan.options.call import Options
 from pc2scan.options.option import Parameter
 from pc2scan.options.table import options_of
@@ -62,11 +61,6 @@ def call_options(name: str, typed: Mapping[str, Any]) -> Options:
                     # In the notation of a parameter file.
                     words[key] = plain_scalar(text)
             origins[key] = option.negation if text is False else option.spelling
-        elif isinstance(option.value, values.Switch):
+        elif option.value.kind == "switch":
             words[key] = text == "local" or text
-        elif isinstance(option.value, values.Count):
-            try:
-                words[key] = int(text)
-            except ValueError:
-                raise UsageError(f"`{key}` is {text!r}, it must be a whole number") from None
     return Options(name, words, origins)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import UsageError
 from pc2scan.options.table import dataset_options
-from pc2scan.options.values import Flag, Texts
+from pc2scan.options.values import FLAG, texts
 from pc2scan.request.entries import entries_in, naming_place, read_text
 from pc2scan.request.parameters import RIVALS
 from pc2scan.request.redaction import not_quoting
@@ -92,7 +92,7 @@ def load_dataset_file(path: Path) -> DatasetFile:
 
 def _entry(entry: Entry, folder: Path, *more: str) -> DatasetEntry:
     options = dataset_options()
-    kinds = {"match": Texts(), "skip": Flag(), **{name: option.value for name, option in options.items()}}
+    kinds = {"match": texts(), "skip": FLAG, **{name: option.value for name, option in options.items()}}
     given = entry.mapping("an entry of recordings" if more else "defaults", (*more, *options), "")
     values = {name: value.read(name, kinds[name], folder) for name, value in given.items()}
     patterns, skip = values.pop("match", ()), values.pop("skip", None)

@@ -27,7 +27,7 @@ from .option import (
     group,
 )
 from .running import MAX_JOBS
-from .values import Count, Function, Moments, Number, PathName, Switch, Texts, Tolerances
+from .values import FUNCTION, MOMENTS, SWITCH, TOLERANCES, count, number, path, texts
 
 
 @group(Section.EXPORT, Scope.CALL_ONLY)
@@ -79,14 +79,14 @@ class BatchRun(TypedDict, total=False):
     ]
     jobs: Annotated[
         int,
-        Count(0, MAX_JOBS),
+        count(0, MAX_JOBS),
         f"Number of recordings at a time, up to {MAX_JOBS:,}, each in its own process; the output does not depend "
         "on it.",
         How(default=0, default_text="number of cores", short="-j"),
     ]
     dask: Annotated[
         bool | str,
-        Switch("[ADDRESS]"),
+        SWITCH,
         "Convert on the Dask cluster of this scheduler, such as tcp://scheduler:8786. Without an address (in Python: "
         "True), a cluster is started on this machine. Needs pc2scan[dask].",
         How(default=False),
@@ -111,7 +111,7 @@ class BatchRunProgress(TypedDict, total=False):
 
     progress: Annotated[
         Progress | None,
-        Function(),
+        FUNCTION,
         "A function that is called with four numbers: bytes done, bytes in all, recordings done, recordings in all.",
         How(typed=""),
     ]
@@ -122,7 +122,7 @@ class FirstClouds(TypedDict, total=False):
 
     at: Annotated[
         Time | Iterable[Time] | None,
-        Moments("TIME"),
+        MOMENTS,
         "Show the first cloud at or after this time, written like `start`.",
     ]
 
@@ -132,7 +132,7 @@ class PageClouds(FirstClouds, total=False):
 
     clouds: Annotated[
         int,
-        Count(1, 1000),
+        count(1, 1000),
         "Number of clouds of each topic on the page, up to 1,000, evenly spread over the recording.",
         How(default=10),
     ]
@@ -153,7 +153,7 @@ class FigureClouds(FirstClouds, total=False):
 
     clouds: Annotated[
         int,
-        Count(1),
+        count(1),
         "Number of clouds of each topic, side by side, spread over the recording.",
         How(default=1, short="--frames"),
     ]
@@ -178,14 +178,14 @@ class CheckRules(RobotFrames, total=False):
 
     consumers: Annotated[
         Names | None,
-        Texts("CONSUMER", words=PRESETS),
+        texts("CONSUMER", words=PRESETS),
         f"Consumer that decides the exit status: {', '.join(PRESETS)}. Default: all of them, and defects for all "
         "consumers too.",
         How(typed="--for"),
     ]
     topics: Annotated[
         Names | None,
-        Texts("TOPIC", offers=("topics", "/LaserScan")),
+        texts("TOPIC", offers=("topics", "/LaserScan")),
         "Topic of scans to check, or a glob. Default: all.",
         How(typed="--topic", short="-t"),
     ]
@@ -196,7 +196,7 @@ class InfoSamples(TypedDict, total=False):
 
     topics: Annotated[
         Names | None,
-        Texts("TOPIC", offers=("topics", "/PointCloud2", "/LaserScan")),
+        texts("TOPIC", offers=("topics", "/PointCloud2", "/LaserScan")),
         "Topic with clouds or scans to describe, or a glob. Default: all.",
         How(typed="--topic", short="-t"),
     ]
@@ -223,32 +223,32 @@ class ComparisonRules(TypedDict, total=False):
 
     topics: Annotated[
         Names | None,
-        Texts("A[:=B]", offers=("topics",)),
+        texts("A[:=B]", offers=("topics",)),
         "Topic to compare, and its name in B if that differs. Default: every topic with scans or clouds.",
         How(typed="--topic", short="-t", panel=""),
     ]
     all_topics: Annotated[bool, "Compare the other topics too: matched by log time, byte for byte.", How(panel="")]
     atol: Annotated[
         Tolerance | None,
-        Tolerances("[NAME=]X"),
+        TOLERANCES,
         "Absolute tolerance of all values, or of ranges, intensities or a field of the clouds.",
         How(default=0.0),
     ]
     rtol: Annotated[
         Tolerance | None,
-        Tolerances("[NAME=]X"),
+        TOLERANCES,
         "Tolerance relative to A's value; the two are added.",
         How(default=0.0),
     ]
     allow_beams: Annotated[
         float,
-        Number(metavar="SHARE"),
+        number(metavar="SHARE"),
         "Share of a topic's beams (clouds: points) that may be beyond the tolerance: 0.001 is one in a thousand.",
         How(default=0.0),
     ]
     ignore: Annotated[
         Names | None,
-        Texts("NAME"),
+        texts("NAME"),
         "Do not compare: log_time, seq, frame_id, order, intensities, ranges, angle_min and the other numbers of a "
         "scan, shape, layout, padding, is_dense.",
     ]
@@ -269,12 +269,12 @@ class GoldenCases(TypedDict, total=False):
         "Write the expected output of cases that differ or have none; review the changes.",
         How(panel=""),
     ]
-    init: Annotated[Path | None, PathName("SRC"), "Make a new case of this recording, in DIR."]
+    init: Annotated[Path | None, path("SRC"), "Make a new case of this recording, in DIR."]
     start: Annotated[When, "With `init`: where the input begins, as in convert."]
     end: Annotated[When, "With `init`: where it ends."]
     topics: Annotated[
         Names | None,
-        Texts("TOPIC", offers=("topics", "/PointCloud2", "/LaserScan")),
+        texts("TOPIC", offers=("topics", "/PointCloud2", "/LaserScan")),
         "With `init`: a topic of clouds or scans to keep, or a glob. Default: all.",
         How(typed="--topic", short="-t"),
     ]

@@ -6,7 +6,7 @@ No ``from __future__ import annotations`` here: see `pc2scan.options.table`.
 from typing import Annotated, Any, Literal, TypedDict
 
 from .option import Channels, File, Frame, How, Names, Paths, Period, Quantity, Scope, Section, Transforms, When, group
-from .values import ChannelNames, Duration, Filters, Number, Recordings, Share, Text, Texts, TransformTexts
+from .values import CHANNELS, FILTERS, RECORDINGS, SHARE, TRANSFORMS, duration, number, text, texts
 
 
 @group(Section.TOPICS, Scope.SINGLE)
@@ -15,7 +15,7 @@ class SourceTopics(TypedDict, total=False):
 
     topics: Annotated[
         Names | None,
-        Texts("IN[:=OUT]", offers=("topics", "/PointCloud2", "/LaserScan")),
+        texts("IN[:=OUT]", offers=("topics", "/PointCloud2", "/LaserScan")),
         "Cloud topic to convert, and the topic of its scans. Default: every topic with PointCloud2 or Livox's "
         "messages; the scans of a single topic are on /scan, of several on <topic>/scan.",
         How(typed="--topic", short="-t"),
@@ -52,7 +52,7 @@ class StampCorrection(TypedDict, total=False):
     ]
     time_offset: Annotated[
         Names | None,
-        Texts("[TOPIC=]S|auto"),
+        texts("[TOPIC=]S|auto"),
         "Add this to the stamps of converted messages, for a lidar on its own clock: 3.2s, -37s. auto: measure it "
         "against the transforms, or the log times. Of one topic: /rear=0.12s; of the poses in a file: "
         "trajectory=0.5s.",
@@ -65,7 +65,7 @@ class CloudUnit(TypedDict, total=False):
 
     cloud_scale: Annotated[
         float,
-        Number(metavar="X"),
+        number(metavar="X"),
         "Multiply x, y and z of clouds by this, before everything else: 0.001 for clouds in millimetres, 0.01 for "
         "centimetres. Kept clouds are multiplied, too.",
         How(default=1.0, default_text="1, which is metres"),
@@ -82,26 +82,26 @@ class PointSelection(TypedDict, total=False):
 
     remove: Annotated[
         Names | None,
-        Texts("BEAMS"),
+        texts("BEAMS"),
         "Remove beams: shadows (returns between an edge and the surface behind it) or speckles, as laser_filters finds "
         "them: 'speckles filter_window=3'.",
     ]
     where: Annotated[
         Names | None,
-        Texts("CONDITION"),
+        texts("CONDITION"),
         "Use only points whose fields fulfil this condition: 'ring in (3, 4, 5) and intensity > 10'. Fields, numbers,"
         " < <= > >= == != in, and or not, + - * / %, abs(). Of several, all must be fulfilled.",
         How(makes="where:Where"),
     ]
     exclude_box: Annotated[
         Names | None,
-        Texts("BOX"),
+        texts("BOX"),
         "Reject points in this box, such as the robot's own body: 'frame x0 x1 y0 y1 z0 z1' (m).",
         How(makes="regions:ExcludeBox"),
     ]
     exclude_polygon: Annotated[
         Names | None,
-        Texts("POLYGON"),
+        texts("POLYGON"),
         "Reject points in this polygon, at any height, such as the robot's footprint: 'frame x0 y0 x1 y1 x2 y2 ...' "
         "(m).",
         How(makes="regions:ExcludePolygon"),
@@ -114,14 +114,14 @@ class PointSelection(TypedDict, total=False):
     ]
     min_height_slope: Annotated[
         float | None,
-        Number(metavar="M/M"),
+        number(metavar="M/M"),
         "Reject points below `min_height` + this * range, a limit that rises with the range, for ramps and rough "
         "ground. 0.05 is about 3 degrees.",
         How(makes="ground:MinHeightSlope"),
     ]
     filters: Annotated[
         Any,
-        Filters(),
+        FILTERS,
         "Further filters of points, as objects.",
         How(panel=Section.PYTHON, typed="", scope=Scope.SINGLE),
     ]
@@ -133,7 +133,7 @@ class StaticTransforms(TypedDict, total=False):
 
     static_tf: Annotated[
         Transforms | None,
-        TransformTexts("TRANSFORM"),
+        TRANSFORMS,
         "Add a transform: 'parent child x y z qx qy qz qw' or 'parent child x y z roll pitch yaw' (m, rad; or 20cm, "
         "90deg); or the YAML file with a list of such transforms, *.yaml. Replaces the recording's transform to this "
         "child.",
@@ -146,13 +146,13 @@ class TransformInputs(TypedDict, total=False):
 
     tf_topics: Annotated[
         Names | None,
-        Texts("TOPIC", offers=("topics", "/TFMessage", "/tfMessage")),
+        texts("TOPIC", offers=("topics", "/TFMessage", "/tfMessage")),
         "Topic of the transforms, if not /tf and /tf_static.",
         How(typed="--tf-topic"),
     ]
     odom_topic: Annotated[
         Names | None,
-        Texts(
+        texts(
             "TOPIC[:FRAME]",
             offers=("topics", "/Odometry", "/TransformStamped", "/PoseStamped", "/PoseWithCovarianceStamped"),
         ),
@@ -166,7 +166,7 @@ class TransformInputs(TypedDict, total=False):
     ]
     trajectory_frames: Annotated[
         str,
-        Text("PARENT:CHILD"),
+        text("PARENT:CHILD"),
         "The frames of `trajectory`: the poses are those of CHILD in PARENT (odom:base_link, map:velodyne).",
     ]
     urdf: Annotated[
@@ -180,7 +180,7 @@ class TransformInputs(TypedDict, total=False):
 class TransformSources(TransformInputs, total=False):
     """Where transforms come from."""
 
-    tf_from: Annotated[Paths | None, Recordings(), "Read the transforms of this recording too."]
+    tf_from: Annotated[Paths | None, RECORDINGS, "Read the transforms of this recording too."]
 
 
 @group(Section.FRAMES, Scope.CONVERSION)
@@ -210,7 +210,7 @@ class RobotMotion(TypedDict, total=False):
     ]
     point_time: Annotated[
         str,
-        Text("FIELD[:UNIT]"),
+        text("FIELD[:UNIT]"),
         "Field with the points' times, relative to the stamp or absolute; unit: s, ms, us, ns. For clouds without "
         "such a field: azimuth, which measures how the lidar turns; or azimuth:0.1 with the time of a turn (s), then "
         ":cw or :ccw, and :start or :end if the stamp is that of the turn's start or end.",
@@ -227,7 +227,7 @@ class RobotMotion(TypedDict, total=False):
     ]
     imu: Annotated[
         str,
-        Text("TOPIC[:FRAME]", offers=("topics", "/Imu")),
+        text("TOPIC[:FRAME]", offers=("topics", "/Imu")),
         "sensor_msgs/Imu topic from which `level` takes roll and pitch; and the IMU's frame, if its frame_id is wrong"
         " or empty.",
     ]
@@ -239,16 +239,16 @@ class CloudCombination(TypedDict, total=False):
 
     window: Annotated[
         Period | None,
-        Duration("S"),
+        duration("S"),
         "How far the stamps of the other topics may be from those of the first one.",
         How(default_text="half the median period"),
     ]
     accumulate: Annotated[
         Period | None,
-        Duration("S|Nclouds"),
+        duration("S|Nclouds"),
         "Make each scan of all points of the last S seconds (1, 500ms), or of the last N clouds (10clouds).",
     ]
-    every: Annotated[Period | None, Duration("S"), "Make one scan every S seconds, instead of one for each cloud."]
+    every: Annotated[Period | None, duration("S"), "Make one scan every S seconds, instead of one for each cloud."]
     rebin: Annotated[bool, "Convert LaserScan to LaserScan: with other beams, in another frame, or several into one."]
 
 
@@ -275,7 +275,7 @@ class CloudContent(Reversal, total=False):
 
     channels: Annotated[
         Channels | None,
-        ChannelNames("NAME", words=("distances", "stamps", "viewpoint")),
+        CHANNELS,
         "Add these fields to the cloud: distances, stamps, viewpoint.",
         How(typed="--channel"),
     ]
@@ -287,10 +287,10 @@ class OtherTopics(TypedDict, total=False):
 
     keep: Annotated[
         Names | None,
-        Texts("TOPIC", offers=("topics",)),
+        texts("TOPIC", offers=("topics",)),
         "Of the topics that are not converted, copy only these (names or globs).",
     ]
-    drop: Annotated[Names | None, Texts("TOPIC", offers=("topics",)), "Do not write these topics (names or globs)."]
+    drop: Annotated[Names | None, texts("TOPIC", offers=("topics",)), "Do not write these topics (names or globs)."]
     keep_clouds: Annotated[bool, "Write the converted clouds too."]
     clouds_as: Annotated[
         Literal["recorded", "pointcloud2"],
@@ -300,7 +300,7 @@ class OtherTopics(TypedDict, total=False):
     only_scans: Annotated[bool, "Write only the scans."]
     keep_used: Annotated[
         str,
-        Text("TOPIC"),
+        text("TOPIC"),
         "Also write the points that give the scan its ranges, to this topic: PointCloud2 with all their fields and "
         "the beam's number.",
         How(panel=Section.POINTS, scope=Scope.ONE_OUTPUT),
@@ -321,7 +321,7 @@ class FailureConditions(TypedDict, total=False):
     ]
     min_used: Annotated[
         Quantity,
-        Share(metavar="SHARE"),
+        SHARE,
         "Fail and write nothing if less than this share of a topic's points is used in its scans: 0.05 or 5%.",
         How(default=0.0),
     ]

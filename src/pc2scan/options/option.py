@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias
 
 from pc2scan.core.params import ProjectionParams
 
-from .values import Flag, Moment, Number, PathName, Text, Value, in_words
+from .values import FLAG, MOMENT, Value, in_words, number, path, text
 
 if TYPE_CHECKING:
     import numpy as np
@@ -44,13 +44,13 @@ Compression: TypeAlias = Literal["none", "lz4", "zstd", "bz2"]
 FileFormat: TypeAlias = Literal["npz", "csv", "tum", "carmen", "pcd", "kitti"]
 
 # Types that several options have, with how their values are read.
-Metres: TypeAlias = Annotated[Quantity, Number("m")]
-Radians: TypeAlias = Annotated[Quantity, Number("rad")]
-Seconds: TypeAlias = Annotated[Quantity, Number("s")]
-SecondsOrAuto: TypeAlias = Annotated[Quantity, Number("s", words=("auto",))]
-Frame: TypeAlias = Annotated[str, Text("FRAME", offers=("frames",))]
-File: TypeAlias = Annotated[Path | None, PathName()]
-When: TypeAlias = Annotated[Time | None, Moment("TIME")]
+Metres: TypeAlias = Annotated[Quantity, number("m")]
+Radians: TypeAlias = Annotated[Quantity, number("rad")]
+Seconds: TypeAlias = Annotated[Quantity, number("s")]
+SecondsOrAuto: TypeAlias = Annotated[Quantity, number("s", words=("auto",))]
+Frame: TypeAlias = Annotated[str, text("FRAME", offers=("frames",))]
+File: TypeAlias = Annotated[Path | None, path()]
+When: TypeAlias = Annotated[Time | None, MOMENT]
 
 
 class Section:
@@ -148,7 +148,7 @@ class Option:
         how: How = parts.pop(How, How())
         self.help: str = parts.pop(str)
         words = [word for part in (kind, *get_args(kind)) if get_origin(part) is Literal for word in get_args(part)]
-        self.value: Value = next(iter(parts.values()), Text(words=filter(None, words)) if words else Flag())
+        self.value: Value = next(iter(parts.values()), text(words=filter(None, words)) if words else FLAG)
         self.spelling = f"--{name.replace('_', '-')}" if how.typed == "--" else how.typed
         self.panel = panel if how.panel is None else how.panel
         self.scope = how.scope or scope
@@ -229,7 +229,7 @@ def options_in(
     """Return the options of a group, by name."""
     options = {}
     for name, annotation in declared.__annotations__.items():
-        key = name, *(part for part in annotation.__metadata__ if not isinstance(part, Value))
+        key = name, annotation
         if key not in _KNOWN:
             _KNOWN[key] = kind(name, annotation, panel, scope)
         options[name] = _KNOWN[key]

@@ -26,7 +26,7 @@ from .option import (
     Section,
     group,
 )
-from .values import Count, Instance, Outputs, Reduction, Text, Texts
+from .values import OBJECT, OUTPUTS, count, text, texts
 
 
 @group(Section.PARAMS, Scope.ONE_OUTPUT, Parameter)
@@ -63,7 +63,7 @@ class NodeParameters(TypedDict, total=False):
     inf_epsilon: Annotated[Metres, "Added to `range_max` for beams without a return, if `use_inf` is off."]
     queue_size: Annotated[
         int,
-        Count(),
+        count(),
         "Maximum number of chunks of messages processed at a time; 0: as many as memory allows. Nothing is dropped.",
     ]
 
@@ -79,7 +79,7 @@ class ScanParameters(TypedDict, total=False):
     ]
     beams: Annotated[
         int | str,
-        Count(2, words=("auto",)),
+        count(2, words=("auto",)),
         "Number of beams in the sector, instead of `angle_increment`. auto: the lidar's own resolution.",
     ]
     no_return: Annotated[
@@ -88,14 +88,14 @@ class ScanParameters(TypedDict, total=False):
     ]
     reduce: Annotated[
         Reduce,
-        Reduction(words=CHOICES["reduce"]),
+        text(words=CHOICES["reduce"]),
         "What a beam's range is made of: its closest or farthest return, their mean or median, the closest surface, "
         "or with kth=2 the second closest return.",
     ]
-    min_points: Annotated[int, Count(), "Beams with fewer returns than this count as beams without a return."]
+    min_points: Annotated[int, count(), "Beams with fewer returns than this count as beams without a return."]
     intensity_field: Annotated[
         str,
-        Text("NAME"),
+        text("NAME"),
         "Field of the cloud that becomes the scan's intensities, from the points that give the ranges.",
     ]
     time_increment: Annotated[
@@ -124,37 +124,37 @@ class ParameterSources(TypedDict, total=False):
     ]
     launch_args: Annotated[
         Names | None,
-        Texts("NAME:=VALUE"),
+        texts("NAME:=VALUE"),
         "An argument of the launch file.",
         How(typed="--arg", scope=Scope.SINGLE),
     ]
     node: Annotated[
         str | None,
-        Text("NAME"),
+        text("NAME"),
         "The node whose parameters are read, if the parameter file or launch file has several nodes.",
     ]
     param: Annotated[
         Names | None,
-        Texts("NAME:=VALUE"),
+        texts("NAME:=VALUE"),
         "A parameter in ROS's notation. Overrides the file; the parameter's own option overrides it.",
         How(short="-p", scope=Scope.CONVERSION),
     ]
     remap: Annotated[
         Names | None,
-        Texts("FROM:=TO"),
+        texts("FROM:=TO"),
         "A remapping in ROS's notation: cloud_in:=/points with scan:=/scan is the same as `topics=/points:=/scan`.",
         How(panel=Section.TOPICS, short="-r", scope=Scope.SINGLE),
     ]
     preset: Annotated[
         Preset | None,
-        Text("CONSUMER", words=PRESETS),
+        text("CONSUMER", words=PRESETS),
         "Parameters for a consumer of the scans: slam_toolbox, cartographer, gmapping, amcl, nav2, mrpt. Parameters "
         "given here or in a file override them.",
         How(panel=Section.SLAM),
     ]
     params: Annotated[
         ProjectionParams | None,
-        Instance(),
+        OBJECT,
         "The parameters of the projection, instead of `preset` and `params_file`.",
         How(panel=Section.PYTHON, typed="", scope=Scope.SINGLE),
     ]
@@ -166,7 +166,7 @@ class SeveralOutputs(TypedDict, total=False):
 
     scans: Annotated[
         Path | Mapping[str, Any] | None,
-        Outputs(),
+        OUTPUTS,
         "A YAML file with several outputs, each with its own sources, parameters and filters. Parameters of the call "
         "override those of all outputs.",
     ]

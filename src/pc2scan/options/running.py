@@ -6,7 +6,7 @@ No ``from __future__ import annotations`` here: see `pc2scan.options.table`.
 from typing import Annotated, Literal, TypedDict
 
 from .option import Compression, File, How, Path, Progress, Scope, Section, Storage, group
-from .values import Count, Function, PathName
+from .values import FUNCTION, count, path
 
 #: The largest number of threads, or of processes of a batch. More than any machine has cores would only take memory.
 MAX_JOBS = 1024
@@ -54,7 +54,7 @@ class Scratch(TypedDict, total=False):
 
     scratch: Annotated[
         Path | None,
-        PathName("DIR"),
+        path("DIR"),
         "Folder for local copies of files at URLs.",
         How(default_text="the system's folder for temporary files"),
     ]
@@ -73,7 +73,7 @@ class ThreadCount(TypedDict, total=False):
 
     jobs: Annotated[
         int,
-        Count(0, MAX_JOBS),
+        count(0, MAX_JOBS),
         f"Number of threads, up to {MAX_JOBS:,}; the output does not depend on it.",
         How(default=0, default_text="number of cores", short="-j"),
     ]
@@ -85,7 +85,7 @@ class RunProgress(TypedDict, total=False):
 
     progress: Annotated[
         Progress | None,
-        Function(),
+        FUNCTION,
         "A function that is called from time to time with bytes read, bytes in total, and messages read (0 while "
         "transforms are read ahead).",
         How(typed=""),

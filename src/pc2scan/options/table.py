@@ -14,7 +14,6 @@ from typing import Any
 
 from . import commands, conversion, projection, running
 from .option import Option, Parameter, Scope, options_in
-from .values import Instance
 
 # Which command takes which groups; the order is that of the help's sections.
 
@@ -214,7 +213,7 @@ def dataset_options() -> Mapping[str, Option]:
     return {
         name: option
         for name, option in conversion_options().items()
-        if name != "overwrite" and not isinstance(option.value, Instance)
+        if name != "overwrite" and option.value.kind != "object"
     }
 
 

@@ -1,15 +1,16 @@
-"""The types of options' values: one parser for each meaning, for Python, the command line and files alike."""
+"""The types of options' values: one reader for each meaning, for Python, the command line and files alike."""
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass, replace
 from datetime import timedelta
 from numbers import Integral, Real
 from os import PathLike
-from typing import TYPE_CHECKING
+from typing import Any, TypeAlias
 
 from pc2scan.arguments import names_in, value_and_type
 from pc2scan.core.params import kth_of
@@ -20,57 +21,63 @@ from pc2scan.text import did_you_mean
 
 from .moment import TimeBound
 
-if TYPE_CHECKING:
-    from typing import Any
-
 #: The longest time in seconds that a scan may be made of.
 _LONGEST = 86_400.0
+
+#: Reads a value of a type, given the option's name for errors, from Python or as it was typed.
+_Reader: TypeAlias = "Callable[[Value, str, Any], Any]"
 
 
 def _is_number(value: object) -> bool:
     return isinstance(value, Real) and not isinstance(value, bool)
 
 
+@dataclass(frozen=True, slots=True)
 class Value:
     """The type of an option's values.
 
     Attributes
     ----------
+    reader
+        See `read`.
     metavar
         What stands for a value in the command's help.
-    kind
-        The type of a parameter of the projection: ``float``, ``bool``, ``int`` or ``str``.
     usual
         What most values are, for errors.
-    unit
-        ``m``, ``rad``, ``s`` or empty.
+    kind
+        ``float``, ``bool``, ``int`` or ``str``; ``switch``: true, or a text; ``object``: only functions take it.
     words
         The allowed texts; or the texts that a number may be instead. Empty: any text.
+    offers
+        What the shell completes: ``frames``, ``words`` and the words, or ``topics`` and the ends of their
+        types (none: all topics).
+    unit
+        ``m``, ``rad``, ``s`` or empty.
+    low, high
+        The limits of a whole number.
     is_text
         Whether a YAML scalar is read as it is written: ``010`` is the text 010.
     repeats
         Whether there may be several.
+    paths
+        Ends of texts that are paths, which are relative to the file that they are written in.
     note
         What Python takes besides, for the documentation.
-    offers
-        What the shell completes: ``frames``, ``words`` and the words, or ``topics`` and the ends of their
-        types (none: all topics).
     """
 
+    reader: _Reader
     metavar: str | None = None
-    kind = "str"
-    usual = "text"
-    unit = ""
+    usual: str = "text"
+    kind: str = "str"
     words: tuple[str, ...] = ()
-    is_text = False
-    repeats = False
-    note = ""
-
-    def __init__(self, metavar: str | None = None, words: Iterable[str] = (), *, offers: tuple[str, ...] = ()) -> None:
-        if metavar is not None:
-            self.metavar = metavar
-        self.words = tuple(words)
-        self.offers = offers or (("words", *self.words) if self.words else ())
+    offers: tuple[str, ...] = ()
+    unit: str = ""
+    low: int = 0
+    high: int | None = None
+    is_text: bool = False
+    repeats: bool = False
+    paths: tuple[str, ...] = ()
+    note: str = ""
 
     @property
     def expected(self) -> str:
@@ -89,249 +96,170 @@ class Value:
         UsageError
             If it means nothing.
         """
-        raise NotImplementedError
+        return self.reader(self, name, value)
+
+    def is_path(self, text: str) -> bool:
+        """Return whether a value of a file is a path, which is relative to this file."""
+        return text.lower().endswith(self.paths)
 
     def accept(self, value: object) -> Any:
         """Return a value of a parameter, from Python or a file, in its type; None if it has another one."""
-        raise NotImplementedError
-
-    def is_path(self, text: str) -> bool:  # noqa: ARG002
-        """Return whether a value of a file is a path, which is relative to this file."""
-        return False
-
-
-class Flag(Value):
-    """True or false."""
-
-    kind = "bool"
-    usual = "true or false"
-
-    def read(self, name: str, value: Any) -> bool:
-        """Return the value; text is refused, so that ``overwrite="no"`` replaces nothing."""
-        if not isinstance(value, bool):
-            raise TypeError(f"{name} is {value_and_type(value)}, it must be True or False")
-        return value
-
-    def accept(self, value: object) -> bool | None:
-        """Return the value if it is true or false."""
-        return value if isinstance(value, bool) else None
-
-
-class Text(Value):
-    """A text, or one of a few words."""
-
-    is_text = True
-
-    def read(self, name: str, value: Any) -> str:
-        """Return the text."""
-        if not isinstance(value, str):
-            raise TypeError(f"{name} is {value_and_type(value)}, it must be a str, or None")
-        if self.words and value and value not in self.words:
-            raise UsageError(
-                f"`{name}` is {value!r}, it must be one of {', '.join(self.words)}",
-                hint=did_you_mean(value, self.words) or None,
-            )
-        return value
-
-    def accept(self, value: object) -> str | None:
-        """Return the text if it is allowed; YAML reads the words inf and nan as numbers."""
-        text = str(value) if isinstance(value, float) and self.words else value
-        return text if isinstance(text, str) and (text in self.words or not self.words) else None
-
-
-class Reduction(Text):
-    """How the returns of a beam become its range: a word, or ``kth=3``."""
-
-    def accept(self, value: object) -> str | None:
-        """Return the text if it is allowed."""
-        return value if isinstance(value, str) and kth_of(value) else super().accept(value)
-
-
-class Switch(Text):
-    """True, or a text: an option whose value may be left out."""
-
-    def read(self, name: str, value: Any) -> Any:
-        """Return the text, or whether the option is on."""
-        return value if isinstance(value, bool) else super().read(name, value)
-
-
-class Texts(Value):
-    """One text, or several."""
-
-    usual = "text, or a list of texts"
-    is_text = True
-    repeats = True
-    note = "One or several."
-
-    def read(self, name: str, value: Any) -> Any:
-        """Return the texts as a tuple."""
-        texts = names_in(name, value)
-        for text in texts:
-            if self.words and text not in self.words:
-                raise UsageError(
-                    f"`{name}` has {text!r}, its values must be among {', '.join(self.words)}",
-                    hint=did_you_mean(text, self.words) or None,
-                )
-        return texts
-
-
-class TransformTexts(Texts):
-    """Transforms as texts, and files with some; in Python also as `pc2scan.transforms.static.StaticTransform`."""
-
-    def read(self, name: str, value: Any) -> Any:
-        """Return texts, paths and objects as a tuple; `pc2scan.transforms.static.added_transforms` reads them."""
-        several = isinstance(value, Iterable) and not isinstance(value, str | bytes)
-        return tuple(self._read_one(name, each) for each in (value if several else (value,)))
-
-    def _read_one(self, name: str, value: Any) -> Any:
-        is_file = self.is_path(value) if isinstance(value, str) else isinstance(value, PathLike)
-        return path_of(name, value) if is_file else value
-
-    def is_path(self, text: str) -> bool:
-        """Return whether it is the name of a YAML file."""
-        return text.lower().endswith((".yaml", ".yml"))
-
-
-class ChannelNames(Texts):
-    """Fields of clouds; in Python also `pc2scan.UnprojectParams`."""
-
-    def read(self, name: str, value: Any) -> Any:
-        """Return the names as a tuple, or the object."""
-        return value if type(value).__name__ == "UnprojectParams" else super().read(name, value)
-
-
-class PathName(Value):
-    """A path: `str` or `pathlib.Path`. In a file, it is relative to this file."""
-
-    metavar = "FILE"
-    usual = "a path"
-    is_text = True
-
-    def read(self, name: str, value: Any) -> Any:
-        """Return the path."""
-        return path_of(name, value)
-
-    def is_path(self, text: str) -> bool:  # noqa: ARG002
-        """Return that it is one."""
-        return True
-
-
-class Recordings(PathName):
-    """The paths of one recording, or of several."""
-
-    usual = "a path or a list of paths"
-    repeats = True
-    note = "One or several."
-
-    def read(self, name: str, value: Any) -> Any:
-        """Return the paths as a tuple."""
-        return () if value in ((), []) else tuple(paths_in(name, value))
-
-
-class Outputs(PathName):
-    """A file with several outputs, or its content as mappings."""
-
-    note = "Or the content of such a file: ``{'/scan': {'min_height': 0.1}, '/low': {'max_height': 0.1}}``."
-
-    def read(self, name: str, value: Any) -> Any:
-        """Return the path, or the content."""
-        return path_of(name, value) if isinstance(value, str | PathLike) else value
-
-
-class Count(Value):
-    """A whole number from ``low`` to ``high``; for a parameter of the projection, also a word."""
-
-    kind = "int"
-    usual = "a whole number"
-
-    def __init__(self, low: int = 0, high: int | None = None, *, metavar: str = "N", words: Iterable[str] = ()) -> None:
-        super().__init__("|".join((metavar, *words)), words)
-        self.low, self.high = low, high
-
-    def read(self, name: str, value: Any) -> int:
-        """Return the number."""
-        if not isinstance(value, Integral) or isinstance(value, bool):
-            raise TypeError(f"{name} is {value_and_type(value)}, it must be a whole number")
-        number = int(value)
-        if number < self.low or (self.high is not None and number > self.high):
-            limits = f"{self.low} or more" if self.high is None else f"from {self.low} to {self.high:,}"
-            raise UsageError(f"`{name}` is {number:,}, it must be {limits}")
-        return number
-
-    def accept(self, value: object) -> int | str | None:
-        """Return the number, or one of the words."""
-        if isinstance(value, str):
-            return value if value in self.words else None
-        # Where 0 is no value, it is the default of a parameter: none is given.
-        if isinstance(value, int) and not isinstance(value, bool) and (value != 0 or self.low == 0):
-            return value
-        return None
-
-
-class Number(Value):
-    """A number, which may have a unit: ``50cm``, ``90deg``, ``100ms``, ``48us``."""
-
-    kind = "float"
-    usual = "a number"
-
-    def __init__(self, unit: str = "", *, metavar: str | None = None, words: Iterable[str] = ()) -> None:
-        super().__init__("|".join((unit.upper() if metavar is None else metavar, *words)), words)
-        self.unit = unit
-
-    def read(self, name: str, value: Any) -> float:
-        """Return the number in metres, radians or seconds."""
-        if isinstance(value, str):
-            # What is typed is text, also if it is a plain number.
-            with suppress(ValueError):
-                return float(value)
-        elif not _is_number(value):
-            raise TypeError(f"{name} is {value_and_type(value)}, it must be a number")
-        number = self.accept(value)
-        if number is None:
-            raise UsageError(f"`{name}`: {value!r} is not a number", hint=EXAMPLES.get(self.unit))
-        return float(number)
-
-    def accept(self, value: object) -> float | str | None:
-        """Return the number in metres, radians or seconds, or one of the words; a plain number must not be text."""
-        if isinstance(value, str):
-            if value in self.words or not self.unit:
-                return value if value in self.words else None
-            with suppress(ValueError):
-                float(value)
+        if isinstance(value, bool) or self.kind == "bool":
+            return value if isinstance(value, bool) and self.kind == "bool" else None
+        if self.kind == "str":
+            # YAML reads the words inf and nan as numbers.
+            text = str(value) if isinstance(value, float) and self.words else value
+            if not isinstance(text, str):
                 return None
-            return quantity(value, self.unit)
+            is_kth = "kth=N" in self.words and kth_of(text)
+            return text if not self.words or text in self.words or is_kth else None
+        if isinstance(value, str):
+            return value if value in self.words else self._quantity(value)
+        if self.kind == "int":
+            # Where 0 is no value, it is the default of a parameter: none is given.
+            return value if isinstance(value, int) and (value != 0 or self.low == 0) else None
         # A whole number of 309 digits does not fit into a float.
         with suppress(OverflowError):
-            return float(value) if _is_number(value) else None  # type: ignore[arg-type]
+            return float(value) if isinstance(value, Real) else None
         return None
 
+    def _quantity(self, text: str) -> float | None:
+        """Return a number with a unit; a plain number must not be text."""
+        with suppress(ValueError):
+            float(text)
+            return None
+        return quantity(text, self.unit) if self.unit else None
 
-class Share(Number):
-    """A share, 0 to 1, or in percent: ``0.05`` or ``5%``."""
 
-    def read(self, name: str, value: Any) -> float:
-        """Return the share."""
-        if not isinstance(value, str):
-            return super().read(name, value)
+def text(metavar: str | None = None, words: Iterable[str] = (), *, offers: tuple[str, ...] = ()) -> Value:
+    """Return the type of a text, or of one of a few words."""
+    words = tuple(words)
+    offers = offers or (("words", *words) if words else ())
+    return Value(_read_text, metavar, words=words, offers=offers, is_text=True)
+
+
+def _read_text(kind: Value, name: str, value: Any) -> Any:
+    if not isinstance(value, str):
+        raise TypeError(f"{name} is {value_and_type(value)}, it must be a str, or None")
+    if kind.words and value and value not in kind.words:
+        raise UsageError(
+            f"`{name}` is {value!r}, it must be one of {', '.join(kind.words)}",
+            hint=did_you_mean(value, kind.words) or None,
+        )
+    return value
+
+
+def texts(metavar: str | None = None, words: Iterable[str] = (), *, offers: tuple[str, ...] = ()) -> Value:
+    """Return the type of one text, or several."""
+    one = text(metavar, words, offers=offers)
+    return replace(one, reader=_read_texts, usual="text, or a list of texts", repeats=True, note="One or several.")
+
+
+def _read_texts(kind: Value, name: str, value: Any) -> tuple[str, ...]:
+    read = names_in(name, value)
+    for each in read:
+        if kind.words and each not in kind.words:
+            raise UsageError(
+                f"`{name}` has {each!r}, its values must be among {', '.join(kind.words)}",
+                hint=did_you_mean(each, kind.words) or None,
+            )
+    return read
+
+
+def number(unit: str = "", metavar: str | None = None, words: tuple[str, ...] = ()) -> Value:
+    """Return the type of a number, which may have a unit: ``50cm``, ``90deg``, ``100ms``, ``48us``."""
+    shown = "|".join((unit.upper() if metavar is None else metavar, *words))
+    offers = ("words", *words) if words else ()
+    return Value(_read_number, shown, "a number", "float", words, offers, unit)
+
+
+def _read_number(kind: Value, name: str, value: Any) -> float:
+    """Return the number in metres, radians or seconds."""
+    if isinstance(value, str):
+        # What is typed is text, also if it is a plain number.
+        with suppress(ValueError):
+            return float(value)
+    elif not _is_number(value):
+        raise TypeError(f"{name} is {value_and_type(value)}, it must be a number")
+    read = kind.accept(value)
+    if read is None:
+        raise UsageError(f"`{name}`: {value!r} is not a number", hint=EXAMPLES.get(kind.unit))
+    return float(read)
+
+
+def count(low: int = 0, high: int | None = None, words: tuple[str, ...] = ()) -> Value:
+    """Return the type of a whole number; for a parameter of the projection, also a word."""
+    offers = ("words", *words) if words else ()
+    return Value(_read_count, "|".join(("N", *words)), "a whole number", "int", words, offers, low=low, high=high)
+
+
+def _read_count(kind: Value, name: str, value: Any) -> int:
+    if isinstance(value, str):
         try:
-            return float(value.removesuffix("%")) / (100 if value.endswith("%") else 1)
-        except ValueError as err:
-            raise UsageError(f"`{name}`: {value!r} is not a share", hint="write 0.05 or 5%") from err
+            value = int(value)
+        except ValueError:
+            raise UsageError(f"`{name}` is {value!r}, it must be a whole number") from None
+    if not isinstance(value, Integral) or isinstance(value, bool):
+        raise TypeError(f"{name} is {value_and_type(value)}, it must be a whole number")
+    read = int(value)
+    if read < kind.low or (kind.high is not None and read > kind.high):
+        limits = f"{kind.low} or more" if kind.high is None else f"from {kind.low} to {kind.high:,}"
+        raise UsageError(f"`{name}` is {read:,}, it must be {limits}")
+    return read
 
 
-class Duration(Value):
-    """A time: seconds, text such as ``500ms``, or a `datetime.timedelta`. `nanoseconds_of` reads it."""
+def path(metavar: str = "FILE") -> Value:
+    """Return the type of a path: `str` or `pathlib.Path`."""
+    return Value(_read_path, metavar, "a path", is_text=True, paths=("",))
 
-    usual = "a number of seconds, or text such as 500ms"
-    note = "Also a timedelta."
 
-    def read(self, name: str, value: Any) -> Any:  # noqa: ARG002
-        """Return the value as it is: `pc2scan.request.options.Combining` reads it."""
-        return value
+def _read_path(_: Value, name: str, value: Any) -> Any:
+    return path_of(name, value)
+
+
+def _read_flag(_: Value, name: str, value: Any) -> bool:
+    """Return the value; text is refused, so that ``overwrite="no"`` replaces nothing."""
+    if not isinstance(value, bool):
+        raise TypeError(f"{name} is {value_and_type(value)}, it must be True or False")
+    return value
+
+
+def _read_switch(kind: Value, name: str, value: Any) -> Any:
+    return value if isinstance(value, bool) else _read_text(kind, name, value)
+
+
+def _read_transforms(kind: Value, name: str, value: Any) -> tuple[Any, ...]:
+    """Return texts, paths and objects; `pc2scan.transforms.static.added_transforms` reads them."""
+    several = isinstance(value, Iterable) and not isinstance(value, str | bytes)
+    return tuple(
+        path_of(name, each) if isinstance(each, PathLike) or (isinstance(each, str) and kind.is_path(each)) else each
+        for each in (value if several else (value,))
+    )
+
+
+def _read_channels(kind: Value, name: str, value: Any) -> Any:
+    return value if type(value).__name__ == "UnprojectParams" else _read_texts(kind, name, value)
+
+
+def _read_recordings(_: Value, name: str, value: Any) -> tuple[Any, ...]:
+    return () if value in ((), []) else tuple(paths_in(name, value))
+
+
+def _read_outputs(_: Value, name: str, value: Any) -> Any:
+    return path_of(name, value) if isinstance(value, str | PathLike) else value
+
+
+def _read_share(kind: Value, name: str, value: Any) -> float:
+    if not isinstance(value, str):
+        return _read_number(kind, name, value)
+    try:
+        return float(value.removesuffix("%")) / (100 if value.endswith("%") else 1)
+    except ValueError as err:
+        raise UsageError(f"`{name}`: {value!r} is not a share", hint="write 0.05 or 5%") from err
 
 
 def nanoseconds_of(name: str, value: Any, more: str = "") -> int:
-    """Read a time in the forms of `Duration`; ``more`` is added to the hint of the error."""
+    """Read a `duration`; ``more`` is added to the hint of the error."""
     seconds: float | None
     if isinstance(value, str):
         seconds = quantity(value, "s")
@@ -346,98 +274,107 @@ def nanoseconds_of(name: str, value: Any, more: str = "") -> int:
     return round(seconds * 1e9)
 
 
-class Moment(Value):
-    """A time in a recording; see `pc2scan.options.moment.TimeBound`."""
+def _read_moment(_: Value, name: str, value: Any) -> TimeBound:
+    try:
+        return TimeBound.of(value)
+    except UsageError as err:
+        err.message = f"`{name}`: {err.message}"
+        raise
 
-    usual = "a number or a text"
-    note = "Also a datetime with a time zone, a numpy.datetime64 (UTC), or a timedelta from the beginning."
 
-    def read(self, name: str, value: Any) -> Any:
-        """Return it as a `pc2scan.options.moment.TimeBound`."""
+def _read_moments(kind: Value, name: str, value: Any) -> tuple[TimeBound, ...]:
+    # A NumPy array without dimensions is one time; a `TimeBound` is a tuple.
+    several = isinstance(value, Iterable) and not isinstance(value, str) and not hasattr(value, "absolute")
+    is_one = not several or getattr(value, "shape", True) == ()
+    return tuple(_read_moment(kind, name, each) for each in ((value,) if is_one else value))
+
+
+def _read_tolerances(_: Value, name: str, value: Any) -> Mapping[str, float]:
+    """Return the numbers by name; the empty name is for all others."""
+    if isinstance(value, list | tuple):
+        return _typed_tolerances(name, value)
+    tolerances = value if isinstance(value, Mapping) else {"": value}
+    if not all(map(_is_number, tolerances.values())):
+        raise TypeError(f"{name} is {value!r}, it must be a number, or a dict of numbers")
+    return tolerances
+
+
+def _typed_tolerances(name: str, words: Iterable[str]) -> dict[str, float]:
+    tolerances: dict[str, float] = {}
+    for word in words:
+        field, _, digits = word.rpartition("=")
         try:
-            return TimeBound.of(value)
-        except UsageError as err:
-            err.message = f"`{name}`: {err.message}"
-            raise
+            tolerance = float(digits)
+        except ValueError:
+            raise UsageError(
+                f"`{name}`: {word!r} is not a tolerance", hint=f"write `{name}=0.001` or `{name}=intensities=0.5`"
+            ) from None
+        if field in tolerances:
+            raise UsageError(f"`{name}` is given twice for {field or 'all values'}")
+        tolerances[field] = tolerance
+    return tolerances
 
 
-class Moments(Moment):
-    """One time in a recording, or several."""
-
-    repeats = True
-
-    def read(self, name: str, value: Any) -> Any:
-        """Return them as a tuple of `pc2scan.options.moment.TimeBound`."""
-        # A NumPy array without dimensions is one time; a `TimeBound` is a tuple.
-        several = isinstance(value, Iterable) and not isinstance(value, str) and not hasattr(value, "absolute")
-        if several and getattr(value, "shape", True) != ():
-            return tuple(super(Moments, self).read(name, time) for time in value)
-        return (super().read(name, value),)
+def _read_filters(_: Value, name: str, value: Any) -> tuple[Any, ...]:
+    filters = tuple(value) if isinstance(value, Iterable) and not isinstance(value, str | bytes) else (value,)
+    for item in filters:
+        if isinstance(item, type) or not hasattr(item, "explanation"):
+            more = "; a condition as text is the argument `where`" if isinstance(item, str) else ""
+            raise TypeError(
+                f"{name} has {value_and_type(item)}, it must be a filter, such as pc2scan.Where('ring < 8'){more}"
+            )
+    return filters
 
 
-class Tolerances(Value):
-    """A number for all values, or numbers by name: ``0.001``, ``x=0.001``, ``{"x": 0.001}``."""
-
-    repeats = True
-    note = "A number, or a dict of numbers by name."
-
-    def read(self, name: str, value: Any) -> Mapping[str, float]:
-        """Return the numbers by name; the empty name is for all others."""
-        if isinstance(value, list | tuple):
-            return self._typed(name, value)
-        tolerances = value if isinstance(value, Mapping) else {"": value}
-        if not all(map(_is_number, tolerances.values())):
-            raise TypeError(f"{name} is {value!r}, it must be a number, or a dict of numbers")
-        return tolerances
-
-    def _typed(self, name: str, texts: Iterable[str]) -> dict[str, float]:
-        """Read tolerances as they are typed."""
-        tolerances: dict[str, float] = {}
-        for text in texts:
-            field, _, number = text.rpartition("=")
-            try:
-                tolerance = float(number)
-            except ValueError:
-                raise UsageError(
-                    f"`{name}`: {text!r} is not a tolerance", hint=f"write `{name}=0.001` or `{name}=intensities=0.5`"
-                ) from None
-            if field in tolerances:
-                raise UsageError(f"`{name}` is given twice for {field or 'all values'}")
-            tolerances[field] = tolerance
-        return tolerances
+def _read_function(_: Value, name: str, value: Any) -> Any:
+    if not callable(value):
+        raise TypeError(f"{name} is {value_and_type(value)}, it must be a function, or None")
+    return value
 
 
-class Instance(Value):
-    """An object of Python, which only functions take."""
-
-    def read(self, name: str, value: Any) -> Any:  # noqa: ARG002
-        """Return the object."""
-        return value
+def _as_it_is(_: Value, __: str, value: Any) -> Any:
+    return value
 
 
-class Filters(Instance):
-    """A filter of points, or several: see `pc2scan.request.filters.Filter`."""
-
-    def read(self, name: str, value: Any) -> tuple[Any, ...]:
-        """Return the filters as a tuple."""
-        filters = tuple(value) if isinstance(value, Iterable) and not isinstance(value, str | bytes) else (value,)
-        for item in filters:
-            if isinstance(item, type) or not hasattr(item, "explanation"):
-                text = "; a condition as text is the argument `where`" if isinstance(item, str) else ""
-                raise TypeError(
-                    f"{name} has {value_and_type(item)}, it must be a filter, such as pc2scan.Where('ring < 8'){text}"
-                )
-        return filters
+def duration(metavar: str) -> Value:
+    """Return the type of a time: seconds, text such as ``500ms``, or a `datetime.timedelta`; see `nanoseconds_of`."""
+    usual = "a number of seconds, or text such as 500ms"
+    return Value(_as_it_is, metavar, usual, note="Also a timedelta.")
 
 
-class Function(Instance):
-    """A function of Python."""
-
-    def read(self, name: str, value: Any) -> Any:
-        """Return the function."""
-        if not callable(value):
-            raise TypeError(f"{name} is {value_and_type(value)}, it must be a function, or None")
-        return value
+FLAG = Value(_read_flag, usual="true or false", kind="bool")
+#: True, or a text: an option whose value may be left out.
+SWITCH = Value(_read_switch, "[ADDRESS]", kind="switch", is_text=True)
+#: Transforms as texts, and files with some; in Python also as `pc2scan.transforms.static.StaticTransform`.
+TRANSFORMS = replace(texts("TRANSFORM"), reader=_read_transforms, paths=(".yaml", ".yml"))
+#: Fields of clouds; in Python also `pc2scan.UnprojectParams`.
+CHANNELS = replace(texts("NAME", ("distances", "stamps", "viewpoint")), reader=_read_channels)
+#: The paths of one recording, or of several.
+RECORDINGS = replace(
+    path(), reader=_read_recordings, usual="a path or a list of paths", repeats=True, note="One or several."
+)
+#: A file with several outputs, or its content as mappings.
+OUTPUTS = replace(
+    path(),
+    reader=_read_outputs,
+    note="Or the content of such a file: ``{'/scan': {'min_height': 0.1}, '/low': {'max_height': 0.1}}``.",
+)
+#: 0 to 1, or in percent: ``0.05`` or ``5%``.
+SHARE = replace(number(metavar="SHARE"), reader=_read_share)
+#: A time in a recording; see `pc2scan.options.moment.TimeBound`.
+MOMENT = Value(
+    _read_moment,
+    "TIME",
+    "a number or a text",
+    note="Also a datetime with a time zone, a numpy.datetime64 (UTC), or a timedelta from the beginning.",
+)
+MOMENTS = replace(MOMENT, reader=_read_moments, repeats=True)
+#: A number for all values, or numbers by name: ``0.001``, ``x=0.001``, ``{"x": 0.001}``.
+TOLERANCES = Value(_read_tolerances, "[NAME=]X", repeats=True, note="A number, or a dict of numbers by name.")
+#: Objects of Python, which only functions take.
+OBJECT = Value(_as_it_is, kind="object")
+FILTERS = Value(_read_filters, kind="object")
+FUNCTION = Value(_read_function, kind="object")
 
 
 def in_words(value: float | bool | str) -> str:

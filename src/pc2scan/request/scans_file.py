@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pc2scan.errors import ParameterError, UsageError
 from pc2scan.options.call import Options
 from pc2scan.options.table import PARAMETERS, output_options
-from pc2scan.options.values import Texts
+from pc2scan.options.values import texts
 
 from .entries import Entry, entries_in, entries_of, naming_place, read_text
 from .nodes import read_remaps
@@ -106,7 +106,7 @@ def _output(
     Keys that it does not have are read from the defaults.
     """
     known_options = output_options()
-    kinds = {"sources": Texts(), **{name: option.value for name, option in known_options.items()}}
+    kinds = {"sources": texts(), **{name: option.value for name, option in known_options.items()}}
     known = (*names_of("pointcloud_to_laserscan"), *ALIASES, *kinds)
     hint = f"an output has {', '.join(kinds)}, and the parameters of pointcloud_to_laserscan"
     settings: list[Setting] = []

@@ -11,7 +11,6 @@ from pc2scan.core.presets import PRESETS
 from pc2scan.errors import TransformError
 from pc2scan.options.call import call_words
 from pc2scan.options.table import PARAMETERS, output_options, spelling_of
-from pc2scan.options.values import Flag, Text
 from pc2scan.result import Call
 
 from .html import compress, decompress, description_of
@@ -187,7 +186,7 @@ def _conversion(sources: Sequence[Path], options: ConvertOptions) -> Call:
     }
     for name, option in output_options().items():
         value = getattr(scan, name, option.default)
-        if isinstance(option.value, Flag | Text) and value != option.default:
+        if not option.value.repeats and value != option.default:
             given[name] = value
     given |= {name: _time_text(getattr(options, name)) for name in ("start", "end")}
     for chosen in scan.filters:
