@@ -5,7 +5,6 @@
     Pc2ScanError                   exit status 1
     ├── UsageError                 exit status 2: the call is wrong, nothing was read or written
     │   ├── ParameterError         a projection parameter's name, type or value
-    │   │   └── SeveralNodesError  a parameter file with several nodes, where one is expected
     │   ├── TopicError             a topic that is missing, of another type or taken
     │   └── DestinationError       DST cannot be written as requested
     ├── RecordingError             a source cannot be read
@@ -198,22 +197,6 @@ class ParameterError(UsageError):
     def __init__(self, message: str, *, name: str = "", hint: str | None = None) -> None:
         super().__init__(message, hint=hint)
         self.name = name
-
-
-class SeveralNodesError(ParameterError):
-    """A parameter file or launch file has several nodes, and none was chosen.
-
-    Parameters
-    ----------
-    message, hint
-        As for `ParameterError`.
-    nodes
-        The fully qualified names of the nodes.
-    """
-
-    def __init__(self, message: str, *, nodes: tuple[str, ...], hint: str | None = None) -> None:
-        super().__init__(message, hint=hint)
-        self.nodes = nodes
 
 
 class TopicError(UsageError):

@@ -5,23 +5,23 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from .arguments import refuse_unknown
 from .conversion.run import OutputOptions, report_failure, run
 from .core.params import ProjectionParams
 from .core.unproject import UnprojectParams
-from .errors import Pc2ScanError, SeveralNodesError, UsageError, name_list
+from .errors import Pc2ScanError, UsageError, name_list
 from .files.urls import path_of, path_or_url, path_text
 from .options.call import CALL, Options
 from .options.conversion import ConversionFrames
 from .options.effects import refuse_idle
 from .options.table import PARAMETERS, options_about_scans
-from .request.nodes import name_outputs, read_remaps, refuse_topics, remaps_of_node
 from .request.options import TRAJECTORY, ConvertOptions, ScanSpec, StampOptions, TopicRequest
 from .request.param_sources import parse_params, resolve_sources
 from .request.parameters import ResolvedParams, Setting, refuse_degrees
-from .request.scans_file import load_scans, refuse_beside
+from .request.remappings import read_remaps
+from .request.scans_file import Outputs, load_scans, refuse_beside
 from .result import Failure, tell_early
 from .transforms.placing import FrameOptions
 from .transforms.robot_model import model_in_file
@@ -114,30 +114,20 @@ def conversion_of(options: Options, warn: Warn | None = None) -> ConvertOptions:
         _refuse_scans(options)
     given = options.among(PARAMETERS)
     settings = [Setting(name, value, options.origins.get(name, CALL)) for name, value in given.items()]
-    moved: tuple[str, ...] = ()
-    if options.scans is not None:
-        refuse_beside(options.of_one_output)
-        scans_file, where = load_scans(options.scans, [*settings, *parse_params(options.param)]), "scans"
-        specs, ignored, paths = scans_file.specs, scans_file.ignored, scans_file.files
+    if options.scans is None:
+        outputs, where = _output(options, settings), "params_file"
     else:
-        outputs, where = _outputs(options, settings), "params_file"
-        specs = tuple(output.spec for output in outputs)
-        ignored = tuple(place for output in outputs for place in output.resolved.ignored)
-        paths = tuple(path for output in outputs for path in output.resolved.files)
-        moved = tuple(dict.fromkeys(topic for output in outputs for topic in output.tf_topics))
+        refuse_beside(options.of_one_output)
+        outputs, where = load_scans(options.scans, [*settings, *parse_params(options.param)]), "scans"
     notes: list[str] = []
-    if ignored:
-        tell_early(
-            notes,
-            warn,
-            *(f"ignored, because no parameter of the projection is read there: {place}" for place in ignored),
-        )
+    reason = "ignored, because no parameter of the projection is read there"
+    tell_early(notes, warn, *(f"{reason}: {place}" for place in outputs.ignored))
     frames = frames_of(options)
-    if moved and not frames.tf_topics:
-        frames = replace(frames, tf_topics=moved)
-    files = named_files(options) | {f"{path.name} (from `{where}`)": path for path in paths}
+    if not frames.tf_topics:
+        frames = replace(frames, tf_topics=outputs.tf_topics)
+    files = named_files(options) | {f"{path.name} (from `{where}`)": path for path in outputs.files}
     how = {"frames": frames, "clock": clock_of(options), **options.among(_OF_ALL)}
-    return ConvertOptions(scans=specs, **how, files=files, notes=tuple(notes))
+    return ConvertOptions(scans=outputs.specs, **how, files=files, notes=tuple(notes))
 
 
 def _refuse_scans(options: Options) -> None:
@@ -150,33 +140,10 @@ def _refuse_scans(options: Options) -> None:
         )
 
 
-class _Output(NamedTuple):
-    """An output, its parameters, and the topics of transforms that its remappings name."""
-
-    spec: ScanSpec
-    resolved: ResolvedParams
-    tf_topics: tuple[str, ...]
-
-
-def _outputs(options: Options, settings: list[Setting]) -> list[_Output]:
-    """Return the output of a call, or one for each node of its parameter file."""
-    file = options.params_file
-    try:
-        return [_output(options, settings, options.node)]
-    except SeveralNodesError as err:
-        if options.reverse or file is None or options.command == "export":
-            raise
-        nodes = err.nodes
-    refuse_topics(options.topics, nodes, file)
-    outputs = [_output(options, settings, node, is_one_of_several=True) for node in nodes]
-    named = name_outputs(nodes, [output.spec for output in outputs], file)
-    return [output._replace(spec=spec) for output, spec in zip(outputs, named, strict=True)]
-
-
-def _output(options: Options, settings: list[Setting], node: str | None, *, is_one_of_several: bool = False) -> _Output:
-    """Return an output; a parameter file is read for one of its nodes."""
-    topics, typed = options.topics, list(options.remap)
-    if typed and topics:
+def _output(options: Options, settings: list[Setting]) -> Outputs:
+    """Return the output of a call without a file of several."""
+    topics, tf_topics = options.topics, ()
+    if options.remap and topics:
         raise UsageError(
             "`topics` and `remap` both name the topics; give only one of them", hint="such as `topics=/points:=/scan`"
         )
@@ -187,22 +154,19 @@ def _output(options: Options, settings: list[Setting], node: str | None, *, is_o
             settings,
             assignments=options.param,
             file=options.params_file,
-            node=node,
+            node=options.node,
             launch_args=options.launch_args,
             preset=options.preset,
             reverse=options.reverse,
-            remapped=_remapped(options) if options.params_file is not None else (),
+            remapped=_remapped(options),
         )
-    tf_topics: tuple[str, ...] = ()
-    if typed or resolved.remaps:
-        if is_one_of_several and node is not None:
-            typed = remaps_of_node(typed, node)
-        typed = [text for text in typed if not text.startswith("__")]
-        moved = read_remaps((*resolved.remaps, *typed), reverse=resolved.reverse)
+    file = resolved.file
+    if remaps := (*file.remaps, *(text for text in options.remap if not text.startswith("__"))):
+        moved = read_remaps(remaps, reverse=resolved.reverse)
         topics, tf_topics = topics or moved.topics, moved.tf_topics
     more = {"channels": _channels(options.channels)} if options.channels else {}
     spec = ScanSpec.of(options.given, resolved, topics=tuple(map(TopicRequest.parse, topics)), **more)
-    return _Output(spec, resolved, tf_topics)
+    return Outputs((spec,), file.files, file.ignored, tf_topics)
 
 
 def _remapped(options: Options) -> set[str]:

@@ -131,7 +131,7 @@ class ParameterSources(TypedDict, total=False):
     node: Annotated[
         str | None,
         text("NAME"),
-        "The node whose parameters are read, if the parameter file or launch file has several nodes.",
+        "The node whose parameters are read, if the file has several.",
     ]
     param: Annotated[
         Names | None,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import ParameterError, SeveralNodesError, name_list
+from pc2scan.errors import ParameterError, name_list
 from pc2scan.text import did_you_mean
 
 from .launch_node import ELSEWHERE
@@ -75,8 +75,5 @@ def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str |
         message = f"{path}: several nodes match: {name_list(nodes)}"
         if len({*nodes}) < len(nodes):
             raise ParameterError(message, hint=ELSEWHERE)
-        hint = f"choose one, for example `node={nodes[0]}`"
-        if any(candidate.direction == "laserscan_to_pointcloud" for candidate in chosen):
-            raise ParameterError(message, hint=hint)
-        raise SeveralNodesError(message, nodes=nodes, hint=hint)
+        raise ParameterError(message, hint=f"choose one, for example `node={nodes[0]}`")
     return chosen[0], file

@@ -8,7 +8,7 @@ from pc2scan.core.presets import PRESETS
 from pc2scan.errors import ParameterError, UsageError
 
 from .entries import compose, scalar_value
-from .parameters import ALIASES, Setting, expected_message, is_every_nodes, resolve
+from .parameters import ALIASES, ParamsFile, Setting, expected_message, is_every_nodes, resolve
 from .params_file import load_params_file
 
 if TYPE_CHECKING:
@@ -53,26 +53,20 @@ def resolve_sources(
     UsageError
         If a parameter, the file or the preset is not valid, or the file is for the other direction.
     """
-    merged = list(settings)
-    ignored: tuple[str, ...] = ()
-    remaps: tuple[str, ...] = ()
-    files: tuple[Path, ...] = ()
-    if assignments:
-        merged += parse_params(assignments)
+    merged = [*settings, *parse_params(assignments)]
+    loaded = ParamsFile()
     if file is not None:
         given = {ALIASES.get(setting.name, setting.name) for setting in merged}
-        loaded = load_params_file(
-            file, node=node, arguments=_launch_arguments(launch_args), overridden={*given, *remapped}
-        )
+        arguments = _launch_arguments(launch_args)
+        loaded = load_params_file(file, node=node, arguments=arguments, overridden={*given, *remapped})
         merged += loaded.settings
-        ignored, remaps, files = loaded.ignored, loaded.remaps, loaded.files
         if reverse and loaded.direction == "pointcloud_to_laserscan":
             raise UsageError(f"{loaded.node} is for pointcloud_to_laserscan, `reverse=True` is not", path=file)
         reverse = reverse or loaded.direction == "laserscan_to_pointcloud"
     if preset is not None:
         merged += [Setting(name, value, f"--preset {preset}", "preset") for name, value in PRESETS[preset].items()]
     direction: Direction = "laserscan_to_pointcloud" if reverse else "pointcloud_to_laserscan"
-    return resolve(merged, direction=direction)._replace(ignored=ignored, remaps=remaps, files=files)
+    return resolve(merged, direction=direction)._replace(file=loaded)
 
 
 def _launch_arguments(texts: Sequence[str]) -> dict[str, str]:

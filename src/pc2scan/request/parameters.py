@@ -51,8 +51,37 @@ class Setting(NamedTuple):
     source: str = "option"
 
 
+class ParamsFile(NamedTuple):
+    """What is read of a parameter file or a launch file.
+
+    Attributes
+    ----------
+    settings
+        One for each parameter, in the order of the file.
+    direction
+        The direction, by the node's name, or for a renamed node by its parameters; None if it is unknown.
+    node
+        Fully qualified name of the node (or the wildcard) whose section was read; ``/`` for the
+        flat mapping of a ROS 1 file.
+    ignored
+        Origins of entries that were ignored: names of topics, wildcard parameters of another node, a
+        ``concurrency_level`` together with a ``queue_size``. A warning lists them.
+    remaps
+        The remappings of a launch file, ``cloud_in:=/points``, of the node's topics and of the transforms'.
+    files
+        Other files that a launch file names, and that were read.
+    """
+
+    settings: tuple[Setting, ...] = ()
+    direction: Direction | None = None
+    node: str = ""
+    ignored: tuple[str, ...] = ()
+    remaps: tuple[str, ...] = ()
+    files: tuple[Path, ...] = ()
+
+
 class ResolvedParams(NamedTuple):
-    """The parameters of a run, where each was given, and what else the files of parameters have.
+    """The parameters of a run, and where each was given.
 
     Attributes
     ----------
@@ -62,18 +91,14 @@ class ResolvedParams(NamedTuple):
         For each name of `PARAMETERS`, the origin of the setting that is used, or ``default``.
     reverse
         Whether scans become clouds.
-    ignored
-        Places of entries in the parameter file that are not parameters of the projection.
-    remaps, files
-        See `pc2scan.request.params_file.ParamsFile`.
+    file
+        The parameter file.
     """
 
     params: ProjectionParams
     origin: Mapping[str, str]
     reverse: bool = False
-    ignored: tuple[str, ...] = ()
-    remaps: tuple[str, ...] = ()
-    files: tuple[Path, ...] = ()
+    file: ParamsFile = ParamsFile()
 
 
 #: ROS 1's names for parameters that ROS 2 renamed.

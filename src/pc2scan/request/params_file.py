@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, get_args
 
-from pc2scan.errors import ParameterError, SeveralNodesError
+from pc2scan.errors import ParameterError
 from pc2scan.options.table import PARAMETERS
 from pc2scan.text import did_you_mean, nearest
 
@@ -18,6 +17,7 @@ from .parameters import (
     ALIASES,
     TOPICS,
     Direction,
+    ParamsFile,
     Setting,
     expected_message,
     is_every_nodes,
@@ -45,36 +45,6 @@ _REMAPPED: dict[Direction, set[str]] = {
     "pointcloud_to_laserscan": {"cloud_in", "scan", "tf", "tf_static"},
     "laserscan_to_pointcloud": {"scan_in", "cloud", "tf", "tf_static"},
 }
-
-
-@dataclass(frozen=True, slots=True)
-class ParamsFile:
-    """The result of `load_params_file`.
-
-    Attributes
-    ----------
-    direction
-        The direction, by the node's name, or for a renamed node by its parameters; None if it is unknown.
-    settings
-        One for each parameter, in the order of the file.
-    node
-        Fully qualified name of the node (or the wildcard) whose section was read; ``/`` for the
-        flat mapping of a ROS 1 file.
-    ignored
-        Origins of entries that were ignored: names of topics, wildcard parameters of another node, a
-        ``concurrency_level`` together with a ``queue_size``. A warning lists them.
-    remaps
-        The remappings of a launch file, ``cloud_in:=/points``, of the node's topics and of the transforms'.
-    files
-        Other files that a launch file names, and that were read.
-    """
-
-    direction: Direction | None
-    settings: tuple[Setting, ...]
-    node: str
-    ignored: tuple[str, ...] = ()
-    remaps: tuple[str, ...] = ()
-    files: tuple[Path, ...] = ()
 
 
 def load_params_file(
@@ -161,9 +131,8 @@ def _from_launch(
                 elif not is_every_nodes(written):
                     # The node ignores a parameter that it does not declare.
                     ignored.append(origin)
-    return ParamsFile(
-        chosen.direction, tuple(settings.values()), chosen.name, tuple(ignored), tuple(remaps), tuple(files)
-    )
+    settled = tuple(settings.values()), chosen.direction, chosen.name
+    return ParamsFile(*settled, tuple(ignored), tuple(remaps), tuple(files))
 
 
 def _unread(param: LaunchValue, name: str, err: UnreadError, path: Path) -> ParameterError:
@@ -309,10 +278,7 @@ def _node_to_read(sections: _Sections, node: str | None, file: Path) -> str:
     if not matches:
         message = f"{file}: no section is named pointcloud_to_laserscan or laserscan_to_pointcloud, and none has only "
         raise ParameterError(f"{message}their parameters; found {listed}", hint=hint)
-    message = f"{file}: several nodes match: {', '.join(matches)}"
-    if node or any("*" in full or _direction_of(full) == "laserscan_to_pointcloud" for full in matches):
-        raise ParameterError(message, hint=hint)
-    raise SeveralNodesError(message, nodes=tuple(matches), hint=hint)
+    raise ParameterError(f"{file}: several nodes match: {', '.join(matches)}", hint=hint)
 
 
 def _matching_nodes(sections: _Sections, node: str | None) -> list[str]:
@@ -370,4 +336,4 @@ def _merge_sections(sections: _Sections, target: str, *, ros1: bool) -> ParamsFi
                 ignored += [leaf.origin] * (not is_every_nodes(written))
             elif not is_every_nodes(written):
                 raise unknown_parameter(written, leaf.origin, direction)
-    return ParamsFile(direction, tuple(settings.values()), target, tuple(ignored))
+    return ParamsFile(tuple(settings.values()), direction, target, tuple(ignored))

@@ -11,11 +11,11 @@ from pc2scan.options.table import PARAMETERS, output_options
 from pc2scan.options.values import texts
 
 from .entries import Entry, entries_in, entries_of, naming_place, read_text
-from .nodes import read_remaps
 from .options import ScanSpec, TopicRequest
 from .param_sources import resolve_sources
 from .parameters import ALIASES, Setting, names_of
 from .redaction import not_quoting
+from .remappings import read_remaps
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -25,8 +25,8 @@ _TOP = ("defaults", "scans")
 _EXAMPLE = "write scans: {/scan: {min_height: 0.1}, /scan_low: {max_height: 0.1}}"
 
 
-class ScansFile(NamedTuple):
-    """The result of `load_scans`.
+class Outputs(NamedTuple):
+    """The outputs of a call.
 
     Attributes
     ----------
@@ -36,14 +36,17 @@ class ScansFile(NamedTuple):
         All files that were read.
     ignored
         Places of entries in parameter files that are not parameters of the projection.
+    tf_topics
+        The topics of transforms that remappings name.
     """
 
     specs: tuple[ScanSpec, ...]
     files: tuple[Path, ...] = ()
     ignored: tuple[str, ...] = ()
+    tf_topics: tuple[str, ...] = ()
 
 
-def load_scans(asked: Path | Mapping[str, Any], overriding: Sequence[Setting] = ()) -> ScansFile:
+def load_scans(asked: Path | Mapping[str, Any], overriding: Sequence[Setting] = ()) -> Outputs:
     """Read and check outputs.
 
     Parameters
@@ -56,7 +59,7 @@ def load_scans(asked: Path | Mapping[str, Any], overriding: Sequence[Setting] = 
 
     Returns
     -------
-    ScansFile
+    Outputs
         Checked, except for what depends on the recording.
 
     Raises
@@ -79,7 +82,7 @@ def load_scans(asked: Path | Mapping[str, Any], overriding: Sequence[Setting] = 
         specs.append(spec)
         files += read
         ignored += told
-    return ScansFile(tuple(specs), tuple(dict.fromkeys(files)), tuple(dict.fromkeys(ignored)))
+    return Outputs(tuple(specs), tuple(dict.fromkeys(files)), tuple(dict.fromkeys(ignored)))
 
 
 def _outputs(scans: Entry) -> Iterator[tuple[str, Entry]]:
@@ -129,14 +132,14 @@ def _output(
         if resolved.reverse:
             raise UsageError(f"{file} is for laserscan_to_pointcloud, scans are made of clouds")
         if sources is None:
-            sources = [name.partition(":=")[0] for name in read_remaps(resolved.remaps).topics]
+            sources = [name.partition(":=")[0] for name in read_remaps(resolved.file.remaps).topics]
         for source in sources:
             if ":=" in source or not source:
                 message = f"'sources' has {source!r}, which is not a topic"
                 raise ParameterError(message, name="sources", hint="an output's topic is its key")
         topics = tuple(TopicRequest(source, topic) for source in sources)
         spec = ScanSpec.of(options.given, resolved, name=topic, place=entry.place, topics=topics)
-    return spec, [file, *resolved.files] if file else [], resolved.ignored
+    return spec, [file, *resolved.file.files] if file else [], resolved.file.ignored
 
 
 def refuse_beside(names: Sequence[str]) -> None:
