@@ -18,6 +18,7 @@ import zstandard
 
 from fuzz.clouds import project_cloud, project_moving
 from pc2scan import ProjectionParams
+from pc2scan.bags.observers import observe
 from pc2scan.bags.qos import respell_qos
 from pc2scan.bags.topics import latches
 from pc2scan.compare.scan_text import open_scan_text, render_scans
@@ -36,7 +37,7 @@ from pc2scan.request.options import ScanSpec
 from pc2scan.request.parameters import resolve
 from pc2scan.request.params_file import load_params_file
 from pc2scan.transforms.builder import TransformBuilder
-from pc2scan.transforms.imu import ImuRequest, read_up
+from pc2scan.transforms.imu import ImuReading
 from pc2scan.transforms.placing import Placer
 from pc2scan.transforms.robot_model import parse_model
 from pc2scan.transforms.sources import PoseReading, PoseTopic
@@ -97,7 +98,10 @@ def _imu(data: bytes) -> None:
     size = max(1, len(content) // 4)
     parts = [content[place : place + size] for place in range(0, len(content), size)]
     rows = [(connection.id, place, part) for place, part in enumerate(parts)]
-    found = read_up([MemoryReader(Path("made"), [connection], rows)], ImuRequest("/imu"))
+    reader = MemoryReader(Path("made"), [connection], rows)
+    reading = ImuReading([reader], "/imu")
+    observe((reader, reading.observers(reader)))
+    found = reading.up()
     assert np.isfinite(found.directions).all()
     assert len(found.directions) == len(found.stamps_ns)
 

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from pc2scan.bags.observers import observe
 from pc2scan.errors import UsageError
 from pc2scan.model import Connection
-from pc2scan.transforms.imu import ImuRequest, read_up
+from pc2scan.transforms.imu import ImuReading
 from support.builders import imu_message
 from support.memory_reader import MemoryReader
 from support.worlds.inertial import Simulated, errors, simulated
@@ -55,8 +56,10 @@ def orientations(ups: NDArray[np.float64]) -> list[tuple[float, ...]]:
     return made
 
 
-def read(recorded: MemoryReader, asked: str = "/imu") -> UpEstimate:
-    return read_up([recorded], ImuRequest.parse(asked))
+def read(recorded: MemoryReader) -> UpEstimate:
+    reading = ImuReading([recorded], "/imu")
+    observe((recorded, reading.observers(recorded)))
+    return reading.up()
 
 
 @pytest.mark.parametrize("ros_version", [1, 2])

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pc2scan.advice.measurements import Measurements
+from pc2scan.core.beam_filters import BEAM_FILTERS
 from pc2scan.core.layout import TURN
 from pc2scan.core.points import NUMBER
 from pc2scan.core.project import Projector
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
     from pc2scan.core.points import Points
     from pc2scan.core.project import ProjectedScan, Transform
     from pc2scan.model import Buffer
-    from pc2scan.request.beam_filters import BeamFilter
     from pc2scan.request.options import ScanSpec
     from pc2scan.transforms.placing import Placer
 
@@ -154,13 +154,13 @@ class CloudToScan(Conversion):
         return UsedPoints(placed.whole, numbers, beams)
 
 
-def remove_beams(filters: Sequence[BeamFilter], empty_range: float, result: ConvertedMessage) -> ConvertedMessage:
+def remove_beams(filters: Sequence[str], empty_range: float, result: ConvertedMessage) -> ConvertedMessage:
     """Remove beams of a scan: a removed beam has no return.
 
     Parameters
     ----------
     filters
-        The filters in order; each one sees the result of those before it.
+        Names of filters in order; each one sees the result of those before it.
     empty_range
         The range of a beam without a return, metres.
     """
@@ -172,9 +172,9 @@ def remove_beams(filters: Sequence[BeamFilter], empty_range: float, result: Conv
     returns = np.isfinite(seen)
     counts = dict(result.removed or {"returns": int(np.count_nonzero(returns))})
     closed = abs(seen.size * float(scan.angle_increment) - TURN) < abs(float(scan.angle_increment)) / 2
-    for chosen in filters:
-        gone = chosen(seen, float(scan.angle_increment), closed=closed) & np.isfinite(seen)
-        counts[chosen.name] = counts.get(chosen.name, 0) + int(np.count_nonzero(gone))
+    for name in filters:
+        gone = BEAM_FILTERS[name](seen, float(scan.angle_increment), closed=closed) & np.isfinite(seen)
+        counts[name] = counts.get(name, 0) + int(np.count_nonzero(gone))
         seen[gone] = np.inf
     removed = returns & ~np.isfinite(seen)
     if removed.any():

@@ -173,7 +173,7 @@ def _steps_in_words(output: Output, topic: str) -> Iterator[str]:
         yield f"select by {', '.join(each.name for each in spec.filters)}"
     yield "make points of the beams" if spec.reverse else "project"
     if spec.remove:
-        yield f"remove {', '.join(each.name for each in spec.remove)}"
+        yield f"remove {', '.join(spec.remove)}"
     if spec.combining.accumulates:
         yield "combine with the messages before"
     if others := [each for each in output.sources if each != topic]:

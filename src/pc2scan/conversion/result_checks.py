@@ -39,10 +39,13 @@ _NOTABLE_PART = 0.05
 #: If a filter that should remove faults alone removes more than this share, a warning names it.
 _MOST_REMOVED = 0.1
 
-#: What to type if `min_points` or `reduce=kth=N` removes too many beams.
-_OF_SPARSE = (
-    "they have fewer returns than `min_points` or `reduce=kth=N`: lower these, or use more heights or wider beams"
-)
+#: What to type if too many beams are removed.
+_REMEDIES = {
+    "sparse": "they have fewer returns than `min_points` or `reduce=kth=N`: lower these, or use more heights or wider "
+    "beams",
+    "shadows": "so many are hardly mixed pixels, but thin or rough things (plants, meshes): leave out `remove=shadows`",
+    "speckles": "so many are hardly noise: leave out `remove=speckles`",
+}
 
 #: The share of the beams of a scan without a return between two others from which on a note is worth it.
 _NOTABLE_GAPS = 0.02
@@ -204,10 +207,9 @@ def faults_without_number(topic: TopicReport, report: Report) -> Iterator[str]:
         return
     faulty = [(each.name, each.explanation, each.remedy) for each in report.rejections.values() if each.remedy]
     removals = [(points.rejected.get(name, 0), points.total, "point", what, remedy) for name, what, remedy in faulty]
-    remedies = {"sparse": _OF_SPARSE} | {each.name: each.remedy for each in (topic.spec or report.scans[0]).remove}
     removals += [
         (beams[name], beams["returns"], "beam", f"removed as {name}", remedy)
-        for name, remedy in remedies.items()
+        for name, remedy in _REMEDIES.items()
         if name in beams
     ]
     for number, total, kind, what, remedy in removals:

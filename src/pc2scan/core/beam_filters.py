@@ -1,7 +1,7 @@
 """Finds the beams of a scan to remove: shadows behind edges, and speckles.
 
-Source of the rule of `speckles`: ``LaserScanSpeckleFilter`` (by distance) of laser_filters 2.0, with the same
-parameters, in float32 as there; but laser_filters stops at the first and the last beam, while a full circle has no end
+Source of the rule of `speckles`: ``LaserScanSpeckleFilter`` (by distance) of laser_filters 2.0, with the parameters of
+its example, in float32 as there; but laser_filters stops at the first and the last beam, while a full circle has no end
 here. `veiled_beams` is pc2scan's own rule.
 
 A beam without a return is inf or NaN here, whatever number the scan has for it.
@@ -106,10 +106,11 @@ def _next(beams: NDArray[np.intp], step: int, count: int, closed: bool) -> tuple
 
 def speckles(
     ranges: NDArray[np.float32],
+    _increment: float = 0.0,
     *,
-    max_range: float,
-    max_range_difference: float,
-    filter_window: int,
+    max_range: float = 2.0,
+    max_range_difference: float = 0.1,
+    filter_window: int = 2,
     closed: bool = False,
 ) -> NDArray[np.bool_]:
     """Return which beams are speckles: beams in no run of ``filter_window`` beams with ranges like its first one.
@@ -147,3 +148,7 @@ def _shift(values: NDArray, away: int, closed: bool) -> tuple[NDArray, NDArray[n
     places = np.arange(values.size) + away
     in_scan = np.ones(values.size, np.bool_) if closed else (places >= 0) & (places < values.size)
     return values[places % values.size], in_scan
+
+
+#: What finds the beams that `remove` names, from the ranges, the radians from beam to beam, and whether it is a circle.
+BEAM_FILTERS = {"shadows": veiled_beams, "speckles": speckles}

@@ -82,9 +82,9 @@ class PointSelection(TypedDict, total=False):
 
     remove: Annotated[
         Names | None,
-        texts("BEAMS"),
-        "Remove beams: shadows (returns between an edge and the surface behind it) or speckles, as laser_filters finds "
-        "them: 'speckles filter_window=3'.",
+        texts("BEAMS", words=("shadows", "speckles")),
+        "Remove beams: shadows (returns between an edge and the surface behind it), or speckles as laser_filters finds "
+        "them.",
     ]
     where: Annotated[
         Names | None,
@@ -98,13 +98,6 @@ class PointSelection(TypedDict, total=False):
         texts("BOX"),
         "Reject points in this box, such as the robot's own body: 'frame x0 x1 y0 y1 z0 z1' (m).",
         How(makes="regions:ExcludeBox"),
-    ]
-    exclude_polygon: Annotated[
-        Names | None,
-        texts("POLYGON"),
-        "Reject points in this polygon, at any height, such as the robot's footprint: 'frame x0 y0 x1 y1 x2 y2 ...' "
-        "(m).",
-        How(makes="regions:ExcludePolygon"),
     ]
     ground: Annotated[
         Literal["keep", "remove"],

@@ -21,7 +21,6 @@ from pc2scan.options.values import nanoseconds_of
 from pc2scan.transforms.imu import ImuRequest
 from pc2scan.transforms.placing import FrameOptions
 
-from .beam_filters import beam_filter
 from .filters import as_dict, filters_of, rejection_of
 from .point_time import PointTime
 
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
     from pc2scan.core.unproject import UnprojectParams
     from pc2scan.options.moment import TimeBound
 
-    from .beam_filters import BeamFilter
     from .filters import Filter
     from .parameters import ResolvedParams
 
@@ -49,7 +47,7 @@ _MOST_OFFSET_NS = 2**63 - 1
 _CLOUDS = r"(\d+) ?(?:clouds?|scans?|messages?)"
 
 #: Attributes of an output that are made of options. All others are options as they are given.
-_MADE = frozenset({"topics", "params", "reverse", "channels", "filters", "remove"})
+_MADE = frozenset({"topics", "params", "reverse", "channels", "filters"})
 
 
 class TopicRequest(NamedTuple):
@@ -170,8 +168,7 @@ class ScanSpec:
     filters
         Filters of points, which are applied before the projection, in order.
     remove
-        Filters of beams, which are applied after the projection, in order: ``Shadows`` and ``Speckles`` of
-        `pc2scan.request.beam_filters`.
+        Filters of beams, which are applied after the projection, in order: ``shadows`` and ``speckles``.
     keep_used
         A topic for the points that give the scans their ranges; empty: none.
     echo
@@ -193,7 +190,7 @@ class ScanSpec:
     imu: str = ""
     combining: Combining = Combining()
     filters: tuple[Filter, ...] = ()
-    remove: tuple[BeamFilter, ...] = ()
+    remove: tuple[str, ...] = ()
     keep_used: str = ""
     echo: str = "first"
     imu_request: ImuRequest | None = field(default=None, init=False, repr=False)
@@ -215,8 +212,6 @@ class ScanSpec:
             read["combining"] = Combining.of(values)
         if values.keys() & PointSelection.__annotations__.keys():
             read["filters"] = (*filters_of(values, found.params.min_height), *values.get("filters", ()))
-        if "remove" in values:
-            read["remove"] = tuple(map(beam_filter, values["remove"]))
         return cls(params=found.params, origins=found.origin, reverse=found.reverse, **read, **more)
 
     def __post_init__(self) -> None:

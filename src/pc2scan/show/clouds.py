@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
     from pc2scan.core.rigid import Rigid
     from pc2scan.options.moment import TimeBound
-    from pc2scan.request.beam_filters import BeamFilter
     from pc2scan.request.options import ConvertOptions
     from pc2scan.transforms.buffer import TransformBuffer
 
@@ -182,7 +181,7 @@ def _conversion(sources: Sequence[Path], options: ConvertOptions) -> Call:
         ),
         "source_frame": frames.source_frame,
         "cloud_scale": options.cloud_scale if options.cloud_scale != 1 else None,
-        "remove": tuple(map(_beam_filter_text, scan.remove)),
+        "remove": scan.remove,
     }
     for name, option in output_options().items():
         value = getattr(scan, name, option.default)
@@ -194,11 +193,6 @@ def _conversion(sources: Sequence[Path], options: ConvertOptions) -> Call:
         if text is not None and spelling_of(chosen.name):
             given[chosen.name] = (*given.get(chosen.name, ()), text)
     return Call("convert", tuple(map(str, sources)), {name: value for name, value in given.items() if value})
-
-
-def _beam_filter_text(chosen: BeamFilter) -> str:
-    words = (f"{each.name}={getattr(chosen, each.name)}" for each in fields(chosen) if chosen != type(chosen)())
-    return " ".join((chosen.name, *words))
 
 
 def _time_text(bound: TimeBound | None) -> str:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pc2scan.bags.observers import Observer, observe
-from pc2scan.bags.topics import find_topic
+from pc2scan.bags.observers import Observer
+from pc2scan.bags.topics import find_topic, types_by_topic
 from pc2scan.core.gravity import TIME_CONSTANT, up_by_gravity, up_in
 from pc2scan.core.sharpness import roughness
 from pc2scan.errors import DecodeError, TopicError, UsageError, name_list
@@ -111,13 +111,15 @@ class ImuReading:
     """
 
     def __init__(self, readers: Sequence[Reader], requested: str, most: int | None = None) -> None:
-        self._topic = _imu_topic(readers, requested)
+        types = types_by_topic(connection for reader in readers for connection in reader.connections)
+        candidates = sorted(topic for topic, kinds in types.items() if IMU in kinds)
+        self._topic = find_topic(requested, types, candidates, IMU)
         self._most = most
-        #: Times, and three numbers each; NaN where a value is missing.
         self._stamps_ns = array("q")
-        self._directions, self._turning, self._acceleration = array("d"), array("d"), array("d")
+        #: Nine numbers a message: up by its orientation, rates, and accelerations; NaN where a value is missing.
+        self._values = array("d")
         self._frames: dict[str, None] = {}
-        self._undecoded, self._why = 0, ""
+        self._undecoded: list[str] = []
 
     def observers(self, reader: Reader) -> list[Observer[RawMessage]]:
         """Return the observer of a recording; none if it does not have the topic."""
@@ -129,14 +131,13 @@ class ImuReading:
         try:
             imu = decode_imu(message.data, message.connection.serialization)
         except DecodeError as err:
-            self._undecoded += 1
-            self._why = self._why or err.message
+            self._undecoded.append(err.message)
             return
         self._frames[imu.frame_id] = None
         self._stamps_ns.append(imu.stamp_ns)
-        self._directions.extend(_UNKNOWN if imu.orientation is None else up_in(imu.orientation))
-        self._turning.extend(_plausible(imu.angular_velocity))
-        self._acceleration.extend(_plausible(imu.linear_acceleration))
+        self._values.extend(_UNKNOWN if imu.orientation is None else up_in(imu.orientation))
+        self._values.extend(_plausible(imu.angular_velocity))
+        self._values.extend(_plausible(imu.linear_acceleration))
 
     def up(self, frame: str = "") -> UpEstimate:
         """Estimate the direction of up.
@@ -153,50 +154,18 @@ class ImuReading:
         UsageError
             If they do not show the direction of up.
         """
-        topic = self._topic
-        lost = f"{counted(self._undecoded, 'message')} cannot be decoded: {self._why}"
+        topic, warnings = self._topic, list[str]()
+        if self._undecoded:
+            number = counted(len(self._undecoded), "message")
+            warnings.append(f"{topic}: {number} cannot be decoded: {self._undecoded[0]}")
         if not self._stamps_ns:
-            why = f": {lost}" if self._undecoded else ""
-            raise TopicError(
-                f"there are no messages on {topic}{why}", hint="give another topic to `imu`, or `fixed_frame`"
-            )
-        stamps, order = np.unique(np.array(self._stamps_ns, np.int64), return_index=True)
-        directions, turning, acceleration = (
-            np.array(values, np.float64).reshape(-1, 3)[order]
-            for values in (self._directions, self._turning, self._acceleration)
-        )
-        warnings = [f"{topic}: {lost}"] if self._undecoded else []
+            message = "; ".join((f"there are no messages on {topic}", *warnings))
+            raise TopicError(message, hint="give another topic to `imu`, or `fixed_frame`")
         frame = frame or _only_frame(topic, self._frames)
-        known, directions, notes, further = _estimate_up(topic, stamps, directions, turning, acceleration)
-        return UpEstimate(topic, frame, stamps[known], directions, tuple(notes), (*warnings, *further))
-
-
-def read_up(readers: Sequence[Reader], request: ImuRequest) -> UpEstimate:
-    """Read all messages of an IMU in recordings, and estimate the direction of up.
-
-    Parameters
-    ----------
-    readers
-        The sources first, then the recordings of ``tf_from``.
-
-    Raises
-    ------
-    TopicError
-        If there is no such topic, or it has no messages.
-    UsageError
-        If its messages do not show the direction of up.
-    """
-    reading = ImuReading(readers, request.topic)
-    observe(*((reader, reading.observers(reader)) for reader in readers))
-    return reading.up(request.frame)
-
-
-def _imu_topic(readers: Sequence[Reader], requested: str) -> str:
-    types: dict[str, set[str]] = {}
-    for connection in (connection for reader in readers for connection in reader.connections):
-        kind = connection.ros_type if connection.ros_version is not None else connection.msgtype
-        types.setdefault(connection.topic, set()).add(kind)
-    return find_topic(requested, types, sorted(topic for topic, kinds in types.items() if IMU in kinds), IMU)
+        stamps, order = np.unique(np.array(self._stamps_ns, np.int64), return_index=True)
+        values = np.array(self._values, np.float64).reshape(-1, 9)[order]
+        known, ups, note, further = _estimate_up(topic, stamps, values[:, :3], values[:, 3:6], values[:, 6:])
+        return UpEstimate(topic, frame, stamps[known], ups, (note,), (*warnings, *further))
 
 
 def _plausible(values: tuple[float, ...] | None) -> tuple[float, ...]:
@@ -222,60 +191,51 @@ def _estimate_up(
     directions: NDArray[np.float64],
     turning: NDArray[np.float64],
     acceleration: NDArray[np.float64],
-) -> tuple[NDArray[np.intp], NDArray[np.float64], list[str], list[str]]:
-    """Return which messages show the direction of up, the directions, notes, and warnings."""
+) -> tuple[NDArray[np.intp], NDArray[np.float64], str, list[str]]:
+    """Return which messages show the direction of up, the directions, a note, and warnings."""
     oriented = ~np.isnan(directions[:, 0])
     felt = ~np.isnan(turning[:, 0]) & ~np.isnan(acceleration[:, 0])
     gravity, fault = _gravity(acceleration[felt])
     if not fault and not turning[felt].any():
         fault = "the gyroscope always shows 0"
     known = np.flatnonzero(oriented)
-    never_changes = len(known) > 1 and bool((directions[known] == directions[known[0]]).all())
-    if 2 * len(known) >= len(directions) and not (never_changes and not fault):
-        warnings = _disagreement(topic, directions[oriented & felt], acceleration[oriented & felt], fault)
-        jitter = float(np.degrees(np.linalg.norm(roughness(stamps_ns[known], directions[known]))))
-        if jitter > _LARGEST_JITTER:
-            warnings.append(
-                f"{topic}: its orientations jitter by {jitter:.2g} degrees from one message to the next, as those of "
-                "an IMU that vibrates, and so do level scans; `fixed_frame` levels by transforms instead"
-            )
-        if lost := len(directions) - len(known):
-            warnings.append(f"{topic}: {lost:,} of {counted(len(directions), 'message')} ignored: no valid orientation")
-        return (
-            known,
-            directions[known],
-            [f"{topic}: up is computed from the orientations of {len(known):,} messages"],
-            warnings,
-        )
+    number = f"{len(known):,} of {len(directions):,} have" if len(known) else "none has"
+    why = f"{number} a valid orientation"
+    if len(known) > 1 and not fault and (directions[known] == directions[known[0]]).all():
+        why = "its orientation never changes"
+    elif 2 * len(known) >= len(directions):
+        both = oriented & felt
+        warnings = [] if fault else _disagreement(topic, directions[both], acceleration[both])
+        off = float(np.degrees(np.linalg.norm(roughness(stamps_ns[known], directions[known]))))
+        warnings += _weaknesses(topic, off, len(directions) - len(known), "no valid orientation")
+        note = f"{topic}: up is computed from the orientations of {len(known):,} messages"
+        return known, directions[known], note, warnings
     if fault:
         raise UsageError(
-            f"the messages on {topic} do not show the direction of up: {_why_no_orientation(directions)}, and {fault}",
+            f"the messages on {topic} do not show the direction of up: {why}, and {fault}",
             hint="give another topic to `imu`, or level by transforms: `fixed_frame=odom`",
         )
     known = np.flatnonzero(felt)
-    warnings = []
-    if lost := len(directions) - len(known):
-        warnings.append(
-            f"{topic}: {lost:,} of {counted(len(directions), 'message')} ignored: no rates or accelerations"
-        )
-    rough = float(roughness(stamps_ns[known], turning[known]).max())
     interval = float(np.median(np.diff(stamps_ns[known]))) / 1e9 if len(known) > 1 else 0.0
-    drift = math.degrees(rough * math.sqrt(interval * TIME_CONSTANT))
-    if drift > _LARGEST_JITTER:
-        warnings.append(
-            f"{topic}: its gyroscope jitters by {rough:.2g} rad/s, as that of an IMU that vibrates: up is off by "
-            f"about {drift:.2g} degrees; `fixed_frame` levels by transforms instead"
-        )
-    up = up_by_gravity(stamps_ns[known], turning[known], acceleration[known], gravity)
+    rough = float(roughness(stamps_ns[known], turning[known]).max())
+    off = math.degrees(rough * math.sqrt(interval * TIME_CONSTANT))
     unit = " (in units of g)" if gravity < 2 else ""
-    why = "its orientation never changes" if never_changes else _why_no_orientation(directions)
     note = f"{topic}: up is estimated from gyroscope and accelerometer{unit} of {len(known):,} messages: {why}"
-    return known, up, [note], warnings
+    ups = up_by_gravity(stamps_ns[known], turning[known], acceleration[known], gravity)
+    return known, ups, note, _weaknesses(topic, off, len(directions) - len(known), "no rates or accelerations")
 
 
-def _why_no_orientation(directions: NDArray[np.float64]) -> str:
-    known = int(np.count_nonzero(~np.isnan(directions[:, 0])))
-    return f"{known:,} of {len(directions):,} have a valid orientation" if known else "none has a valid orientation"
+def _weaknesses(topic: str, off: float, missing: int, what: str) -> list[str]:
+    """Return warnings about directions that are off by some degrees, and about messages that lack what is needed."""
+    warnings = []
+    if off > _LARGEST_JITTER:
+        warnings.append(
+            f"{topic}: up is off by about {off:.2g} degrees, as that of an IMU that vibrates, and so are level scans; "
+            "`fixed_frame` levels by transforms instead"
+        )
+    if missing:
+        warnings.append(f"{topic}: {counted(missing, 'message')} ignored: {what}")
+    return warnings
 
 
 def _gravity(acceleration: NDArray[np.float64]) -> tuple[float, str]:
@@ -288,11 +248,9 @@ def _gravity(acceleration: NDArray[np.float64]) -> tuple[float, str]:
     return 0.0, f"the median of the accelerometer is {length:.3g} m/s^2, gravity is {GRAVITY:.4g} m/s^2"
 
 
-def _disagreement(
-    topic: str, directions: NDArray[np.float64], acceleration: NDArray[np.float64], fault: str
-) -> list[str]:
-    """Yield a warning if up by orientations differs from up by the accelerometer."""
-    if fault or not len(directions):
+def _disagreement(topic: str, directions: NDArray[np.float64], acceleration: NDArray[np.float64]) -> list[str]:
+    """Return a warning if up by orientations differs from up by the accelerometer."""
+    if not len(directions):
         return []
     with np.errstate(all="ignore"):
         cosines = np.einsum("ni,ni->n", directions, acceleration) / np.sqrt(np.square(acceleration).sum(axis=1))
