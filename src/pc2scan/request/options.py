@@ -106,6 +106,7 @@ class Combining(NamedTuple):
         UsageError
             If a value cannot be parsed, or is out of range.
         """
+        spans = {name: nanoseconds_of(name, values[name]) for name in ("window", "every") if name in values}
         accumulate = values.get("accumulate")
         count = span_ns = 0
         if isinstance(accumulate, str) and (written := re.fullmatch(_CLOUDS, accumulate.strip())):
@@ -114,10 +115,9 @@ class Combining(NamedTuple):
                 raise UsageError(f"`accumulate` is {accumulate!r}, it must be 1 to {_MOST_MESSAGES:,} clouds")
         elif accumulate is not None:
             span_ns = nanoseconds_of("accumulate", accumulate, "; or a number of clouds (10clouds)")
-        every_ns = nanoseconds_of("every", values["every"]) if "every" in values else 0
-        window_ns = nanoseconds_of("window", values["window"]) if "window" in values else None
         is_bare = isinstance(accumulate, str) and accumulate.strip().isdecimal()
-        return cls(window_ns, span_ns, count, every_ns, values.get("rebin", False), is_bare)
+        rebin = values.get("rebin", False)
+        return cls(spans.get("window"), span_ns, count, spans.get("every", 0), rebin, is_bare)
 
     @property
     def accumulates(self) -> bool:
@@ -162,7 +162,7 @@ class ScanSpec:
         Whether scans of clouds are in a frame without roll and pitch, which come from ``fixed_frame`` or ``imu``.
     imu
         With ``level``: the IMU that measures the direction of up, ``TOPIC`` or ``TOPIC:FRAME``. Empty: ``fixed_frame``
-        is used. ``imu_request`` is what it asks for.
+        is used.
     combining
         Which messages become one scan.
     filters
@@ -193,7 +193,6 @@ class ScanSpec:
     remove: tuple[str, ...] = ()
     keep_used: str = ""
     echo: str = "first"
-    imu_request: ImuRequest | None = field(default=None, init=False, repr=False)
 
     @classmethod
     def of(cls, values: Mapping[str, Any], found: ResolvedParams, **more: Any) -> ScanSpec:
@@ -217,60 +216,42 @@ class ScanSpec:
     def __post_init__(self) -> None:
         if self.keep_used:
             object.__setattr__(self, "keep_used", new_topic(self.keep_used, "`keep_used`"))
-        if self.level and self.imu:
-            object.__setattr__(self, "imu_request", ImuRequest.parse(self.imu))
-        PointTime.parse(self.point_time)
-        for is_wrong, message, hint in self._contradictions():
+        PointTime.parse(self.point_time), self.imu_request
+        for is_wrong, message in self._contradictions():
             if is_wrong:
-                raise UsageError(message, hint=hint or None)
+                raise UsageError(message)
 
-    def _contradictions(self) -> Iterator[tuple[object, str, str]]:
-        """Yield what may be wrong: whether it is, the message and the hint."""
-        combines, steps = self.may_combine, self.params.time_increment
+    def _contradictions(self) -> Iterator[tuple[object, str]]:
+        """Yield what may be wrong: whether it is, and the message."""
+        combines, steps, fixed = self.may_combine, self.params.time_increment, self.fixed_frame
         deskews_clouds = self.deskew and not self.reverse
-        yield (
-            not self.reverse and self.echo != "first" and not combines,
-            "`echo` chooses among the echoes of 2D scans, which need `reverse` or `rebin`",
-            "",
-        )
+        is_echo_idle = self.echo != "first" and not (self.reverse or combines)
+        yield is_echo_idle, "`echo` chooses among the echoes of 2D scans, which need `reverse` or `rebin`"
         for name in (each.name for each in self.filters):
             is_taken = name in PointCounts().as_dict() or not name.isidentifier()
-            yield is_taken, f"a filter is named {name!r}, which cannot be the name of its count", ""
+            yield is_taken, f"a filter is named {name!r}, which cannot be the name of its count"
+        is_blind = self.level and not (self.imu or fixed)
+        yield is_blind, "`level` needs a frame whose z is up, such as `fixed_frame=odom`, or an IMU: `imu=/imu/data`"
         yield (
-            self.level and not self.imu and not self.fixed_frame,
-            "`level` needs a source of the direction of up",
-            "give a frame that does not move, whose z is up: `fixed_frame=odom`; or an IMU: `imu=/imu/data`",
-        )
-        yield (
-            self.fixed_frame and not (self.deskew or self.level or combines),
+            fixed and not (self.deskew or self.level or combines),
             "`fixed_frame` needs `deskew` or `level` of clouds, `accumulate`, or topics that become one scan",
-            "",
         )
         yield (
             self.deskew and self.reverse and not self.params.target_frame,
-            "`deskew` needs a `target_frame` that does not move with the sensor",
-            "such as `target_frame=odom`",
+            "`deskew` needs a frame that does not move with the sensor, such as `target_frame=odom`",
         )
-        yield (
-            deskews_clouds and not self.fixed_frame,
-            "`deskew` of clouds needs a frame that does not move: `fixed_frame`",
-            "such as `fixed_frame=odom`",
-        )
+        is_deskew_blind = deskews_clouds and not fixed
+        yield is_deskew_blind, "`deskew` of clouds needs a frame that does not move, such as `fixed_frame=odom`"
         yield (
             steps != 0 and (deskews_clouds or combines),
             f"time_increment is {steps}, but a scan that is deskewed, or of several messages, has one time",
-            "remove `time_increment`",
         )
         yield (
             self.combining.window_ns is not None and not self.may_share,
-            "`window` needs several topics that become one scan",
-            "such as `topics=/front:=/scan` `topics=/rear:=/scan` `target_frame=base_link`",
+            "`window` needs several topics that become one scan, such as `topics=/front:=/scan` `topics=/rear:=/scan`",
         )
-        yield (
-            combines and self.keep_used,
-            "`keep_used` needs scans that are made of one cloud each",
-            "without `accumulate`, `every`, `rebin` and topics that share a target",
-        )
+        is_made_of_several = combines and self.keep_used
+        yield is_made_of_several, "`keep_used` needs scans of one cloud each, without `accumulate`, `every` and `rebin`"
 
     def as_dict(self) -> dict[str, Any]:
         """Return the parameters of the projection, their origins and the filters, for reports."""
@@ -322,12 +303,8 @@ class ScanSpec:
     @property
     def rejections(self) -> tuple[Rejection, ...]:
         """The reasons for which points may be rejected, besides those of the projection."""
-        further: tuple[Rejection, ...] = ()
-        if self.filters:
-            further = tuple(map(rejection_of, self.filters))
-        if not self.deskew or self.reverse:
-            return further
-        return (*further, NO_TIME, NO_TRANSFORM)
+        lost = (NO_TIME, NO_TRANSFORM) if self.deskew and not self.reverse else ()
+        return (*map(rejection_of, self.filters), *lost)
 
     @property
     def needs_transforms(self) -> bool:
@@ -347,6 +324,11 @@ class ScanSpec:
         params = self.params
         needs_fields = params.intensity_field or self.deskew or any(each.fields for each in self.filters)
         return bool(needs_fields) or "auto" in (params.scan_time, params.time_increment, params.beams)
+
+    @property
+    def imu_request(self) -> ImuRequest | None:
+        """The IMU that measures the direction of up; None: none does."""
+        return ImuRequest.parse(self.imu) if self.level and self.imu else None
 
     @property
     def label(self) -> str:
@@ -390,9 +372,6 @@ class StampOptions:
     def __bool__(self) -> bool:
         return self.by_log or self.offset_ns != 0 or bool(self.by_topic.keys() - {TRAJECTORY})
 
-    def __hash__(self) -> int:
-        return hash((self.by_log, self.offset_ns, tuple(self.by_topic.items())))
-
     @property
     def trajectory_ns(self) -> int:
         """What is added to the stamps of a trajectory, nanoseconds."""
@@ -407,23 +386,18 @@ class StampOptions:
         UsageError
             If an offset is not one, or they contradict each other.
         """
-        general: int | None = 0
-        by_topic: dict[str, int | None] = {}
+        offsets: dict[str, int | None] = {}
         for text in time_offset:
             name, _, value = text.rpartition("=")
-            if name in by_topic or (not name and general != 0):
+            if name in offsets:
                 raise UsageError(f"`time_offset` is given twice for {name or 'all topics'}")
-            offset_ns = _offset_of(text, value)
-            if name:
-                by_topic[name] = offset_ns
-            else:
-                general = offset_ns
-        if TRAJECTORY in by_topic and by_topic[TRAJECTORY] is None:
+            offsets[name] = _offset_of(text, value)
+        if offsets.get(TRAJECTORY, 0) is None:
             raise UsageError("`time_offset`: the offset of a trajectory is not measured; give it in seconds")
-        by_log = stamps == "log"
+        general, by_log = offsets.pop("", 0), stamps == "log"
         if by_log and general != 0:
             raise UsageError("`stamps=log` takes log times, which `time_offset` would change; give only one of them")
-        return cls(by_log, general, by_topic)
+        return cls(by_log, general, offsets)
 
 
 def _offset_of(text: str, value: str) -> int | None:
