@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
 #: A return is between two others if it is at least this far behind one and in front of the other, metres ...
@@ -151,4 +153,4 @@ def _shift(values: NDArray, away: int, closed: bool) -> tuple[NDArray, NDArray[n
 
 
 #: What finds the beams that `remove` names, from the ranges, the radians from beam to beam, and whether it is a circle.
-BEAM_FILTERS = {"shadows": veiled_beams, "speckles": speckles}
+BEAM_FILTERS: dict[str, Callable[..., NDArray[np.bool_]]] = {"shadows": veiled_beams, "speckles": speckles}

@@ -11,15 +11,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pc2scan.core.quantities import ANGLE, angle_value, written_angle
+from pc2scan.core.quantities import written_angle
 from pc2scan.errors import ParameterError, UsageError
-from pc2scan.files.places import missing_hint
-from pc2scan.files.source import open_bytes, refuse_pointer
 from pc2scan.files.urls import is_url, local_path
 from pc2scan.options.table import PARAMETERS
 from pc2scan.text import did_you_mean
+from pc2scan.transforms.text_files import text_of
 
-from .parameters import expected_message, plain_scalar, value_text
+from .parameters import plain_scalar, value_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Generator
@@ -38,8 +37,6 @@ _YAML_TAG = "tag:yaml.org,2002:"
 _PLAIN_TAGS = frozenset(
     _YAML_TAG + kind for kind in ("str", "int", "float", "bool", "null", "timestamp", "merge", "value")
 )
-
-_ROS1_ANGLE_TAGS = {"!degrees": "deg", "!radians": "rad"}
 
 
 def compose(text: str, place: str) -> Any:
@@ -84,14 +81,6 @@ def scalar_value(node: Any, name: str, origin: str, *, ros1: bool = False) -> ob
     ParameterError
         If it has a tag that is not one of plain text.
     """
-    if ros1 and node.tag in _ROS1_ANGLE_TAGS:
-        unit = _ROS1_ANGLE_TAGS[node.tag]
-        inner = ANGLE.fullmatch(node.value.strip())
-        try:
-            return angle_value(unit, inner[2] if inner else node.value)
-        except ValueError as err:
-            shown = f"{node.tag} {node.value}"
-            raise ParameterError(expected_message(name, shown, origin), name=name) from err
     if node.tag not in _PLAIN_TAGS:
         tag = node.tag.replace(_YAML_TAG, "!!")
         raise ParameterError(f"{name}: the YAML tag {tag} is not supported (from {origin})", name=name)
@@ -104,29 +93,9 @@ def scalar_value(node: Any, name: str, origin: str, *, ros1: bool = False) -> ob
 def read_text(path: Path, example: str) -> str:
     """Return the text of a file; ``example`` is the hint if there is none."""
     try:
-        with open_bytes(path) as file:
-            data = file.read(MAX_FILE_BYTES + 1)
-    except FileNotFoundError as err:
-        hint = missing_hint(path) or example
-        raise ParameterError(f"{path}: does not exist", hint=hint) from err
-    except IsADirectoryError as err:
-        raise ParameterError(f"{path}: this is a directory, not a parameter file") from err
-    except OSError as err:
-        raise ParameterError(f"{path}: cannot be read: {err.strerror or err}") from err
-    if len(data) > MAX_FILE_BYTES:
-        raise ParameterError(
-            f"{path}: larger than {MAX_FILE_BYTES:,} bytes, the maximum for such files",
-            hint="was a recording given in its place?",
-        )
-    refuse_pointer(data, path)
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as err:
-        line = data.count(b"\n", 0, err.start) + 1
-        raise ParameterError(
-            f"{path}, line {line}: byte 0x{data[err.start]:02x} is not UTF-8 text",
-            hint="save the file as UTF-8",
-        ) from err
+        return text_of(path, MAX_FILE_BYTES, "a file of options").removeprefix("\ufeff")
+    except UsageError as err:
+        raise ParameterError(f"{path}: {err.message}", hint=err.hint or example) from err.__cause__
 
 
 class Entry(NamedTuple):

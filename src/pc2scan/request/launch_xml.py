@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
-from xml.parsers import expat
 
-from pc2scan.errors import ParameterError
+from pc2scan.errors import ParameterError, UsageError
 from pc2scan.options.table import PARAMETERS
+from pc2scan.transforms.xml_tree import xml_tree
 
 from .launch_node import LaunchFile, LaunchValue, UnreadError, package_folder, qualified
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
+
+    from pc2scan.transforms.xml_tree import Element
 
 #: Maximum number of characters of a text with its substitutions.
 _MAX_TEXT = 10_000
@@ -36,51 +37,16 @@ _ATTRIBUTES = {
 }
 
 
-@dataclass(slots=True)
-class _Element:
-    tag: str
-    attributes: dict[str, str]
-    line: int
-    children: list[_Element] = field(default_factory=list)
-    text: str = ""
-
-
-def _tree(text: str, path: Path) -> _Element:
-    """Return the root element. ElementTree has no line numbers, and always expands entities."""
-    stack = [_Element("", {}, 0)]
-    parser = expat.ParserCreate()
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        element = _Element(tag.replace("-", "_"), attributes, parser.CurrentLineNumber)
-        stack[-1].children.append(element)
-        stack.append(element)
-
-    def characters(data: str) -> None:
-        stack[-1].text += data
-
-    def refuse(*_declared: object) -> None:
-        message = f"{path}, line {parser.CurrentLineNumber}: it declares a document type, which is not supported"
-        raise ParameterError(message, hint="remove the <!DOCTYPE ...>; launch files need none")
-
-    parser.buffer_text = True
-    parser.StartElementHandler = start
-    parser.EndElementHandler = lambda _tag: stack.pop()
-    parser.CharacterDataHandler = characters
-    parser.StartDoctypeDeclHandler = refuse
-    try:
-        parser.Parse(text, True)
-    except expat.ExpatError as err:
-        raise ParameterError(f"{path}, line {err.lineno}: not valid XML: {expat.ErrorString(err.code)}") from err
-    root = stack[0].children[0]
-    if root.tag != "launch":
-        raise ParameterError(f"{path}: is not a launch file: its root is <{root.tag}>, not <launch>")
-    return root
-
-
 def xml_nodes(text: str, path: Path, arguments: Mapping[str, str]) -> LaunchFile:
     """Read an XML launch file; see `pc2scan.request.launch_file.launch_node`."""
     reader = _XmlReader(path, arguments)
-    reader.read(_tree(text, path), "", "", ())
+    try:
+        root = xml_tree(text)
+    except UsageError as err:
+        raise ParameterError(f"{path}, {err.message}", hint=err.hint) from err
+    if root.tag != "launch":
+        raise ParameterError(f"{path}: is not a launch file: its root is <{root.tag}>, not <launch>")
+    reader.read(root, "", "", ())
     return reader.file
 
 
@@ -90,7 +56,7 @@ class _XmlReader:
         self._path, self._given = path, arguments
         self._arguments: dict[str, str | UnreadError] = {}
 
-    def read(self, parent: _Element, namespace: str, doubt: str, remaps: tuple[LaunchValue, ...]) -> None:
+    def read(self, parent: Element, namespace: str, doubt: str, remaps: tuple[LaunchValue, ...]) -> None:
         """Read the elements of a group, in their order; the rest is what applies to its nodes."""
         try:
             namespace = qualified(namespace, self._expanded(parent.attributes.get("ns", ""), parent))
@@ -103,7 +69,7 @@ class _XmlReader:
                     continue
             except UnreadError as err:
                 unsure = f"under a condition ({err.problem}, line {err.line})"
-            match element.tag:
+            match element.tag.replace("-", "_"):
                 case "include":
                     self.file.ignored.append(f"{place} file={get('file', '')!r}>")
                 case "arg" | "let":
@@ -119,7 +85,7 @@ class _XmlReader:
                 case _:
                     self.read(element, namespace, unsure, remaps)
 
-    def _declare(self, element: _Element, doubt: str) -> None:
+    def _declare(self, element: Element, doubt: str) -> None:
         get, name = element.attributes.get, element.attributes.get("name", "")
         text = get("value", get("default"))
         try:
@@ -133,7 +99,7 @@ class _XmlReader:
         except UnreadError as err:
             self._arguments[name] = err
 
-    def _add_node(self, element: _Element, above: str, doubt: str, remaps: tuple[LaunchValue, ...]) -> None:
+    def _add_node(self, element: Element, above: str, doubt: str, remaps: tuple[LaunchValue, ...]) -> None:
         def text(name: str) -> str:
             given = (element.attributes.get(attribute, "") for attribute in _ATTRIBUTES[name])
             return self._expanded("".join(given), element)
@@ -141,7 +107,7 @@ class _XmlReader:
         values = [*remaps, *(value for child in element.children for value in self._values(child))]
         self.file.add_node(text, values, element.line, doubt, above)
 
-    def _values(self, element: _Element) -> Iterator[LaunchValue]:
+    def _values(self, element: Element) -> Iterator[LaunchValue]:
         """Yield the parameter or remapping of an element, if it applies."""
         get = element.attributes.get
         kind, name, text = "value", get("name", get("param", "")), get("value")
@@ -167,7 +133,7 @@ class _XmlReader:
             kind, value = "file" if "$(" in name else kind, err
         yield LaunchValue(kind, name, value, element.line, get("type", ""))
 
-    def _applies(self, element: _Element) -> bool:
+    def _applies(self, element: Element) -> bool:
         for attribute, wanted in (("if", _TRUE), ("unless", _FALSE)):
             if attribute in element.attributes:
                 text = self._expanded(element.attributes[attribute], element).strip()
@@ -177,7 +143,7 @@ class _XmlReader:
                     return False
         return True
 
-    def _expanded(self, text: str, element: _Element) -> str:
+    def _expanded(self, text: str, element: Element) -> str:
         """Replace substitutions such as ``$(arg ...)``."""
 
         def value(found: re.Match[str]) -> str:

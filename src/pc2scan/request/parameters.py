@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from pc2scan.core.layout import FULL_TURN
 from pc2scan.core.params import ProjectionParams
@@ -245,7 +245,7 @@ def resolve(
     try:
         params = ProjectionParams(**values)
     except ParameterError as err:
-        _raise_with_origin(err, origin)
+        raise _with_origin(err, origin) from err
     if params.beams:
         origin["angle_increment"] = f"follows from {origin['beams']}"
     return ResolvedParams(params, origin, reverse)
@@ -307,20 +307,13 @@ def _contradiction(setting: Setting, rival: Setting) -> ParameterError:
     )
 
 
-def _raise_with_origin(err: ParameterError, origin: Mapping[str, str]) -> NoReturn:
-    """Raise an error again, with the origins of the values that it names."""
+def _with_origin(err: ParameterError, origin: Mapping[str, str]) -> ParameterError:
+    """Return an error with the origins of the values that it names."""
     named = [name for name in PARAMETERS if re.search(rf"\b{name}\b", err.message)]
-    if all(origin[name] == "default" for name in named):
-        # The value is a default, so the cause is another parameter of its family.
-        family = err.name.partition("_")[0]
-        named = [name for name in origin if name.startswith(family) and origin[name] != "default"]
-    if len(named) == 1 and named[0] == err.name:
-        places = f"from {origin[err.name]}"
-    else:
-        places = "; ".join(
-            f"{name} is the default" if origin[name] == "default" else f"{name} from {origin[name]}" for name in named
-        )
-    raise ParameterError(f"{err.message} ({places})", name=err.name, hint=err.hint) from err
+    places = [f"{name} {'is the' if origin[name] == 'default' else 'from'} {origin[name]}" for name in named]
+    if named == [err.name]:
+        places = [places[0].removeprefix(f"{err.name} ")]
+    return ParameterError(f"{err.message} ({'; '.join(places)})", name=err.name, hint=err.hint)
 
 
 def plain_scalar(text: str) -> bool | int | float | str | None:
