@@ -142,7 +142,8 @@ def _refuse_scans(options: Options) -> None:
 
 def _output(options: Options, settings: list[Setting]) -> Outputs:
     """Return the output of a call without a file of several."""
-    topics, tf_topics = options.topics, ()
+    topics: tuple[str, ...] = options.topics
+    tf_topics: tuple[str, ...] = ()
     if options.remap and topics:
         raise UsageError(
             "`topics` and `remap` both name the topics; give only one of them", hint="such as `topics=/points:=/scan`"
