@@ -48,9 +48,7 @@ class BatchExport(TypedDict, total=False):
     """Results of a batch that are not recordings."""
 
     format: Annotated[
-        FileFormat | None,
-        "Write the files of pc2scan export instead of recordings, in a folder for each recording.",
-        How(short="-f"),
+        FileFormat | None, "Write the files of pc2scan export, in a folder for each recording.", How(short="-f")
     ]
 
 
@@ -58,10 +56,7 @@ class BatchExport(TypedDict, total=False):
 class Poses(TypedDict, total=False):
     """The robot's poses in an export."""
 
-    pose_frame: Annotated[
-        Frame,
-        "Write the robot's pose in this frame (odom, map) at each message's stamp, from the recorded transforms.",
-    ]
+    pose_frame: Annotated[Frame, "Write the robot's pose in this frame, such as odom, at each message's stamp."]
     base_frame: Annotated[
         Frame,
         "The robot's frame, whose pose is written.",
@@ -73,22 +68,18 @@ class Poses(TypedDict, total=False):
 class BatchRun(TypedDict, total=False):
     """How a batch runs."""
 
-    dataset: Annotated[
-        File,
-        "A YAML file with options for the recordings that match a pattern. Options given here override it.",
-    ]
+    dataset: Annotated[File, "A YAML file with options for recordings; options given here override it."]
     jobs: Annotated[
         int,
         count(0, MAX_JOBS),
-        f"Number of recordings at a time, up to {MAX_JOBS:,}, each in its own process; the output does not depend "
-        "on it.",
+        "Number of recordings at a time, each in its own process; the output does not depend on it.",
         How(default=0, default_text="number of cores", short="-j"),
     ]
     dask: Annotated[
         bool | str,
         SWITCH,
-        "Convert on the Dask cluster of this scheduler, such as tcp://scheduler:8786. Without an address (in Python: "
-        "True), a cluster is started on this machine. Needs pc2scan[dask].",
+        "Convert on the Dask cluster of this scheduler, such as tcp://scheduler:8786; without an address (in Python: "
+        "True), on a cluster that is started here. Needs pc2scan[dask].",
         How(default=False),
     ]
     again: Annotated[bool, "Convert again what is up to date. Only results that this batch has written are replaced."]
@@ -121,9 +112,7 @@ class FirstClouds(TypedDict, total=False):
     """Which clouds a picture shows."""
 
     at: Annotated[
-        Time | Iterable[Time] | None,
-        MOMENTS,
-        "Show the first cloud at or after this time, written like `start`.",
+        Time | Iterable[Time] | None, MOMENTS, "Show the first cloud at or after this time, written like `start`."
     ]
 
 
@@ -141,11 +130,7 @@ class PageClouds(FirstClouds, total=False):
 class ShownFiles(TypedDict, total=False):
     """A page or a map on the disk; only the command has it."""
 
-    overwrite: Annotated[
-        bool,
-        "Replace files of these names; an older page is always replaced.",
-        How(command_only=True),
-    ]
+    overwrite: Annotated[bool, "Replace files of these names.", How(command_only=True)]
 
 
 class FigureClouds(FirstClouds, total=False):
@@ -210,13 +195,6 @@ class RepairContainer(TypedDict, total=False):
     compression: Annotated[Compression | None, "Compression of DST.", How(default_text="SRC's")]
 
 
-class RepairScreen(TypedDict, total=False):
-    """What a repair shows on the screen; only the command has it."""
-
-    as_json: Annotated[bool, "Print the report as JSON.", How(typed="--json", command_only=True)]
-    quiet: Annotated[bool, "Show damage, warnings and errors only.", How(short="-q", command_only=True)]
-
-
 @group(Section.RULES, Scope.CALL_ONLY)
 class ComparisonRules(TypedDict, total=False):
     """A comparison."""
@@ -264,11 +242,7 @@ class CompareScreen(TypedDict, total=False):
 class GoldenCases(TypedDict, total=False):
     """Golden cases."""
 
-    update: Annotated[
-        bool,
-        "Write the expected output of cases that differ or have none; review the changes.",
-        How(panel=""),
-    ]
+    update: Annotated[bool, "Write the expected output of cases that differ or have none.", How(panel="")]
     init: Annotated[Path | None, path("SRC"), "Make a new case of this recording, in DIR."]
     start: Annotated[When, "With `init`: where the input begins, as in convert."]
     end: Annotated[When, "With `init`: where it ends."]

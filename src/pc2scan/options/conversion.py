@@ -35,8 +35,7 @@ class TimeRange(TypedDict, total=False):
     strict: Annotated[
         bool,
         "End with an error at the first damage of a source, and at the first message that cannot be converted. "
-        "Without this option, all that is readable is converted, the rest is counted and listed, and the exit status "
-        "is 3.",
+        "Otherwise all that is readable is converted, the rest is listed, and the exit status is 3.",
         How(panel=Section.RUN),
     ]
 
@@ -66,8 +65,7 @@ class CloudUnit(TypedDict, total=False):
     cloud_scale: Annotated[
         float,
         number(metavar="X"),
-        "Multiply x, y and z of clouds by this, before everything else: 0.001 for clouds in millimetres, 0.01 for "
-        "centimetres. Kept clouds are multiplied, too.",
+        "Multiply x, y and z of clouds by this, kept ones too: 0.001 for millimetres, 0.01 for centimetres.",
         How(default=1.0, default_text="1, which is metres"),
     ]
 
@@ -108,8 +106,7 @@ class PointSelection(TypedDict, total=False):
     min_height_slope: Annotated[
         float | None,
         number(metavar="M/M"),
-        "Reject points below `min_height` + this * range, a limit that rises with the range, for ramps and rough "
-        "ground. 0.05 is about 3 degrees.",
+        "Reject points below `min_height` + this * range, for ramps and rough ground. 0.05 is about 3 degrees.",
         How(makes="ground:MinHeightSlope"),
     ]
     filters: Annotated[
@@ -150,8 +147,8 @@ class TransformInputs(TypedDict, total=False):
             offers=("topics", "/Odometry", "/TransformStamped", "/PoseStamped", "/PoseWithCovarianceStamped"),
         ),
         "Use the poses of this topic as transforms: nav_msgs/Odometry, TransformStamped, PoseStamped or "
-        "PoseWithCovarianceStamped. FRAME has the poses, if the messages do not name it or name a wrong one: "
-        "/pose:base_link, or with both frames /pose:map:base_link.",
+        "PoseWithCovarianceStamped. FRAME has the poses, if the messages name none or a wrong one: /pose:base_link; "
+        "both frames: /pose:map:base_link.",
     ]
     trajectory: Annotated[
         File,
@@ -204,9 +201,9 @@ class RobotMotion(TypedDict, total=False):
     point_time: Annotated[
         str,
         text("FIELD[:UNIT]"),
-        "Field with the points' times, relative to the stamp or absolute; unit: s, ms, us, ns. For clouds without "
-        "such a field: azimuth, which measures how the lidar turns; or azimuth:0.1 with the time of a turn (s), then "
-        ":cw or :ccw, and :start or :end if the stamp is that of the turn's start or end.",
+        "Field with the points' times, relative to the stamp or absolute; unit: s, ms, us, ns. Without such a field: "
+        "azimuth, which measures how the lidar turns; or azimuth:0.1 with the time of a turn (s), then :cw or :ccw, "
+        "and :start or :end, which the stamp is of.",
         How(default_text="t, time, timestamp, time_stamp or offset_time"),
     ]
     stamp: Annotated[
@@ -216,7 +213,7 @@ class RobotMotion(TypedDict, total=False):
     level: Annotated[
         bool,
         "Make scans in a frame without the roll and pitch of the target frame, which come from `fixed_frame` or "
-        "`imu`. This frame has the target frame's name with _stabilized appended; its transforms are written to /tf.",
+        "`imu`. It has the target frame's name with _stabilized appended, and is written to /tf.",
     ]
     imu: Annotated[
         str,
@@ -287,8 +284,8 @@ class OtherTopics(TypedDict, total=False):
     keep_clouds: Annotated[bool, "Write the converted clouds too."]
     clouds_as: Annotated[
         Literal["recorded", "pointcloud2"],
-        "pointcloud2: make no scans, and write the clouds of all types as PointCloud2, Livox's with the fields of its"
-        " driver (x y z intensity tag line timestamp). With `keep_clouds`: scans, too.",
+        "pointcloud2: write the clouds of all types as PointCloud2 and, without `keep_clouds`, make no scans. Livox's "
+        "have the fields of its driver (x y z intensity tag line timestamp).",
     ]
     only_scans: Annotated[bool, "Write only the scans."]
     keep_used: Annotated[
@@ -298,9 +295,7 @@ class OtherTopics(TypedDict, total=False):
         "the beam's number.",
         How(panel=Section.POINTS, scope=Scope.ONE_OUTPUT),
     ]
-    write_static_tf: Annotated[
-        bool, "Write the added static transforms to DST's /tf_static.", How(panel=Section.FRAMES)
-    ]
+    write_static_tf: Annotated[bool, "Write the added static transforms to /tf_static.", How(panel=Section.FRAMES)]
 
 
 @group(Section.RUN, Scope.CONVERSION)

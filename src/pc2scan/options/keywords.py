@@ -48,13 +48,6 @@ SYNONYMS = {
     "dir": "folder",
 }
 
-#: Arguments that results have instead.
-_OF_RESULTS = {
-    "view": {"destination": "`Page.save` writes the page", "overwrite": "`Page.save` has it"},
-    "map": {"destination": "`Map.save` writes the files", "overwrite": "`Map.save` has it"},
-    "tf": {"lookup": "`FrameTree.lookup` returns a transform", "at": "`FrameTree.lookup` has it"},
-}
-
 #: The modules in the names of types.
 _MODULES = re.compile(r"\b[a-z_0-9.]+\.(?=[A-Z])|\bdatetime\.(?=datetime|timedelta)")
 
@@ -83,7 +76,7 @@ def takes_options(function: Callable[_Arguments, _Result]) -> Callable[_Argument
     def checked(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Result:
         if not kwargs.keys() <= named:
             for key in kwargs.keys() - named:
-                if hint := _OF_RESULTS.get(name, {}).get(key) or instead_of(name, key):
+                if hint := instead_of(name, key):
                     raise TypeError(f"{name}() has no argument {key!r}; {hint}")
             refuse_unknown(name, kwargs, named, {word: meant.split()[0] for word, meant in SYNONYMS.items()})
         return function(*args, **kwargs)

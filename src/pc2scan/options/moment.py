@@ -114,8 +114,7 @@ class TimeBound(NamedTuple):
         # Nanoseconds since 1970 do not fit into a float.
         elif isinstance(value, Real) and not isinstance(value, bool) and 0 <= value < _ABSOLUTE_NANOSECONDS:
             # By its decimal text: 0.1 means a tenth, not the nearest float.
-            text = repr(float(value))
-            bound = cls.parse(f"{float(value):.9f}" if "e" in text else text)
+            bound = cls.parse(f"{Decimal(repr(float(value))):f}")
         if bound is None or (bound.nanoseconds < 0 and not bound.absolute):
             raise UsageError(
                 f"{value!r} is not a time",

@@ -33,18 +33,10 @@ from .values import OBJECT, OUTPUTS, count, text, texts
 class NodeParameters(TypedDict, total=False):
     """The parameters of upstream's node, in its order."""
 
-    target_frame: Annotated[
-        Frame,
-        "Frame that the clouds are transformed into; the scans are in this frame. Empty: the cloud's own frame.",
-    ]
-    transform_tolerance: Annotated[
-        Seconds,
-        "How far a stamp may be before the first or after the last recorded transform.",
-    ]
+    target_frame: Annotated[Frame, "Frame of the scans, into which clouds are transformed. Empty: their own."]
+    transform_tolerance: Annotated[Seconds, "How far a stamp may be outside of the recorded transforms."]
     min_height: Annotated[
-        Metres,
-        "Lowest z of the points used, in the target frame, inclusive. The default, the smallest positive number, "
-        "rejects z <= 0.",
+        Metres, "Lowest z of the points used, in the target frame, inclusive. The default rejects z <= 0."
     ]
     max_height: Annotated[Metres, "Highest z of the points used, in the target frame, inclusive."]
     angle_min: Annotated[Radians, "Angle at which the scan begins; 0 is straight ahead, positive is to the left."]
@@ -56,15 +48,10 @@ class NodeParameters(TypedDict, total=False):
     ]
     range_min: Annotated[Metres, "Shortest horizontal distance of the points used, inclusive."]
     range_max: Annotated[Metres, "Longest horizontal distance of the points used, inclusive."]
-    use_inf: Annotated[
-        bool,
-        "Whether beams without a return have the range inf; otherwise it is `range_max` + `inf_epsilon`.",
-    ]
+    use_inf: Annotated[bool, "Whether beams without a return read inf; otherwise `range_max` + `inf_epsilon`."]
     inf_epsilon: Annotated[Metres, "Added to `range_max` for beams without a return, if `use_inf` is off."]
     queue_size: Annotated[
-        int,
-        count(),
-        "Maximum number of chunks of messages processed at a time; 0: as many as memory allows. Nothing is dropped.",
+        int, count(), "Maximum number of chunks processed at a time; 0: as many as memory allows. Nothing is dropped."
     ]
 
 
@@ -94,9 +81,7 @@ class ScanParameters(TypedDict, total=False):
     ]
     min_points: Annotated[int, count(), "Beams with fewer returns than this count as beams without a return."]
     intensity_field: Annotated[
-        str,
-        text("NAME"),
-        "Field of the cloud that becomes the scan's intensities, from the points that give the ranges.",
+        str, text("NAME"), "Field of the cloud that becomes the scan's intensities, from the points that give ranges."
     ]
     time_increment: Annotated[
         SecondsOrAuto,
@@ -123,16 +108,9 @@ class ParameterSources(TypedDict, total=False):
         "Python, which is read, not executed), whose remappings are used too.",
     ]
     launch_args: Annotated[
-        Names | None,
-        texts("NAME:=VALUE"),
-        "An argument of the launch file.",
-        How(typed="--arg", scope=Scope.SINGLE),
+        Names | None, texts("NAME:=VALUE"), "An argument of the launch file.", How(typed="--arg", scope=Scope.SINGLE)
     ]
-    node: Annotated[
-        str | None,
-        text("NAME"),
-        "The node whose parameters are read, if the file has several.",
-    ]
+    node: Annotated[str | None, text("NAME"), "The node whose parameters are read, if the file has several."]
     param: Annotated[
         Names | None,
         texts("NAME:=VALUE"),

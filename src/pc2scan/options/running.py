@@ -24,13 +24,20 @@ class Container(TypedDict, total=False):
     storage: Annotated[Storage | None, "Storage of a rosbag2 directory.", How(default_text="mcap")]
     compression: Annotated[
         Compression | None,
-        "Bags: lz4 (default), none, bz2. MCAP: zstd (default), none, lz4. sqlite3: none (default), zstd. Without this"
-        " option, chunks that are copied whole keep their compression.",
+        "Bags: lz4 (default), none, bz2. MCAP: zstd (default), none, lz4. sqlite3: none (default), zstd. Chunks that "
+        "are copied whole keep theirs by default.",
     ]
     profile: Annotated[
-        Literal["ros1", "ros2"] | None,
-        "ROS version of an .mcap file.",
-        How(default_text="the source's"),
+        Literal["ros1", "ros2"] | None, "ROS version of an .mcap file.", How(default_text="the source's")
+    ]
+    dry_run: Annotated[
+        bool, "Write nothing; show what would be read and written.", How(short="-n", scope=Scope.CALL_ONLY)
+    ]
+    scratch: Annotated[
+        Path | None,
+        path("DIR"),
+        "Folder for local copies of files at URLs.",
+        How(default_text="the system's folder for temporary files", scope=Scope.CALL_ONLY),
     ]
 
 
@@ -39,25 +46,6 @@ class Replacement(TypedDict, total=False):
     """Whether a recording is replaced."""
 
     overwrite: Annotated[bool, "Replace DST, and the file of `report`, if they exist."]
-
-
-@group(Section.OUTPUT, Scope.CALL_ONLY)
-class DryRun(TypedDict, total=False):
-    """Whether anything is written."""
-
-    dry_run: Annotated[bool, "Write nothing; show what would be read and written.", How(short="-n")]
-
-
-@group(Section.OUTPUT, Scope.CALL_ONLY)
-class Scratch(TypedDict, total=False):
-    """Local copies of files at URLs."""
-
-    scratch: Annotated[
-        Path | None,
-        path("DIR"),
-        "Folder for local copies of files at URLs.",
-        How(default_text="the system's folder for temporary files"),
-    ]
 
 
 @group(Section.REPORT, Scope.CALL_ONLY)
@@ -93,10 +81,16 @@ class RunProgress(TypedDict, total=False):
 
 
 @group(Section.REPORT, Scope.CALL_ONLY)
-class ScreenOutput(TypedDict, total=False):
-    """What a run shows on the screen; only commands have it."""
+class Quiet(TypedDict, total=False):
+    """What a command does not show on the screen; only commands have it."""
 
     quiet: Annotated[bool, "Show warnings and errors only.", How(short="-q", command_only=True)]
+
+
+@group(Section.REPORT, Scope.CALL_ONLY)
+class ScreenOutput(Quiet, total=False):
+    """What a run shows on the screen; only commands have it."""
+
     verbose: Annotated[bool, "Show every parameter and where its value comes from.", How(short="-v", command_only=True)]
 
 

@@ -45,8 +45,6 @@ class _Conversion(
     conversion.FailureConditions,
     running.Container,
     running.Replacement,
-    running.DryRun,
-    running.Scratch,
     total=False,
 ):
     """A conversion to a recording."""
@@ -149,7 +147,7 @@ GROUPS: Mapping[str, tuple[Any, ...]] = {
     "check": (Check, running.JsonOutput),
     "info": (Info, running.JsonOutput),
     "tf": (Tf, running.JsonOutput),
-    "repair": (Repair, commands.RepairScreen),
+    "repair": (Repair, running.Quiet, running.JsonOutput),
     "diff": (Diff, running.JsonOutput, commands.CompareScreen),
     "golden": (Golden, running.JsonOutput, commands.GoldenScreen),
     "scans": (Scans,),
@@ -187,8 +185,6 @@ def instead_of(command: str, name: str) -> str:
         return ""
     if command in ("view", "plot") and name in conversion.CloudCombination.__annotations__:
         return "pages and figures make each scan of one cloud; convert with this option, and use what it writes"
-    if "convert" in others and command in ("export", "map", "plot", "scans", "view"):
-        return "it would have no effect here; convert has it"
     return f"only {', '.join(others[:3])} {'has' if len(others) == 1 else 'have'} it"
 
 

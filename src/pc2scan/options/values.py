@@ -48,9 +48,9 @@ class Value:
         ``float``, ``bool``, ``int`` or ``str``; ``switch``: true, or a text; ``object``: only functions take it.
     words
         The allowed texts; or the texts that a number may be instead. Empty: any text.
-    offers
-        What the shell completes: ``frames``, ``words`` and the words, or ``topics`` and the ends of their
-        types (none: all topics).
+    completes
+        What the shell completes, if not the words: ``frames``, or ``topics`` and the ends of their types (none: all
+        topics).
     unit
         ``m``, ``rad``, ``s`` or empty.
     low, high
@@ -70,7 +70,7 @@ class Value:
     usual: str = "text"
     kind: str = "str"
     words: tuple[str, ...] = ()
-    offers: tuple[str, ...] = ()
+    completes: tuple[str, ...] = ()
     unit: str = ""
     low: int = 0
     high: int | None = None
@@ -85,6 +85,11 @@ class Value:
         if self.words and self.kind == "str":
             return f"one of {', '.join(self.words)}"
         return " or ".join((self.usual, *self.words))
+
+    @property
+    def offers(self) -> tuple[str, ...]:
+        """What the shell completes: `completes`, or ``words`` and the words."""
+        return self.completes or (("words", *self.words) if self.words else ())
 
     def read(self, name: str, value: Any) -> Any:
         """Read a value from Python or as it was typed; errors name the option.
@@ -133,9 +138,7 @@ class Value:
 
 def text(metavar: str | None = None, words: Iterable[str] = (), *, offers: tuple[str, ...] = ()) -> Value:
     """Return the type of a text, or of one of a few words."""
-    words = tuple(words)
-    offers = offers or (("words", *words) if words else ())
-    return Value(_read_text, metavar, words=words, offers=offers, is_text=True)
+    return Value(_read_text, metavar, words=tuple(words), completes=offers, is_text=True)
 
 
 def _read_text(kind: Value, name: str, value: Any) -> Any:
@@ -169,8 +172,7 @@ def _read_texts(kind: Value, name: str, value: Any) -> tuple[str, ...]:
 def number(unit: str = "", metavar: str | None = None, words: tuple[str, ...] = ()) -> Value:
     """Return the type of a number, which may have a unit: ``50cm``, ``90deg``, ``100ms``, ``48us``."""
     shown = "|".join((unit.upper() if metavar is None else metavar, *words))
-    offers = ("words", *words) if words else ()
-    return Value(_read_number, shown, "a number", "float", words, offers, unit)
+    return Value(_read_number, shown, "a number", "float", words, unit=unit)
 
 
 def _read_number(kind: Value, name: str, value: Any) -> float:
@@ -189,8 +191,7 @@ def _read_number(kind: Value, name: str, value: Any) -> float:
 
 def count(low: int = 0, high: int | None = None, words: tuple[str, ...] = ()) -> Value:
     """Return the type of a whole number; for a parameter of the projection, also a word."""
-    offers = ("words", *words) if words else ()
-    return Value(_read_count, "|".join(("N", *words)), "a whole number", "int", words, offers, low=low, high=high)
+    return Value(_read_count, "|".join(("N", *words)), "a whole number", "int", words, low=low, high=high)
 
 
 def _read_count(kind: Value, name: str, value: Any) -> int:

@@ -55,7 +55,6 @@ class StaticTransform:
         usage = "write 'parent child x y z qx qy qz qw' or 'parent child x y z roll pitch yaw' (metres, radians)"
         if len(words) not in (8, 9):
             raise UsageError(f"{text!r} has {len(words)} values, a static transform has 8 or 9", hint=usage)
-        _refuse_ros1_order(words)
         units = ("m",) * 3 + (("rad",) * 3 if len(words) == 8 else ("",) * 4)
         numbers = []
         for word, unit in zip(words[2:], units, strict=True):
@@ -99,19 +98,6 @@ def number_in(word: str, unit: str) -> float | None:
         return float(word)
     except ValueError:
         return quantity(word, unit) if unit else None
-
-
-def _refuse_ros1_order(words: Sequence[str]) -> None:
-    """Raise for arguments of ROS 1's static_transform_publisher, whose frames come last, and whose yaw comes first."""
-    first, count = next(((i, i) for i, word in enumerate(words) if number_in(word, "rad") is None), (0, 0))
-    if count not in (6, 7) or any(number_in(word, "rad") is not None for word in words[first : first + 2]):
-        return
-    numbers, frames = words[:count], words[count : count + 2]
-    turned = [*numbers[:3], *reversed(numbers[3:])] if count == 6 else numbers
-    raise UsageError(
-        f"{' '.join(words)!r} has the frames after the numbers, as for ROS 1's static_transform_publisher",
-        hint=f"write `static_tf='{' '.join([*frames, *turned])}'`" + (" (roll pitch yaw)" if count == 6 else ""),
-    )
 
 
 def _refuse_degrees(parent: str, child: str, translation: Sequence[float], rotation: Sequence[float]) -> None:

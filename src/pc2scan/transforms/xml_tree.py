@@ -58,6 +58,6 @@ def xml_tree(text: str) -> Element:
         parser.Parse(text.encode("utf-8", "surrogateescape"), True)
     except expat.ExpatError as err:
         raise UsageError(f"line {err.lineno}: not valid XML: {expat.ErrorString(err.code)}") from err
-    except UnicodeError as err:
+    except (UnicodeDecodeError, UnicodeEncodeError) as err:
         raise UsageError(f"not valid XML: {err.reason}") from err
     return stack[0].children[0]
