@@ -39,10 +39,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pc2scan.core.rigid import Rigid
+from pc2scan.errors import UnconnectedError
 
 from .chain import Query, join_walks, walk_both, walk_up
 from .lookup_errors import (
-    empty_name_error,
     extrapolation_error,
     loop_error,
     parent_change_error,
@@ -235,25 +235,23 @@ class TransformBuffer:
     def _query(self, target: str, source: str, stamp_ns: int, tolerance_ns: int) -> Query | None:
         """Return the lookup with its names checked; None if both are the same."""
         target, source = target.removeprefix("/"), source.removeprefix("/")
-        for name, role in ((target, "target_frame"), (source, "source_frame")):
-            if not name:
-                raise empty_name_error(role, stamp_ns)
+        if not target or not source:
+            raise UnconnectedError(
+                f"the {'source' if target else 'target'} frame has no name",
+                stamp_ns=stamp_ns,
+                hint="`source_frame` names the frame of clouds whose frame_id is empty",
+            )
         if target == source:
             return None
-        return Query(
-            target,
-            source,
-            self._number(target, "target_frame", stamp_ns),
-            self._number(source, "source_frame", stamp_ns, target),
-            stamp_ns,
-            tolerance_ns,
-        )
+        numbers = self._number(target, "", stamp_ns), self._number(source, target, stamp_ns)
+        return Query(target, source, *numbers, stamp_ns, tolerance_ns)
 
-    def _number(self, name: str, role: str, stamp_ns: int, target: str = "") -> int:
+    def _number(self, name: str, target: str, stamp_ns: int) -> int:
         number = self._numbers.get(name)
         if number is not None:
             return number
-        raise unknown_frame_error(name, role, stamp_ns, self.frames, self.rejections, target, self.offers.get(name, ""))
+        offered = self.offers.get(name, "")
+        raise unknown_frame_error(name, target, stamp_ns, self.frames, self.rejections, offered)
 
     def _chain(self, query: Query, time_ns: int | None) -> Chain:
         """Return the chain between the two frames; raise if one of them has no transform at the time."""

@@ -89,15 +89,6 @@ _OTHER_CLOCK_NS = 3_600_000_000_000
 _SEE_TF = "`pc2scan tf` shows the frames of a recording and their times"
 
 
-def empty_name_error(role: str, stamp_ns: int) -> TransformError:
-    """Return the error for an empty frame name."""
-    return UnconnectedError(
-        f"the {role.replace('_', ' ')} has no name",
-        stamp_ns=stamp_ns,
-        hint="`source_frame` names the frame of clouds whose frame_id is empty",
-    )
-
-
 def frames_text(frames: Collection[str]) -> str:
     """Return which frames have transforms, as a part of an error message."""
     if not frames:
@@ -129,11 +120,10 @@ def named_in_namespace(name: str, frames: Collection[str]) -> str:
 
 def unknown_frame_error(
     name: str,
-    role: str,
+    target: str,
     stamp_ns: int,
     frames: Sequence[str],
     rejections: Sequence[RejectedTransforms],
-    target: str = "",
     offered: str = "",
 ) -> TransformError:
     """Return the error for a frame that no transform has.
@@ -141,31 +131,27 @@ def unknown_frame_error(
     Parameters
     ----------
     target
-        The frame that points are transformed to.
+        If it is the frame of points, the one that they are transformed to; else empty.
     offered
         The value of `odom_topic` for a topic with poses that has the frame; empty: there is none.
     """
-    there_are = frames_text(frames)
+    known = frames_text(frames)
     rejected = next((entry for entry in rejections if name in (entry.child, entry.parent)), None)
     if rejected is not None:
-        there_are += f"; [{rejected.child}] in [{rejected.parent}] was rejected: {rejected.reason}"
+        known += f"; [{rejected.child}] in [{rejected.parent}] was rejected: {rejected.reason}"
     namesake = named_in_namespace(name, frames)
     near = f"did you mean {namesake}?" if namesake else did_you_mean(name, sorted(frames))
-    advice = (
-        "`static_tf`, `urdf` or `tf_from` adds a transform, `odom_topic` or `trajectory` poses; `source_frame` "
-        "corrects a wrong frame_id"
-    )
     if offered:
         advice = f"`odom_topic={offered}` uses the poses of this topic, which have it"
-    # A target of a lookup may be a target frame, a fixed frame or a level one, so the message does not call it one.
-    kind = "source frame" if role == "source_frame" else "frame"
-    if role == "source_frame" and frames and not near:
+    elif target and frames and not near:
         advice = f"{mount_text(name, frames, target)}, `urdf` or `tf_from` reads that from elsewhere"
-    return UnconnectedError(
-        f"no transform has the {kind} {name!r}; {there_are}",
-        stamp_ns=stamp_ns,
-        hint=f"{near} {advice}".strip(),
-    )
+    else:
+        advice = (
+            "`static_tf`, `urdf` or `tf_from` adds a transform, `odom_topic` or `trajectory` poses; `source_frame` "
+        )
+        advice += "corrects a wrong frame_id"
+    message = f"no transform has the {'source ' if target else ''}frame {name!r}; {known}"
+    return UnconnectedError(message, stamp_ns=stamp_ns, hint=f"{near} {advice}".strip())
 
 
 def extrapolation_error(query: Query, link: FrameHistory, frames: Sequence[str], time_ns: int | None) -> TransformError:
@@ -193,39 +179,28 @@ def _tolerance_hint(gap_ns: int) -> str:
     if gap_ns <= _BRIDGED_NS:
         clocks = "" if gap_ns <= _SMALL_NS else ", unless the clocks differ, which `time_offset=auto` corrects"
         return f"pc2scan convert `transform_tolerance={seconds}` uses the nearest transform{clocks}"
-    if gap_ns < _OTHER_CLOCK_NS:
-        return (
-            f"the nearest transform is {seconds} s away: was it recorded later, or do the clocks differ? "
-            "`time_offset=auto` measures by how much"
-        )
-    return (
-        f"the clocks differ by {gap_ns / 3.6e12:,.0f} hours: one of them was not set, which `time_offset=auto` "
-        "corrects; or these transforms are from another recording"
-    )
+    if gap_ns >= _OTHER_CLOCK_NS:
+        hours = f"{gap_ns / 3.6e12:,.0f} hours"
+        return f"the clocks differ by {hours}, which `time_offset=auto` corrects, or it is of another recording"
+    return f"the nearest transform is {seconds} s away: `time_offset=auto` measures whether the clocks differ"
 
 
 def unconnected_error(
     query: Query, source_walk: Walk, target_walk: Walk, frames: Sequence[str], trees: Sequence[Tree]
 ) -> TransformError:
     """Return the error for two frames whose walks do not meet."""
-    source_top, target_top = (frames[next(reversed(walk.links))] for walk in (source_walk, target_walk))
-    source_tree, target_tree = (
-        next(tree for tree in trees if name in tree.frames) for name in (query.source, query.target)
-    )
-    where = (
-        f"[{query.target}] is in {_tree_text(target_tree)}, [{query.source}] in {_tree_text(source_tree)}"
-        if source_tree is not target_tree
-        else f"at this time [{query.target}] leads up to [{target_top}], [{query.source}] to [{source_top}]"
-    )
-    kind = TransformError if source_tree is target_tree else UnconnectedError
+    names = query.target, query.source
+    target_tree, source_tree = (next(tree for tree in trees if name in tree.frames) for name in names)
+    kind: type[TransformError] = UnconnectedError
     advice = "`static_tf`, `urdf`, `odom_topic` or `tf_from` adds what connects them"
-    if not set(BODIES).isdisjoint(target_tree.frames) and set(BODIES).isdisjoint(source_tree.frames):
+    where = f"[{query.target}] is in {_tree_text(target_tree)}, [{query.source}] in {_tree_text(source_tree)}"
+    if source_tree is target_tree:
+        kind, tops = TransformError, [frames[next(reversed(walk.links))] for walk in (target_walk, source_walk)]
+        where = f"at this time [{query.target}] leads up to [{tops[0]}], [{query.source}] to [{tops[1]}]"
+    elif not set(BODIES).isdisjoint(target_tree.frames) and set(BODIES).isdisjoint(source_tree.frames):
         advice = f"{mount_text(query.source, target_tree.frames)}, `urdf` or `tf_from` reads that from elsewhere"
-    return kind(
-        f"no transforms connect [{query.source}] with [{query.target}]: {where}",
-        stamp_ns=query.stamp_ns,
-        hint=f"{advice}; {_SEE_TF}",
-    )
+    message = f"no transforms connect [{query.source}] with [{query.target}]: {where}"
+    return kind(message, stamp_ns=query.stamp_ns, hint=f"{advice}; {_SEE_TF}")
 
 
 def loop_error(query: Query, walk: Walk, loop: int, frames: Sequence[str]) -> TransformError:
@@ -242,12 +217,9 @@ def loop_error(query: Query, walk: Walk, loop: int, frames: Sequence[str]) -> Tr
 
 def parent_change_error(query: Query, end_ns: int) -> TransformError:
     """Return the error for frames that change their parents while a cloud is measured."""
-    return TransformError(
-        f"between [{query.source}] and [{query.target}], a frame changes its parent before {stamp_text(end_ns)}, while "
-        "the cloud is measured",
-        stamp_ns=query.stamp_ns,
-        hint=f"two nodes may publish one frame with different parents; {_SEE_TF}",
-    )
+    message = f"between [{query.source}] and [{query.target}], a frame changes its parent before {stamp_text(end_ns)}"
+    hint = f"two nodes may publish one frame with different parents; {_SEE_TF}"
+    return TransformError(f"{message}, while the cloud is measured", stamp_ns=query.stamp_ns, hint=hint)
 
 
 def _tree_text(tree: Tree) -> str:

@@ -97,13 +97,11 @@ class UpByImu:
     def _up_of_imu(self, stamp_ns: int) -> NDArray[np.float64]:
         """Return up in the IMU's frame, not of unit length."""
         stamps = self.stamps_ns
-        newer = int(stamps.searchsorted(stamp_ns))
-        older = newer if newer < len(stamps) and stamps[newer] == stamp_ns else newer - 1
-        if older < 0 or newer == len(stamps):
-            older = newer = min(newer, len(stamps) - 1)
-            outside_ns = abs(stamp_ns - int(stamps[newer]))
-            if outside_ns > self.tolerance_ns:
-                raise self._outside_error(stamp_ns, outside_ns)
+        at_ns = min(max(stamp_ns, int(stamps[0])), int(stamps[-1]))
+        if abs(stamp_ns - at_ns) > self.tolerance_ns:
+            raise self._outside_error(stamp_ns, abs(stamp_ns - at_ns))
+        newer = int(stamps.searchsorted(at_ns))
+        older = newer if stamps[newer] == at_ns else newer - 1
         begin_ns, end_ns = int(stamps[older]), int(stamps[newer])
         if end_ns - begin_ns > LONGEST_GAP_NS:
             raise TransformError(
@@ -112,7 +110,7 @@ class UpByImu:
                 stamp_ns=stamp_ns,
                 hint="`fixed_frame` levels by transforms instead",
             )
-        ratio = (stamp_ns - begin_ns) / max(end_ns - begin_ns, 1) if newer > older else 0.0
+        ratio = (at_ns - begin_ns) / max(end_ns - begin_ns, 1)
         between: NDArray[np.float64] = (1 - ratio) * self.directions[older] + ratio * self.directions[newer]
         # There is no direction between two opposite ones.
         return between if between.any() else self.directions[older]
