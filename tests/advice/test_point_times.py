@@ -11,9 +11,10 @@ import pytest
 from pc2scan.advice.point_times import ask_times, time_warnings
 from pc2scan.advice.survey import Span, TopicFacts
 from pc2scan.bags.observers import observe
-from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
+from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField
 from pc2scan.model import Connection, Definition
 from pc2scan.request.point_time import PointTime
+from support.encoded import encode_pointcloud2
 from support.memory_reader import MemoryReader
 
 if TYPE_CHECKING:

@@ -10,10 +10,11 @@ import numpy as np
 from pc2scan.bags.destinations import open_writer, plan_destination
 from pc2scan.core.rigid import Rigid
 from pc2scan.messages.definitions import definition
-from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
+from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField
 from pc2scan.messages.tfmessage import encode_transforms
 from pc2scan.model import Connection
 from support.containers import write_rows
+from support.encoded import encode_pointcloud2
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

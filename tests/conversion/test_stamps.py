@@ -106,7 +106,8 @@ def test_a_clock_that_jumps_is_not_corrected_without_a_word(tmp_path: Path) -> N
 @pytest.mark.parametrize("kind", ["<f8", "<u4", "<f4"])
 @pytest.mark.parametrize("shift_s", [-1_600_000_000, 37, 86_400])
 def test_absolute_point_times_are_moved(kind: str, shift_s: int) -> None:
-    from pc2scan.messages.pointcloud2 import PointField, encode_pointcloud2
+    from pc2scan.messages.pointcloud2 import PointField
+    from support.encoded import encode_pointcloud2
 
     stamp_ns = 1_700_000_000 * SECOND
     unit = {"<f8": 1.0, "<u4": 1e9, "<f4": 1.0}[kind]

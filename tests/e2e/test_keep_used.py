@@ -16,9 +16,10 @@ from pc2scan.bags.mcap.write import McapWriter
 from pc2scan.bags.opening import open_recording
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.laserscan import decode_laserscan
-from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointCloud2, PointField, decode_pointcloud2, encode_pointcloud2
+from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointCloud2, PointField, decode_pointcloud2
 from pc2scan.model import Connection, Definition
 from support import ROOT, sampled
+from support.encoded import encode_pointcloud2
 from support.tables import rows
 
 TABLES = Path(__file__).with_name("keep_used.txt")

@@ -16,8 +16,8 @@ from pc2scan.messages.pointcloud2 import (
     PointCloud2,
     PointField,
     decode_pointcloud2,
-    encode_pointcloud2,
 )
+from support.encoded import encode_pointcloud2
 
 ROS1 = get_typestore(Stores.ROS1_NOETIC)
 ROS2 = get_typestore(Stores.ROS2_JAZZY)

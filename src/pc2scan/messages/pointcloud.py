@@ -38,7 +38,7 @@ def decode_pointcloud(data: Buffer, serialization: str) -> Points:
     -------
     Points
         ``x``, ``y`` and ``z`` in metres, and a field for each channel, all of float32: views of the message. Channels
-        that do not have one value for each point are no fields; of several with one name, the first is.
+        without a name, or without one value for each point, are no fields; of several with one name, the first is.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def decode_pointcloud(data: Buffer, serialization: str) -> Points:
             name = cursor.string()
             (size,) = cursor.read("I")
             values = np.frombuffer(cursor.take(size * 4), kind)
-            if size == count:
+            if size == count and name:
                 fields.setdefault(name, values)
     except DecodeError as err:
         err.stamp_ns = stamp_ns

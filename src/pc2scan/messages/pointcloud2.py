@@ -15,7 +15,7 @@ from pc2scan.errors import DecodeError
 from .wire import MAX_CACHED_BYTES, Cursor, Packer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
@@ -418,18 +418,11 @@ def as_pointcloud2(points: Points) -> PointCloud2:
 def pack_cloud(points: Points) -> PointCloud2:
     """Return a cloud of one row with a copy of all fields, little-endian and without padding."""
     columns = {name: np.asarray(values).reshape(-1) for name, values in points.fields.items()}
-    fields, step = [], 0
-    for name, values in columns.items():
-        fields.append(PointField(name, step, _DATATYPE_CODES[values.dtype.str[1:]]))
-        step += values.dtype.itemsize
     count = next((values.size for values in columns.values()), 0)
-    data = np.empty((count, step), np.uint8)
-    for place, values in zip(fields, columns.values(), strict=True):
-        size = values.dtype.itemsize
-        own = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
-        data[:, place.offset : place.offset + size] = own.view(np.uint8).reshape(count, size)
-    header = points.sequence, points.stamp_ns, points.frame_id
-    return PointCloud2(*header, 1, count, tuple(fields), False, step, count * step, bytes_of(data), False)
+    packed = np.empty(count, [(name, values.dtype.newbyteorder("<")) for name, values in columns.items()])
+    for name, values in columns.items():
+        packed[name] = values
+    return structured_cloud(points.sequence, points.stamp_ns, points.frame_id, packed)
 
 
 def bytes_of(array: NDArray[Any]) -> memoryview:
@@ -447,33 +440,6 @@ def point_decoder(serialization: str) -> Callable[[Buffer], Points]:
         return Points(cloud.sequence, cloud.stamp_ns, cloud.frame_id, CloudFields(cloud))
 
     return points
-
-
-def encode_pointcloud2(
-    *,
-    serialization: str,
-    sequence: int,
-    stamp_ns: int,
-    frame_id: str,
-    fields: Sequence[PointField],
-    point_step: int,
-    data: Buffer,
-    height: int = 1,
-    is_dense: bool = False,
-    is_bigendian: bool = False,
-) -> bytes:
-    """Serialise a cloud whose rows follow each other without a gap.
-
-    Parameters
-    ----------
-    serialization
-        ``ros1`` or ``cdr``.
-    data
-        The points, ``height * width`` times ``point_step`` bytes; the width is computed from it.
-    """
-    width = len(data) // (point_step * height) if point_step * height else 0
-    layout = height, width, tuple(fields), is_bigendian, point_step, width * point_step
-    return encode_cloud(PointCloud2(sequence, stamp_ns, frame_id, *layout, memoryview(data), is_dense), serialization)
 
 
 def encode_cloud(cloud: PointCloud2, serialization: str) -> bytes:

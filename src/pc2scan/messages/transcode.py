@@ -14,7 +14,7 @@ import struct
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
@@ -107,13 +107,11 @@ def transcoder(connection: Connection, ros_version: int) -> Transcoding:
     if source == ros_version:
         raise ValueError(f"{connection.topic} already is of ROS version {ros_version}")
     if source is None:
-        raise DecodeError(
-            f"{connection.msgtype} is serialised as {connection.serialization!r}, expected 'ros1' or 'cdr'",
-            topic=connection.topic,
-        )
+        form = connection.serialization
+        raise DecodeError(f"{connection.msgtype} is serialised as {form!r}, expected 'ros1' or 'cdr'")
     plan = _type_plan(connection.msgtype, connection.definition, source)
     if isinstance(plan, DecodeError):
-        raise DecodeError(plan.message, topic=connection.topic, hint=plan.hint)
+        raise DecodeError(plan.message, hint=plan.hint)
     declared = replace(
         connection,
         msgtype=plan.msgtype,
@@ -125,7 +123,7 @@ def transcoder(connection: Connection, ros_version: int) -> Transcoding:
         qos=LATCHED_QOS if ros_version == 2 and connection.is_latched else "",
         metadata={key: value for key, value in connection.metadata.items() if key not in _METADATA_OF[source]},
     )
-    return Transcoding(declared, _encoder(plan, source, connection.topic), plan.notes, plan.fields)
+    return Transcoding(declared, plan.encode, plan.notes, plan.fields)
 
 
 def with_definition(connection: Connection) -> Connection:
@@ -157,15 +155,13 @@ def ros2_hash(msgtype: str, definition: Definition) -> str:
 # --- planning ---
 
 
-@dataclass(frozen=True, slots=True)
-class _TypePlan:
+class _TypePlan(NamedTuple):
     """The part of a plan that depends on type and definition only; connections share it."""
 
     msgtype: str
     definition: Definition
     digest: str
-    least: int
-    convert: Callable[[Buffer], Buffer]
+    encode: Callable[[Buffer], Buffer]
     notes: tuple[str, ...]
     fields: int
 
@@ -192,15 +188,9 @@ def _new_type_plan(msgtype: str, definition: Definition, source: int) -> _TypePl
         names = ", ".join(ros1_type(name) if target == 1 else name for name in differing)
         notes = (*notes, f"layout differs from {_SETS[target]}'s {names}: written with the recording's own definition")
     text, digest = _declared(types, target, known=root in shared)
-    return _TypePlan(
-        ros1_type(root) if target == 1 else root,
-        text,
-        digest,
-        schema.min_size(types, root, source),
-        _converter(types, source),
-        notes,
-        sum(len(fields) for _, fields in types.values()),
-    )
+    named = ros1_type(root) if target == 1 else root
+    fields = sum(len(fields) for _, fields in types.values())
+    return _TypePlan(named, text, digest, _encoder(named, types, source), notes, fields)
 
 
 def _recorded_types(msgtype: str, definition: Definition, source: int) -> tuple[schema.Types, tuple[str, ...]]:
@@ -267,8 +257,8 @@ def _declared_fields(name: str, types: schema.Types, ros_version: int) -> list[t
 # --- encoding ---
 
 
-def _converter(types: schema.Types, source: int) -> Callable[[Buffer], Buffer]:
-    """Compile a conversion: the first type's messages, without a CDR header, to the other serialisation.
+def _encoder(msgtype: str, types: schema.Types, source: int) -> Callable[[Buffer], Buffer]:
+    """Compile what re-encodes messages of the first type in the other serialisation.
 
     Types and fields get names made here. The Header keeps its name, by which rosbags finds ROS 1's sequence number, and
     so do the two types that rosbags' empty store already has.
@@ -277,7 +267,6 @@ def _converter(types: schema.Types, source: int) -> Callable[[Buffer], Buffer]:
         name: name if name == schema.HEADER or name in schema.BUILTIN else f"pc2scan/msg/T{index}"
         for index, name in enumerate(types)
     }
-
     store = get_typestore(Stores.EMPTY)
     store.register(
         {
@@ -296,27 +285,39 @@ def _converter(types: schema.Types, source: int) -> Callable[[Buffer], Buffer]:
         else store.get_msgdef(names[name])
         for name in types
     }
-    root = msgdefs[names[next(iter(types))]]
-    measure, copy = (
-        (root.getsize_ros1_to_cdr, root.ros1_to_cdr) if source == 1 else (root.getsize_cdr_to_ros1, root.cdr_to_ros1)
+    first = next(iter(types))
+    root, least = msgdefs[names[first]], schema.min_size(types, first, source)
+    measure, copy, head = (
+        (root.getsize_ros1_to_cdr, root.ros1_to_cdr, b"\0\1\0\0")
+        if source == 1
+        else (root.getsize_cdr_to_ros1, root.cdr_to_ros1, b"")
     )
-    head = 4 if source == 1 else 0
 
-    def convert(body: Buffer) -> Buffer:
-        # What the generated functions use of a store. Every element takes at least one byte.
-        own = SimpleNamespace(get_msgdef=msgdefs.__getitem__, max_sequence_length=max(len(body), 1))
-        taken, size = measure(body, 0, None, 0, own)
-        # Some writers of CDR add padding at the end.
-        low, high = (taken, taken) if source == 1 else (taken - _MAX_PADDING, taken + 3)
-        if not low <= len(body) <= high:
-            raise ValueError(f"its fields take {taken + 4 - head}")
-        output = memoryview(bytearray(head + size))
-        if head:
-            output[1] = 1
-        copy(body, 0, output[head:], 0, own)
+    def encode(data: Buffer) -> Buffer:
+        body = memoryview(data)
+        try:
+            if source == 2:
+                if bytes(body[:2]) != b"\0\1":
+                    raise ValueError(f"expected a CDR header (0001, then two bytes), got {body[:4].hex() or 'nothing'}")
+                body = body[4:]
+            if len(body) < least:
+                raise ValueError(f"its fields take {len(data) - len(body) + least} or more")
+            # What the generated functions use of a store. Every element takes at least one byte.
+            own = SimpleNamespace(get_msgdef=msgdefs.__getitem__, max_sequence_length=max(len(body), 1))
+            taken, size = measure(body, 0, None, 0, own)
+            # Some writers of CDR add padding at the end.
+            low, high = (taken, taken) if source == 1 else (taken - _MAX_PADDING, taken + 3)
+            if not low <= len(body) <= high:
+                raise ValueError(f"its fields take {len(data) - len(body) + taken}")
+            output = memoryview(bytearray(len(head) + size))
+            output[: len(head)] = head
+            copy(body, 0, output[len(head) :], 0, own)
+        except _FAILURES as err:
+            reason = str(err) or type(err).__name__
+            raise DecodeError(f"{msgtype} of {len(data)} bytes cannot be re-encoded: {reason}") from err
         return output.toreadonly()
 
-    return convert
+    return encode
 
 
 def _guard_sizes(msgdef: Any, least: int) -> SimpleNamespace:
@@ -340,26 +341,3 @@ def _guard_sizes(msgdef: Any, least: int) -> SimpleNamespace:
         ros1_to_cdr=msgdef.ros1_to_cdr,
         cdr_to_ros1=msgdef.cdr_to_ros1,
     )
-
-
-def _encoder(plan: _TypePlan, source: int, topic: str) -> Callable[[Buffer], Buffer]:
-    """Return what re-encodes the messages of a topic."""
-
-    def encode(data: Buffer) -> Buffer:
-        head = 0 if source == 1 else 4
-        view = memoryview(data)
-        if head and (len(data) < 4 or bytes(view[:2]) != b"\0\1"):
-            raise DecodeError(
-                f"{plan.msgtype} of {len(data)} bytes begins with {bytes(view[:4]).hex() or 'nothing'}, "
-                "expected a CDR header (0001, then two bytes)",
-                topic=topic,
-            )
-        try:
-            if len(data) < head + plan.least:
-                raise ValueError(f"its fields take {head + plan.least} or more")
-            return plan.convert(view[head:])
-        except _FAILURES as err:
-            message = f"{plan.msgtype} of {len(data)} bytes cannot be re-encoded: {str(err) or type(err).__name__}"
-            raise DecodeError(message, topic=topic) from err
-
-    return encode

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .pointcloud2 import PointField, as_pointcloud2, encode_pointcloud2
+from .pointcloud2 import PointField, as_pointcloud2, bytes_of, encode_cloud
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -58,16 +58,18 @@ class UsedPoints:
         points[:, :step] = _bytes_of(message)[np.divmod(self.numbers, max(message.width, 1))]
         beams = self.beams.astype(">u4" if message.is_bigendian else "<u4")
         points[:, step:] = beams.view(np.uint8).reshape(-1, 4)
-        return encode_pointcloud2(
-            serialization=serialization,
-            sequence=message.sequence,
-            stamp_ns=message.stamp_ns,
-            frame_id=message.frame_id,
-            fields=[*message.fields, PointField(_unused_name(field.name for field in message.fields), step, _UINT32)],
-            point_step=step + 4,
-            data=points.tobytes(),
-            is_dense=message.is_dense,
-            is_bigendian=message.is_bigendian,
+        added = PointField(_unused_name(field.name for field in message.fields), step, _UINT32)
+        return encode_cloud(
+            replace(
+                message,
+                height=1,
+                width=len(points),
+                fields=(*message.fields, added),
+                point_step=step + 4,
+                row_step=points.size,
+                data=bytes_of(points),
+            ),
+            serialization,
         )
 
 
