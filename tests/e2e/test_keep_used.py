@@ -12,19 +12,16 @@ import numpy as np
 import pytest
 
 import pc2scan
-from pc2scan.bags.mcap.write import McapWriter
 from pc2scan.bags.opening import open_recording
-from pc2scan.messages.definitions import definition
 from pc2scan.messages.laserscan import decode_laserscan
-from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointCloud2, PointField, decode_pointcloud2
-from pc2scan.model import Connection, Definition
+from pc2scan.messages.pointcloud2 import PointCloud2, PointField, decode_pointcloud2
 from support import ROOT, sampled
+from support.builders import CLOUD, T0, Item, Recording, Stream, write_mcap
 from support.encoded import encode_pointcloud2
 from support.tables import rows
 
 TABLES = Path(__file__).with_name("keep_used.txt")
 HALL = ROOT / "fixtures" / "hall.mcap"
-T0 = 1_700_000_000_000_000_000
 
 
 def messages(path: Path, topic: str) -> list[Any]:
@@ -71,16 +68,6 @@ def assert_recorded(cloud: PointCloud2, used: PointCloud2) -> None:
     assert all(bytes(row[: cloud.point_step]) in rows for row in own)
 
 
-def recorded(path: Path, data: bytes, msgtype: str = POINTCLOUD2) -> Path:
-    writer = McapWriter(path, "none")
-    text = definition(POINTCLOUD2, 2)[0] if msgtype == POINTCLOUD2 else Definition("ros2msg", b"# toy\n")
-    qos = "- durability: 1\n"
-    handle = writer.add_connection(Connection(0, "/points", msgtype, "cdr", text, latching=True, qos=qos))
-    writer.write(handle, T0, data, T0)
-    writer.finish()
-    return path
-
-
 def test_padding_byte_order_and_rows_stay(tmp_path: Path) -> None:
     """A big-endian cloud with gaps, of which a field is called beam already, one has three elements."""
     step = 29
@@ -101,7 +88,9 @@ def test_padding_byte_order_and_rows_stay(tmp_path: Path) -> None:
         data=points.tobytes(), height=2, is_bigendian=True, is_dense=True,
     )  # fmt: skip
     kept = tmp_path / "kept.mcap"
-    pc2scan.convert(recorded(tmp_path / "a.mcap", data), kept, keep_used="/used")
+    points_stream = Stream("/points", CLOUD, latched=True)
+    source = write_mcap(tmp_path / "a.mcap", Recording((points_stream,), (Item(points_stream, T0, {2: data}),)))
+    pc2scan.convert(source, kept, keep_used="/used")
     (used,) = clouds(kept, "/used")
     assert (used.is_bigendian, used.is_dense, used.height, used.width, used.point_step) == (True, True, 1, 3, step + 4)
     assert used.fields == (*fields, PointField("scan_beam", step, 6))

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from support import sampled
 from support.bounded import run_bounded
 from support.builders import (
     MOUNT,
@@ -47,19 +46,14 @@ def tree(path: Path, count: int, *, loop: bool = False) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("count", "command"), sampled([(101_000, "convert"), (1_000_000, "tf"), (1_000_000, "convert")], 1)
-)
-def test_a_frame_tree_of_very_many_nodes(count: int, command: str, tmp_path: Path) -> None:
-    options = ("--target-frame", "f0") if command == "convert" else ()
-    done = run_bounded(command, tree(tmp_path / "a.bag", count), *options)
+def test_a_frame_tree_of_very_many_nodes(tmp_path: Path) -> None:
+    done = run_bounded("convert", tree(tmp_path / "a.bag", 101_000), "--target-frame", "f0")
     assert done.status == 1
     assert "more than 100,000 frames" in done.stderr
 
 
-@pytest.mark.parametrize("count", sampled([2_000, 20_000], 1))
-def test_frames_that_form_a_loop(count: int, tmp_path: Path) -> None:
-    source = tree(tmp_path / "a.bag", count, loop=True)
+def test_frames_that_form_a_loop(tmp_path: Path) -> None:
+    source = tree(tmp_path / "a.bag", 2_000, loop=True)
     # The walk up from the cloud's frame ends at f3, as in tf2.
     assert run_bounded("convert", source, "--target-frame", "f3").status == 0
     assert run_bounded("tf", source).status == 0

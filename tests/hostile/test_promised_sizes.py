@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import bz2
 import io
 import struct
-from functools import cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import lz4.frame
@@ -34,9 +30,10 @@ from support.builders import (
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
 #: More than the bounds allow, and of zeros: a few kilobytes when compressed.
-HUGE = 400_000_000
+HUGE = 300_000_000
 
 #: A channel of clouds without a definition.
 DECLARED: bytes = mcap_files.encoded(Schema(id=1, name=CLOUD, encoding="ros2msg", data=b"")) + mcap_files.raw_channel(
@@ -56,7 +53,7 @@ def zero_cloud(size: int, ros_version: int) -> bytes:
     return bytes(head) + bytes(size) + tail
 
 
-def mcap_of(path: Path, message: bytes, compression: str = "zstd") -> Path:
+def mcap_of(path: Path, message: bytes, compression: str) -> Path:
     """An MCAP file of one chunk with one cloud."""
     body = bytes(DECLARED + mcap_files.raw_message(data=message))
     return mcap_files.raw_file(
@@ -72,42 +69,19 @@ def bag_of(path: Path, message: bytes, compression: str) -> Path:
     return rosbag1_files.simple_bag(path, payload, compression=compression, stored=stored, connections=(connection,))
 
 
-PACK: dict[str, Callable[[bytes], bytes]] = {
-    "zstd": zstandard.compress,
-    "lz4": lz4.frame.compress,
-    "bz2": bz2.compress,
-}
-KINDS = ["mcap-zstd", "mcap-lz4", "bag-lz4", "bag-bz2"]
+PACK: dict[str, Callable[[bytes], bytes]] = {"zstd": zstandard.compress, "lz4": lz4.frame.compress}
 
 
-def bomb(folder: Path, kind: str, size: int) -> Path:
-    source = folder / f"a.{kind.partition('-')[0]}"
-    source.write_bytes(bomb_bytes(kind, size))
-    return source
-
-
-@cache
-def bomb_bytes(kind: str, size: int) -> bytes:
-    """A bomb, which takes seconds to pack, for all that is done with it."""
-    container, compression = kind.split("-")
-    with TemporaryDirectory() as folder:
-        if container == "bag":
-            return bag_of(Path(folder, "a.bag"), zero_cloud(size, 1), compression).read_bytes()
-        return mcap_of(Path(folder, "a.mcap"), zero_cloud(size, 2), compression).read_bytes()
-
-
-#: Every kind with every command; of those a repair could copy chunks as they are.
-RUNS = [(kind, command) for command in ("info", "repair", "convert") for kind in KINDS]
-
-
-@pytest.mark.parametrize(("kind", "command"), sampled(RUNS, 1))
-def test_a_chunk_that_unfolds_to_more_than_may_be(kind: str, command: str, tmp_path: Path) -> None:
-    source = bomb(tmp_path, kind, HUGE)
+@pytest.mark.parametrize(("container", "compression"), sampled([("mcap", "zstd"), ("mcap", "lz4"), ("bag", "lz4")], 1))
+def test_a_chunk_that_unfolds_to_more_than_may_be(container: str, compression: str, tmp_path: Path) -> None:
+    made, ros_version = (bag_of, 1) if container == "bag" else (mcap_of, 2)
+    source = made(tmp_path / f"a.{container}", zero_cloud(HUGE, ros_version), compression)
     assert source.stat().st_size < 5_000_000
-    done = run_bounded(command, source)
-    # The front of the chunk is kept, and no message of it is whole.
-    assert "may be" in done.stdout + done.stderr
-    assert command != "repair" or done.status == 3
+    for command in ("repair", "convert"):
+        done = run_bounded(command, source)
+        # The front of the chunk is kept, and no message of it is whole.
+        assert "may be" in done.stdout + done.stderr
+        assert command != "repair" or done.status == 3
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from support import sampled
+from support.batches import contents
 from support.bounded import run_bounded
 from support.builders import CONTENT, write_db3
 
@@ -29,24 +30,15 @@ COMMANDS: dict[str, tuple[str, ...]] = {
 }
 
 
-def state(folder: Path) -> dict[str, tuple[str, bytes]]:
-    """All entries of a folder: the files' contents, and where links lead."""
-    return {
-        str(entry.relative_to(folder)): (str(entry.readlink()), b"") if entry.is_symlink() else ("", entry.read_bytes())
-        for entry in folder.rglob("*")
-        if entry.is_symlink() or entry.is_file()
-    }
-
-
 def run(folder: Path, command: str, source: Path, *args: str) -> int:
     """Run a command whose output is in a folder of its own, and hold it to having changed nothing else."""
     out = folder / "out"
     out.mkdir(exist_ok=True)
     others = folder / "others"
-    before = state(others)
+    before = contents(others)
     words = [word.replace("SRC", str(source)).replace("OUT", str(out)) for word in (*COMMANDS[command], *args)]
     done = run_bounded(command, source, *words)
-    assert state(others) == before
+    assert contents(others) == before
     return done.status
 
 
