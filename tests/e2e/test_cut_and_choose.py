@@ -11,13 +11,7 @@ from hypothesis import strategies as st
 
 import pc2scan
 from support import sampled
-from support.builders import (
-    CONTENT,
-    POINTS,
-    SECOND,
-    SOURCES,
-    T0,
-)
+from support.builders import CONTENT, POINTS, SECOND, SOURCES, T0
 from support.outputs import opened
 
 if TYPE_CHECKING:

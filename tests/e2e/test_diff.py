@@ -85,10 +85,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("sources")
 
 
-@pytest.mark.parametrize(
-    ("kind", "against"),
-    sampled([(kind, "bag-lz4") for kind in SOURCES], 3),
-)
+@pytest.mark.parametrize(("kind", "against"), sampled([(kind, "bag-lz4") for kind in SOURCES], 3))
 def test_the_form_makes_no_difference(kind: str, against: str, folder: Path) -> None:
     found = pc2scan.diff(source(against, folder), source(kind, folder), all_topics=True)
     # Storages of before ROS 2 Iron do not define the custom type: between ROS versions its bytes cannot be compared.

@@ -18,17 +18,7 @@ from pc2scan.compare.rules import Rules
 from pc2scan.compare.scan_text import render_scans
 from pc2scan.model import Connection, RawMessage
 from support import GOLDEN, ROOT, sampled
-from support.builders import (
-    CLOUD,
-    SCAN,
-    Item,
-    Recording,
-    Stream,
-    deserialized,
-    serialized,
-    typestore,
-    write_rosbag1,
-)
+from support.builders import CLOUD, SCAN, Item, Recording, Stream, deserialized, serialized, typestore, write_rosbag1
 from support.command import run
 from support.outputs import opened
 

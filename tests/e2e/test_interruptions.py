@@ -20,14 +20,7 @@ from pc2scan.bags.opening import open_recording
 from pc2scan.errors import Pc2ScanError
 from support import ROOT, sampled
 from support.batches import manifest_of
-from support.builders import (
-    POINTS,
-    T0,
-    Recording,
-    cloud,
-    item,
-    write_rosbag1,
-)
+from support.builders import POINTS, T0, Recording, cloud, item, write_rosbag1
 from support.command import COMMAND, INTERRUPTED, Finished, run, run_process
 
 if TYPE_CHECKING:

@@ -28,11 +28,7 @@ def few_open_files() -> Iterator[None]:
 
 @pytest.mark.parametrize(
     ("write", "suffix", "is_folder"),
-    [
-        (write_rosbag1, ".bag", False),
-        (write_mcap, ".mcap", True),
-        (write_db3, ".db3", True),
-    ],
+    [(write_rosbag1, ".bag", False), (write_mcap, ".mcap", True), (write_db3, ".db3", True)],
 )
 @pytest.mark.usefixtures("few_open_files")
 def test_parts_are_open_while_they_are_due(write: Any, suffix: str, is_folder: bool, tmp_path: Path) -> None:

@@ -147,11 +147,7 @@ LEVEL = '(--static-tf ".*) makes it level'
 #: How the sensor is mounted, options, and what is said: in brackets the advice, which takes the place of the options.
 ADVICE: list[tuple[dict[str, Any], Sequence[str], str]] = [
     *((how, WIDE, f"{told}.*{LEVEL}") for how, told in MOUNTINGS.values() if "tf" not in how),
-    (
-        {"roll": 15, "pitch": -10, "tf": TILTED},
-        WIDE,
-        "tilted by 17.9 deg.* (--target-frame .*) makes it level",
-    ),
+    ({"roll": 15, "pitch": -10, "tf": TILTED}, WIDE, "tilted by 17.9 deg.* (--target-frame .*) makes it level"),
     ({"place": "field", "height": 1.8}, (), "everything at z <= 0; --min-height sets it below the sensor: (--min-.*)"),
 ]
 

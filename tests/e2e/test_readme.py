@@ -157,11 +157,7 @@ def test_the_report_has_the_keys_of_its_page(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("blocks", "commands", "accepted"),
     [
-        (
-            code_blocks("sh", after(PAGES["slam"], "## A recipe for each program")),
-            "",
-            "slam_toolbox gmapping",
-        ),
+        (code_blocks("sh", after(PAGES["slam"], "## A recipe for each program")), "", "slam_toolbox gmapping"),
         (code_blocks("sh", after(README, "## From a bag to a map")), "info tf convert check", "slam_toolbox"),
     ],
     ids=["programs", "README"],

@@ -16,8 +16,7 @@ BOUNDS = Path(__file__).with_name("way_of_a_cloud.txt")
 
 @needs_compiled
 @pytest.mark.parametrize(
-    ("arguments", "frames", "functions", "files", "classes", "decompressions"),
-    sampled(rows(BOUNDS, "bounds"), 2),
+    ("arguments", "frames", "functions", "files", "classes", "decompressions"), sampled(rows(BOUNDS, "bounds"), 2)
 )
 def test_a_conversion_stays_within_its_bounds(
     arguments: str, frames: int, functions: int, files: int, classes: int, decompressions: int

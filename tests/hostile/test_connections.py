@@ -52,12 +52,7 @@ def given(path: Path, data: bytes) -> Path:
     return path
 
 
-KINDS: list[Callable[[Path, int], Path]] = [
-    indexed_bag,
-    mcap_file,
-    database,
-    directory,
-]
+KINDS: list[Callable[[Path, int], Path]] = [indexed_bag, mcap_file, database, directory]
 
 
 @pytest.mark.parametrize("make", KINDS, ids=lambda make: make.__name__.replace("_", " "))

@@ -9,18 +9,7 @@ import numpy as np
 import pytest
 
 from support.bounded import run_bounded
-from support.builders import (
-    MOUNT,
-    POINTS,
-    T0,
-    Item,
-    Recording,
-    cloud,
-    item,
-    points_of,
-    write_mcap,
-    write_rosbag1,
-)
+from support.builders import MOUNT, POINTS, T0, Item, Recording, cloud, item, points_of, write_mcap, write_rosbag1
 from support.outputs import opened
 
 if TYPE_CHECKING:
@@ -61,12 +50,7 @@ def test_frames_that_form_a_loop(tmp_path: Path) -> None:
 
 #: Stamps, and the destinations that cannot hold them: ROS 1 has no negative seconds, and ROS 2 none beyond 2038, which
 #: nanoseconds can add up to.
-STAMPS = {
-    (-(2**31), 0): {"out.bag"},
-    (2**31 - 1, 2**32 - 1): {"out.mcap", "out"},
-    (0, 2**32 - 1): set(),
-    (0, 0): set(),
-}
+STAMPS = {(-(2**31), 0): {"out.bag"}, (2**31 - 1, 2**32 - 1): {"out.mcap", "out"}, (0, 2**32 - 1): set(), (0, 0): set()}
 
 
 @pytest.mark.parametrize("stamp", STAMPS)

@@ -152,10 +152,7 @@ def string(text: str, ros_version: int) -> bytes:
 
 
 def transforms(
-    rows: Iterable[tuple[str, str, int, tuple[float, float, float]]],
-    ros_version: int,
-    seq: int = 0,
-    msgtype: str = TF,
+    rows: Iterable[tuple[str, str, int, tuple[float, float, float]]], ros_version: int, seq: int = 0, msgtype: str = TF
 ) -> bytes:
     """A serialised TFMessage of (parent, child, stamp in ns, translation) without rotations."""
     store = typestore(ros_version)

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.bags.destinations import open_writer, plan_destination
 from pc2scan.bags.opening import open_recording
 from pc2scan.model import LATCHED_QOS, Attachment, Connection, Definition
+from support import rosbag1_files, rosbag2_files
 from support.builders import definition
-from support.rosbag2_files import QOS_NUMBERS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -73,14 +73,7 @@ FORMATS = {
 
 def connection_for(ros_version: int, topic: str = "/a", **changes: Any) -> Connection:
     """Make a connection of std_msgs/String as ROS 1 or ROS 2 records it."""
-    if ros_version == 1:
-        digest, definition = "992ce8a1687cec8c8bd883ec73ca41d1", Definition("ros1msg", b"string data\n")
-        made = Connection(0, topic, "std_msgs/String", "ros1", definition, digest)
-    else:
-        made = Connection(
-            0, topic, "std_msgs/msg/String", "cdr", Definition("ros2msg", b"string data\n"), qos=QOS_NUMBERS
-        )
-        made = replace(made, digest=f"RIHS01_{'ab' * 32}", latching=True)
+    made = rosbag1_files.connection(topic) if ros_version == 1 else rosbag2_files.topic(topic)
     return replace(made, **changes)
 
 

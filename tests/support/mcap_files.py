@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import zlib
 from contextlib import closing
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -64,14 +65,7 @@ LIBRARY_OPTIONS: dict[str, dict[str, Any]] = {
 
 def connection(topic: str = "/points", **changes: Any) -> Connection:
     """Make a ROS 2 connection."""
-    values: dict[str, Any] = {
-        "id": 99,
-        "topic": topic,
-        "msgtype": CLOUD,
-        "serialization": "cdr",
-        "definition": Definition("ros2msg", b"uint8[] data"),
-    }
-    return Connection(**(values | changes))
+    return replace(Connection(99, topic, CLOUD, "cdr", Definition("ros2msg", b"uint8[] data")), **changes)
 
 
 def write(path: Path, messages: Iterable[tuple[int, int, bytes]], topics: int = 2, **options: Any) -> Path:

@@ -86,21 +86,17 @@ def physical_order(path: Path) -> list[tuple[str, int]]:
 
 def _rosbag1(path: Path) -> Output:
     with Rosbag1LibraryReader(path) as reader:
-        publishers = [
-            Publisher(
-                connection.topic,
-                connection.msgtype,
-                bool(connection.ext.latching),  # type: ignore[union-attr]
-                connection.msgdef.data,
-                connection.ext.callerid or "",  # type: ignore[union-attr]
-                "ros1msg",
-            )
-            for connection in reader.connections
-        ]
-        messages = [
-            Found(connection.topic, log_time_ns, bytes(data)) for connection, log_time_ns, data in reader.messages()
-        ]
+        publishers = []
+        for each in reader.connections:
+            ext: Any = each.ext
+            head = each.topic, each.msgtype, bool(ext.latching)
+            publishers.append(Publisher(*head, each.msgdef.data, ext.callerid or "", "ros1msg"))
+        messages = [Found(each.topic, log_time_ns, bytes(data)) for each, log_time_ns, data in reader.messages()]
     return Output(1, publishers, messages)
+
+
+def _latches(qos: str) -> bool:
+    return "durability: 1" in qos or "durability: transient_local" in qos
 
 
 def _mcap(path: Path) -> Output:
@@ -110,21 +106,11 @@ def _mcap(path: Path) -> Output:
         assert summary is not None
         publishers = []
         for channel in summary.channels.values():
-            schema = summary.schemas[channel.schema_id]
-            parts = schema.name.split("/")
-            latched = "durability: 1" in channel.metadata.get("offered_qos_profiles", "").replace(
-                "durability: transient_local", "durability: 1"
-            )
-            publishers.append(
-                Publisher(
-                    channel.topic,
-                    f"{parts[0]}/msg/{parts[-1]}",
-                    latched or channel.metadata.get("latching") == "1",
-                    schema.data.decode(),
-                    channel.metadata.get("callerid", channel.metadata.get("publisher", "")),
-                    schema.encoding,
-                )
-            )
+            schema, more = summary.schemas[channel.schema_id], channel.metadata
+            package, *_, name = schema.name.split("/")
+            latched = more.get("latching") == "1" or _latches(more.get("offered_qos_profiles", ""))
+            head = channel.topic, f"{package}/msg/{name}", latched, schema.data.decode()
+            publishers.append(Publisher(*head, more.get("callerid", more.get("publisher", "")), schema.encoding))
         messages = [
             Found(channel.topic, message.log_time, message.data, message.publish_time, message.sequence)
             for _, channel, message in reader.iter_messages()
@@ -161,24 +147,11 @@ def _sqlite3(path: Path, *, packed: bool) -> Output:
     unpack = zstandard.ZstdDecompressor().decompress if packed else bytes
     with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as database:
         assert database.execute("PRAGMA integrity_check").fetchone() == ("ok",)
-        texts = {
-            name: (encoding, text)
-            for name, encoding, text in database.execute(
-                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
-            )
-        }
+        rows = database.execute("SELECT topic_type, encoded_message_definition, encoding FROM message_definitions")
+        texts = {kind: (text, "", encoding) for kind, text, encoding in rows}
+        rows = database.execute("SELECT name, type, offered_qos_profiles FROM topics ORDER BY id")
         publishers = [
-            Publisher(
-                name,
-                msgtype,
-                "durability: 1" in qos or "durability: transient_local" in qos,
-                texts.get(msgtype, ("", ""))[1],
-                "",
-                texts.get(msgtype, ("", ""))[0],
-            )
-            for name, msgtype, qos in database.execute(
-                "SELECT name, type, offered_qos_profiles FROM topics ORDER BY id"
-            )
+            Publisher(name, kind, _latches(qos), *texts.get(kind, ("", "", ""))) for name, kind, qos in rows.fetchall()
         ]
         messages = [
             Found(topic, log_time_ns, unpack(data))

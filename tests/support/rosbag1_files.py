@@ -96,12 +96,7 @@ def record(body: bytes = b"", **fields: bytes) -> bytes:
 
 
 def connection_record(identity: int = 0, **fields: bytes) -> bytes:
-    body = {
-        "topic": b"/chatter",
-        "type": b"std_msgs/String",
-        "md5sum": b"*",
-        "message_definition": b"string data\n",
-    }
+    body = {"topic": b"/chatter", "type": b"std_msgs/String", "md5sum": b"*", "message_definition": b"string data\n"}
     inner = header(**{**body, **fields})[4:]
     return record(inner, op=b"\x07", conn=uint32(identity), topic=b"/chatter")
 
@@ -122,13 +117,7 @@ def chunk(payload: bytes, compression: str = "none", size: int | None = None, st
 
 
 def chunk_info(
-    position: int,
-    start_ns: int,
-    end_ns: int,
-    counts: dict[int, int],
-    *,
-    version: int = 1,
-    count: int | None = None,
+    position: int, start_ns: int, end_ns: int, counts: dict[int, int], *, version: int = 1, count: int | None = None
 ) -> bytes:
     return record(
         b"".join(uint32(value) for item in counts.items() for value in item),
@@ -142,11 +131,7 @@ def chunk_info(
 
 
 def bag_header(index_pos: int, connections: int, chunks: int, **more: bytes) -> bytes:
-    fields = {
-        "index_pos": uint64(index_pos),
-        "conn_count": uint32(connections),
-        "chunk_count": uint32(chunks),
-    }
+    fields = {"index_pos": uint64(index_pos), "conn_count": uint32(connections), "chunk_count": uint32(chunks)}
     return b"#ROSBAG V2.0\n" + record(b" " * 50, op=b"\x03", **fields, **more)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,17 +39,8 @@ def text(value: str) -> bytes:
 
 
 def topic(name: str, **changes: Any) -> Connection:
-    known: dict[str, Any] = {
-        "id": 1,
-        "topic": name,
-        "msgtype": STRING,
-        "serialization": "cdr",
-        "definition": DEFINITION,
-        "digest": STORE.hash_rihs01(STRING),
-        "qos": QOS_NUMBERS,
-        "latching": True,
-    }
-    return Connection(**(known | changes))
+    made = Connection(1, name, STRING, "cdr", DEFINITION, STORE.hash_rihs01(STRING), qos=QOS_NUMBERS, latching=True)
+    return replace(made, **changes)
 
 
 def write_storage(path: Path, messages: Sequence[tuple[str, int]], **changes: Any) -> None:

@@ -251,11 +251,7 @@ def cast(
 
 
 def write_clouds(
-    path: Path,
-    clouds: Sequence[NDArray[np.float32]],
-    *,
-    frame: str = "lidar",
-    tf: Sequence[TransformRow] = (),
+    path: Path, clouds: Sequence[NDArray[np.float32]], *, frame: str = "lidar", tf: Sequence[TransformRow] = ()
 ) -> Path:
     """An MCAP file of clouds on /points, ten a second, and static transforms."""
     begin_ns = 1_700_000_000_000_000_000

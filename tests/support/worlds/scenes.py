@@ -38,11 +38,7 @@ _NOISE = 0.01
 _FAR = 100.0
 _SECONDS = 2.4
 
-DRIVES = {
-    "stands": Drive(0.0, 0.0),
-    "drives": Drive(0.6, 0.3),
-    "pitches": Drive(0.4, 0.2, tilt=math.radians(3.0)),
-}
+DRIVES = {"stands": Drive(0.0, 0.0), "drives": Drive(0.6, 0.3), "pitches": Drive(0.4, 0.2, tilt=math.radians(3.0))}
 
 
 def _rings(low: float, high: float, count: int, columns: int) -> tuple[Floats, Floats]:
