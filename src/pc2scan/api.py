@@ -350,9 +350,7 @@ def check(
     RecordingError
         If a source cannot be read.
     """
-    call = Options("check", options)
-    rules = call.among(("consumers", "topics", "odom_frame", "base_frame", "echo"))
-    return judge(paths_in("sources", sources), frames=frames_of(call), **rules)
+    return judge(paths_in("sources", sources), Options("check", options))
 
 
 @takes_options

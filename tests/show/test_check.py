@@ -38,16 +38,11 @@ def checked(
     content: Sequence[LaserScan],
     *consumers: str,
     mount: Callable[[float], Mount] = fixed,
-    log_times_ns: Iterable[int] | None = None,
 ) -> Check:
     """Check scans with 20 transforms a second."""
-    logged = log_times_ns or [scan.stamp_ns for scan in content]
     end_ns = max(scan.stamp_ns for scan in content) + STEP
     scan_stream, tf_stream = Stream("/scan", SCAN), Stream("/tf", TF)
-    items = [
-        Item(scan_stream, log_time_ns, {2: encode_laserscan(scan, "cdr")})
-        for scan, log_time_ns in zip(content, logged, strict=True)
-    ]
+    items = [Item(scan_stream, scan.stamp_ns, {2: encode_laserscan(scan, "cdr")}) for scan in content]
     for number in range(round(20 * (end_ns - START) / SECOND) + 1):
         stamp_ns, (x, y, yaw) = START + number * SECOND // 20, mount(number / 20)
         rows = [
@@ -186,35 +181,3 @@ def test_parts_of_a_turn(content: list[LaserScan], expected: str, tmp_path: Path
     found = checked(tmp_path, content, "slam_toolbox")
     assert found.exit_status == bool(expected)
     assert set(kinds(found)) - {"no-returns"} == ({expected} if expected else set())
-
-
-@pytest.mark.parametrize("switched", [False, True], ids=["alternating", "once"])
-def test_stamps_that_jump_are_of_another_clock(switched: bool, tmp_path: Path) -> None:
-    """Stamps are now the time of day, and now seconds since the start of the sensor."""
-    logged = [START + i * STEP // 2 for i in range(60)]
-    stamps = [
-        100 * SECOND + log_time_ns - START if (number >= 30 if switched else number % 2) else log_time_ns
-        for number, log_time_ns in enumerate(logged)
-    ]
-    content = [replace(GOOD, stamp_ns=stamp_ns, scan_time=0.05 if switched else 0.1) for stamp_ns in stamps]
-    found = checked(tmp_path, content, "nav2", log_times_ns=logged)
-    assert found.topics[0].interval_ns == (STEP / 2 if switched else None)
-    assert kinds(found)["clocks"] == "notice"
-    assert not {"rate", "scan-time"} & set(kinds(found))
-    times = "1 time" if switched else "59 times"
-    assert f"the stamps jump {times}, by up to 1,699,999," in str(found)
-
-
-@pytest.mark.parametrize(
-    "logged",
-    [
-        [START + i * STEP + (i // 20) * 2 * SECOND for i in range(60)],
-        [START + i * STEP + (3600 * SECOND if i > 30 else 0) for i in range(60)],
-        [START + i * STEP // 10 for i in range(60)],
-    ],
-    ids=["late", "paused", "played fast"],
-)
-def test_other_log_times_are_no_other_clock(logged: list[int], tmp_path: Path) -> None:
-    found = checked(tmp_path, scans(60), log_times_ns=logged)
-    assert "clocks" not in kinds(found)
-    assert found.topics[0].interval_ns == pytest.approx(STEP)

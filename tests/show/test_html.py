@@ -6,13 +6,8 @@ import base64
 import hashlib
 import json
 import re
-from typing import Any
 
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
-
-from pc2scan.show.html import compress, decompress, description_of, html, script, style
+from pc2scan.show.html import html, script, style
 
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>\u2028\u202e"
 
@@ -37,11 +32,3 @@ def test_the_policy_allows_the_one_script_and_the_one_style() -> None:
         assert f"<{kind}>{text}</{kind}>" in page
     assert "default-src 'none'" in page
     assert "unsafe" not in page
-
-
-@given(st.integers(0, 50).flatmap(lambda n: st.tuples(arrays("<f4", n), arrays("u1", n), arrays("<f8", n))))
-def test_bytes_sorted_by_place_can_be_put_together(columns: tuple[Any, ...]) -> None:
-    named = dict(zip(("x", "ring", "time"), columns, strict=True))
-    description = description_of("cloud-0", named)
-    found = decompress(compress(named), description)
-    assert {name: column.tobytes() for name, column in found.items()} == {k: v.tobytes() for k, v in named.items()}

@@ -90,10 +90,11 @@ def test_deskewing_is_shown_and_stays_in_the_command(tmp_path: Path) -> None:
 
 
 def test_the_page_in_python_is_that_of_the_command(tmp_path: Path) -> None:
-    page = pc2scan.view(HALL, clouds=3, preset="slam_toolbox", filters=[pc2scan.Where("ring > 4")])
+    page = pc2scan.view(HALL, clouds=3, preset="slam_toolbox", where="ring > 4")
     words = ("--clouds", "3", "--preset", "slam_toolbox", "--where", "ring > 4")
     assert run("view", HALL, "-o", tmp_path / "b.html", *words).status == 0
-    assert page.save(tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
+    same = page.save(tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
+    assert same
     # Notebooks show it in a frame of its own.
     (document,) = re.findall(r'^<iframe sandbox="allow-scripts" [^>]*srcdoc="([^"]*)"></iframe>$', page._repr_html_())
     assert html.unescape(document) == page.html

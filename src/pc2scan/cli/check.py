@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from pc2scan.options.call import Options
-from pc2scan.requests import frames_of
 from pc2scan.show.check import check as judge
 
 from .render import progress_bar, show
@@ -14,6 +13,5 @@ from .render import progress_bar, show
 def check(sources: list[Path], *, options: Options) -> int:
     """Check whether SLAM and navigation accept scans."""
     with progress_bar(options) as progress:
-        rules = options.among(("consumers", "topics", "odom_frame", "base_frame", "echo"))
-        result = judge(sources, frames=frames_of(options), progress=progress, **rules)
+        result = judge(sources, options, progress)
     return show(result, options)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from pc2scan.errors import UsageError
 
 from .clouds import write_kitti, write_pcd
-from .scans import write_carmen, write_csv, write_npz, write_tum
+from .scans import write_csv, write_npz, write_tum
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -44,15 +44,11 @@ class ExportFormat(NamedTuple):
 
 #: The formats by name.
 FORMATS = {
-    entry.name: entry
-    for entry in (
-        ExportFormat("npz", ".npz", write_npz),
-        ExportFormat("csv", ".csv", write_csv),
-        ExportFormat("tum", ".tum", write_tum, needs_poses=True),
-        ExportFormat("carmen", ".log", write_carmen, needs_poses=True),
-        ExportFormat("pcd", ".pcd", write_pcd, clouds=True),
-        ExportFormat("kitti", ".bin", write_kitti, clouds=True),
-    )
+    "npz": ExportFormat("npz", ".npz", write_npz),
+    "csv": ExportFormat("csv", ".csv", write_csv),
+    "tum": ExportFormat("tum", ".tum", write_tum, needs_poses=True),
+    "pcd": ExportFormat("pcd", ".pcd", write_pcd, clouds=True),
+    "kitti": ExportFormat("kitti", ".bin", write_kitti, clouds=True),
 }
 
 

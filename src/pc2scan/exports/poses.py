@@ -46,8 +46,7 @@ class Poses:
     """The poses of a recording.
 
     The base frame, if none is given: with poses of a topic and no ``pose_frame``, the frame that these poses move;
-    otherwise ``base_link`` or ``base_footprint``, or without these, the frame farthest up that the message's frame is
-    fixed to.
+    otherwise ``base_link`` or ``base_footprint``, or without these, the message's own.
 
     Parameters
     ----------
@@ -76,10 +75,10 @@ class Poses:
         moved = (each for added in found.poses if added.reading for each in added.attachments.values())
         odometry = None if pose_frame else next(moved, None)
         self.pose_frame = pose_frame.removeprefix("/") or (odometry.parent if odometry else "")
-        self._base_frame = base_frame.removeprefix("/") or (odometry.frame if odometry else "")
+        body = next((name for name in BODIES if name in known), "")
+        self._base_frame = base_frame.removeprefix("/") or (odometry.frame if odometry else body)
         self._source_frame = source_frame
-        #: The robot's frame, by the frame of the sensor.
-        self._bases: dict[str, str] = {}
+        self._bases: dict[str, None] = {}
 
     def at(self, item: Scan | Cloud) -> Posed:
         """Return the poses at the stamp of a message.
@@ -92,25 +91,13 @@ class Poses:
         frame, stamp_ns = (self._source_frame or item.frame).removeprefix("/"), item.stamp_ns
         if stamp_ns == 0:
             raise TransformError("its stamp is 0, so the robot's pose is unknown")
-        if frame not in self._bases:
-            self._bases[frame] = self._base_frame or self._find_base(frame)
-        base, lookup = self._bases[frame], self._transforms.lookup
+        base, lookup = self._base_frame or frame, self._transforms.lookup
+        self._bases[base] = None
         robot = lookup(self.pose_frame, base, stamp_ns)
         return Posed(self.pose_frame, base, frame, robot, lambda: robot.compose(lookup(base, frame, stamp_ns)))
 
-    def _find_base(self, frame: str) -> str:
-        frames = self._transforms.frames
-        if usual := [name for name in BODIES if name in frames]:
-            return usual[0]
-        for _ in frames:
-            history = self._transforms.history(frame)
-            if history is None or not history.static or frames[history.parent_at(None)] == self.pose_frame:
-                break
-            frame = frames[history.parent_at(None)]
-        return frame
-
     def doubts(self) -> Iterator[str]:
         """Yield what may be wrong with the poses that were read."""
-        for base in dict.fromkeys(self._bases.values()):
+        for base in self._bases:
             if doubt := odometry_of(self._transforms, self.pose_frame, base).doubt:
                 yield doubt

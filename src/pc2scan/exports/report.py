@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
 from pc2scan.errors import visible
-from pc2scan.result import MAX_LISTED, SHOWN, Part, Remark, Result, Skipped, listed
+from pc2scan.result import MAX_LISTED, Part, Remark, Result, Skipped, skipped_remarks
 from pc2scan.tables import Table
 from pc2scan.text import count, counted
 
@@ -55,10 +54,8 @@ class ExportReport(Result):
         The name of its format.
     topics
         The result of each topic.
-    skipped
-        The first hundred messages that were skipped.
-    skipped_reasons
-        How many were skipped for which reason.
+    skipped, skipped_count
+        The first hundred messages that were skipped, and how many were.
     notes
         Values that were measured, or chosen by default.
     warnings
@@ -68,18 +65,14 @@ class ExportReport(Result):
     """
 
     kind: ClassVar[str] = "export"
-    json_names: ClassVar[tuple[str, ...]] = (
-        *("sources", "destination", "format", "topics", "skipped", "skipped_count", "skipped_reasons"),
-    )
+    json_names: ClassVar[tuple[str, ...]] = ("sources", "destination", "format", "topics", "skipped", "skipped_count")
 
     sources: list[str]
     destination: str
     format: str
     topics: list[ExportedTopic] = field(default_factory=list)
     skipped: list[Skipped] = field(default_factory=list)
-    skipped_reasons: Counter[str] = field(default_factory=Counter)
-    #: The first message that was skipped for each reason.
-    _examples: dict[str, Skipped] = field(default_factory=dict)
+    skipped_count: int = 0
     notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     damage: tuple[Damage, ...] = ()
@@ -90,19 +83,13 @@ class ExportReport(Result):
         return sum(topic.written for topic in self.topics)
 
     @property
-    def skipped_count(self) -> int:
-        """How many messages were skipped."""
-        return sum(self.skipped_reasons.values())
-
-    @property
     def exit_status(self) -> int:
         """The command's exit status: 3 if messages were skipped or a source is damaged, else 0."""
-        return 3 if self.skipped_reasons or self.damage else 0
+        return 3 if self.skipped_count or self.damage else 0
 
-    def skip(self, entry: Skipped, reason: str) -> None:
-        """Count a message that is not written; ``reason`` groups it with others."""
-        self.skipped_reasons[reason] += 1
-        self._examples.setdefault(reason, entry)
+    def skip(self, entry: Skipped) -> None:
+        """Count a message that is not written."""
+        self.skipped_count += 1
         if len(self.skipped) < MAX_LISTED:
             self.skipped.append(entry)
 
@@ -116,17 +103,8 @@ class ExportReport(Result):
 
     def remarks(self, *, verbose: bool = False) -> Iterator[Remark]:
         """Yield why messages were skipped, damage and warnings."""
-        reasons = [self.explained(*each) for each in self.skipped_reasons.most_common()]
-        yield from listed("skipped", reasons, None if verbose else SHOWN)
-        if hint := next((entry.hint for entry in self.skipped if entry.hint), ""):
-            yield Remark("hint", hint)
+        yield from skipped_remarks(self.skipped, self.skipped_count, verbose=verbose)
         yield from self.usual_remarks(verbose=verbose)
-
-    def explained(self, reason: str, number: int) -> str:
-        """Return why messages were skipped, with the first of them."""
-        example = self._examples.get(reason)
-        first = "" if example is None or example.reason == reason else f"; {example}"
-        return f"{counted(number, 'message')}: {reason}{first}"
 
     def __repr__(self) -> str:
         return f"<ExportReport: {counted(self.messages, 'message')} as {self.format} in {visible(self.destination)}>"

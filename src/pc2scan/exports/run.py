@@ -210,25 +210,23 @@ def _check_request(file_format: ExportFormat, options: ConvertOptions, form: Exp
     """Raise if an option has no effect on an export, or if one is missing."""
     scan, frames = options.scan, options.frames
     posed = form.pose_frame or frames.odometry
-    convert = "to convert clouds, give parameters: `preset`, `params_file`, or any of them by name, `min_height=-0.3`"
+    message = hint = ""
     if file_format.needs_poses and not posed:
+        message = f"{file_format.name} needs poses"
         hint = "`pose_frame=odom` reads them from tf, `odom_topic=/odom` from odometry"
-        raise UsageError(f"{file_format.name} needs poses", hint=hint)
-    if scan.reverse or (file_format.clouds and form.converting):
-        content = "clouds, but parameters of the projection make scans of them"
-        raise UsageError(f"{file_format.name} is a format of {content if file_format.clouds else 'scans'}")
-    if form.converting:
+    elif scan.reverse or (file_format.clouds and form.converting):
+        content = "clouds, but parameters of the projection make scans of them" if file_format.clouds else "scans"
+        message = f"{file_format.name} is a format of {content}"
+    elif form.converting:
         return
-    if scan.filters or scan.remove or scan.deskew or scan.level or any(topic.target for topic in scan.topics):
-        raise UsageError(
-            "filters, `deskew`, `level`, `remove` and new names of topics have no effect: no clouds are converted",
-            hint=convert,
-        )
-    if not posed and (frames.static or frames.tf_from or frames.tf_topics or frames.source_frame):
-        raise UsageError(
-            "transforms have no effect: neither poses nor scans of clouds are requested",
-            hint="`pose_frame=odom` writes poses",
-        )
+    elif scan.filters or scan.remove or scan.deskew or scan.level or any(topic.target for topic in scan.topics):
+        message = "filters, `deskew`, `level`, `remove` and new names of topics have no effect: no clouds are converted"
+        hint = "to convert clouds, give parameters: `preset`, `params_file`, or any of them, `min_height=-0.3`"
+    elif not posed and (frames.static or frames.tf_from or frames.tf_topics or frames.source_frame):
+        message = "transforms have no effect: neither poses nor scans of clouds are requested"
+        hint = "`pose_frame=odom` writes poses"
+    if message:
+        raise UsageError(message, hint=hint or None)
 
 
 def _names(topics: Sequence[str], destination: Path, file_format: ExportFormat, *, in_folder: bool) -> dict[str, str]:
@@ -237,11 +235,9 @@ def _names(topics: Sequence[str], destination: Path, file_format: ExportFormat, 
         return {topics[0]: ""}
     suffix = "" if file_format.clouds else file_format.suffix
     if suffix and not in_folder and destination.suffix.lower() == suffix:
-        raise DestinationError(
-            f"{len(topics)} topics make {len(topics)} files: {name_list(list(topics), 5)}",
-            path=destination,
-            hint=f"name a folder: `destination={destination.with_suffix('')}/`; or choose: `topics={topics[0]}`",
-        )
+        text = f"{len(topics)} topics make {len(topics)} files: {name_list(list(topics), 5)}"
+        hint = f"name a folder: `destination={destination.with_suffix('')}/`; or choose: `topics={topics[0]}`"
+        raise DestinationError(text, path=destination, hint=hint)
     return {topic: f"{name}{suffix}" for topic, name in file_names(topics).items()}
 
 
@@ -265,31 +261,29 @@ def _write(
                 writers[item.topic](item, posed)
             except MessageError as err:
                 err.topic, err.stamp_ns = item.topic, item.stamp_ns
-                reason = err.message
                 if poses is not None and isinstance(err, TransformError):
                     # Poses are never extrapolated, so the hint of a conversion does not apply.
                     err.hint = "`pc2scan tf` shows the frames of a recording and their times"
-                    reason = f"no pose in {poses.pose_frame} at the stamp"
                 if stream.strict:
                     raise
                 entry.skipped += 1
-                report.skip(Skipped(item.topic, item.log_time_ns, item.stamp_ns, err.message, err.hint or ""), reason)
+                reason = getattr(err, "reason", "") or err.message
+                report.skip(Skipped(item.topic, item.log_time_ns, item.stamp_ns, reason, err.hint or ""))
             else:
                 entry.written += 1
                 if posed is not None:
                     entry.pose_frame = posed.pose_frame
                     entry.base_frame = posed.sensor_frame if file_format.clouds else posed.base_frame
     for skipped in stream.skipped:
-        report.skip(skipped, skipped.reason)
-    if further := stream.skipped_count - len(stream.skipped):
-        report.skipped_reasons["other messages that cannot be read"] += further
+        report.skip(skipped)
+    report.skipped_count += stream.skipped_count - len(stream.skipped)
     if not report.messages:
         what = "cloud" if file_format.clouds else "scan"
         if not report.skipped:
             raise ResultError(f"no {what} to write: the topic has no messages", topic=stream.topics[0])
-        reason = report.explained(*report.skipped_reasons.most_common(1)[0])
-        hint = next((skipped.hint for skipped in report.skipped if skipped.hint), None)
-        raise ResultError(f"no {what} can be written; of {report.skipped_count:,}, {reason}", hint=hint)
+        first = report.skipped[0]
+        text = f"no {what} can be written; {report.skipped_count:,} are skipped, the first: {first}"
+        raise ResultError(text, hint=first.hint or None)
     for entry in report.topics:
         if not entry.written:
             entry.path = None

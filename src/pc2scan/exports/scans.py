@@ -5,7 +5,6 @@ Each yields a function that writes one scan, and completes the file when its blo
 
 from __future__ import annotations
 
-import math
 import shutil
 import zipfile
 from contextlib import ExitStack, contextmanager
@@ -58,18 +57,16 @@ def _has_intensities(scan: Scan) -> bool:
 
 def _refuse_other_beams(scan: Scan, first: Scan, what: str, *, angles: bool) -> None:
     """Raise if a scan has other beams than the first, or if only one of the two has intensities."""
-
-    def layout(scan: Scan) -> str:
-        text = f"{len(scan.ranges)} beams {'with' if _has_intensities(scan) else 'without'} intensities"
-        return text + (f" from {scan.angle_min:.9g} rad on, {scan.angle_increment:.9g} rad apart" if angles else "")
-
-    if layout(scan) != layout(first):
-        raise UsageError(
-            f"{what} needs scans with the same beams, but the scan at {stamp_text(scan.stamp_ns)} has {layout(scan)}, "
-            f"and the first {layout(first)}",
-            topic=scan.topic,
-            hint="`pc2scan convert` with `rebin` gives all scans the same beams; `start` and `end` export a part",
-        )
+    layouts = []
+    for each in (scan, first):
+        text = f"{len(each.ranges)} beams {'with' if _has_intensities(each) else 'without'} intensities"
+        angle = f" from {each.angle_min:.9g} rad on, {each.angle_increment:.9g} rad apart" if angles else ""
+        layouts.append(text + angle)
+    if layouts[0] != layouts[1]:
+        stamp = stamp_text(scan.stamp_ns)
+        text = f"{what} needs scans with the same beams, but the scan at {stamp} has {layouts[0]}, and the first"
+        hint = "`pc2scan convert` with `rebin` gives all scans the same beams; `start` and `end` export a part"
+        raise UsageError(f"{text} {layouts[1]}", topic=scan.topic, hint=hint)
 
 
 @contextmanager
@@ -160,72 +157,8 @@ def write_tum(path: Path) -> Iterator[Write]:
             nonlocal last_ns
             assert posed is not None
             if last_ns is not None and scan.stamp_ns <= last_ns:
-                raise UnwritableError(
-                    f"its stamp is not later than the one before, {stamp_text(last_ns)}, but stamps have to ascend"
-                )
+                raise UnwritableError(f"its stamp is not later than the one before, {stamp_text(last_ns)}")
             last_ns = scan.stamp_ns
             file.write(" ".join((stamp_text(scan.stamp_ns), *map(repr, posed.robot.pose))) + "\n")
 
         yield write
-
-
-# Sources of CARMEN's rules: "Logger and Playback" of its manual (carmen.sourceforge.net/logger_playback.html), and
-# MRPT's carmen_log_parse_line.
-
-
-@contextmanager
-def write_carmen(path: Path) -> Iterator[Write]:
-    """Write a line for each scan: ROBOTLASER1, with the poses of the laser and the robot."""
-    first_ns: int | None = None
-    with lines_file(path) as file:
-
-        def write(scan: Scan, posed: Posed | None) -> None:
-            nonlocal first_ns
-            assert posed is not None
-            if not (math.isfinite(scan.angle_min) and math.isfinite(scan.angle_increment)):
-                raise UnwritableError(
-                    f"its angles are not finite: angle_min {scan.angle_min}, angle_increment {scan.angle_increment}"
-                )
-            laser = posed.sensor()
-            if laser.matrix[2, 2] <= 0:
-                raise UsageError(
-                    f"the laser {scan.frame!r} is upside down in {posed.pose_frame!r}, but x, y and yaw cannot say so",
-                    topic=scan.topic,
-                    hint="scans that are made of clouds may be in any frame: `target_frame=base_link`",
-                )
-            text = _robotlaser(scan)
-            poses = " ".join(map(repr, (*_planar(laser), *_planar(posed.robot))))
-            if first_ns is None:
-                first_ns = scan.stamp_ns
-                file.write("# CARMEN Logfile\n# file format is one message per line\n")
-                file.write("# message_name [message contents] ipc_timestamp ipc_hostname logger_timestamp\n")
-            times = f"{stamp_text(scan.stamp_ns)} pc2scan {stamp_text(scan.stamp_ns - first_ns)}"
-            # laser_tv, laser_rv, forward_safety_dist, side_safety_dist and turn_axis are of CARMEN's own robot.
-            file.write(f"{text} {poses} 0 0 0 0 0 {times}\n")
-
-        yield write
-
-
-def _robotlaser(scan: Scan) -> str:
-    if not math.isfinite(scan.range_max):
-        raise UsageError(
-            "range_max is infinite, but the format writes beams without a return as the maximum range",
-            topic=scan.topic,
-            stamp_ns=scan.stamp_ns,
-            hint="for scans that are made of clouds, `range_max=30` sets it",
-        )
-    start, step, order = _counterclockwise(scan)
-    readings = _texts(np.where(scan.valid, scan.ranges, np.float32(scan.range_max))[order])
-    remissions = _texts(scan.intensities[order]) if _has_intensities(scan) else []
-    sweep = (len(readings) - 1) * step if readings else 0
-    # laser_type 99: no laser that CARMEN has a number for. 0.01: accuracy. The last one is the remission_mode.
-    numbers = ("99", *_texts([start, sweep, step, scan.range_max]), "0.01", str(int(bool(remissions))))
-    return " ".join(("ROBOTLASER1", *numbers, str(len(readings)), *readings, str(len(remissions)), *remissions))
-
-
-def _counterclockwise(scan: Scan) -> tuple[float, float, slice]:
-    """Return the first angle, the step, and the order of the beams, as CARMEN counts them."""
-    step = scan.angle_increment
-    if step >= 0:
-        return scan.angle_min, step, slice(None)
-    return scan.angle_min + (len(scan.ranges) - 1) * step, -step, slice(None, None, -1)

@@ -36,7 +36,7 @@ class ExportFormat(TypedDict, total=False):
 
     format: Annotated[
         FileFormat | None,
-        "For scans: npz (NumPy arrays), csv (one row per scan), carmen (ROBOTLASER1, .log). "
+        "For scans: npz (NumPy arrays), csv (one row per scan). "
         "For the trajectory only: tum. For clouds, in a folder: pcd, kitti.",
         How(default_text="by OUT's suffix", short="-f"),
     ]
@@ -60,7 +60,7 @@ class Poses(TypedDict, total=False):
     base_frame: Annotated[
         Frame,
         "The robot's frame, whose pose is written.",
-        How(default_text="base_link, base_footprint, or the frame that the sensor is mounted on"),
+        How(default_text="base_link, base_footprint, or that of the sensor"),
     ]
 
 

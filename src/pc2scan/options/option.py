@@ -41,7 +41,7 @@ Reduce: TypeAlias = Literal[
 ]
 Storage: TypeAlias = Literal["mcap", "sqlite3"]
 Compression: TypeAlias = Literal["none", "lz4", "zstd", "bz2"]
-FileFormat: TypeAlias = Literal["npz", "csv", "tum", "carmen", "pcd", "kitti"]
+FileFormat: TypeAlias = Literal["npz", "csv", "tum", "pcd", "kitti"]
 
 # Types that several options have, with how their values are read.
 Metres: TypeAlias = Annotated[Quantity, number("m")]

@@ -19,13 +19,13 @@ from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.other_clouds import without
 from pc2scan.model import copied_message
 from pc2scan.progress import Meter
+from pc2scan.requests import frames_of
 from pc2scan.result import Part, Result
 from pc2scan.text import counted
-from pc2scan.transforms.placing import FrameOptions
 from pc2scan.transforms.reading import tf_connections
 from pc2scan.transforms.robot_model import NO_MODEL
 
-from .scan_frames import Arrivals, ScanFrames, mounting_findings
+from .scan_frames import Arrivals, ScanFrames
 from .scan_topic import Finding, ScanTopic
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection
+    from pc2scan.options.call import Options
     from pc2scan.progress import Progress
 
     from .scan_topic import TopicCheck
@@ -136,71 +137,38 @@ class Check(Result):
         return f"<Check of {', '.join(map(repr, self.sources))}: {self._conclusion()}>"
 
 
-def check(
-    sources: Sequence[Path],
-    *,
-    consumers: Iterable[str] = (),
-    topics: Iterable[str] = (),
-    odom_frame: str = "odom",
-    base_frame: str = "",
-    echo: str = "first",
-    frames: FrameOptions | None = None,
-    progress: Progress | None = None,
-) -> Check:
-    """Check what consumers would do with the scans of a recording.
+def check(sources: Sequence[Path], options: Options, progress: Progress | None = None) -> Check:
+    """Check what consumers would do with the scans of a recording; see `pc2scan.check`.
 
     Parameters
     ----------
     sources
         Recordings; several are read as one.
-    consumers
-        The consumers that count, of `pc2scan.core.consumers.CONSUMERS`; empty means all, and then defects count, too.
-        All are reported in any case.
-    topics
-        Topics of scans to check; empty means all.
-    odom_frame, base_frame
-        The frames that scans must be connected with; an empty ``base_frame`` means ``base_link``, or
-        ``base_footprint`` if the former does not exist.
-    echo
-        Which echo of each beam is checked, if there are several: ``first``, ``last`` or ``strongest``.
-    frames
-        The source of transforms; None: the recording's ``/tf`` and ``/tf_static``.
+    options
+        The options of the call.
     progress
         Called regularly; see `pc2scan.progress.Progress`. The messages are scans.
-
-    Raises
-    ------
-    UsageError
-        If there is no such topic, or several namespaces have transforms and none was given.
-    RecordingError
-        If a source cannot be read.
 
     Notes
     -----
     The scans are read once, and are not held in memory; the transforms are read before them.
     """
-    consumer_names = tuple(dict.fromkeys(consumers))
-    options = frames or FrameOptions()
+    frames = frames_of(options)
     with ExitStack() as stack:
         readers = open_recordings(sources, stack)
         reader = as_one(readers)
         try:
-            chosen = scan_connections(reader, topics)
+            chosen = scan_connections(reader, options.topics)
         except TopicError as err:
             mention(reader.damage, err)
             raise
-        others = open_recordings(options.tf_from, stack)
+        others = open_recordings(frames.tf_from, stack)
         # Consumers know no transforms but those of the recording, and what the user adds.
-        known = options if options.model else replace(options, model=NO_MODEL)
+        known = frames if frames.model else replace(frames, model=NO_MODEL)
         survey = Survey(reader, others, known, Span(None, None, 0))
-        clouds = survey.topics(
-            each for each in reader.connections if each.ros_type in CLOUDS and each.ros_version
-        ).values()
-        for facts in clouds:
-            facts.ask_samples(moved=True)
         wanted = [each for group in chosen.values() for each in group]
         clocks = Clocks(survey, survey.topics(wanted).values())
-        reading = survey.ask_transforms((odom_frame, base_frame), use=False)
+        reading = survey.ask_transforms((options.odom_frame, options.base_frame), use=False)
         arrivals = Arrivals()
         moving = [each for each in tf_connections(reader.connections, known.tf_topics) if not each.is_static]
         survey.observers.append(Observer(moving, copied_message, keep=arrivals.add))
@@ -209,32 +177,29 @@ def check(
         survey.read(meter)
         transforms = reading.finish()
         wrong = {name: clock for name, clock in clocks.findings().items() if clock.other}
-        read = {
-            name: (ScanTopic(), ScanFrames(transforms.buffer, odom_frame, base_frame, wrong.get(name), arrivals))
+        places = {
+            name: ScanFrames(transforms.buffer, options.odom_frame, options.base_frame, wrong.get(name), arrivals)
             for name in chosen
         }
+        scans = {name: ScanTopic() for name in chosen}
         meter.expect(reader.stored_bytes(wanted))
         for message in reader.messages(wanted, meter=meter):
             meter.messages += 1
-            scans, places = read[message.connection.topic]
-            scans.read(message, echo, places.add)
+            topic = message.connection.topic
+            scans[topic].read(message, options.echo, places[topic].add)
         meter.finish()
         shared = [Finding("static-unheard", "defect", *each) for each in unheard(reader.connections)]
-        frames_of_scans = dict.fromkeys(frame for scans, _ in read.values() for frame in scans.frames)
-        tilted = mounting_findings(clouds, transforms.buffer, frames_of_scans)
         checked = []
-        for name, (scans, places) in read.items():
-            own = [tilted[frame] for frame in scans.frames if frame in tilted]
-            findings = [*scans.findings(), *(places.findings(scans.interval_ns) if scans.scans else ())]
+        for name, own in scans.items():
+            findings = [*own.findings(), *(places[name].findings(own.interval_ns) if own.scans else ())]
             if any(each.kind == "clock" for each in findings):
                 # This says more than that the stamps are far from the log times.
                 findings = [each for each in findings if each.kind != "stamps-far"]
             findings.sort(key=lambda finding: finding.level)
-            checked.append(scans.result(name, scans.interval_ns, [*own, *shared, *findings]))
+            checked.append(own.result(name, own.interval_ns, [*shared, *findings]))
         damage = tuple(place for each in (reader, *others) for place in each.damage)
-    return Check(
-        tuple(map(str, sources)), consumer_names, tuple(checked), (*transforms.warnings, *transforms.notes), damage
-    )
+    warnings = (*transforms.warnings, *transforms.notes)
+    return Check(tuple(map(str, sources)), options.consumers, tuple(checked), warnings, damage)
 
 
 def scan_connections(reader: Reader, topics: Iterable[str]) -> dict[str, list[Connection]]:

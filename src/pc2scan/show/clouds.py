@@ -3,36 +3,34 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields, replace
+from dataclasses import fields
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.presets import PRESETS
-from pc2scan.errors import TransformError
+from pc2scan.errors import TransformError, stamp_text
+from pc2scan.messages.clouds import CLOUDS
 from pc2scan.options.call import call_words
-from pc2scan.options.table import PARAMETERS, output_options, spelling_of
+from pc2scan.options.table import PARAMETERS
 from pc2scan.result import Call
 
-from .html import compress, decompress, description_of
+from .html import compressed
+from .shots import take_shots
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
-    from pc2scan.core.rigid import Rigid
-    from pc2scan.options.moment import TimeBound
+    from pc2scan.options.call import Options
     from pc2scan.request.options import ConvertOptions
     from pc2scan.transforms.buffer import TransformBuffer
 
-    from .shots import Shot, Shots
+    from .recording import ShownRecording
+    from .shots import Shot
 
-#: Maximum size of all compressed clouds of a page, in bytes. As text in the page they take a third more.
-MOST_BYTES = 10_500_000
-
-#: The names of the blobs of a cloud, by the keys of its description.
-_BLOBS = {"data": "cloud", "filtered": "filtered"}
+#: How many points a page has, in all clouds together: some 10 MB, and as text in the page a third more.
+_MOST_POINTS = 1_500_000
 
 #: Maximum number of frames that are shown.
 _MOST_FRAMES = 60
@@ -41,56 +39,20 @@ _MOST_FRAMES = 60
 _NOT_SHOWN = {"target_frame", "transform_tolerance", "scan_time", "queue_size", "time_increment"}
 _SHOWN = tuple(spec.name for spec in fields(ProjectionParams) if spec.name not in _NOT_SHOWN)
 
-
-class Packing:
-    """Compresses clouds as they come. If they are too large for a page, only some of their points are kept.
-
-    Attributes
-    ----------
-    step
-        Of how many points one is kept.
-    blobs
-        The compressed clouds, and which of their points are filtered, by name.
-    """
-
-    def __init__(self) -> None:
-        self.step = 1
-        self.blobs: dict[str, bytes] = {}
-        self._descriptions: dict[str, dict[str, Any]] = {}
-        self._totals: list[int] = []
-
-    def add(self, shot: Shot) -> Shot:
-        """Compress the points of a cloud, and return it without them."""
-        number = len(self._totals)
-        self._totals.append(len(shot.columns["x"]))
-        self._put(f"cloud-{number}", shot.columns, self.step)
-        if shot.filtered is not None:
-            self._put(f"filtered-{number}", {"filtered": shot.filtered}, self.step)
-        while sum(map(len, self.blobs.values())) > MOST_BYTES and self.step < max(self._totals):
-            self.step *= 2
-            for name, data in self.blobs.items():
-                self._put(name, decompress(data, self._descriptions[name]), 2)
-        return replace(shot, columns={}, filtered=None)
-
-    def _put(self, name: str, columns: Mapping[str, NDArray[Any]], step: int) -> None:
-        thinned = {field: column[::step] for field, column in columns.items()}
-        self.blobs[name] = compress(thinned)
-        self._descriptions[name] = description_of(name, thinned)
-
-    def described(self, number: int) -> dict[str, Any]:
-        """Return what the page knows of the points of a cloud."""
-        descriptions = {key: self._descriptions.get(f"{name}-{number}") for key, name in _BLOBS.items()}
-        return {**descriptions, "total": self._totals[number]}
+#: Options of the call that the page's command does not have as they are: those of pages, objects, and where parameters
+#: come from, which the page adds one by one.
+_OF_PAGES = {
+    *("clouds", "at", "overwrite", "filters", "static_tf", "start", "end", "remap", *PARAMETERS),
+    *("preset", "params", "params_file", "node", "launch_args", "param"),
+}
 
 
 def clouds_page(
     sources: Sequence[Path],
-    taken: Shots,
-    packed: Packing,
+    recording: ShownRecording,
+    asked: Options,
     options: ConvertOptions,
     heights: Mapping[str, Mapping[str, float]],
-    *,
-    preset: str,
 ) -> tuple[dict[str, Any], dict[str, bytes]]:
     """Describe a page of clouds.
 
@@ -98,49 +60,48 @@ def clouds_page(
     ----------
     sources
         The recordings as they were given, for the command that the page shows.
-    taken
-        The clouds, without their points.
-    packed
-        The points.
+    recording
+        The recording.
+    asked
+        The options of the call.
     options
         The options of the conversion.
     heights
         Those that are proposed for each topic; empty for none.
-    preset
-        The preset that the parameters come from; empty for none.
 
     Returns
     -------
     description, blobs
         As `pc2scan.show.html.html` takes them.
     """
-    notes = list(taken.notes)
-    if heights:
-        params = options.scan.params
-        where = f"in frame {params.target_frame!r}" if params.target_frame else "in the frame of the clouds"
-        text = f"{params.min_height:g} to {params.max_height:g} m {where}"
-        notes = [f"The page opens with the heights that pc2scan info proposes: {text}.", *notes]
-    if options.scan.deskew:
-        notes.append("Clouds are deskewed, as if all points had been measured at the scan's time.")
-    if options.scan.level:
-        notes.append("Clouds are shown as recorded; only a conversion makes scans level.")
-    if packed.step > 1:
-        notes.append(f"To keep this page small, only 1 of {packed.step} points is shown and projected.")
-    if options.scan.filters:
-        notes.append("Filters were applied when this page was made: no slider changes which points they reject.")
-    if options.scan.remove:
-        notes.append("Beams that `remove` removes from the scans are still shown here.")
+    scan, preset = options.scan, asked.preset or ""
     topics: dict[str, list[dict[str, Any]]] = {}
-    for number, shot in enumerate(taken.shots):
-        entry = _shot_as_dict(shot, taken.transforms) | packed.described(number)
-        topics.setdefault(shot.topic, []).append(entry)
-    base = ProjectionParams(**PRESETS[preset]) if preset else ProjectionParams()  # type: ignore[arg-type]
-    description = {
+    blobs: dict[str, bytes] = {}
+    count = max(1, len({each.topic for each in recording.reader.connections if each.ros_type in CLOUDS}))
+    most = _MOST_POINTS // (count * (len(recording.at_ns) or asked.clouds))
+    taken = take_shots(recording, options, asked.clouds, level=False, keep=partial(_packed, blobs, max(1, most)))
+    for shot in taken.shots:
+        topics.setdefault(shot.topic, []).append(_shot_as_dict(shot, taken.transforms))
+    notes = {
+        "Clouds are deskewed, as if all points had been measured at the scan's time.": scan.deskew,
+        "Clouds are shown as recorded; only a conversion makes scans level.": scan.level,
+        f"To keep this page small, at most {most:,} points of a cloud are shown and projected.": any(
+            shot.page["total"] > shot.page["data"]["length"] for shot in taken.shots
+        ),
+        "Filters were applied when this page was made: no slider changes which points they reject.": scan.filters,
+        "Beams that `remove` removes from the scans are still shown here.": scan.remove,
+    }
+    told = [*taken.notes, *(text for text, applies in notes.items() if applies)]
+    if heights:
+        where = f"in frame {scan.params.target_frame!r}" if scan.params.target_frame else "in the frame of the clouds"
+        low, high = scan.params.min_height, scan.params.max_height
+        told.insert(0, f"The page opens with the heights that pc2scan info proposes: {low:g} to {high:g} m {where}.")
+    return {
         "kind": "clouds",
-        "notes": notes,
+        "notes": told,
         "warnings": taken.warnings,
         "params": _shown(taken.params),
-        "base": _shown(base),
+        "base": _shown(ProjectionParams(**PRESETS[preset]) if preset else ProjectionParams()),  # type: ignore[arg-type]
         "defaults": _shown(ProjectionParams()),
         "presets": {name: {k: v for k, v in values.items() if k in _SHOWN} for name, values in PRESETS.items()},
         "preset": preset,
@@ -148,13 +109,12 @@ def clouds_page(
             name: {"help": PARAMETERS[name].help.replace("`", ""), "choices": _choices(PARAMETERS[name].value.words)}
             for name in _SHOWN
         },
-        "command": call_words(_conversion(sources, options)),
-        "targetFrame": options.scan.params.target_frame,
+        "command": call_words(Call("convert", tuple(map(str, sources)), _command_options(asked, options))),
+        "targetFrame": scan.params.target_frame,
         "topics": [
             {"topic": topic, "heights": heights.get(topic, {}), "clouds": clouds} for topic, clouds in topics.items()
         ],
-    }
-    return description, packed.blobs
+    }, blobs
 
 
 def _choices(words: Sequence[str]) -> list[str]:
@@ -162,44 +122,33 @@ def _choices(words: Sequence[str]) -> list[str]:
     return [word.replace("N", number) for word in words for number in ("23" if word == "kth=N" else "N")]
 
 
-def _conversion(sources: Sequence[Path], options: ConvertOptions) -> Call:
-    """Return the call that converts the same points of the same topics in the same frames.
+def _command_options(asked: Options, options: ConvertOptions) -> dict[str, Any]:
+    """Return the options that convert the same points of the same topics in the same frames.
 
-    Parameters of the projection are not included, because the page adds them. Filters without an option are not
-    included.
+    Parameters of the projection are not included, because the page adds them.
     """
-    scan, frames = options.scan, options.frames
-    given: dict[str, Any] = {
-        "destination": "scans.mcap",
-        "topics": tuple(
-            each.source if each.target is None else f"{each.source}:={each.target}" for each in scan.topics
-        ),
-        "tf_topics": frames.tf_topics,
-        "tf_from": frames.tf_from,
-        "static_tf": tuple(
-            f"{each.parent} {each.child} {' '.join(map(repr, each.parent_from_child.pose))}" for each in frames.static
-        ),
-        "source_frame": frames.source_frame,
-        "cloud_scale": options.cloud_scale if options.cloud_scale != 1 else None,
-        "remove": scan.remove,
-    }
-    for name, option in output_options().items():
-        value = getattr(scan, name, option.default)
-        if not option.value.repeats and value != option.default:
-            given[name] = value
-    given |= {name: _time_text(getattr(options, name)) for name in ("start", "end")}
-    for chosen in scan.filters:
-        text = getattr(chosen, "text", None)
-        if text is not None and spelling_of(chosen.name):
-            given[chosen.name] = (*given.get(chosen.name, ()), text)
-    return Call("convert", tuple(map(str, sources)), {name: value for name, value in given.items() if value})
+    given = {name: value for name, value in asked.given.items() if name not in _OF_PAGES}
+    for name in ("start", "end"):
+        if (bound := getattr(asked, name)) is not None:
+            given[name] = f"{'@' if bound.absolute else ''}{stamp_text(bound.nanoseconds)}"
+    topics = tuple(each.source + (f":={each.target}" if each.target else "") for each in options.scan.topics)
+    static = tuple(
+        f"{each.parent} {each.child} {' '.join(map(repr, each.parent_from_child.pose))}"
+        for each in options.frames.static
+    )
+    given = {"destination": "scans.mcap", **given, "topics": topics, "static_tf": static}
+    return {name: value for name, value in given.items() if value}
 
 
-def _time_text(bound: TimeBound | None) -> str:
-    if bound is None:
-        return ""
-    seconds, rest = divmod(bound.nanoseconds, 1_000_000_000)
-    return f"{'@' if bound.absolute else ''}{seconds}.{rest:09d}"
+def _packed(blobs: dict[str, bytes], most: int, shot: Shot) -> Shot:
+    """Add the points of a cloud, at most so many, to a page; return the cloud with what the page knows of them."""
+    total = shot.columns["x"].size
+    step = -(-total // most) or 1
+    page: dict[str, Any] = {"total": total, "filtered": None}
+    page["data"] = compressed(blobs, {name: column[::step] for name, column in shot.columns.items()})
+    if shot.filtered is not None:
+        page["filtered"] = compressed(blobs, {"filtered": shot.filtered[::step]})
+    return shot._replace(columns={}, filtered=None, page=page)
 
 
 def _shown(params: ProjectionParams) -> dict[str, float | bool | str]:
@@ -212,6 +161,7 @@ def _shown(params: ProjectionParams) -> dict[str, float | bool | str]:
 
 def _shot_as_dict(shot: Shot, buffer: TransformBuffer | None) -> dict[str, Any]:
     frame_id, rigid, _ = shot.place
+    pose = (0.0,) * 6 if rigid is None else (*rigid.translation.tolist(), *rigid.rpy)
     return {
         "moment": shot.moment,
         "frame": shot.frame,
@@ -219,14 +169,10 @@ def _shot_as_dict(shot: Shot, buffer: TransformBuffer | None) -> dict[str, Any]:
         "transform": None
         if rigid is None
         else {"quaternion": rigid.quaternion.tolist(), "translation": rigid.translation.tolist()},
-        "mount": _mount(rigid),
+        "mount": dict(zip(("x", "y", "z", "roll", "pitch", "yaw"), pose, strict=True)),
         "frames": [] if buffer is None else list(_origins(buffer, frame_id, shot.stamp_ns)),
+        **shot.page,
     }
-
-
-def _mount(rigid: Rigid | None) -> dict[str, float]:
-    values = (0.0,) * 6 if rigid is None else (*rigid.translation.tolist(), *rigid.rpy)
-    return dict(zip(("x", "y", "z", "roll", "pitch", "yaw"), values, strict=True))
 
 
 def _origins(buffer: TransformBuffer, target: str, stamp_ns: int) -> Iterator[dict[str, Any]]:

@@ -63,12 +63,8 @@ _MAX_IMU = 1_000
 #: At how many times, spread over the recording, the motion of the robot is looked at.
 _MOMENTS = 8
 
-#: How many points of a topic are examined, in all clouds together; of larger clouds every second, third, ... point is
-#: used.
+#: How many points are examined, in all clouds together; of larger clouds every second, third, ... point is used.
 _MAX_POINTS = 2_000_000
-
-#: ... and of all topics together.
-_MAX_POINTS_HELD = 2_700_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,44 +254,22 @@ def info(sources: Sequence[Path], options: Options) -> Info:
         The options of the call.
     """
     with ExitStack() as stack:
-        return info_of(
-            open_recordings(sources, stack),
-            described=options.topics,
-            target_frame=options.target_frame,
-            frames=frames_of(options),
-            cloud_scale=options.cloud_scale,
-            given=options.among({*OF_FRAMES, "cloud_scale"}),
-        )
+        return info_of(open_recordings(sources, stack), options, frames_of(options))
 
 
-def info_of(
-    readers: Sequence[Reader],
-    *,
-    samples: int = 10,
-    described: Sequence[str] = (),
-    target_frame: str = "",
-    frames: FrameOptions | None = None,
-    cloud_scale: float = 1.0,
-    given: Mapping[str, Any] | None = None,
-) -> Info:
+def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, samples: int = 10) -> Info:
     """Inspect recordings that are open.
 
     Parameters
     ----------
     readers
         Several are read as one.
+    options
+        The options of `pc2scan.info`. The proposals have those about frames and the unit of clouds, too.
+    frames
+        The source of transforms.
     samples
         How many clouds and scans of each topic to read, spread evenly over its time.
-    described
-        Topics with clouds or scans to describe, as names or globs; empty for all.
-    target_frame
-        Frame that the clouds are transformed into first, as in a conversion; empty for their own.
-    frames
-        The source of transforms; None: the recording's ``/tf`` and ``/tf_static``.
-    cloud_scale
-        What the coordinates of clouds are multiplied by.
-    given
-        The options that gave ``frames`` and ``cloud_scale``: the proposals have them, too.
 
     Raises
     ------
@@ -306,70 +280,44 @@ def info_of(
     TopicError
         If there is no such topic.
     """
-    frame_options = frames or FrameOptions()
     with ExitStack() as stack:
-        reader = scaled(as_one(readers), cloud_scale)
+        reader = scaled(as_one(readers), options.cloud_scale)
         counts, start_ns, end_ns = _message_counts(reader)
         topics = _topic_infos(reader.connections, counts, start_ns, end_ns)
-        frame_options, given = _with_odometry(reader, counts, frame_options, given or {})
-        others = open_recordings(frame_options.tf_from, stack)
-        shown = _described(topics, described)
-        has_clouds = start_ns is not None and any(topic.msgtype in CLOUDS for topic in shown)
-        imus = [topic.topic for topic in topics if has_clouds and topic.msgtype == IMU and topic.messages]
-        names = {each.topic for each in shown}
-        connections = [each for each in reader.connections if each.topic in names]
-        survey = Survey(reader, others, frame_options, Span(None, None, start_ns or 0))
-        of_clouds, of_scans = _looks(survey, shown, samples, start_ns, end_ns)
-        places = Placer(target_frame, frame_options.source_frame, None, ProjectionParams().tolerance_ns)
-        reads_all = bool(target_frame or others or frame_options.adds_poses)
-        surveyed = _Surveyed(survey, connections, imus, end_ns, places, reads_all=reads_all)
-        mountings, rates = surveyed.mountings(), {topic.topic: topic.rate_hz for topic in shown}
-        clouds = tuple(look.described(surveyed.places, mountings.get(topic)) for topic, look in of_clouds.items())
-        scans = tuple(
-            each.result(
-                topic,
-                1e9 / rate if (rate := rates[topic]) else None,
-                (finding for finding in each.findings() if finding.kind == "undecodable"),
-            )
-            for topic, each in of_scans.items()
-        )
+        frames, given = _with_odometry(reader, counts, frames, options.among({*OF_FRAMES, "cloud_scale"}))
+        survey = Survey(reader, open_recordings(frames.tf_from, stack), frames, Span(None, None, start_ns or 0))
+        shown = _described(topics, options.topics)
+        looks, of_scans = _looks(survey, shown, samples, start_ns, end_ns)
+        surveyed = _Surveyed(survey, topics, shown, end_ns, options.target_frame)
         warnings = [*log_times_of_centuries(reader.summary), *surveyed.warnings]
-        is_known = any(topic.msgtype in {*CLOUDS, *SCANS} for topic in topics)
-        if not is_known and (instead := instead_of_clouds(reader.connections)):
+        clouds: list[CloudInfo] = []
+        lidars: list[Lidar] = []
+        for topic, look in looks.items():
+            mounting, is_own = surveyed.mounting(topic)
+            clouds.append(look.described(surveyed.places, mounting))
+            if clouds[-1].mounting is None or mounting is None:
+                continue
+            # Where the robot moves in the frame of these points, its own body is not at one place.
+            parts, times = look.parts if is_own else [], (start_ns or 0, end_ns if surveyed.knows_end else None)
+            seconds, has_zeros = ((end_ns or 0) - (start_ns or 0)) / 1e9, bool(clouds[-1].zero_share)
+            lidars.append(Lidar(surveyed.facts[topic], mounting, surveyed.buffer, parts, has_zeros, seconds, times))
+        if not any(topic.msgtype in {*CLOUDS, *SCANS} for topic in topics) and (
+            instead := instead_of_clouds(reader.connections)
+        ):
             warnings.append(f"the recording has no clouds, but {instead[0]}; {instead[1]}")
-        warnings += (each.mounting.warning for each in clouds if each.mounting and each.mounting.warning)
-        on_robot = {each.topic: surveyed.on_robot(each.mounting) for each in clouds if each.mounting is not None}
-        lidars = [
-            Lidar(
-                surveyed.facts[each.topic],
-                on_robot[each.topic],
-                surveyed.buffer,
-                # Where the robot moves in the frame of these points, its own body is not at one place.
-                of_clouds[each.topic].parts if on_robot[each.topic] is each.mounting else (),
-                bool(each.zero_share),
-                ((end_ns or 0) - (start_ns or 0)) / 1e9,
-                (start_ns or 0, end_ns if surveyed.knows_end else None),
-            )
-            for each in clouds
-            if each.mounting is not None
-        ]
-        warnings += (
-            f"{each.topic}: {each.mounting.heights.doubt}"
-            for each in lidars
-            if each.mounting.heights and each.mounting.heights.doubt
-        )
-        warnings += dict.fromkeys(
-            text for each in clouds for text in surveyed.moving_frames(surveyed.facts[each.topic])
-        )
+        warnings += (each.mounting.warning for each in lidars if each.mounting.warning)
+        heights = ((each.topic, each.mounting.heights) for each in lidars)
+        warnings += (f"{topic}: {own.doubt}" for topic, own in heights if own and own.doubt)
+        warnings += dict.fromkeys(text for each in clouds for text in surveyed.moving_frames(each.topic))
         warnings += (text for each in lidars for text in time_warnings(each.facts, PointTime()))
         warnings += (*missing_mounts(lidars), *odometry_doubts(lidars), *reader.remarks)
         # Landmarks and the like are no lidar's, if there is one.
         types = {topic.topic: [topic.msgtype] for topic in topics if topic.messages}
-        usual = set() if described else set(usual_topics(types, (*CLOUDS, *SCANS)))
+        usual = {each.topic for each in lidars} if options.topics else set(usual_topics(types, (*CLOUDS, *SCANS)))
         calls = proposals(
-            [each for each in lidars if described or each.topic in usual],
+            [each for each in lidars if each.topic in usual],
             [str(each.path) for each in readers],
-            given or {},
+            given,
             surveyed.ups,
             surveyed.clocks,
             lambda topic: str(default_destination(readers[0].path, readers[0].summary.container, _mark(topic))),
@@ -378,20 +326,19 @@ def info_of(
             names_topics=len({topic.topic for topic in topics if topic.msgtype in CLOUDS and topic.messages}) > 1,
             has_scans=any(topic.topic == "/scan" for topic in topics),
         )
+        periods = {topic.topic: 1e9 / topic.rate_hz if topic.rate_hz else None for topic in shown}
         return Info(
             tuple(FileInfo.of(each.path, each.summary) for each in readers),
             start_ns,
             end_ns,
             sum(counts.values()),
             tuple(topics),
-            clouds,
-            scans,
+            tuple(clouds),
+            tuple(each.result(topic, periods[topic]) for topic, each in of_scans.items()),
             tuple(calls),
             tuple(reader.damage),
             tuple(warnings),
-            ""
-            if frame_options.adds_poses or frame_options.tf_from
-            else _lacking([each for each in reader.connections if counts[each.id]]),
+            "" if frames.adds_poses or frames.tf_from else _lacking(reader, counts),
         )
 
 
@@ -410,14 +357,15 @@ def _with_odometry(
     return replace(frames, odometry=(PoseTopic.parse(topic),)), {**given, "odom_topic": topic}
 
 
-def _lacking(connections: Sequence[Connection]) -> str:
+def _lacking(reader: Reader, counts: Counter[int]) -> str:
     """Return what SLAM and navigation need that no messages give; empty if nothing is missing."""
-    given = {each.ros_type: each.topic for each in connections if not each.is_static}
+    recorded = [each for each in reader.connections if counts[each.id]]
+    given = {each.ros_type: each.topic for each in recorded if not each.is_static}
     if not given.keys().isdisjoint(TF_TYPES):
         return ""
     poses = next((topic for kind, topic in given.items() if kind in POSES), "")
     cure = f"`odom_topic={poses}`" if poses else "`trajectory`, `odom_topic` or `tf_from`"
-    if any(each.ros_type in TF_TYPES for each in connections):
+    if any(each.ros_type in TF_TYPES for each in recorded):
         return f"SLAM and navigation also need odometry on /tf, which the recording does not have: {cure} adds it"
     return (
         "SLAM and navigation also need odometry and the lidar's mount, and the recording has no transforms: "
@@ -432,16 +380,12 @@ class _Surveyed:
     ----------
     survey
         The survey, which is read here.
-    connections
-        Those to describe.
-    imus
-        The topics of the IMUs.
+    topics, shown
+        All topics, and those to describe.
     end_ns
         The end of the recording; None without messages.
-    places
-        The frames in which clouds are described, without transforms.
-    reads_all
-        Whether all transforms are read, not only those of the robot at some times.
+    target_frame
+        The frame in which clouds are described; empty for their own.
 
     Attributes
     ----------
@@ -464,14 +408,14 @@ class _Surveyed:
     def __init__(
         self,
         survey: Survey,
-        connections: Sequence[Connection],
-        imus: Sequence[str],
+        topics: Sequence[TopicInfo],
+        shown: Sequence[TopicInfo],
         end_ns: int | None,
-        places: Placer,
-        *,
-        reads_all: bool,
+        target_frame: str,
     ) -> None:
-        moved = bool(places.target_frame)
+        moved = bool(target_frame)
+        names = {topic.topic for topic in shown}
+        connections = [each for each in survey.reader.connections if each.topic in names]
         clouds = survey.topics(each for each in connections if each.ros_type in CLOUDS)
         flat = survey.topics(each for each in connections if each.ros_type in SCANS and each.topic not in clouds)
         self.facts: Mapping[str, TopicFacts] = {**clouds, **flat}
@@ -481,9 +425,10 @@ class _Surveyed:
         for facts in clouds.values():
             ask_facts(facts, end_ns)
         clocks = Clocks(survey, clouds.values())
+        imus = [each.topic for each in topics if clouds and each.msgtype == IMU and each.messages]
         readings = {topic: survey.imu(topic, _MAX_IMU) for topic in imus}
-        if reads_all:
-            survey.ask_transforms((places.target_frame,))
+        if moved or survey.others or survey.frames.adds_poses:
+            survey.ask_transforms((target_frame,))
         elif any(each.ros_type in CLOUDS for each in survey.reader.connections):
             survey.ask_robot(_moments(survey.span.first_ns, end_ns) if clouds else ())
         survey.read()
@@ -504,57 +449,47 @@ class _Surveyed:
         for topic, reading in readings.items():
             with suppress(UsageError):
                 self.ups[topic] = reading.up()
-        self.places = places._replace(buffer=self.buffer if moved else None)
+        tolerance_ns = ProjectionParams().tolerance_ns
+        buffer = self.buffer if moved else None
+        self.places = Placer(target_frame, survey.frames.source_frame, buffer, tolerance_ns)
 
-    def mountings(self) -> dict[str, Mounting | None]:
-        """Return how the clouds of each topic are mounted."""
-        moved = bool(self.places.target_frame)
-        mountings: dict[str, Mounting | None] = {}
-        for topic, facts in self.facts.items():
-            body = "" if moved else self.registered(facts.frame)
-            places = self.places._replace(target_frame=body, buffer=self.buffer) if body else self.places
-            mountings[topic] = facts.mounting(places, self.buffer, moved=moved)
-            if not moved and not body:
-                mountings[topic] = self._in_body(topic, mountings[topic])
-        return mountings
+    def mounting(self, topic: str) -> tuple[Mounting | None, bool]:
+        """Return how the clouds of a topic are mounted on the robot, and whether in the frame of their description.
 
-    def registered(self, frame: str) -> str:
-        """Return the robot's frame if clouds in a frame are registered in a world's; else nothing."""
-        if self.buffer is None or frame.removeprefix("/") not in WORLDS:
-            return ""
-        return next((name for name in BODIES if name in self.buffer.frames), "")
+        Clouds are judged in the given frame, unless the robot moves in it. Without one, clouds in a world's frame are
+        judged in the robot's, and others in their own, and in the robot's if its transform tilts them.
+        """
+        facts, target, buffer = self.facts[topic], self.places.target_frame, self.buffer
+        own = self._judged(facts, target)
+        if own is None or buffer is None:
+            return own, True
+        if target:
+            moving = find_body_motion(buffer, target, own.frame)
+            return (own, True) if moving is None else (self._judged(facts, moving.body) or own, False)
+        is_registered = facts.frame.removeprefix("/") in WORLDS
+        named = BODIES if is_registered or not own.target_frame else (own.target_frame, *BODIES)
+        body = next((name for name in named if name in buffer.frames), "")
+        if not body or body == own.frame.removeprefix("/"):
+            return own, True
+        if is_registered:
+            return self._judged(facts, body), True
+        on_robot = None if own.fault else self._judged(facts, body)
+        return (on_robot if on_robot is not None and on_robot.fault else own), True
 
-    def moving_frames(self, facts: TopicFacts) -> Iterator[str]:
+    def _judged(self, facts: TopicFacts, frame: str) -> Mounting | None:
+        places = self.places._replace(target_frame=frame, buffer=self.buffer) if frame else self.places
+        return facts.mounting(places, self.buffer, moved=bool(self.places.target_frame))
+
+    def moving_frames(self, topic: str) -> Iterator[str]:
         """Yield a warning for each frame that is given for clouds of a topic, and in which the robot moves."""
-        target, source, own = self.places.target_frame, self.places.source_frame.removeprefix("/"), facts.frame
+        target, own = self.places.target_frame, self.facts[topic].frame
+        source = self.places.source_frame.removeprefix("/")
         if self.buffer is None or not own:
             return
         if target and (moving := find_body_motion(self.buffer, target, source or own)) is not None:
             yield moving.of_target(target)
         if source and (moving := find_body_motion(self.buffer, source, own)) is not None:
-            yield f"{facts.topic}: {moving.of_source(source, own.removeprefix('/'))}"
-
-    def on_robot(self, own: Mounting) -> Mounting:
-        """Return how clouds are mounted on the robot, also if it moves in the frame that they are described in."""
-        target = self.places.target_frame
-        moving = find_body_motion(self.buffer, target, own.frame) if target and self.buffer is not None else None
-        if moving is None:
-            return own
-        body = self.places._replace(target_frame=moving.body)
-        return self.facts[own.topic].mounting(body, self.buffer, moved=True) or own
-
-    def _in_body(self, topic: str, own: Mounting | None) -> Mounting | None:
-        """Return how clouds that are level are mounted on the robot, if its transform tilts them."""
-        if own is None or own.fault or self.buffer is None:
-            return own
-        named = (own.target_frame, *BODIES) if own.target_frame else BODIES
-        body = next((name for name in named if name in self.buffer.frames), "")
-        if not body or body == own.frame.removeprefix("/"):
-            return own
-        mounting = self.facts[topic].mounting(
-            self.places._replace(target_frame=body, buffer=self.buffer), self.buffer, moved=False
-        )
-        return own if mounting is None or not mounting.fault else mounting
+            yield f"{topic}: {moving.of_source(source, own.removeprefix('/'))}"
 
 
 def _message_counts(reader: Reader) -> tuple[Counter[int], int | None, int | None]:
@@ -626,7 +561,7 @@ def _looks(
         return {}, {}
     # The points are in memory until all topics have been read: of as many messages as there are, not as were asked for.
     taken = min(samples, max(topic.messages for topic in topics))
-    most = min(_MAX_POINTS, _MAX_POINTS_HELD // (len(clouds) + len(scans))) // taken + 1
+    most = _MAX_POINTS // (len(clouds) + len(scans)) // taken + 1
     for topic in (*clouds, *scans):
         kinds = CLOUDS if topic in clouds else SCANS
         own = [each for each in survey.reader.connections if each.topic == topic and each.ros_type in kinds]

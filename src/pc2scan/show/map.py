@@ -18,7 +18,7 @@ import struct
 import zlib
 from collections import Counter
 from contextlib import closing, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
@@ -79,7 +79,7 @@ _COLOURS = bytes.fromhex("e2e7ec ffffff 17222e d1495b")
 _SIDE, _LARGEST_CELL = 1600, 12
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Map(Result):
     """A map of a recording by its recorded odometry. Notebooks show its picture.
 
@@ -190,18 +190,14 @@ class Map(Result):
     def contents(self, path: Path) -> list[bytes]:
         """Return the contents of the map's files: image, picture and YAML, or of ``NAME.png`` only the picture."""
         image, *others = _paths(path)
-        return [self._pgm(), self.png, self._yaml(image.name)] if others else [self.png]
-
-    def _pgm(self) -> bytes:
+        if not others:
+            return [self.png]
         pixels = np.select([self.cells == OCCUPIED, self.cells == FREE], [0, 254], 205).astype(np.uint8)
         head = f"P5\n# CREATOR: pc2scan map {self.resolution:.3f} m/pix\n{self.width} {self.height}\n255\n"
-        return head.encode("ascii") + pixels[::-1].tobytes()
-
-    def _yaml(self, image: str) -> bytes:
         # YAML reads JSON's quotes. A name that is not UTF-8 keeps its bytes.
         text = f"""\
 # A preview by recorded odometry, made by pc2scan map. Not a result of SLAM.
-image: {json.dumps(image, ensure_ascii=False)}
+image: {json.dumps(image.name, ensure_ascii=False)}
 mode: trinary
 resolution: {self.resolution!r}
 origin: {[round(number, 6) + 0.0 for number in self.origin]}
@@ -209,7 +205,7 @@ negate: 0
 occupied_thresh: 0.65
 free_thresh: 0.196
 """
-        return text.encode("utf-8", "surrogateescape")
+        return [head.encode("ascii") + pixels[::-1].tobytes(), self.png, text.encode("utf-8", "surrogateescape")]
 
     def __repr__(self) -> str:
         return f"<pc2scan.Map of {self.width} x {self.height} cells of {self.resolution:g} m in {self.frame!r}>"
@@ -322,8 +318,7 @@ def _draw(
                 drawing.skip(result.topic, error)
             for scan, level in result.items:
                 drawing.add(scan, level)
-    texts, places = (*stream.notes, *warnings), (*damage, *stream.damage)
-    return drawing.result(texts, places, converted=converted)
+    return drawing.result((*stream.notes, *warnings), (*damage, *stream.damage), converted=converted)
 
 
 def _converts(options: ConvertOptions) -> bool:
@@ -342,9 +337,7 @@ def _topics(reader: Reader, options: ConvertOptions) -> tuple[tuple[TopicRequest
     clouds = [topic for topic, kinds in types.items() if not kinds.isdisjoint(CLOUDS)]
     requests = options.scan.topics
     names = [request.source for request in requests]
-    if options.scan.may_share:
-        return requests, True
-    if options.scan.combining.rebin:
+    if options.scan.may_share or options.scan.combining.rebin:
         return requests or tuple(map(TopicRequest, scans)), True
     of_scans, of_clouds = (any(matches(topic, names) for topic in kind) for kind in (scans, clouds))
     if of_scans and of_clouds:
@@ -356,31 +349,21 @@ def _topics(reader: Reader, options: ConvertOptions) -> tuple[tuple[TopicRequest
     return tuple(map(TopicRequest, dict.fromkeys(chosen))), False
 
 
-@dataclass(slots=True)
 class _Drawing:
     """Draws scans, and counts them."""
 
-    grid: OccupancyGrid
-    buffer: TransformBuffer
-    asked: Options
-    options: ConvertOptions
-    scans: Counter[str] = field(default_factory=Counter)
-    skipped: Counter[tuple[str, str]] = field(default_factory=Counter)
-    first_error: MessageError | None = None
-    #: Stamp, x and y.
-    path: list[tuple[int, float, float]] = field(default_factory=list)
-    robot: str = ""
-    odom: str = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.odom = self.asked.odom_frame.removeprefix("/")
-        names = sorted(name.removeprefix("/") for name in self.buffer.frames)
-        self.robot = self.asked.base_frame.removeprefix("/") or next((name for name in BODIES if name in names), "")
-        if self.asked.base_frame and self.robot not in names:
-            raise UsageError(
-                f"there is no frame {self.robot!r} for `base_frame`; the frames are {name_list(names)}",
-                hint=did_you_mean(self.robot, names) or None,
-            )
+    def __init__(self, grid: OccupancyGrid, buffer: TransformBuffer, asked: Options, options: ConvertOptions) -> None:
+        self._grid, self._buffer, self._options = grid, buffer, options
+        self._longest = LONGEST * asked.resolution
+        self._odom, self._robot = (name.removeprefix("/") for name in (asked.odom_frame, asked.base_frame))
+        self._scans, self._skipped = Counter[str](), Counter[tuple[str, str]]()
+        self._first_error = MessageError("there are none")
+        #: Stamp, x and y.
+        self._path: list[tuple[int, float, float]] = []
+        if self._robot and self._robot not in (names := sorted(name.removeprefix("/") for name in buffer.frames)):
+            text = f"there is no frame {self._robot!r} for `base_frame`; the frames are {name_list(names)}"
+            raise UsageError(text, hint=did_you_mean(self._robot, names) or None)
+        self._robot = self._robot or next((name for name in BODIES if name in buffer.frames), "")
 
     def add(self, scan: Scan, level: LevelTransform | None) -> None:
         """Draw a scan, or count why not; ``level`` is the transform of its frame, if that was made level."""
@@ -389,54 +372,48 @@ class _Drawing:
             end = None
             if level is not None:
                 start = start.compose(Rigid.from_pose(level.row[3:]))
-            elif scan.time_increment:
-                end = self._end(scan)
-            longest, count = LONGEST * self.asked.resolution, len(scan.ranges)
-            beams = observing_beams(scan.ranges, scan.range_min, scan.range_max, longest=longest)
+            elif scan.time_increment and scan.stamp_ns:
+                # Without a transform at the time of the last beam, all are placed at the stamp.
+                with suppress(MessageError):
+                    end_ns = scan.stamp_ns + last_beam_ns(len(scan.ranges), scan.time_increment)
+                    end = self._pose(scan.frame, end_ns) if end_ns > 0 else None
+            beams = observing_beams(scan.ranges, scan.range_min, scan.range_max, longest=self._longest)
+            count = len(scan.ranges)
             angles = beam_angles(count, scan.angle_min, scan.angle_increment)
             origins, ends = place_beams(beams, np.stack((np.cos(angles), np.sin(angles))), count, start, end)
-            self.grid.add(origins, ends, beams.hits)
+            self._grid.add(origins, ends, beams.hits)
         except MessageError as err:
-            if isinstance(err, TransformError) and not self.scans and self.odom not in self.buffer.frames:
+            if isinstance(err, TransformError) and not self._scans and self._odom not in self._buffer.frames:
                 raise self._no_frame(scan) from err
             self.skip(scan.topic, err)
             return
-        self.scans[scan.topic] += 1
-        self.robot = self.robot or scan.frame.removeprefix("/")
+        self._scans[scan.topic] += 1
+        self._robot = self._robot or scan.frame.removeprefix("/")
         with suppress(TransformError):
-            x, y, _ = self._pose(self.robot, scan.stamp_ns).translation.tolist()
-            self.path.append((scan.stamp_ns, x, y))
+            x, y, _ = self._pose(self._robot, scan.stamp_ns).translation.tolist()
+            self._path.append((scan.stamp_ns, x, y))
 
     def skip(self, topic: str, error: MessageError) -> None:
         """Count a message that is not drawn."""
-        if self.options.strict:
+        if self._options.strict:
             raise error
-        self.first_error = self.first_error or error
-        self.skipped[topic, getattr(error, "reason", "") or error.message] += 1
+        if not self._skipped:
+            self._first_error = error
+        self._skipped[topic, getattr(error, "reason", "") or error.message] += 1
 
     def _pose(self, frame: str, stamp_ns: int) -> Rigid:
-        return self.buffer.lookup(self.odom, frame, stamp_ns, self.options.scan.params.tolerance_ns)
-
-    def _end(self, scan: Scan) -> Rigid | None:
-        """Return the transform at the time of the last beam; None if there is none."""
-        try:
-            end_ns = scan.stamp_ns + last_beam_ns(len(scan.ranges), scan.time_increment)
-            return self._pose(scan.frame, end_ns) if scan.stamp_ns and end_ns > 0 else None
-        except MessageError:
-            return None
+        return self._buffer.lookup(self._odom, frame, stamp_ns, self._options.scan.params.tolerance_ns)
 
     def _no_frame(self, scan: Scan) -> UsageError:
         """Return the error that the frame of the map does not exist, with a hint what to type."""
-        frame, frames = scan.frame.removeprefix("/"), self.buffer.frames
-        roots = next((tree.roots for tree in self.buffer.trees if frame in tree.frames), ())
-        if namesake := named_in_namespace(self.odom, frames):
-            hint = f"`odom_frame={namesake}`"
-        elif roots:
-            hint = f"`odom_frame={roots[0]}` draws the map in the root of the frames of {scan.topic}"
+        frame, frames = scan.frame.removeprefix("/"), self._buffer.frames
+        roots = next((tree.roots for tree in self._buffer.trees if frame in tree.frames), ())
+        if other := named_in_namespace(self._odom, frames) or next(iter(roots), ""):
+            hint = f"`odom_frame={other}` draws the map in that frame"
         else:
             hint = f"`tf_from` adds transforms; `odom_frame={frame}` draws all scans as if the robot stood still"
         known = f"the frames are {name_list(sorted(frames))}" if frames else "the recording has no transforms"
-        return UsageError(f"there is no frame {self.odom!r} to draw a map in; {known}", hint=hint)
+        return UsageError(f"there is no frame {self._odom!r} to draw a map in; {known}", hint=hint)
 
     def result(self, warnings: Iterable[str], damage: Iterable[Damage], *, converted: bool) -> Map:
         """Return the map, with these warnings and its own.
@@ -446,44 +423,33 @@ class _Drawing:
         ResultError
             If the map is empty.
         """
-        if not self.scans:
-            first = self.first_error or MessageError("there are none")
-            raise ResultError(
-                f"no scan can be placed in {self.odom}: {first.message}", topic=first.topic, hint=first.hint
-            )
-        occupancy = self.grid.occupancy()
+        if not self._scans:
+            first = self._first_error
+            text = f"no scan can be placed in {self._odom}: {first.message}"
+            raise ResultError(text, topic=first.topic, hint=first.hint)
+        occupancy = self._grid.occupancy()
         if occupancy is None:
             hint = "pc2scan view shows which points `min_height` and `max_height` reject" if converted else None
-            raise ResultError(
-                f"no return in {counted(self.scans.total(), 'scan')}: there is nothing to draw", hint=hint
-            )
-        path = np.array(sorted(self.path)).reshape(-1, 3)
-        return Map(
-            cells=occupancy.cells,
-            resolution=occupancy.resolution,
-            origin=(occupancy.x, occupancy.y, 0.0),
-            frame=self.odom,
-            robot_frame=self.robot,
-            trajectory=path[:, 1:],
-            scans=dict(self.scans),
-            converted=converted,
-            skipped=tuple(
-                Skipped(topic, None, None, reason, messages=number)
-                for (topic, reason), number in self.skipped.most_common()
-            ),
-            warnings=tuple(dict.fromkeys((*warnings, *self._doubts(path[:, 1:])))),
-            damage=tuple(dict.fromkeys(damage)),
+            text = f"no return in {counted(self._scans.total(), 'scan')}: there is nothing to draw"
+            raise ResultError(text, hint=hint)
+        path = np.array(sorted(self._path)).reshape(-1, 3)[:, 1:]
+        skipped = tuple(
+            Skipped(topic, None, None, reason, messages=number)
+            for (topic, reason), number in self._skipped.most_common()
         )
+        texts, places = dict.fromkeys((*warnings, *self._doubts(path))), dict.fromkeys(damage)
+        origin, scans = (occupancy.x, occupancy.y, 0.0), dict(self._scans)
+        drawn = occupancy.cells, occupancy.resolution, origin, self._odom, self._robot, path, scans, converted
+        return Map(*drawn, skipped, tuple(texts), tuple(places))
 
     def _doubts(self, path: NDArray[np.float64]) -> Iterator[str]:
         """Yield warnings about the frame of the map: the robot stands still in it, or moves the wrong way."""
         if len(path) and (np.ptp(path, axis=0) < _STANDS).all():
-            other = frame_that_stays(self.buffer, self.odom)
-            moved = find_body_motion(self.buffer, other, self.robot) if other else None
+            other = frame_that_stays(self._buffer, self._odom)
+            moved = find_body_motion(self._buffer, other, self._robot) if other else None
             if moved is not None:
-                yield (
-                    f"`odom_frame` is {self.odom}, in which {self.robot} does not move: the scans are drawn as if it "
-                    f"had stood still; it moves by {moved.metres:.2f} m in {other}: `odom_frame={shlex.quote(other)}`"
-                )
-        if doubt := odometry_of(self.buffer, self.odom, self.robot).doubt:
+                drawn = f"{self._robot} does not move: the scans are drawn as if it had stood still"
+                there = f"it moves by {moved.metres:.2f} m in {other}: `odom_frame={shlex.quote(other)}`"
+                yield f"`odom_frame` is {self._odom}, in which {drawn}; {there}"
+        if doubt := odometry_of(self._buffer, self._odom, self._robot).doubt:
             yield doubt

@@ -108,11 +108,10 @@ def plot(sources: Sequence[Path], destination: Path, options: Options, *, warn: 
     refuse_overlap(inputs_of(sources, options.tf_from, request.files), [OutputPath(destination)])
     with (
         file_output(destination, overwrite=options.overwrite) as deliver,
-        open_recording(sources, request, warn) as recording,
+        open_recording(sources, request, warn, options.at) as recording,
     ):
-        at_ns = recording.log_times(options.at)
         try:
-            taken = take_shots(recording, request, count=options.clouds, at_ns=at_ns, level=True)
+            taken = take_shots(recording, request, options.clouds, level=True)
         except NothingToConvertError as err:
             if any(each.ros_type == LASERSCAN for each in recording.reader.connections):
                 err.hint = "figures show clouds; pc2scan view shows scans"

@@ -53,6 +53,8 @@ class ShownRecording:
         Closes the recordings.
     warn
         Called with each warning of a preparation as soon as it is known; None: nobody waits for them.
+    at_ns
+        Log times of the moments to show; empty: they are spread over the recording.
     others
         The recordings of ``tf_from``, once transforms were read.
     warnings
@@ -63,6 +65,7 @@ class ShownRecording:
     options: ConvertOptions
     stack: ExitStack
     warn: Callable[[str], None] | None = None
+    at_ns: Sequence[int] = ()
     others: Sequence[Reader] = ()
     warnings: list[str] = field(default_factory=list)
 
@@ -71,26 +74,8 @@ class ShownRecording:
         """The damage in the parts of the recordings that were read."""
         return tuple(damage for each in (self.reader, *self.others) for damage in each.damage)
 
-    def log_times(self, at: Sequence[TimeBound]) -> list[int]:
-        """Return moments as log times.
-
-        Raises
-        ------
-        UsageError
-            If one is after the end of the recording.
-        """
-        first_ns, last_ns = self.reader.summary.start_ns or 0, self.reader.summary.end_ns
-        times = [bound.resolve(first_ns) for bound in at]
-        if last_ns is not None and (late := [time for time in times if time > last_ns]):
-            raise UsageError(
-                f"`at` is {stamp_text(late[0])}, the recording is from {stamp_text(first_ns)} to {stamp_text(last_ns)}",
-                path=self.reader.path,
-                hint=f"`at=0` to `at={(last_ns - first_ns) / 1e9:.3f}` are in it",
-            )
-        return times
-
     def prepare(self, plan: Plan, options: ConvertOptions) -> Preparation:
-        """Prepare a conversion, with all transforms unless it is not clear which to use, and none are needed.
+        """Prepare a conversion, with all transforms.
 
         Raises
         ------
@@ -98,13 +83,7 @@ class ShownRecording:
             If it is not clear which transforms to use, or something cannot be measured.
         """
         span, tell = span_of(self.reader, options), partial(tell_early, self.warnings, self.warn)
-        request = self.reader, plan, options, span, self.stack, tell
-        try:
-            prepared = prepare(*request, transform_frames=())
-        except UsageError:
-            if plan.needs_transforms:
-                raise
-            prepared = prepare(*request)
+        prepared = prepare(self.reader, plan, options, span, self.stack, tell, transform_frames=())
         self.others = prepared.others
         return prepared
 
@@ -131,7 +110,10 @@ class ShownRecording:
 
 @contextmanager
 def open_recording(
-    sources: Sequence[Path], options: ConvertOptions, warn: Callable[[str], None] | None = None
+    sources: Sequence[Path],
+    options: ConvertOptions,
+    warn: Callable[[str], None] | None = None,
+    at: Sequence[TimeBound] = (),
 ) -> Iterator[ShownRecording]:
     """Open recordings as one; for ``warn``, see `ShownRecording`.
 
@@ -139,12 +121,20 @@ def open_recording(
     ------
     RecordingError
         If one cannot be read.
+    UsageError
+        If one of the moments ``at`` is after the end.
     """
     with ExitStack() as stack:
         readers = open_recordings(sources, stack, strict=options.strict)
         reader = scaled(as_one(readers), options.cloud_scale)
+        first_ns, last_ns = reader.summary.start_ns or 0, reader.summary.end_ns
+        at_ns = sorted(bound.resolve(first_ns) for bound in at)
+        if last_ns is not None and at_ns and at_ns[-1] > last_ns:
+            text = f"`at` is {stamp_text(at_ns[-1])}, the recording is from {stamp_text(first_ns)} to"
+            hint = f"`at=0` to `at={(last_ns - first_ns) / 1e9:.3f}` are in it"
+            raise UsageError(f"{text} {stamp_text(last_ns)}", path=reader.path, hint=hint)
         try:
-            yield ShownRecording(reader, options, stack, warn)
+            yield ShownRecording(reader, options, stack, warn, at_ns)
         except TopicError as err:
             mention(reader.damage, err)
             raise
@@ -164,68 +154,36 @@ def moment_text(stamp_ns: int) -> str:
 
 
 def chosen_messages(
-    reader: Reader,
-    topics: Mapping[str, Sequence[Connection]],
-    options: ConvertOptions,
-    count: int,
-    at_ns: Sequence[int],
+    recording: ShownRecording, topics: Mapping[str, Sequence[Connection]], options: ConvertOptions, count: int
 ) -> Iterator[RawMessage]:
-    """Yield the first message of each topic at or after each of some log times.
+    """Yield the first message of each topic at or after each of a recording's moments.
 
-    Without any, ``count`` messages of each topic, evenly spread over the recording or over the cut; see `sampled`.
+    Without any, the first message of each of ``count`` equal parts of the recording, or of the cut. If a topic has no
+    more messages, all of them are yielded.
 
     Raises
     ------
     UsageError
         If the cut is empty, or lies outside of the recording.
     """
-    for time_ns in sorted(at_ns):
+    reader = recording.reader
+    for time_ns in recording.at_ns:
         for connections in topics.values():
             yield from islice(reader.messages(connections, time_ns), 1)
-    if at_ns:
+    if recording.at_ns:
         return
     span = span_of(reader, options)
     refuse_outside(reader, span.start_ns, span.stop_ns)
-    stop_ns = max(reader.summary.start_ns or 0, reader.summary.end_ns or 0) + 1
+    start_ns, stop_ns = span.first_ns, max(reader.summary.start_ns or 0, reader.summary.end_ns or 0) + 1
     if span.stop_ns is not None:
         stop_ns = min(stop_ns, span.stop_ns)
-    if span.first_ns < stop_ns:
-        yield from sampled(reader, topics, count, span.first_ns, stop_ns)
-
-
-def sampled(
-    reader: Reader, topics: Mapping[str, Sequence[Connection]], samples: int, start_ns: int, stop_ns: int
-) -> Iterator[RawMessage]:
-    """Yield samples of every topic, as they are read: the first message of each of some equal parts of a time.
-
-    Parameters
-    ----------
-    reader
-        An open recording.
-    topics
-        The connections of each topic.
-    samples
-        The number of parts. If a topic has no more messages, all of them are samples.
-    start_ns, stop_ns
-        The time: ``start_ns <= log_time_ns < stop_ns``.
-
-    Yields
-    ------
-    RawMessage
-        Those of one topic by log time; they do not depend on the other topics.
-    """
+    if start_ns >= stop_ns:
+        return
     messages: deque[RawMessage] = deque()
-    observers = [
-        Observer(
-            own,
-            copied_message,
-            start_ns=start_ns,
-            stop_ns=stop_ns,
-            keep=messages.append,
-            spread=spread_over(own, samples, start_ns, stop_ns),
-        )
-        for own in topics.values()
-    ]
+    observers = []
+    for own in topics.values():
+        spread = spread_over(own, count, start_ns, stop_ns)
+        observers.append(Observer(own, copied_message, None, start_ns, stop_ns, spread, messages.append))
     for _ in observing(reader, observers):
         while messages:
             yield messages.popleft()

@@ -18,17 +18,15 @@ from pc2scan.errors import DecodeError, TransformError
 from pc2scan.messages.tfmessage import decode_transforms
 from pc2scan.text import counted, nearest
 from pc2scan.transforms.lookup_errors import mount_text, named_in_namespace
-from pc2scan.transforms.placing import Placer
 from pc2scan.transforms.summary import BODIES
 from pc2scan.transforms.world_frames import find_body_motion
 
 from .scan_topic import Counted, Finding, Level, few_unplaced
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
+    from collections.abc import Iterable, Iterator
 
     from pc2scan.advice.clocks import ClockFinding
-    from pc2scan.advice.survey import TopicFacts
     from pc2scan.model import RawMessage
     from pc2scan.transforms.buffer import TransformBuffer
 
@@ -81,8 +79,8 @@ class _Frame:
         How many there are.
     missing
         Those without a transform to the odometry, although there are some.
-    reason, hint
-        Why the first of these has none, and what to do.
+    error
+        Why the first of these has none.
     pose
         The first place on the robot: x, y and yaw.
     moving
@@ -91,8 +89,7 @@ class _Frame:
 
     scans: int = 0
     missing: Counted = field(default_factory=Counted)
-    reason: str = ""
-    hint: str = ""
+    error: TransformError | None = None
     pose: tuple[float, float, float] | None = None
     moving: list[str] | None = None
 
@@ -143,43 +140,44 @@ class ScanFrames:
         earlier_ns, known_ns = self._waiting
         if known_ns > log_time_ns > 0:
             self._late.add(earlier_ns)
-        odometry, missing, hint = self._lookup(name, self._odom, stamp_ns)
-        if odometry is None and self._joined(name, self._odom):
+        odometry, no_odometry = self._lookup(name, self._odom, stamp_ns)
+        robot, no_robot = self._lookup(name, self._base, stamp_ns)
+        if no_odometry is not None and self._joined(name, self._odom):
             frame.missing.add(stamp_ns)
-            if frame.missing.count == 1:
-                frame.reason, frame.hint = missing, hint
-        self._waiting = stamp_ns, 0 if odometry is None else self._known_ns(name, frame, stamp_ns)
-        robot, why, how = self._lookup(name, self._base, stamp_ns)
-        known = robot is not None if robot is not None or self._knows_base else None
+            frame.error = frame.error or no_odometry
+        known_ns = 0
+        if odometry is not None:
+            if frame.moving is None:
+                links = self._buffer.moving_links(self._odom, name)
+                frame.moving = [self._buffer.frames[link.child] for link in links]
+            known_ns = self._arrivals.known_ns(frame.moving, stamp_ns)
+        self._waiting = stamp_ns, known_ns
         up, turned, moved = None, 0.0, 0.0
         if robot is not None:
             up = self._up(robot, stamp_ns)
             if odometry is not None:
-                x, y, _ = robot.translation.tolist()
-                yaw = robot.rpy[2]
+                (x, y, _), yaw = robot.translation.tolist(), robot.rpy[2]
                 frame.pose = frame.pose or (x, y, yaw)
-                first_x, first_y, first_yaw = frame.pose
-                turned, moved = math.remainder(yaw - first_yaw, TURN), math.hypot(x - first_x, y - first_y)
-        cure = "" if odometry is not None and known is not False else self._cure(name, hint or how)
-        return ScanTransforms(frame_id, odometry is not None, known, up, turned, moved, missing or why, cure)
+                turned = math.remainder(yaw - frame.pose[2], TURN)
+                moved = math.hypot(x - frame.pose[0], y - frame.pose[1])
+        known = True if robot is not None else False if self._knows_base else None
+        error = no_odometry or (None if known is None else no_robot)
+        missing, cure = ("", "") if error is None else (error.message, self._cure(name, error))
+        return ScanTransforms(frame_id, odometry is not None, known, up, turned, moved, missing, cure)
 
-    def _known_ns(self, name: str, frame: _Frame, stamp_ns: int) -> int:
-        """Return the log time from which on a frame's transform to the odometry was known at a stamp; 0: always."""
-        if frame.moving is None:
-            frame.moving = [self._buffer.frames[link.child] for link in self._buffer.moving_links(self._odom, name)]
-        return self._arrivals.known_ns(frame.moving, stamp_ns)
-
-    def _lookup(self, frame: str, target: str, stamp_ns: int) -> tuple[Rigid | None, str, str]:
-        """Return the transform to a frame at a stamp; or None, why there is none, and what to do."""
+    def _lookup(self, frame: str, target: str, stamp_ns: int) -> tuple[Rigid | None, TransformError | None]:
+        """Return the transform to a frame at a stamp, or why there is none."""
         if frame == target:
-            return Rigid.identity(), "", ""
+            return Rigid.identity(), None
         if not self._trees:
-            return None, "the recording has no transforms", ""
+            return None, TransformError("the recording has no transforms")
         try:
-            return self._buffer.lookup(target, frame, stamp_ns), "", ""
+            return self._buffer.lookup(target, frame, stamp_ns), None
         except TransformError as err:
-            # A tolerance places scans, but does not give consumers a transform at their stamps.
-            return None, err.message, self._gap_cure if err.gap_ns else err.hint or ""
+            if err.gap_ns:
+                # A tolerance places scans, but does not give consumers a transform at their stamps.
+                err.hint = self._gap_cure
+            return None, err
 
     def _up(self, base_from_scan: Rigid, stamp_ns: int) -> float:
         """See `ScanTransforms.up`; counts how the sensor is tilted."""
@@ -199,27 +197,25 @@ class ScanFrames:
     def _joined(self, one: str, other: str) -> bool:
         return one in self._trees and self._trees[one] == self._trees.get(other)
 
-    def _cure(self, frame: str, hint: str = "") -> str:
-        """Return what gives scans the transforms that they lack, or the hint of the transform's error.
-
-        Empty if only recording transforms does.
-        """
+    def _cure(self, frame: str, error: TransformError) -> str:
+        """Return what gives scans the transforms that they lack; empty if only recording transforms does."""
         if not frame or not self._trees:
             return ""
         if frame not in self._trees:
             if near := nearest(frame, self._trees):
                 return f"did you mean {near}? For scans made from clouds: pc2scan convert `source_frame={near}`"
             return f"for scans made from clouds: pc2scan convert {mount_text(frame, self._trees)}"
-        return self._naming("odom_frame", self._odom) if self._odom not in self._trees else hint
+        return self._naming("odom_frame", self._odom) if self._odom not in self._trees else error.hint or ""
 
     @property
     def _gap_cure(self) -> str:
         """What to do if there are no transforms at the time of scans."""
-        if self._clock is not None:
+        if self._clock is None:
             return (
-                f"the clocks differ; pc2scan convert `time_offset={self._clock.time_offset}` for scans made from clouds"
+                f"record /tf as long as the scans; pc2scan convert `start` and `end` leave out clouds without; {_HINT}"
             )
-        return f"record /tf as long as the scans; pc2scan convert `start` and `end` leave out clouds without; {_HINT}"
+        offset = f"`time_offset={self._clock.time_offset}`"
+        return f"the clocks differ; pc2scan convert {offset} for scans made from clouds"
 
     @property
     def _robot_moves(self) -> bool:
@@ -242,17 +238,16 @@ class ScanFrames:
         if not self._trees:
             text = "the recording has no transforms: SLAM and navigation drop scans that they cannot place"
             yield Finding("no-transforms", "notice", text, NO_TRANSFORMS)
-        else:
-            if self._clock is not None:
-                yield Finding("clock", "notice", self._clock.text, self._gap_cure)
-            yield from self._name_findings()
-            odometry = odometry_of(self._buffer, self._odom, self._base)
-            if odometry.fault:
-                yield Finding("odometry-direction", "defect", odometry.fault, f"pc2scan convert {OTHER_ODOMETRY}")
-            for name, frame in self._frames.items():
-                # An empty name is reported with the scans themselves.
-                if name:
-                    yield from self._frame_findings(name, frame, interval_ns)
+            return
+        if self._clock is not None:
+            yield Finding("clock", "notice", self._clock.text, self._gap_cure)
+        yield from self._name_findings()
+        if fault := odometry_of(self._buffer, self._odom, self._base).fault:
+            yield Finding("odometry-direction", "defect", fault, f"pc2scan convert {OTHER_ODOMETRY}")
+        for name, frame in self._frames.items():
+            # An empty name is reported with the scans themselves.
+            if name:
+                yield from self._frame_findings(name, frame, interval_ns)
         scans = sum(frame.scans for frame in self._frames.values())
         if self._late.count and not few_unplaced(self._late.count, scans, interval_ns):
             which = f"{self._late.count:,} of {counted(scans, 'scan')}"
@@ -260,21 +255,6 @@ class ScanFrames:
             level: Level = "defect" if 2 * self._late.count >= scans else "notice"
             hint = "publish the transforms sooner, or give slam_toolbox a larger scan_queue_size"
             yield self._late.finding("transforms-late", level, text, hint)
-        yield from self._level_findings()
-
-    def _name_findings(self) -> Iterator[Finding]:
-        roots = ", ".join(root for tree in self._buffer.trees for root in tree.roots)
-        still = "" if self._robot_moves else "; the robot does not move in them"
-        named: tuple[tuple[str, str, str, Level, str], ...] = (
-            (self._odom, "odometry", "odom_frame", "defect", still),
-            (self._base, "robot", "base_frame", "notice", ""),
-        )
-        for name, role, option, level, more in named:
-            if name not in self._trees:
-                text = f"there is no frame {name!r} ({role}) in the transforms; their roots: {roots}{more}"
-                yield Finding(f"no-{role}-frame", level, text, self._naming(option, name))
-
-    def _level_findings(self) -> Iterator[Finding]:
         hint = "for scans made from clouds: pc2scan convert `target_frame=base_link`; a scan lies in the x-y plane"
         # A tilting lidar points sideways for a moment.
         if 2 * self._sideways.count > self._looked:
@@ -286,10 +266,21 @@ class ScanFrames:
             text = f"{which} tilted against {self._base}, by up to {self._tilt:.1f} deg: 2D SLAM treats them as level"
             yield self._tilted.finding("tilted", "notice", text, hint)
 
+    def _name_findings(self) -> Iterator[Finding]:
+        roots = ", ".join(root for tree in self._buffer.trees for root in tree.roots)
+        text = "there is no frame {!r} ({}) in the transforms; their roots: {}"
+        if self._odom not in self._trees:
+            still = "" if self._robot_moves else "; the robot does not move in them"
+            text_of_odom = text.format(self._odom, "odometry", roots) + still
+            yield Finding("no-odometry-frame", "defect", text_of_odom, self._naming("odom_frame", self._odom))
+        if self._base not in self._trees:
+            text_of_base = text.format(self._base, "robot", roots)
+            yield Finding("no-robot-frame", "notice", text_of_base, self._naming("base_frame", self._base))
+
     def _frame_findings(self, name: str, frame: _Frame, interval_ns: float | None) -> Iterator[Finding]:
         if name not in self._trees:
             text = f"the scan's frame {name!r} is not in the transforms"
-            yield Finding("frame-unknown", "defect", text, self._cure(name), frame.scans)
+            yield Finding("frame-unknown", "defect", text, self._cure(name, TransformError("")), frame.scans)
             return
         if moving := find_body_motion(self._buffer, name, self._base):
             text = f"the scan's frame {name!r} is one that {moving.body} moves in (by {moving.metres:.2f} m)"
@@ -298,28 +289,12 @@ class ScanFrames:
         if self._odom in self._trees and not self._joined(name, self._odom):
             text = f"the scan's frame {name!r} is not connected with {self._odom!r}"
             yield Finding("frame-apart", "defect", text, _HINT, frame.scans)
-        if missing := frame.missing.count:
-            which = f"{missing:,} of {frame.scans:,} scans"
-            text = f"{which} have no transform from {name!r} to {self._odom!r} at their stamp"
+        if frame.error is not None:
+            missing = frame.missing.count
+            text = f"{missing:,} of {frame.scans:,} scans have no transform from {name!r} to {self._odom!r}"
+            hint, why = frame.error.hint or _HINT, f": {frame.error.message}"
+            level: Level = "defect"
             if few_unplaced(missing, frame.scans, interval_ns):
+                level, why = "notice", ""
                 hint = f"a few at the beginning and the end are usual, and SLAM drops them; {_HINT}"
-                yield frame.missing.finding("no-transform", "notice", text, hint)
-            else:
-                yield frame.missing.finding("no-transform", "defect", f"{text}: {frame.reason}", frame.hint or _HINT)
-
-
-def mounting_findings(
-    topics: Iterable[TopicFacts], buffer: TransformBuffer, frames: Collection[str]
-) -> dict[str, Finding]:
-    """Return a defect for each frame of scans in which the ground of the first clouds of a topic is not level."""
-    findings: dict[str, Finding] = {}
-    for facts in topics:
-        for frame in frames:
-            mounting = facts.mounting(Placer(frame, buffer=buffer), buffer, moved=True)
-            if mounting is not None and mounting.fault:
-                hint = (
-                    f"for scans made from clouds: pc2scan convert with {mounting.options}" if mounting.options else ""
-                )
-                text = f"the scan's frame {frame!r} is {mounting.fault}, by the clouds on {facts.topic}"
-                findings.setdefault(frame, Finding("not-level", "defect", text, hint))
-    return findings
+            yield frame.missing.finding("no-transform", level, f"{text} at their stamp{why}", hint)

@@ -54,10 +54,6 @@ _SCAN_TIME = 0.2
 #: delay.
 _FAR_NS = 1_000_000_000
 
-#: A stamp that goes back by more than this, nanoseconds, or ahead of the log times by more than this, is of another
-#: clock than the one before.
-_JUMP_NS = 10_000_000_000
-
 #: A scan is a part of a turn if returns are in less than this share of its directions, and less than this share of them
 #: in directions in which the scan before it has returns.
 _PART = 0.5
@@ -75,9 +71,6 @@ _STEADY = 0.5
 #: What to do about stamps that are out of order.
 _BACK = "SLAM mixes such scans up; pc2scan convert `stamps=log` takes the log times, with `rebin` for a 2D lidar"
 
-#: Scans in more frames than this do not count for parts of a turn.
-_MOST_FRAMES = 100
-
 #: How many frames are shown as text.
 _MAX_SHOWN = 5
 
@@ -87,23 +80,17 @@ _EACH_SCAN: dict[str, tuple[str, str, str]] = {
     "length": ("have", "another number of beams than the first: {low:,} to {high:,}", "pc2scan convert `rebin=True`"),
     "angles": ("have", "no angles: {angles} for {beams}", "beam i is at angle_min + i * angle_increment"),
     "full-circle": ("cover", "more than a full circle: {angles} for {beams}", "angles in degrees? A circle is 2 pi"),
-    "intensities": ("have", "intensities, but not one a beam", "write no intensities, or one for every beam"),
     "stamps-back": ("have", "a stamp before that of the scan before", _BACK),
     "stamps-repeated": ("repeat", "the stamp of the scan before", _BACK),
     "stamps-zero": ("have", "no stamp (0)", _BACK),
-    "times": ("have", "a scan_time or time_increment that is not a valid duration", ""),
     "no-returns": ("have", "no return at all", "other heights, for scans made from clouds: pc2scan info proposes them"),
 }
-
-#: Those that are notices; the others are defects. Without returns, half of the scans are a defect.
-_NOTICES = {"times", "no-returns"}
 
 #: What is counted range by range: the counts of `ConsumerScan`, the problem, and what the user can do.
 _EACH_RANGE = {
     "short": ("are below range_min", "a beam without a return should be +inf"),
     # Zeros that are not below range_min are returns.
     "zero": ("are 0, and range_min is 0 m or less", "consumers see obstacles at the sensor: `range_min=0.1`"),
-    "long": ("are above range_max", "no consumer treats them as returns; +inf would be clearer"),
     "nan": ("are NaN", "NaN means an erroneous measurement; a beam without a return should be +inf"),
 }
 
@@ -299,7 +286,10 @@ class ScanTopic:
         self._tallies = {kind: Counted() for kind in _EACH_SCAN}
         self._ranges: Counter[str] = Counter()
         self._median = 0.0
-        self._stamps = _Stamps()
+        #: The last stamp, the smallest and the largest difference to log times, and the intervals that are positive.
+        self._last_ns: int | None = None
+        self._offsets: tuple[int, int] | None = None
+        self._intervals = array("q")
         self._sectors = _Sectors()
 
     def read(
@@ -328,7 +318,7 @@ class ScanTopic:
         self.frames[frame] = None
         self.beams.add(scan.beams)
         self._judge(scan, frame, stamp_ns, placed)
-        self._ranges += Counter(beams=scan.beams, short=scan.short, long=scan.long, nan=scan.nan)
+        self._ranges += Counter(beams=scan.beams, short=scan.short, nan=scan.nan)
         self._ranges += Counter({"zero" if scan.range_min <= 0 else "zero short": scan.zero})
         angles = has_angles(scan)
         wrong = {
@@ -336,10 +326,8 @@ class ScanTopic:
             "length": scan.beams != self._first_of.setdefault(frame, scan).beams,
             "angles": not angles,
             "full-circle": angles and _turn(scan) > TURN * _ROUNDING,
-            "intensities": scan.intensities not in (0, scan.beams),
-            "times": not (0 <= scan.scan_time < math.inf and abs(scan.time_increment) < math.inf),
             "no-returns": not scan.returns,
-            **self._stamps.add(stamp_ns, log_time_ns),
+            **self._stamp_faults(stamp_ns, log_time_ns),
         }
         for kind, is_wrong in wrong.items():
             if is_wrong:
@@ -358,16 +346,32 @@ class ScanTopic:
                 self._kept_of.setdefault((consumer, frame), scan)
             verdicts.setdefault(verdict.outcome, Counted()).add(stamp_ns, verdict)
 
+    def _stamp_faults(self, stamp_ns: int, log_time_ns: int) -> dict[str, bool]:
+        """Return what is wrong with the stamp of the next scan."""
+        if stamp_ns == 0:
+            return {"stamps-zero": True}
+        late = log_time_ns - stamp_ns
+        low, high = self._offsets or (late, late)
+        self._offsets = min(late, low), max(late, high)
+        interval = None if self._last_ns is None else stamp_ns - self._last_ns
+        self._last_ns = stamp_ns
+        if interval is None or interval > 0:
+            self._intervals.extend(() if interval is None else (interval,))
+            return {}
+        return {"stamps-repeated" if interval == 0 else "stamps-back": True}
+
     @property
     def interval_ns(self) -> float | None:
         """The median of the intervals between stamps; None if there are none."""
-        return self._stamps.interval_ns
+        middle = (len(self._intervals) - 1) // 2
+        return float(np.partition(np.array(self._intervals), middle)[middle]) if self._intervals else None
 
-    def result(self, name: str, interval_ns: float | None, findings: Iterable[Finding]) -> TopicCheck:
-        """Return the result of a topic of this name, with these findings."""
+    def result(self, name: str, interval_ns: float | None, findings: Iterable[Finding] | None = None) -> TopicCheck:
+        """Return the result of a topic of this name, with these findings, or only what cannot be decoded."""
         beams = min(self.beams, default=0), max(self.beams, default=0)
         frames, consumers = tuple(self.frames), tuple(self._consumers())
-        return TopicCheck(name, self.scans, frames, beams, interval_ns, self.first, consumers, tuple(findings))
+        chosen = tuple(self.undecodable() if findings is None else findings)
+        return TopicCheck(name, self.scans, frames, beams, interval_ns, self.first, consumers, chosen)
 
     def _consumers(self) -> Iterator[ConsumerCheck]:
         """Yield the worst verdict of each consumer.
@@ -388,12 +392,16 @@ class ScanTopic:
                 verdict = verdict._replace(cure=f"{cure}; without `rebin` for scans made from clouds")
             yield ConsumerCheck(consumer, verdict.outcome, worst.count, verdict, worst.stamp_ns)
 
-    def findings(self) -> Iterator[Finding]:
-        """Yield the problems of the scans."""
+    def undecodable(self) -> Iterator[Finding]:
+        """Yield a finding if messages are no scans."""
         if self._undecodable.count:
             text = f"{counted(self._undecodable.count, 'message')} cannot be read as a scan: {self._reason}"
             yield self._undecodable.finding("undecodable", "defect", text)
-        elif not self.scans:
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield the problems of the scans."""
+        yield from self.undecodable()
+        if not (self.scans or self._undecodable.count):
             yield Finding("no-scans", "defect", "the topic has no messages")
         first = self.first
         if first is None:
@@ -412,20 +420,35 @@ class ScanTopic:
             if not tally.count:
                 continue
             of = f"{tally.count:,} of {counted(self.scans, 'scan')} {agreeing(tally.count, verb)}"
-            few = kind in _NOTICES and (kind != "no-returns" or 2 * tally.count <= self.scans)
+            few = kind == "no-returns" and 2 * tally.count <= self.scans
             yield tally.finding(kind, "notice" if few else "defect", f"{of} {problem.format(**facts)}", hint)
-        yield from self._increment_findings(first)
-        yield from self._stamps.findings(first.scan_time * 1e9)
+        yield from self._time_findings(first)
         yield from self._sectors.findings()
         yield from self._range_findings()
 
-    def _increment_findings(self, first: ConsumerScan) -> Iterator[Finding]:
-        if self.interval_ns is None or not has_angles(first) or not _turn(first):
+    def _time_findings(self, first: ConsumerScan) -> Iterator[Finding]:
+        if self._offsets and max(map(abs, self._offsets)) > _FAR_NS:
+            text = "log times minus stamps are {:,.3f} to {:,.3f} s".format(*(each / 1e9 for each in self._offsets))
+            hint = "transforms are looked up by stamp: they must come from the same clock"
+            yield Finding("stamps-far", "notice", text, hint)
+        if self.interval_ns is None:
             return
-        span, period = abs(first.time_increment) * (first.beams - 1), self.interval_ns / 1e9
+        period = self.interval_ns / 1e9
+        off = np.abs(np.array(self._intervals) - self.interval_ns) > _STUTTER * self.interval_ns
+        if count := int(off.sum()):
+            most = f"{count} of {len(off)} intervals are not about {period:.3f} s"
+            text = f"the rate stutters: {most}; the longest is {max(self._intervals) / 1e9:.3f} s"
+            yield Finding("rate", "notice", text, "scans are missing, or were stamped on arrival", count)
+        if first.scan_time > 0 and abs(first.scan_time - period) > _SCAN_TIME * period:
+            text = f"scan_time is {first.scan_time:.4g} s, but scans come every {period:.4g} s"
+            hint = f"pc2scan convert `scan_time={period:.3g}`, with `rebin` for scans of a 2D lidar"
+            yield Finding("scan-time", "notice", text, hint)
+        if not has_angles(first) or not _turn(first):
+            return
+        span = abs(first.time_increment) * (first.beams - 1)
         doubt = increment_doubt(span / min(1.0, _turn(first) / TURN), period)
-        if span > period * _ROUNDING:
-            doubt = doubt or f"by its time_increment a scan takes {span:.3g} s, but scans come every {period:.3g} s"
+        if not doubt and span > period * _ROUNDING:
+            doubt = f"by its time_increment a scan takes {span:.3g} s, but scans come every {period:.3g} s"
         if doubt:
             level: Level = "defect" if span > _LONG * period else "notice"
             yield Finding("time-increment", level, doubt, f"{IN_SECONDS}; pc2scan convert `rebin=True` writes 0")
@@ -442,88 +465,30 @@ class ScanTopic:
                 yield Finding(f"ranges-{name}", "notice", text, hint)
 
 
-class _Stamps:
-    """The stamps of the scans of one topic: their order, their clocks and their rate."""
-
-    def __init__(self) -> None:
-        self._last: tuple[int, int] | None = None
-        self._offsets: list[int] = []
-        self._intervals = array("q")
-        self._jumps, self._farthest = Counted(), 0
-
-    def add(self, stamp_ns: int, log_time_ns: int) -> dict[str, bool]:
-        """Add the next scan's stamp and log time; return what is wrong with the stamp."""
-        if stamp_ns == 0:
-            return {"stamps-zero": True}
-        late = log_time_ns - stamp_ns
-        self._offsets = [min([late, *self._offsets]), max([late, *self._offsets])]
-        last_ns, last_log_ns = self._last or (stamp_ns, log_time_ns)
-        is_first, self._last = self._last is None, (stamp_ns, log_time_ns)
-        interval = stamp_ns - last_ns
-        # A stamp of the same clock has advanced at most as far as the log times.
-        if not -_JUMP_NS <= interval <= max(0, log_time_ns - last_log_ns) + _JUMP_NS:
-            self._jumps.add(stamp_ns)
-            self._farthest = max(self._farthest, abs(interval))
-        elif interval > 0:
-            self._intervals.append(interval)
-        return {"stamps-back": interval < 0, "stamps-repeated": interval == 0 and not is_first}
-
-    @property
-    def interval_ns(self) -> float | None:
-        """The median of the intervals between stamps; None if there are none."""
-        middle = (len(self._intervals) - 1) // 2
-        return float(np.partition(np.array(self._intervals), middle)[middle]) if self._intervals else None
-
-    def findings(self, scan_time_ns: float) -> Iterator[Finding]:
-        """Yield the problems, given the ``scan_time`` of the first scan."""
-        if self._jumps.count:
-            times = f"{counted(self._jumps.count, 'time')}, by up to {self._farthest / 1e9:,.3f} s"
-            hint = "a second publisher with another clock, or a clock that was set"
-            yield self._jumps.finding("clocks", "notice", f"the stamps jump {times}; the log times do not", hint)
-        if self._offsets and max(map(abs, self._offsets)) > _FAR_NS:
-            low, high = (offset / 1e9 for offset in self._offsets)
-            text = f"log times minus stamps are {low:,.3f} to {high:,.3f} s"
-            hint = "transforms are looked up by stamp: they must come from the same clock"
-            yield Finding("stamps-far", "notice", text, hint)
-        median = self.interval_ns
-        if median is None:
-            return
-        if off := int(np.count_nonzero(np.abs(np.array(self._intervals) - median) > _STUTTER * median)):
-            most = f"{off} of {len(self._intervals)} intervals are not about {median / 1e9:.3f} s"
-            text = f"the rate stutters: {most}; the longest is {max(self._intervals) / 1e9:.3f} s"
-            yield Finding("rate", "notice", text, "scans are missing, or were stamped on arrival", off)
-        if scan_time_ns > 0 and abs(scan_time_ns - median) > _SCAN_TIME * median:
-            text = f"scan_time is {scan_time_ns / 1e9:.4g} s, but scans come every {median / 1e9:.4g} s"
-            hint = f"pc2scan convert `scan_time={median / 1e9:.3g}`, with `rebin` for scans of a 2D lidar"
-            yield Finding("scan-time", "notice", text, hint)
-
-
 class _Sectors:
     """The directions that scans with returns fill: packets are parts of a turn."""
 
     def __init__(self) -> None:
-        #: By frame: which directions of the last scan have a return, and their mean; None if it is no part.
-        self._last: dict[str, tuple[NDArray[np.bool_], complex] | None] = {}
-        self._pairs = 0
+        #: The frame of the last scan, which directions have a return, and their mean; None if it is no part.
+        self._last: tuple[str, NDArray[np.bool_], complex] | None = None
+        self._pairs = -1
         self._parts = Counted()
         self._steps = 0j
 
     def add(self, frame_id: str, scan: ConsumerScan, ranges: NDArray[np.float32], stamp_ns: int) -> None:
         """Add the next scan, and its ranges, float32, shape (beams,), metres."""
-        if frame_id not in self._last and len(self._last) == _MOST_FRAMES:
-            return
-        self._pairs += frame_id in self._last
-        last, self._last[frame_id] = self._last.get(frame_id), None
+        self._pairs += 1
+        last, self._last = self._last, None
         if not _FEWEST_RETURNS <= scan.returns < _PART * scan.beams:
             return
         returns = are_returns(ranges, scan.range_min, scan.range_max)
         mean = complex(np.exp(1j * TURN / scan.beams * np.flatnonzero(returns)).mean())
         if abs(mean) < _HALF_TURN:
             return
-        self._last[frame_id] = returns, mean
-        if last is None or len(last[0]) != len(returns):
+        self._last = frame_id, returns, mean
+        if last is None or last[0] != frame_id or len(last[1]) != len(returns):
             return
-        before, earlier = last
+        _, before, earlier = last
         if np.count_nonzero(before & returns) < _PART * min(np.count_nonzero(before), np.count_nonzero(returns)):
             self._parts.add(stamp_ns)
             self._steps += mean / earlier / abs(mean / earlier)

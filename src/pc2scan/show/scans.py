@@ -10,32 +10,30 @@ from pc2scan.errors import MessageError, RecordingError, TransformError
 from pc2scan.messages.clouds import SCANS
 from pc2scan.text import counted
 
-from .html import compress, description_of
+from .html import compressed
 from .recording import chosen_messages, moment_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from pc2scan.bags.reader import Reader
     from pc2scan.messages.laserscan import LaserScan
     from pc2scan.model import Connection, RawMessage
     from pc2scan.request.options import ConvertOptions
     from pc2scan.transforms.buffer import TransformBuffer
 
     from .check import Check
+    from .recording import ShownRecording
 
 #: The pose of a scan that is shown in its own frame.
 _HERE = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
 
 
 def scans_page(
-    reader: Reader,
+    recording: ShownRecording,
     topics: Mapping[str, Sequence[Connection]],
     buffer: TransformBuffer,
     options: ConvertOptions,
-    *,
     count: int,
-    at_ns: Sequence[int],
 ) -> tuple[dict[str, Any], dict[str, bytes]]:
     """Describe a page of scans: the moments of the first topic, each with the next scan of every other topic.
 
@@ -43,8 +41,8 @@ def scans_page(
 
     Parameters
     ----------
-    reader
-        The recording, open.
+    recording
+        The recording, and the moments.
     topics
         The connections of each topic.
     buffer
@@ -52,9 +50,7 @@ def scans_page(
     options
         The options of a conversion, of which the target frame, ``start`` and ``end`` are used.
     count
-        The number of moments, evenly spread over the recording.
-    at_ns
-        Log times: the first scan of each topic at or after each of them is shown. Empty: ``count`` decides.
+        As for `chosen_messages`.
 
     Returns
     -------
@@ -67,35 +63,35 @@ def scans_page(
         If no scan can be shown.
     """
     taken: dict[str, list[RawMessage]] = {topic: [] for topic in topics}
-    for message in chosen_messages(reader, topics, options, count, at_ns):
+    for message in chosen_messages(recording, topics, options, count):
         taken[message.connection.topic].append(message)
     blobs: dict[str, bytes] = {}
     moments = []
     failed: list[str] = []
     for together in zip_longest(*taken.values()):
         layers: list[dict[str, Any]] = []
-        stamps: list[int] = []
-        common = options.scan.params.target_frame
-        for number, (topic, message) in enumerate(zip(topics, together, strict=True)):
+        moment, common = "", options.scan.params.target_frame
+        for number, message in enumerate(together):
             if message is None:
                 continue
+            topic, kind = message.connection.topic, message.connection.ros_type
             try:
-                scan = SCANS[message.connection.ros_type](message.connection.serialization, "first")(message.data)
+                scan = SCANS[kind](message.connection.serialization, "first")(message.data)
             except MessageError as err:
                 failed.append(f"{topic} at {moment_text(message.log_time_ns)}: {err.message}")
                 continue
             common = common or scan.frame_id
             pose = _pose(buffer, common, scan.frame_id, scan.stamp_ns)
             where = scan.frame_id if pose is not None else f"{scan.frame_id}, not connected to {common}"
-            stamps.append(scan.stamp_ns or message.log_time_ns)
+            moment = moment or moment_text(scan.stamp_ns or message.log_time_ns)
             layers.append(_layer(f"{topic} ({where})", number, scan, blobs, pose or _HERE))
         if layers:
-            moments.append({"moment": moment_text(stamps[0]), "frame": common, "layers": layers})
+            moments.append({"moment": moment, "frame": common, "layers": layers})
     if not moments:
         why = f"no scan can be shown; {failed[0]}" if failed else f"no scans on {', '.join(topics)}"
-        raise RecordingError(why, path=reader.path)
+        raise RecordingError(why, path=recording.reader.path)
     warnings = [f"Not shown: {counted(len(failed), 'scan')}; {failed[0]}."] if failed else []
-    return {"kind": "scans", "notes": [], "warnings": warnings, "moments": moments, "findings": []}, blobs
+    return {"kind": "scans", "notes": [], "warnings": warnings, "moments": moments}, blobs
 
 
 def _pose(buffer: TransformBuffer, target: str, source: str, stamp_ns: int) -> list[float] | None:
@@ -119,8 +115,6 @@ def _layer(name: str, colour: int, scan: LaserScan, blobs: dict[str, bytes], pos
     columns = {"ranges": scan.ranges.astype("<f4")}
     if len(scan.intensities) == len(scan.ranges) > 0:
         columns["intensities"] = scan.intensities.astype("<f4")
-    key = f"scan-{len(blobs)}"
-    blobs[key] = compress(columns)
     return {
         "name": name,
         "colour": colour,
@@ -129,7 +123,7 @@ def _layer(name: str, colour: int, scan: LaserScan, blobs: dict[str, bytes], pos
         "pose": list(pose),
         "rangeMin": _finite(scan.range_min),
         "rangeMax": _finite(scan.range_max, math.inf),
-        "data": description_of(key, columns),
+        "data": compressed(blobs, columns),
     }
 
 

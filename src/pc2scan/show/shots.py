@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -31,12 +31,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pc2scan.advice.checks.clouds import KnownTransforms
-    from pc2scan.conversion.stages import PlacedCloud
     from pc2scan.core.params import ProjectionParams
     from pc2scan.core.points import Points
     from pc2scan.model import RawMessage
-    from pc2scan.request.options import ConvertOptions, ScanSpec
+    from pc2scan.request.options import ConvertOptions
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.placing import Placement, Placer
 
@@ -50,8 +48,7 @@ _OF_SEVERAL = (checks.frame_not_level, checks.swapped_transform, checks.clouds_i
 _MOST_FIELDS = 8
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Shot:
+class Shot(NamedTuple):
     """A cloud for a picture.
 
     Attributes
@@ -70,6 +67,8 @@ class Shot:
         Copies of its fields by name, each (points,): ``x``, ``y``, ``z`` in metres as float32, others as recorded.
     filtered
         (points,) uint8: 1 for points that the filters reject. None without filters.
+    page
+        What a page knows of its points.
     """
 
     topic: str
@@ -79,6 +78,7 @@ class Shot:
     place: Placement
     columns: Mapping[str, NDArray[Any]]
     filtered: NDArray[np.uint8] | None
+    page: Mapping[str, Any] = {}
 
 
 class Shots(NamedTuple):
@@ -91,7 +91,7 @@ class Shots(NamedTuple):
     params
         The parameters, with all measured values.
     transforms
-        The transforms; None if it is not clear which to use, and none are needed.
+        The transforms; None if there are none.
     notes, warnings
         Texts for the user.
     """
@@ -103,31 +103,24 @@ class Shots(NamedTuple):
     warnings: list[str]
 
 
-def _all_of(shot: Shot) -> Shot:
-    return shot
-
-
 def take_shots(
     recording: ShownRecording,
     options: ConvertOptions,
-    *,
     count: int,
-    at_ns: Sequence[int],
+    *,
     level: bool,
-    keep: Callable[[Shot], Shot] = _all_of,
+    keep: Callable[[Shot], Shot] = lambda shot: shot,
 ) -> Shots:
     """Take some clouds of each topic that a conversion converts.
 
     Parameters
     ----------
     recording
-        The recording.
+        The recording, and the moments.
     options
         The options of the conversion.
     count
-        The number of clouds of each topic, evenly spread over the recording.
-    at_ns
-        Log times: the first cloud of each topic at or after each of them is taken. Empty: ``count`` decides.
+        As for `chosen_messages`.
     level
         Whether clouds are placed in the frames of level scans; otherwise they are shown as recorded.
     keep
@@ -138,107 +131,68 @@ def take_shots(
     RecordingError
         If no cloud can be shown.
     """
-    reader = recording.reader
     options.scan.refuse_combining("pages and figures make")
     # Pictures have neither times nor intensities.
     params = replace(options.scan.params, scan_time=0.0, time_increment=0.0, intensity_field="")
     options = options.with_scan(params=params)
-    plan = make_plan(reader.connections, options)
-    reader, notes = corrected_for(reader, plan, options)
+    plan = make_plan(recording.reader.connections, options)
+    reader, notes = corrected_for(recording.reader, plan, options)
     recording.reader = reader
     prepared = recording.prepare(plan, options)
     conversion = prepared.conversions[options.scan, ""]
     assert isinstance(conversion, CloudToScan)
     topics = by_topic(plan.converted)
     placer = conversion.placer if level else conversion.placer._replace(up=None)
-    stages = {topic: _Stages.of(conversion, topic, placer) for topic in topics}
     shots: list[Shot] = []
-    samples: dict[str, list[CloudSample]] = {}
+    samples: dict[str, list[CloudSample]] = {topic: [] for topic in topics}
     failed: list[str] = []
-    for message in chosen_messages(reader, topics, options, count, at_ns):
+    for message in chosen_messages(recording, topics, options, count):
+        topic = message.connection.topic
         try:
             # No name refers to the whole cloud, which would stay in memory while the next one is read.
-            shots.append(keep(_shot(message, stages[message.connection.topic], samples)))
+            shots.append(keep(_shot(message, conversion, placer, samples[topic])))
         except MessageError as err:
-            failed.append(f"{message.connection.topic} at {moment_text(message.log_time_ns)}: {err.message}")
+            failed.append(f"{topic} at {moment_text(message.log_time_ns)}: {err.message}")
         del message
     if not shots:
         why = f"no cloud can be shown; {failed[0]}" if failed else f"no clouds on {', '.join(topics)}"
         raise RecordingError(why, path=reader.path)
-    number = counted(len(failed) + len(shots), "cloud")
-    warnings = [*recording.warnings, *_doubts(samples, options.scan, prepared.known)]
-    warnings += [f"Not shown: {len(failed)} of {number}; {failed[0]}."] if failed else []
-    measured = next(
-        (measurements for topic in topics if (measurements := conversion.measurements.get(topic))), Measurements(0.0)
-    )
-    params = measured.resolve(conversion.spec.params)
-    return Shots(shots, params, prepared.transforms, [*notes, *prepared.notes], warnings)
-
-
-class _Stages(NamedTuple):
-    """The stages of a topic's clouds, as in a conversion.
-
-    Attributes
-    ----------
-    place
-        Places clouds in the frame of the scans.
-    place_own
-        Places points at their own times, in the frame of their cloud.
-    select
-        Numbers points, and selects some of them; None without filters.
-    """
-
-    place: PlaceStage
-    place_own: PlaceStage
-    select: SelectStage | None
-
-    @classmethod
-    def of(cls, conversion: CloudToScan, topic: str, placer: Placer) -> _Stages:
-        """Return the stages of a conversion, with other frames."""
-        deskew, filters = conversion.deskews.get(topic), conversion.spec.filters
-        place, place_own = (
-            PlaceStage(each, None if deskew is None else replace(deskew, placer=each, sample=None))
-            for each in (placer, placer._replace(target_frame="", up=None))
-        )
-        return cls(place, place_own, SelectStage(filters, placer, numbered=True) if filters else None)
-
-
-def _doubts(samples: Mapping[str, Sequence[CloudSample]], spec: ScanSpec, transforms: KnownTransforms) -> list[str]:
-    """Return warnings about the frames and the units of clouds."""
+    warnings = recording.warnings
     with np.errstate(all="ignore"):
-        return [
-            text
-            for topic, own in samples.items()
-            for group, clouds in ((_OF_ONE, own[:1]), (_OF_SEVERAL, own))
-            for text in found_by(group, checks.CloudFacts(topic, spec, transforms, clouds, [PointCounts()]))
-        ]
+        for topic, own in samples.items():
+            for group, clouds in ((_OF_ONE, own[:1]), (_OF_SEVERAL, own)):
+                facts = checks.CloudFacts(topic, options.scan, prepared.known, clouds, [PointCounts()])
+                warnings += found_by(group, facts)
+    if failed:
+        warnings.append(f"Not shown: {len(failed)} of {counted(len(failed) + len(shots), 'cloud')}; {failed[0]}.")
+    measured = next((each for topic in topics if (each := conversion.measurements.get(topic))), Measurements(0.0))
+    notes += prepared.notes
+    return Shots(shots, measured.resolve(conversion.spec.params), prepared.transforms, notes, warnings)
 
 
-def _shot(message: RawMessage, stages: _Stages, samples: dict[str, list[CloudSample]]) -> Shot:
-    """Return a cloud as it is shown; samples of a topic's first ones are added to ``samples``."""
+def _shot(message: RawMessage, conversion: CloudToScan, placer: Placer, samples: list[CloudSample]) -> Shot:
+    """Return a cloud as it is shown; the first ones of a topic are added to ``samples``."""
     connection = message.connection
     points = CLOUDS[connection.ros_type](connection.serialization)(message.data)
-    recorded, placer = stages.place_own(points), stages.place.placer
-    moving, stamp_ns = recorded.moving, recorded.stamp_ns
-    if not are_enough(own := samples.setdefault(connection.topic, [])):
-        place = placer.place(points.frame_id, stamp_ns)
-        own.append(CloudSample.of(points).placed_in(place.frame_id, place.target_from_source))
-    return Shot(
-        connection.topic,
-        moment_text(stamp_ns or message.log_time_ns),
-        stamp_ns,
-        placer.source_frame or points.frame_id,
-        placer.place(points.frame_id, stamp_ns),
-        _columns(points, (points if moving is None else moving.place(moving.points)[0]).xyz()),
-        None if stages.select is None else _filter_mask(stages.place(points), stages.select),
+    deskew, filters = conversion.deskews.get(connection.topic), conversion.spec.filters
+    # Points at their own times, in the frame of the cloud; and, for filters, in that of the scans.
+    place_own, place = (
+        PlaceStage(each, None if deskew is None else replace(deskew, placer=each, sample=None))
+        for each in (placer._replace(target_frame="", up=None), placer)
     )
-
-
-def _filter_mask(placed: PlacedCloud, select: SelectStage) -> NDArray[np.uint8]:
-    """Return a mask of the points that the filters reject, and of those that cannot be deskewed."""
-    filtered = np.ones(placed.points.xyz()[0].size, np.uint8)
-    filtered[select(placed).points.field(NUMBER).reshape(-1)] = 0
-    return filtered
+    recorded = place_own(points)
+    moving, stamp_ns = recorded.moving, recorded.stamp_ns
+    placement = placer.place(points.frame_id, stamp_ns)
+    if not are_enough(samples):
+        samples.append(CloudSample.of(points).placed_in(placement.frame_id, placement.target_from_source))
+    columns = _columns(points, (points if moving is None else moving.place(moving.points)[0]).xyz())
+    filtered = None
+    if filters:
+        # Those that cannot be deskewed are rejected, too.
+        filtered = np.ones(columns["x"].size, np.uint8)
+        filtered[SelectStage(filters, placer, numbered=True)(place(points)).points.field(NUMBER).reshape(-1)] = 0
+    moment, frame = moment_text(stamp_ns or message.log_time_ns), placer.source_frame or points.frame_id
+    return Shot(connection.topic, moment, stamp_ns, frame, placement, columns, filtered)
 
 
 def _columns(points: Points, xyz: Sequence[NDArray[Any]]) -> dict[str, NDArray[Any]]:

@@ -13,18 +13,18 @@ from pc2scan.files.outputs import file_output
 from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.urls import path_of
 from pc2scan.messages.clouds import CLOUDS
+from pc2scan.options.call import Options
 from pc2scan.requests import conversion_of, first_output
 from pc2scan.result import Part, Result
 from pc2scan.text import size
 from pc2scan.transforms.static import added_transforms
 
 from .check import check, scan_connections
-from .clouds import Packing, clouds_page
+from .clouds import clouds_page
 from .html import BEGINNING, check_page_name, html
 from .info import info_of
 from .recording import moment_text, open_recording, title_of
 from .scans import findings, scans_page
-from .shots import take_shots
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -32,10 +32,12 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
-    from pc2scan.options.call import Options
     from pc2scan.request.options import ConvertOptions
     from pc2scan.requests import Warn
 
+
+#: Options that the check of scans has, too.
+_OF_CHECK = {"tf_topics", "tf_from", "odom_topic", "trajectory", "trajectory_frames", "urdf"}
 
 #: Clouds and scans of a topic on one page. They share its size.
 _MOST_CLOUDS = 1_000
@@ -121,25 +123,22 @@ def _page(sources: Sequence[Path], options: ConvertOptions, asked: Options, warn
     """Make a page of a recording: of its clouds and their projection, or of its scans if it has no clouds."""
     if not 1 <= asked.clouds <= _MOST_CLOUDS:
         raise UsageError(f"`clouds` is {asked.clouds:,}, it must be from 1 to {_MOST_CLOUDS:,}")
-    with open_recording(sources, options, warn) as recording:
+    with open_recording(sources, options, warn, asked.at) as recording:
         reader = recording.reader
-        at_ns = recording.log_times(asked.at)
         if any(connection.ros_type in CLOUDS for connection in reader.connections) and not options.scan.reverse:
             # The node's heights are part of its parameters, also where a file of these does not have them.
             is_given = bool(asked.given.keys() & {"params", "params_file", "param", "scans"})
             shown, heights = (options, {}) if is_given else _as_proposed(reader, options)
-            packed = Packing()
-            taken = take_shots(recording, shown, count=asked.clouds, at_ns=at_ns, level=False, keep=packed.add)
-            described, blobs = clouds_page(sources, taken, packed, shown, heights, preset=asked.preset or "")
+            described, blobs = clouds_page(sources, recording, asked, shown, heights)
         else:
             names = [each.source for each in options.scan.topics]
             topics, buffer = scan_connections(reader, names), recording.transforms().buffer
             if options.clock:
                 own = [each for connections in topics.values() for each in connections]
-                reader, _ = corrected(reader, own, options.clock, options.frames.tf_topics)
-            described, blobs = scans_page(reader, topics, buffer, options, count=asked.clouds, at_ns=at_ns)
-            frames = replace(options.frames, static=(), source_frame="", write_static=False)
-            described["findings"] = findings(check(sources, topics=names, frames=frames))
+                recording.reader, _ = corrected(reader, own, options.clock, options.frames.tf_topics)
+            described, blobs = scans_page(recording, topics, buffer, options, asked.clouds)
+            known = {"topics": names, **asked.among(_OF_CHECK)}
+            described["findings"] = findings(check(sources, Options("check", known)))
         notes, warnings = described["notes"], [*options.notes, *described.pop("warnings")]
         # The page shows both.
         described["notes"] = [*notes, *warnings]
@@ -157,13 +156,9 @@ def _as_proposed(reader: Reader, options: ConvertOptions) -> tuple[ConvertOption
         return options, {}
     try:
         # Heights are of the first clouds, however many are sampled.
-        info = info_of(
-            [reader],
-            samples=1,
-            described=[request.source for request in options.scan.topics],
-            target_frame=params.target_frame,
-            frames=options.frames,
-        )
+        topics = [request.source for request in options.scan.topics]
+        given = Options("info", {"topics": topics, "target_frame": params.target_frame})
+        info = info_of([reader], given, options.frames, samples=1)
         calls = [call.options for call in info.proposals]
         first = next((call for call in calls if params.target_frame in ("", call.get("target_frame", ""))), {})
         if "min_height" not in first:
