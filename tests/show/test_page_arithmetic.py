@@ -36,23 +36,20 @@ const hex = (array) => Buffer.from(array.buffer).toString("hex");
 let at = 0;
 let before = cases[0].params;
 const next = (length) => numbers.slice(at, (at += length));
-const results = cases.map(({ params, mount, points, lit }) => {
+const results = cases.map(({ params, mount, points }) => {
   let cloud = { x: next(points), y: next(points), z: next(points) };
-  const intensities = next(points);
   const problem = problemOf(params);
   if (problem) throw new Error(JSON.stringify([problem, params]));
   if (mount) {
     const [x, y, z, roll, pitch, yaw] = mount;
-    const into = { x: new Float32Array(points), y: new Float32Array(points), z: new Float32Array(points) };
-    cloud = transformed(cloud, matrixOfMount({ x, y, z, roll, pitch, yaw }), into);
+    cloud = transformed(cloud, matrixOfMount({ x, y, z, roll, pitch, yaw }));
   }
   // As in the page, after other parameters: what is kept of them must not matter.
-  const projector = new Projector();
-  projector.place(cloud);
+  const projector = new Projector(cloud);
   projector.scan(before);
   before = params;
-  const scan = projector.scan(params, lit ? intensities : null);
-  return { ranges: hex(scan.ranges), intensities: lit ? hex(scan.intensities) : "", counts: scan.counts };
+  const scan = projector.scan(params);
+  return { ranges: hex(scan.ranges), counts: scan.counts };
 });
 console.log(JSON.stringify(results));
 """
@@ -111,24 +108,21 @@ def test_every_parameter_means_the_same(tmp_path: Path) -> None:
     with (tmp_path / "clouds.bin").open("wb") as file:
         for _ in range(150):
             params, cloud = _random_params(rng), _random_cloud(rng)
-            lit = rng.integers(0, 255, POINTS).astype(np.float32) if rng.random() < 0.4 else None
             mount = rng.uniform(-1, 1, 6).tolist() if rng.random() < 0.5 else None
             rigid = None if mount is None else Rigid.from_rpy(mount[3], mount[4], mount[5], mount[:3]).as_float32()
             x, y, z = cloud.T
-            expected.append(Projector(params)(x, y, z, rigid, lit))
+            expected.append(Projector(params)(x, y, z, rigid, None))
             shown = {field.name: getattr(params, field.name) for field in fields(ProjectionParams)}
-            cases.append({"params": shown, "mount": mount, "points": POINTS, "lit": lit is not None})
-            for column in (*cloud.T, np.zeros(POINTS, np.float32) if lit is None else lit):
-                file.write(column.tobytes())
+            cases.append({"params": shown, "mount": mount, "points": POINTS})
+            file.write(cloud.T.tobytes())
     (tmp_path / "cases.json").write_text(json.dumps(cases))
     for case, scan, found in zip(cases, expected, json.loads(node(tmp_path, _CODE)), strict=True):
         counts = scan.counts
         assert found["counts"] == [
             counts.used, counts.nan, counts.height, counts.range, counts.angle, counts.past_end, 0
         ], case["params"]  # fmt: skip
-        for name in ("ranges", "intensities"):
-            values = np.frombuffer(bytes.fromhex(found[name]), np.float32)
-            assert np.array_equal(values, getattr(scan, name), equal_nan=True), case["params"]
+        values = np.frombuffer(bytes.fromhex(found["ranges"]), np.float32)
+        assert np.array_equal(values, scan.ranges, equal_nan=True), case["params"]
 
 
 @pytest.mark.parametrize(("function", "glibc"), [("correctAngle", False), ("olderGlibcAngle", True)])
@@ -151,19 +145,3 @@ def test_angles(tmp_path: Path, function: str, glibc: bool) -> None:
     """
     found = np.frombuffer(bytes.fromhex(node(tmp_path, code).strip()), np.float32)
     assert found.tobytes() == expected.tobytes()
-
-
-def test_whole_numbers_decide_alike(tmp_path: Path) -> None:
-    """The way that is hardly ever taken gives what the usual one gives, wherever that is sure."""
-    code = """
-    import { exactAngle } from "page:angles.mjs";
-    const points = [];
-    for (let n = 0; n < 400; n++) {
-      const [a, b] = [1.7 * n + 0.1, 10 ** ((n % 40) - 20)];
-      const [y, x] = [Math.fround(Math.sin(a) * b), Math.fround(Math.cos(a) * (n % 3 ? b : 1))];
-      points.push([y, x, exactAngle(y, x, Math.abs(Math.atan2(y, x)))]);
-    }
-    console.log(JSON.stringify(points));
-    """
-    for y, x, found in json.loads(node(tmp_path, code)):
-        assert found == float(np.float32(math.atan2(y, x)))

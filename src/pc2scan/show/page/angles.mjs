@@ -1,89 +1,13 @@
 // The float32 angle of a point, as pc2scan computes it: `correct`, or as an older glibc does.
-//
-// ECMAScript does not specify how exact `Math.atan2` is, so only fifteen of its digits are used. If these do not decide
-// which float32 is closest (for two points in a hundred million), the angle is computed with whole numbers.
-
-import { nextUp32, nextUp64 } from "./float32.mjs";
-
-/** An upper limit of the relative error of `Math.atan2`. */
-const TRUSTED = 1e-15;
-
-/** Binary digits after the point of the fixed-point numbers below; angles may be as small as 2 ** -278. */
-const DIGITS = 512n;
-
-/**
- * `float32(atan2(y, x))`, where atan2 is rounded correctly to float64.
- * @param {number} y a float32 value, not NaN
- * @param {number} x a float32 value, not NaN
- * @returns {number} radians
- */
-export function correctAngle(y, x) {
-  const angle = Math.atan2(y, x);
-  const low = Math.fround(angle - angle * TRUSTED);
-  if (low === Math.fround(angle + angle * TRUSTED)) return low === 0 ? angle : low;
-  return exactAngle(y, x, Math.abs(angle));
-}
-
-/**
- * The same, computed with whole numbers.
- * @param {number} y a float32 value, not NaN
- * @param {number} x a float32 value, not NaN
- * @param {number} near the size of the angle, by `Math.atan2`
- * @returns {number} radians
- */
-export function exactAngle(y, x, near) {
-  if (!Number.isFinite(x) || !Number.isFinite(y)) return Math.fround(Math.atan2(y, x));
-  const below = Math.fround(near - near * TRUSTED);
-  const above = nextUp32(below);
-  const middle = (below + above) / 2;
-  const step = nextUp64(middle) - middle;
-  const size = Math.abs(y);
-  // Within half a step of float64 from the middle, float64 gives the middle itself, and rounding takes the even
-  // neighbour.
-  let found = Math.fround(middle);
-  if (isBeyond(size, x, middle, step)) found = above;
-  else if (!isBeyond(size, x, middle, -step)) found = below;
-  return y < 0 ? -found : found;
-}
-
-/**
- * Whether the angle of a point above the x axis is larger than `angle + step / 2`.
- * @param {number} y
- * @param {number} x
- * @param {number} angle
- * @param {number} step
- */
-function isBeyond(y, x, angle, step) {
-  // sin(theta - angle) has the sign of y cos(angle) - x sin(angle).
-  const turn = fixed(angle) + fixed(step) / 2n;
-  const square = (turn * turn) >> DIGITS;
-  let sine = 0n;
-  let cosine = 0n;
-  let term = 1n << DIGITS;
-  for (let n = 1n; term !== 0n; n += 2n) {
-    cosine += term;
-    const odd = ((term * turn) >> DIGITS) / n;
-    sine += odd;
-    term = -((term * square) >> DIGITS) / (n * (n + 1n));
-  }
-  return fixed(y) * cosine - fixed(x) * sine > 0n;
-}
-
-/**
- * A number in fixed point, without loss for float32 values and for angles.
- * @param {number} value finite
- */
-function fixed(value) {
-  let exponent = 0;
-  let whole = value;
-  while (!Number.isInteger(whole)) {
-    whole *= 2;
-    exponent += 1;
-  }
-  return (BigInt(whole) << DIGITS) >> BigInt(exponent);
-}
 
 const { fround } = Math;
+
+/**
+ * `atan2f(y, x)`, rounded correctly: of a billion points, browsers round a few in the last digit the other way.
+ * @param {number} y a float32 value, not NaN
+ * @param {number} x a float32 value, not NaN
+ */
+export const correctAngle = (y, x) => fround(Math.atan2(y, x));
 
 /** The rows of the reduction, each with the smallest quotient that it applies to: a, b, c, d, high, low. */
 const REDUCTION = [

@@ -1,36 +1,22 @@
 // The page of clouds. When a parameter changes, it projects the cloud again and updates the views.
 
-import { commandLine, commandWords, parameterFile, staticText } from "./commands.mjs";
+import { commandLine, parameterFile } from "./commands.mjs";
 import { Controls } from "./controls.mjs";
 import { columns } from "./data.mjs";
-import { band, beamsFromAbove, endsOf, frameMarks, rings, sector, squares } from "./draw.mjs";
-import { Flat, GRAB } from "./flat.mjs";
+import { band, beamsFromAbove, endsOf, frameMarks, mark, rings, sector, squares } from "./draw.mjs";
+import { Flat } from "./flat.mjs";
+import { layoutOf } from "./layout.mjs";
 import { Orbit } from "./orbit.mjs";
-import {
-  copyButton,
-  element,
-  figure,
-  nameFrame,
-  oncePerFrame,
-  put,
-  setUpTheme,
-  setUpTime,
-  theme,
-  make,
-  styled,
-} from "./page.mjs";
+import { beamAt, copyButton, element, figure, make, oncePerFrame, onTheme, setUpTime, styled } from "./page.mjs";
 import { outcomeColours, paintValues, usualRange, word } from "./palette.mjs";
 import { emptyRange, problemOf } from "./params.mjs";
 import { OUTCOMES, Projector, transformed } from "./project.mjs";
-import { layoutOf } from "./layout.mjs";
-import { niceStep } from "./stage.mjs";
 import { matrixOf, matrixOfMount } from "./transform.mjs";
 import { Unrolled } from "./unrolled.mjs";
 
 /** @typedef {import("./params.mjs").Params} Params */
 /** @typedef {import("./transform.mjs").Mount} Mount */
 /** @typedef {import("./project.mjs").Cloud} Cloud */
-/** @typedef {import("./project.mjs").Scan} Scan */
 /** @typedef {Record<string, number | string | boolean>} Values */
 
 /**
@@ -55,9 +41,6 @@ import { Unrolled } from "./unrolled.mjs";
 
 /**
  * @typedef {object} CloudRecording
- * @property {string} title
- * @property {string} subtitle
- * @property {string[]} notes
  * @property {Values} params
  * @property {Values} defaults
  * @property {Values} base the parameters of the preset
@@ -97,12 +80,9 @@ export function showClouds(recording) {
   let fields = new Map();
   /** @type {ArrayLike<number> | null} */
   let filtered = null;
-  const projector = new Projector();
   /** @type {Cloud} in the scan's frame */
-  let cloud = emptyCloud(0);
-  /** @type {Cloud} where points are transformed to */
-  let moved = emptyCloud(0);
-  /** @type {Scan} */
+  let cloud = { x: new Float32Array(), y: new Float32Array(), z: new Float32Array() };
+  let projector = new Projector(cloud);
   let scan = projector.scan(params);
   let ends = new Float64Array();
   let colours = new Uint32Array();
@@ -110,39 +90,26 @@ export function showClouds(recording) {
   let fitted = false;
 
   const colourBy = element("colour", HTMLSelectElement);
+  const topics = element("topic", HTMLSelectElement);
   const readout = element("readout", HTMLElement);
   const draw = oncePerFrame(drawAll);
-
-  const top = new Flat(element("top", HTMLElement), "y", shown, { change: draw, draw, fit });
-  const side = new Flat(element("side", HTMLElement), "z", shown, { change: draw, draw, fit, grab: grabBand });
-  const orbit = new Orbit(element("orbit", HTMLElement), { draw, fit });
+  const top = new Flat(element("top", HTMLElement), "y", shown, draw, fit);
+  const side = new Flat(element("side", HTMLElement), "z", shown, draw, fit, grabBand);
+  const orbit = new Orbit(element("orbit", HTMLElement), draw, fit);
   const unrolled = new Unrolled(element("unrolled", HTMLElement), draw);
 
-  const fieldNames = [
-    ...new Set(recording.topics.flatMap((t) => t.clouds.flatMap((c) => c.data.fields.map((f) => f.name)))),
-  ];
+  const names = recording.topics.flatMap((t) => t.clouds.flatMap((c) => c.data.fields.map((f) => f.name)));
+  const fieldNames = [...new Set(names)].filter((name) => !["x", "y", "z"].includes(name));
   const controls = new Controls(
     element("controls", HTMLElement),
-    {
-      parameters: recording.parameters,
-      presets: Object.keys(recording.presets),
-      fields: fieldNames.filter((name) => !["x", "y", "z"].includes(name)),
-    },
+    { parameters: recording.parameters, presets: Object.keys(recording.presets), fields: fieldNames },
     { param: setParam, mount: setMount, preset: setPreset, reset },
   );
   const results = resultsIn(element("results", HTMLElement), choice);
 
-  colourBy.replaceChildren(
-    ...["outcome", "height", ...fieldNames.filter((name) => !["x", "y", "z"].includes(name))].map(
-      (name) => new Option(name, name),
-    ),
-  );
-  colourBy.addEventListener("change", () => {
-    paint();
-    draw();
-  });
-  const topics = element("topic", HTMLSelectElement);
-  topics.replaceChildren(...recording.topics.map(({ topic: name }) => new Option(name, name)));
+  colourBy.append(...["outcome", "height", ...fieldNames].map((name) => new Option(name, name)));
+  colourBy.addEventListener("change", paint);
+  topics.append(...recording.topics.map(({ topic: name }) => new Option(name, name)));
   topics.addEventListener("change", () => {
     const before = given();
     topic = recording.topics[topics.selectedIndex];
@@ -154,18 +121,26 @@ export function showClouds(recording) {
     void go(0);
   });
   element("topic-label", HTMLElement).hidden = recording.topics.length < 2;
-  hover();
+  for (const view of [top, side, orbit]) {
+    view.stage.element.addEventListener("pointermove", (event) => {
+      const [x, y] = view.stage.place(event);
+      const { ratio, raster } = view.stage;
+      const point = raster.at(x * ratio, y * ratio, 6 * ratio);
+      const [ahead, left] = top.world([x, y]);
+      const pointed = view === top ? beamAt(Math.atan2(left, ahead), ...beamEdges()) : -1;
+      describe(point, point >= 0 && scan.bins[point] >= 0 ? scan.bins[point] : pointed);
+    });
+  }
+  unrolled.stage.element.addEventListener("pointermove", (event) => {
+    describe(-1, beamAt(unrolled.angle(unrolled.stage.place(event)[0]), ...beamEdges()));
+  });
 
   const go = setUpTime(
     () => topic.clouds.length,
     load,
-    (step) => `${step + 1} of ${topic.clouds.length}: ${topic.clouds[step].moment}`,
+    (step) => topic.clouds[step].moment,
   );
-  setUpTheme(() => {
-    results.colour();
-    paint();
-    draw();
-  });
+  onTheme(paint);
 
   /** The parameters that the page opens a topic with. */
   function given() {
@@ -191,11 +166,10 @@ export function showClouds(recording) {
     const matrix = mount
       ? matrixOfMount(mount)
       : entry.transform && matrixOf(entry.transform.quaternion, entry.transform.translation);
-    if (moved.x.length !== own.x.length) moved = emptyCloud(own.x.length);
-    // Another object, by which the views know that points have moved.
-    cloud = { ...(matrix ? transformed(own, matrix, moved) : own) };
-    projector.place(cloud, filtered);
-    nameFrame(choice().targetFrame || entry.targetFrame);
+    cloud = matrix ? transformed(own, matrix) : own;
+    projector = new Projector(cloud, filtered);
+    const frame = choice().targetFrame || entry.targetFrame;
+    element("frame", HTMLElement).textContent = frame && `in frame ${frame}`;
     if (!fitted) fit();
     update();
   }
@@ -203,15 +177,12 @@ export function showClouds(recording) {
   /** Project with the present parameters, and show everything. */
   function update() {
     const problem = problemOf(params);
-    controls.blame(problem);
-    controls.show(params, mount ?? entry.mount, preset);
+    controls.show(params, mount ?? entry.mount, preset, problem);
     if (!problem) {
-      scan = projector.scan(params, (params.intensity_field && fields.get(params.intensity_field)) || null);
-      ends = endsOf(scan, isReturn);
+      scan = projector.scan(params);
+      ends = endsOf(scan.layout, scan.ranges, isReturn);
     }
-    results.show(scan, entry);
     paint();
-    draw();
   }
 
   /** @param {number} range */
@@ -219,22 +190,19 @@ export function showClouds(recording) {
     return Number.isFinite(range) && !Object.is(range, emptyRange(params));
   }
 
-  /** Choose the colour of each point. */
+  /** Choose the colour of each point, and show the counts. */
   function paint() {
     const by = colourBy.value;
-    const { outcomes } = scan;
-    const count = cloud.x.length;
-    if (colours.length !== count) colours = new Uint32Array(count);
     if (by === "outcome") {
-      const words = Uint32Array.from(outcomeColours(theme()), word);
-      for (let n = 0; n < count; n++) colours[n] = words[outcomes[n]];
-    } else {
-      paintValues(by === "height" ? cloud.z : (fields.get(by) ?? cloud.z), theme(), colours);
-    }
+      const words = outcomeColours().map(word);
+      colours = Uint32Array.from(scan.outcomes, (outcome) => words[outcome]);
+    } else colours = paintValues(by === "height" ? cloud.z : (fields.get(by) ?? cloud.z));
+    results(scan, entry);
+    draw();
   }
 
   function drawAll() {
-    if (!cloud.x.length && !fields.size) return;
+    if (!fields.size) return;
     const ranks = colourBy.value === "outcome" ? scan.outcomes : null;
     const beam = styled("--beam");
     const size = cloud.x.length > 60_000 ? 1 : 1.5;
@@ -243,7 +211,7 @@ export function showClouds(recording) {
     orbit.points(cloud, size, colours);
     const axis = 40 / shown.scale;
     let pen = top.axes();
-    rings(pen, top, niceStep(top.stage.width / shown.scale, 8));
+    rings(pen, top);
     sector(pen, top, params);
     beamsFromAbove(pen, top, ends, beam, [0, 0], true);
     frameMarks(pen, (x, y) => [top.px(x), top.py(y)], entry.frames, axis);
@@ -256,44 +224,16 @@ export function showClouds(recording) {
     pen = orbit.stage.pen();
     squares(pen, ends, (x, y) => orbit.place(x, y, 0), beam, 2);
     frameMarks(pen, (x, y, z) => orbit.place(x, y, z), entry.frames, 40 / orbit.scale);
-    unrolled.draw(
-      [
-        {
-          angleMin: scan.layout.angleMin,
-          increment: scan.layout.increment,
-          ranges: scan.ranges,
-          colour: beam,
-          size: 2,
-          isReturn,
-        },
-      ],
-      markedBeam,
-    );
-    const share = scan.counts[0] / Math.max(1, cloud.x.length);
-    const text = `${cloud.x.length} points, ${(100 * share).toFixed(1)} % used`;
-    top.stage.element.setAttribute("aria-label", `The cloud from above: ${text}; the beams of the scan over it`);
-    side.stage.element.setAttribute("aria-label", `The cloud from the side: ${text}; the height band`);
-    orbit.stage.element.setAttribute("aria-label", `The cloud in 3D: ${text}`);
-    unrolled.stage.element.setAttribute("aria-label", `Ranges of ${scan.ranges.length} beams by angle`);
-    document.body.dataset.drawn = `${Number(document.body.dataset.drawn ?? 0) + 1}`;
-  }
-
-  /**
-   * @param {CanvasRenderingContext2D} pen
-   * @param {number} x
-   * @param {number} y
-   */
-  function mark(pen, x, y) {
-    pen.strokeStyle = styled("--ink");
-    pen.beginPath();
-    pen.arc(x, y, 6, 0, 2 * Math.PI);
-    pen.stroke();
+    const { angleMin, increment } = scan.layout;
+    unrolled.draw([{ angleMin, increment, ranges: scan.ranges, colour: beam, size: 2, isReturn }], markedBeam);
+    const share = (100 * scan.counts[0]) / Math.max(1, cloud.x.length);
+    top.stage.element.ariaLabel = `The cloud from above: ${cloud.x.length} points, ${share.toFixed(1)} % used`;
+    document.body.dataset.drawn = "";
   }
 
   /** The edges of the band, upper and lower, kept within the view. */
   function bandEdges() {
-    const { height } = side.stage;
-    const keep = (/** @type {number} */ y) => Math.min(height - 24, Math.max(4, y));
+    const keep = (/** @type {number} */ y) => Math.min(side.stage.height - 24, Math.max(4, y));
     return /** @type {[number, number]} */ ([keep(side.py(params.max_height)), keep(side.py(params.min_height))]);
   }
 
@@ -302,14 +242,12 @@ export function showClouds(recording) {
    * @param {number} reach pixels
    */
   function grabBand([, y], reach) {
-    const [upper, lower] = bandEdges();
-    const [toUpper, toLower] = [Math.abs(y - upper), Math.abs(y - lower)];
+    const [toUpper, toLower] = bandEdges().map((edge) => Math.abs(y - edge));
     if (Math.min(toUpper, toLower) > reach) return null;
-    const name = toUpper < toLower ? "max_height" : "min_height";
     return (/** @type {[number, number]} */ at) => {
       const height = Math.round(side.world(at)[1] * 100) / 100;
-      const [low, high] = [params.min_height, params.max_height];
-      setParam(name, name === "max_height" ? Math.max(height, low) : Math.min(height, high));
+      if (toUpper < toLower) setParam("max_height", Math.max(height, params.min_height));
+      else setParam("min_height", Math.min(height, params.max_height));
     };
   }
 
@@ -317,14 +255,13 @@ export function showClouds(recording) {
   function fit() {
     fitted = true;
     const [x, y, z] = [cloud.x, cloud.y, cloud.z].map(usualRange);
-    top.fit(x, y);
+    const [sides, withSensor] = top.fit(x, y);
     shown.z = (z[0] + z[1]) / 2;
     const rise = Math.max(1, z[1] - z[0]) * shown.scale;
     shown.stretch = Math.min(MOST_STRETCH, Math.max(1, (0.75 * side.room[1]) / rise));
-    element("stretch", HTMLElement).textContent =
-      shown.stretch > 1 ? `, heights \u00d7 ${figure(shown.stretch, 1)}` : "";
-    const withSensor = [x, y].map(([low, high]) => [Math.min(low, 0), Math.max(high, 0)]);
-    orbit.fit(/** @type {[number, number][]} */ ([...withSensor, z]));
+    const stretched = shown.stretch > 1 ? `, heights \u00d7 ${figure(shown.stretch, 1)}` : "";
+    element("stretch", HTMLElement).textContent = stretched;
+    orbit.fit([sides, withSensor, z]);
     draw();
   }
 
@@ -333,11 +270,9 @@ export function showClouds(recording) {
    * @param {number | string} value
    */
   function setParam(name, value) {
-    /** @type {Record<string, number | string>} */
-    const changes = { [name]: value };
+    params = { ...params, [name]: value };
     // The number of beams sets the increment, and the increment the number of beams, so only one of them is kept.
-    if (name === "angle_increment") changes.beams = 0;
-    params = { ...params, ...changes };
+    if (name === "angle_increment") params.beams = 0;
     if (name === "beams" && value && !problemOf(params)) params.angle_increment = layoutOf(params).increment;
     update();
   }
@@ -373,45 +308,15 @@ export function showClouds(recording) {
   /** The present choices, from which the command line and the files to copy are made. */
   function choice() {
     const parent = entry.targetFrame === entry.frame || !entry.targetFrame ? "base_link" : entry.targetFrame;
-    return {
-      params,
-      base,
-      preset,
-      command: recording.command,
-      staticTf: mount && { parent, child: entry.frame || "lidar", mount },
-      targetFrame: mount ? parent : recording.targetFrame,
-    };
+    const staticTf = mount && { parent, child: entry.frame || "lidar", mount };
+    const targetFrame = mount ? parent : recording.targetFrame;
+    return { params, base, preset, command: recording.command, staticTf, targetFrame };
   }
 
-  function hover() {
-    for (const view of [top, side, orbit]) {
-      view.stage.element.addEventListener("pointermove", (event) => {
-        const [x, y] = view.stage.place(event);
-        const { ratio, raster } = view.stage;
-        const point = raster?.at(x * ratio, y * ratio, 6 * ratio) ?? -1;
-        if (view === side) {
-          const near = bandEdges().some((edge) => Math.abs(edge - y) <= GRAB);
-          side.stage.element.style.cursor = near ? "ns-resize" : "";
-        }
-        const [ahead, left] = top.world([x, y]);
-        const angle = view === top ? Math.atan2(left, ahead) : NaN;
-        describe(point, point >= 0 && scan.outcomes[point] === 0 ? scan.bins[point] : beamAt(angle));
-      });
-    }
-    unrolled.stage.element.addEventListener("pointermove", (event) => {
-      describe(-1, beamAt(unrolled.angle(unrolled.stage.place(event)[0])));
-    });
-  }
-
-  /**
-   * @param {number} angle radians
-   */
-  function beamAt(angle) {
+  /** @returns {[number, number, number]} the first edge, radians, the width and the number of the beams */
+  function beamEdges() {
     const { angleMin, increment, count } = scan.layout;
-    const turned = angle - angleMin + (params.geometry === "upstream" ? 0 : increment / 2);
-    const turn = 2 * Math.PI;
-    const beam = Math.floor((((turned % turn) + turn) % turn) / increment);
-    return beam >= 0 && beam < count ? beam : -1;
+    return [angleMin - (params.geometry === "upstream" ? 0 : increment / 2), increment, count];
   }
 
   /**
@@ -422,24 +327,19 @@ export function showClouds(recording) {
     const words = [];
     if (point >= 0) {
       const values = [...fields].map(([name, column]) => `${name} ${figure(column[point])}`);
-      const [x, y, z] = [cloud.x[point], cloud.y[point], cloud.z[point]];
       words.push(`Point ${point}: ${values.join(", ")}`);
-      if (mount || entry.transform)
-        words.push(`in ${entry.targetFrame || "the scan's frame"} ${figure(x)}, ${figure(y)}, ${figure(z)}`);
+      const place = [cloud.x, cloud.y, cloud.z].map((axis) => figure(axis[point]));
+      if (mount || entry.transform) words.push(`in ${entry.targetFrame || "the scan's frame"} ${place.join(", ")}`);
       words.push(OUTCOME_NAMES[OUTCOMES[scan.outcomes[point]]]);
     }
     if (beam >= 0) {
       const angle = scan.layout.angleMin + beam * scan.layout.increment;
-      const range = scan.ranges[beam];
-      words.push(
-        `Beam ${beam}: ${((angle * 180) / Math.PI).toFixed(2)}\u00b0, ${isReturn(range) ? `${figure(range)} m` : "no return"}`,
-      );
+      const reads = isReturn(scan.ranges[beam]) ? `${figure(scan.ranges[beam])} m` : "no return";
+      words.push(`Beam ${beam}: ${((angle * 180) / Math.PI).toFixed(2)}\u00b0, ${reads}`);
     }
     readout.textContent = words.join("; ");
-    if (beam !== markedBeam) {
-      markedBeam = beam;
-      draw();
-    }
+    markedBeam = beam;
+    draw();
   }
 
   Object.assign(window, {
@@ -459,24 +359,16 @@ export function showClouds(recording) {
  * @returns {Values}
  */
 function revived(values) {
-  return Object.fromEntries(
-    Object.entries(values).map(([name, value]) => {
-      const infinite = (value === "inf" || value === "-inf") && name !== "no_return";
-      return [name, infinite ? (value === "inf" ? Infinity : -Infinity) : value];
-    }),
-  );
+  const infinities = new Map(Object.entries({ inf: Infinity, "-inf": -Infinity }));
+  const read = Object.entries(values).map(([name, value]) => [
+    name,
+    name === "no_return" ? value : (infinities.get(String(value)) ?? value),
+  ]);
+  return Object.fromEntries(read);
 }
 
 /**
- * @param {number} points
- * @returns {Cloud}
- */
-function emptyCloud(points) {
-  return { x: new Float32Array(points), y: new Float32Array(points), z: new Float32Array(points) };
-}
-
-/**
- * The counts, and what can be copied.
+ * The counts, and what can be copied; returns what shows those of a scan.
  * @param {HTMLElement} panel
  * @param {() => import("./commands.mjs").Choice} choice
  */
@@ -484,14 +376,11 @@ function resultsIn(panel, choice) {
   const table = make("table");
   const summary = make("p");
   const command = make("pre", { id: "command", tabIndex: 0 });
-  const staticButton = copyButton("--static-tf", () => staticText(choice()));
-  const buttons = make(
-    "div",
-    { className: "buttons" },
+  const buttons = make("div", { className: "buttons" });
+  buttons.append(
     copyButton("Copy command", () => commandLine(choice())),
     copyButton("ROS 1 parameters", () => parameterFile(choice(), 1)),
     copyButton("ROS 2 parameters", () => parameterFile(choice(), 2)),
-    staticButton,
   );
   const take = make("h2", { textContent: "Copy these parameters" });
   panel.append(make("h2", { textContent: "Points" }), table, summary, take, buttons, command);
@@ -502,34 +391,17 @@ function resultsIn(panel, choice) {
     const [count, share] = ["count", "share"].map((className) => Object.assign(row.insertCell(), { className }));
     return { row, swatch, count, share };
   });
-  return {
-    /** Colour the names like the points. */
-    colour() {
-      rows.forEach(({ swatch }, n) => (swatch.style.background = outcomeColours(theme())[n]));
-    },
-    /**
-     * @param {Scan} scan
-     * @param {CloudEntry} entry
-     */
-    show(scan, entry) {
-      const total = Math.max(1, scan.outcomes.length);
-      rows.forEach(({ row, count, share }, n) => {
-        put(row, "hidden", OUTCOMES[n] === "filtered" && !entry.filtered);
-        put(count, "textContent", grouped(scan.counts[n]));
-        put(share, "textContent", `${((100 * scan.counts[n]) / total).toFixed(1)} %`);
-      });
-      const thinned = entry.total > scan.outcomes.length ? `; of ${grouped(entry.total)} points, thinned` : "";
-      summary.textContent = `${scan.ranges.length} beams, ${scan.returns} with a return${thinned}`;
-      const words = commandWords(choice());
-      if (command.children.length === words.length)
-        words.forEach((word, n) => put(command.children[n], "textContent", word));
-      else {
-        const unbroken = words.map((word) => make("span", { className: "word", textContent: word }));
-        command.replaceChildren(...unbroken.flatMap((word) => [" ", word]).slice(1));
-      }
-      staticButton.hidden = !choice().staticTf;
-    },
+  const { format } = new Intl.NumberFormat("en");
+  return (/** @type {import("./project.mjs").Scan} */ scan, /** @type {CloudEntry} */ entry) => {
+    const total = Math.max(1, scan.outcomes.length);
+    rows.forEach(({ row, swatch, count, share }, n) => {
+      swatch.style.background = outcomeColours()[n];
+      row.hidden = OUTCOMES[n] === "filtered" && !entry.filtered;
+      count.textContent = format(scan.counts[n]);
+      share.textContent = `${((100 * scan.counts[n]) / total).toFixed(1)} %`;
+    });
+    const thinned = entry.total > scan.outcomes.length ? `; of ${format(entry.total)} points, thinned` : "";
+    summary.textContent = `${scan.ranges.length} beams, ${scan.returns} with a return${thinned}`;
+    command.textContent = commandLine(choice());
   };
 }
-
-const { format: grouped } = new Intl.NumberFormat("en");

@@ -1,4 +1,4 @@
-// What the user can copy: the command line, parameter files and static transforms that make the scans of the page.
+// What the user can copy: the command line, and parameter files, that make the scans of the page.
 
 import { MOUNT_KEYS } from "./transform.mjs";
 
@@ -16,17 +16,15 @@ import { MOUNT_KEYS } from "./transform.mjs";
  */
 
 /**
- * Write a number so that Python reads the same bits.
- * @param {number} value
+ * Write a value so that Python reads the same bits.
+ * @param {string} name
+ * @param {number | string | boolean} value
  */
-function number(value) {
+function written(name, value) {
   if (value === Infinity) return "inf";
-  const text = String(value);
-  return /^-?\d+$/.test(text) && Math.abs(value) < 1e15 ? `${text}.0` : text;
+  const isWhole = typeof value !== "number" || name === "beams" || name === "min_points";
+  return /^-?\d+$/.test(String(value)) && !isWhole && Math.abs(value) < 1e15 ? `${value}.0` : String(value);
 }
-
-/** @param {number | string | boolean} value */
-const written = (value) => (typeof value === "number" ? number(value) : String(value));
 
 /**
  * Quote a word for a POSIX shell.
@@ -50,44 +48,24 @@ function counting(params) {
 }
 
 /**
- * The parameters that differ from those without any option.
- * @param {Choice} choice
- */
-function changed({ params, base }) {
-  return counting(params).filter(([name, value]) => base[name] !== value);
-}
-
-/** @param {Choice} choice */
-export function staticText({ staticTf }) {
-  if (!staticTf) return "";
-  const { parent, child, mount } = staticTf;
-  return [parent, child, ...MOUNT_KEYS.map((key) => number(mount[key]))].join(" ");
-}
-
-/**
  * The command line that makes the scans that the page shows.
  * @param {Choice} choice
  */
-export function commandLine(choice) {
-  return commandWords(choice).join(" ");
-}
-
-/**
- * The words of the command line, before quoting.
- * @param {Choice} choice
- */
-export function commandWords(choice) {
-  const words = [...choice.command];
-  if (choice.preset) words.push("--preset", choice.preset);
-  if (choice.staticTf) words.push("--static-tf", staticText(choice));
-  if (choice.targetFrame) words.push(`--target-frame=${choice.targetFrame}`);
-  for (const [name, value] of changed(choice)) {
-    const option = `--${name.replaceAll("_", "-")}`;
-    if (typeof value === "boolean") words.push(value ? option : `--no-${option.slice(2)}`);
-    else if (name === "beams" || name === "min_points") words.push(`${option}=${value}`);
-    else words.push(`${option}=${written(value)}`);
+export function commandLine({ params, base, preset, command, staticTf, targetFrame }) {
+  const words = [...command];
+  if (preset) words.push("--preset", preset);
+  if (staticTf) {
+    const { parent, child, mount } = staticTf;
+    words.push("--static-tf", [parent, child, ...MOUNT_KEYS.map((key) => written(key, mount[key]))].join(" "));
   }
-  return words.map(quoted);
+  if (targetFrame) words.push(`--target-frame=${targetFrame}`);
+  for (const [name, value] of counting(params)) {
+    if (base[name] === value) continue;
+    const option = name.replaceAll("_", "-");
+    if (typeof value === "boolean") words.push(value ? `--${option}` : `--no-${option}`);
+    else words.push(`--${option}=${written(name, value)}`);
+  }
+  return words.map(quoted).join(" ");
 }
 
 /**
@@ -95,15 +73,13 @@ export function commandWords(choice) {
  * @param {Choice} choice
  * @param {1 | 2} ros
  */
-export function parameterFile(choice, ros) {
-  const { params, targetFrame } = choice;
-  /** @type {[string, string][]} */
-  const rows = targetFrame ? [["target_frame", JSON.stringify(targetFrame)]] : [];
-  for (const [name, value] of counting(params)) {
-    const whole = name === "beams" || name === "min_points";
-    rows.push([name, typeof value === "string" ? JSON.stringify(value) : whole ? String(value) : written(value)]);
-  }
+export function parameterFile({ params, targetFrame }, ros) {
+  const rows = [...(targetFrame ? [["target_frame", targetFrame]] : []), ...counting(params)];
   const indent = ros === 2 ? "    " : "";
   const head = ros === 2 ? "pointcloud_to_laserscan:\n  ros__parameters:\n" : "";
-  return head + rows.map(([name, value]) => `${indent}${name}: ${value}\n`).join("");
+  const lines = rows.map(([name, value]) => {
+    const text = typeof value === "string" ? JSON.stringify(value) : written(String(name), value);
+    return `${indent}${name}: ${text}\n`;
+  });
+  return head + lines.join("");
 }

@@ -1,10 +1,11 @@
 // The form: one row for each parameter, a slider beside its number.
 
-import { make, put } from "./page.mjs";
+import { make } from "./page.mjs";
 import { MOUNT_KEYS } from "./transform.mjs";
 
 /** @typedef {import("./params.mjs").Params} Params */
 /** @typedef {import("./transform.mjs").Mount} Mount */
+/** @typedef {{element: HTMLElement, show: (value: any) => void, mark: (wrong: boolean) => void}} Row */
 
 const DEGREE = Math.PI / 180;
 /** From here on a limit limits nothing: upstream's defaults are the largest float64. */
@@ -38,90 +39,71 @@ const GROUPS = {
   "Range of a beam": ["reduce", ["min_points", "", 1, 20, 1], "no_return", "angle_rounding", "intensity_field"],
 };
 
-/** One parameter's row: a slider and a number that agree. */
-class NumberRow {
-  /**
-   * @param {Spec} spec
-   * @param {string} help
-   * @param {(value: number) => void} changed
-   */
-  constructor([name, unit, min, max, step, none = "", empty], help, changed) {
-    this.none = none;
-    this.empty = empty;
-    this.factor = unit === "deg" ? DEGREE : 1;
-    const [low, high, by] = [min, max, step].map(String);
-    this.slider = make("input", { type: "range", tabIndex: -1, min: low, max: high, step: by });
-    this.number = make("input", { type: "number", step: "any", id: `param-${name}` });
-    this.slider.setAttribute("aria-hidden", "true");
-    this.slider.addEventListener("input", () => {
-      this.number.value = this.slider.value;
-      changed(Number(this.slider.value) * this.factor);
-    });
-    this.number.addEventListener("input", () => {
-      const text = this.number.value.trim();
-      const value = text === "" && empty !== undefined ? empty : Number.parseFloat(text) * this.factor;
-      if (Number.isFinite(value)) this.slider.value = String(value / this.factor);
-      changed(value);
-    });
-    const label = name === "angle_increment" ? "increment" : name;
-    const after = make("span", { className: "unit", textContent: unit });
-    this.element = row(label, this.number.id, help, this.slider, this.number, after);
-  }
-
-  /** @param {number} value */
-  show(value) {
-    const shown = Number((value / this.factor).toPrecision(9));
-    const none = Math.abs(value) >= NO_LIMIT || value === this.empty;
+/**
+ * One parameter's row: a slider and a number that agree.
+ * @param {Spec} spec
+ * @param {string} id
+ * @param {string} help
+ * @param {(value: number) => void} changed
+ * @returns {Row}
+ */
+function numberRow([name, unit, min, max, step, none = "", empty], id, help, changed) {
+  const factor = unit === "deg" ? DEGREE : 1;
+  const [low, high, by] = [min, max, step].map(String);
+  const slider = make("input", { type: "range", tabIndex: -1, min: low, max: high, step: by, ariaHidden: "true" });
+  const number = make("input", { type: "number", step: "any", id });
+  slider.addEventListener("input", () => {
+    number.value = slider.value;
+    changed(Number(slider.value) * factor);
+  });
+  number.addEventListener("input", () => {
+    const text = number.value.trim();
+    changed(text === "" && empty !== undefined ? empty : Number.parseFloat(text) * factor);
+  });
+  const show = (/** @type {number} */ value) => {
+    const shown = Number((value / factor).toPrecision(9));
     // Upstream's default min_height is the smallest number above 0.
     const above = value > 0 && value < 1e-300;
-    const text = none || above ? "" : String(shown);
-    put(this.number, "placeholder", above ? "above 0" : this.none);
-    if (document.activeElement !== this.number) this.number.value = text;
-    this.slider.value = String(Math.abs(value) >= NO_LIMIT ? Math.sign(value) * 1e9 : shown);
-  }
-
-  /** @param {boolean} wrong */
-  mark(wrong) {
-    this.number.setAttribute("aria-invalid", String(wrong));
-  }
+    number.placeholder = above ? "above 0" : none;
+    const unset = above || Math.abs(value) >= NO_LIMIT || value === empty;
+    if (document.activeElement !== number) number.value = unset ? "" : String(shown);
+    if (!Number.isNaN(value)) slider.value = String(Math.min(1e9, Math.max(-1e9, shown)));
+  };
+  const after = make("span", { className: "unit", textContent: unit });
+  return row(name === "angle_increment" ? "increment" : name, help, show, number, slider, number, after);
 }
 
-/** A parameter that is one of some words. */
-class ChoiceRow {
-  /**
-   * @param {string} name
-   * @param {string[]} choices
-   * @param {string} help
-   * @param {(value: string) => void} changed
-   */
-  constructor(name, choices, help, changed) {
-    this.select = make("select", { id: `param-${name}` });
-    for (const choice of choices) this.select.add(new Option(choice || "none", choice));
-    this.select.addEventListener("change", () => changed(this.select.value));
-    this.element = row(name, this.select.id, help, this.select);
-  }
-
-  /** @param {string} value */
-  show(value) {
-    if (![...this.select.options].some((option) => option.value === value)) this.select.add(new Option(value, value));
-    this.select.value = value;
-  }
-
-  /** @param {boolean} wrong */
-  mark(wrong) {
-    this.select.setAttribute("aria-invalid", String(wrong));
-  }
+/**
+ * A parameter that is one of some words.
+ * @param {string} name
+ * @param {string[]} choices
+ * @param {string} help
+ * @param {(value: string) => void} changed
+ * @returns {Row}
+ */
+function choiceRow(name, choices, help, changed) {
+  const select = make("select", { id: `param-${name}` });
+  for (const choice of choices) select.add(new Option(choice || "none", choice));
+  select.addEventListener("change", () => changed(select.value));
+  const show = (/** @type {string} */ value) => {
+    if (![...select.options].some((option) => option.value === value)) select.add(new Option(value, value));
+    select.value = value;
+  };
+  return row(name, help, show, select, select);
 }
 
 /**
  * @param {string} text
- * @param {string} id
  * @param {string} help
+ * @param {(value: any) => void} show
+ * @param {HTMLElement} field
  * @param {...HTMLElement} parts
+ * @returns {Row}
  */
-function row(text, id, help, ...parts) {
-  const label = make("label", { htmlFor: id, textContent: text });
-  return make("div", { className: "row", title: help }, label, ...parts);
+function row(text, help, show, field, ...parts) {
+  const label = make("label", { htmlFor: field.id, textContent: text });
+  const element = make("div", { className: "row", title: help }, label, ...parts);
+  return { element, show, mark: (wrong) => (field.ariaInvalid = String(wrong)) };
 }
 
 export class Controls {
@@ -138,11 +120,11 @@ export class Controls {
    * @param {() => void} on.reset
    */
   constructor(panel, given, on) {
-    /** @type {Map<string, NumberRow | ChoiceRow>} */
+    /** @type {Map<string, Row>} */
     this.rows = new Map();
     const about = "Parameters that suit a consumer of the scans.";
-    this.presets = new ChoiceRow("preset", ["", ...given.presets], about, on.preset);
-    panel.append(make("h2", { textContent: "Parameters" }), this.presets.element);
+    this.preset = choiceRow("preset", ["", ...given.presets], about, on.preset);
+    panel.append(make("h2", { textContent: "Parameters" }), this.preset.element);
     for (const [title, specs] of Object.entries(GROUPS)) {
       const group = make("fieldset", {}, make("legend", { textContent: title }));
       for (const spec of specs) {
@@ -150,8 +132,8 @@ export class Controls {
         const { help = "", choices = [] } = given.parameters[name] ?? {};
         const changed = (/** @type {number | string} */ value) => on.param(name, value);
         const words = name === "intensity_field" ? ["", ...given.fields] : choices;
-        const made =
-          typeof spec === "string" ? new ChoiceRow(name, words, help, changed) : new NumberRow(spec, help, changed);
+        const isWord = typeof spec === "string";
+        const made = isWord ? choiceRow(name, words, help, changed) : numberRow(spec, `param-${name}`, help, changed);
         this.rows.set(name, made);
         group.append(made.element);
       }
@@ -163,38 +145,31 @@ export class Controls {
       const help = "Pose of the sensor in the target frame; see --static-tf.";
       /** @type {Spec} */
       const spec = key.length === 1 ? [key, "m", -3, 3, 0.01] : [key, "deg", -180, 180, 0.1];
-      const made = new NumberRow(spec, help, (value) => on.mount(key, value));
-      made.number.id = `mount-${key}`;
-      made.element.querySelector("label")?.setAttribute("for", made.number.id);
-      this.rows.set(`mount-${key}`, made);
+      const made = numberRow(spec, `mount-${key}`, help, (value) => on.mount(key, value));
+      this.rows.set(key, made);
       mount.append(made.element);
     }
     const reset = make("button", { type: "button", textContent: "Reset all" });
     reset.addEventListener("click", on.reset);
-    this.problem = make("p", { className: "problem" });
-    this.problem.setAttribute("role", "alert");
+    this.problem = make("p", { className: "problem", role: "alert" });
     panel.append(mount, make("div", { className: "buttons" }, reset), this.problem);
   }
 
   /**
-   * Show values.
+   * Show values, and the first problem of the parameters.
    * @param {Params} params
    * @param {Mount} mount
    * @param {string} preset
+   * @param {{name: string, message: string} | null} problem
    */
-  show(params, mount, preset) {
+  show(params, mount, preset, problem) {
+    const { no_return, use_inf } = params;
+    const values = { ...params, ...mount, no_return: no_return || (use_inf ? "inf" : "range-max-plus") };
     for (const [name, made] of this.rows) {
-      const key = name.startsWith("mount-") ? /** @type {keyof Mount} */ (name.slice(6)) : null;
-      const value = key ? mount[key] : params[/** @type {keyof Params} */ (name)];
-      if (made instanceof NumberRow) made.show(Number(value));
-      else made.show(String(name === "no_return" && !value ? (params.use_inf ? "inf" : "range-max-plus") : value));
+      made.show(values[/** @type {keyof typeof values} */ (name)]);
+      made.mark(problem?.name === name);
     }
-    this.presets.show(preset);
-  }
-
-  /** @param {{name: string, message: string} | null} problem */
-  blame(problem) {
-    for (const [name, made] of this.rows) made.mark(problem?.name === name);
-    put(this.problem, "textContent", problem ? `${problem.name} ${problem.message}` : "");
+    this.preset.show(preset);
+    this.problem.textContent = problem ? `${problem.name} ${problem.message}` : "";
   }
 }

@@ -32,50 +32,26 @@ export function description() {
 }
 
 /**
- * Decompress the arrays of a cloud or of some scans.
+ * Decompress the arrays of a cloud or of some scans. The first bytes of all values come first, then their second bytes,
+ * and so on, which compresses better.
  * @param {ArrayData} data
  * @returns {Promise<Map<string, Column>>} by field name, in order
  */
-export async function columns(data) {
-  const text = document.getElementById(data.id)?.textContent ?? "";
-  const bytes = await inflated(bytesOf(text.trim()));
+export async function columns({ id, length, fields }) {
+  const text = document.getElementById(id)?.textContent ?? "";
+  const packed = Uint8Array.from(atob(text.trim()), (character) => character.charCodeAt(0));
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate-raw"));
+  const planes = new Uint8Array(await new Response(stream).arrayBuffer());
   /** @type {Map<string, Column>} */
   const found = new Map();
   let begin = 0;
-  for (const { name, type } of data.fields) {
-    const column = new TYPES[type](data.length);
-    joinPlanes(bytes.subarray(begin, begin + column.byteLength), column);
-    begin += column.byteLength;
+  for (const { name, type } of fields) {
+    const column = new TYPES[type](length);
+    const bytes = new Uint8Array(column.buffer);
+    const width = column.BYTES_PER_ELEMENT;
+    for (let n = 0; n < bytes.length; n++) bytes[n] = planes[begin + (n % width) * length + Math.floor(n / width)];
+    begin += bytes.length;
     found.set(name, column);
   }
   return found;
-}
-
-/** @param {string} text base64 */
-function bytesOf(text) {
-  const characters = atob(text);
-  const bytes = new Uint8Array(characters.length);
-  for (let n = 0; n < bytes.length; n++) bytes[n] = characters.charCodeAt(n);
-  return bytes;
-}
-
-/** @param {Uint8Array<ArrayBuffer>} bytes zlib's raw deflate format */
-async function inflated(bytes) {
-  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate-raw"));
-  return new Uint8Array(await new Response(stream).arrayBuffer());
-}
-
-/**
- * Join the bytes of values that are stored with the first bytes of all values first, then their second bytes, and so
- * on, which compresses better.
- * @param {Uint8Array} planes
- * @param {Column} column overwritten
- */
-function joinPlanes(planes, column) {
-  const width = column.BYTES_PER_ELEMENT;
-  const bytes = new Uint8Array(column.buffer);
-  for (let place = 0; place < width; place++) {
-    const plane = planes.subarray(place * column.length, (place + 1) * column.length);
-    for (let n = 0; n < column.length; n++) bytes[n * width + place] = plane[n];
-  }
 }

@@ -14,44 +14,43 @@ import { Stage, niceStep, tick, ticks } from "./stage.mjs";
  * @property {number} stretch how many times as large heights are shown
  */
 
+/** @typedef {[number, number]} Pair */
+
 /** Space for the numbers of the axes, pixels. */
 const MARGIN = { left: 40, bottom: 20 };
-
-/** How close the pointer must be to something to drag it, pixels. */
-export const GRAB = 7;
 
 export class Flat {
   /**
    * @param {HTMLElement} element
    * @param {"y" | "z"} up the axis that points up; x points right
    * @param {Window} shown
-   * @param {object} on
-   * @param {() => void} on.change the window has changed
-   * @param {() => void} on.draw draw this view
-   * @param {() => void} on.fit
-   * @param {(start: [number, number], reach: number) => ((at: [number, number]) => void) | null} [on.grab] something
-   *   to be dragged, which is at most `reach` pixels away
+   * @param {() => void} draw
+   * @param {() => void} fit
+   * @param {(start: Pair, reach: number) => ((at: Pair) => void) | null} grab returns what drags something that is at
+   *   most `reach` pixels away; null: the view is dragged
    */
-  constructor(element, up, shown, on) {
+  constructor(element, up, shown, draw, fit, grab = () => null) {
     this.up = up;
     this.shown = shown;
-    this.stage = new Stage(element, on.draw);
+    this.stage = new Stage(element, draw);
+    const pan = (/** @type {number} */ dx, /** @type {number} */ dy) => {
+      this.shown.x -= dx / this.shown.scale;
+      this.shown[this.up] += dy / this.rise;
+      draw();
+    };
     this.stage.onDrag((start, { pointerType }) => {
-      const grabbed = on.grab?.(start, pointerType === "touch" ? 3 * GRAB : GRAB);
-      if (grabbed) return (_dx, _dy, at) => grabbed(at);
-      return (dx, dy) => {
-        this.pan(dx, dy);
-        on.change();
-      };
+      const grabbed = grab(start, pointerType === "touch" ? 21 : 7);
+      return grabbed ? (_dx, _dy, at) => grabbed(at) : pan;
     });
     this.stage.onZoom((factor, at) => {
-      this.zoom(factor, at);
-      on.change();
+      const before = this.world(at);
+      this.shown.scale = Math.min(1e5, Math.max(0.01, this.shown.scale * factor));
+      const after = this.world(at);
+      this.shown.x += before[0] - after[0];
+      this.shown[this.up] += before[1] - after[1];
+      draw();
     });
-    this.stage.onKeys(on.fit, (right, down) => {
-      this.pan(-40 * right, -40 * down);
-      on.change();
-    });
+    this.stage.onKeys(fit, (right, down) => pan(-40 * right, -40 * down));
   }
 
   /** Pixels a metre, along the axis that points up. */
@@ -70,16 +69,16 @@ export class Flat {
   }
 
   /**
-   * Show a rectangle from above, and the sensor.
-   * @param {[number, number]} x limits, metres
-   * @param {[number, number]} y
+   * Show a rectangle from above, and the sensor; returns its sides.
+   * @param {Pair[]} limits of x and y, metres
    */
-  fit(x, y) {
-    const sides = [x, y].map(([low, high]) => [Math.min(low, 0), Math.max(high, 0)]);
-    const [middleX, middleY] = sides.map(([low, high]) => (low + high) / 2);
+  fit(...limits) {
+    const sides = limits.map(([low, high]) => /** @type {Pair} */ ([Math.min(low, 0), Math.max(high, 0)]));
+    const [x, y] = sides.map(([low, high]) => (low + high) / 2);
     const [width, height] = sides.map(([low, high]) => Math.max(1, high - low));
     const scale = 0.92 * Math.min(this.room[0] / width, this.room[1] / height);
-    Object.assign(this.shown, { x: middleX, y: middleY, scale });
+    Object.assign(this.shown, { x, y, scale });
+    return sides;
   }
 
   /** @param {number} x metres */
@@ -93,35 +92,12 @@ export class Flat {
   }
 
   /**
-   * @param {[number, number]} place pixels
-   * @returns {[number, number]} metres
+   * The place of a pixel, metres.
+   * @param {Pair} place pixels
    */
   world([px, py]) {
-    return [
-      this.shown.x + (px - this.middle[0]) / this.shown.scale,
-      this.shown[this.up] - (py - this.middle[1]) / this.rise,
-    ];
-  }
-
-  /**
-   * @param {number} dx pixels
-   * @param {number} dy pixels
-   */
-  pan(dx, dy) {
-    this.shown.x -= dx / this.shown.scale;
-    this.shown[this.up] += dy / this.rise;
-  }
-
-  /**
-   * @param {number} factor
-   * @param {[number, number]} at the place that stays
-   */
-  zoom(factor, at) {
-    const before = this.world(at);
-    this.shown.scale = Math.min(1e5, Math.max(0.01, this.shown.scale * factor));
-    const after = this.world(at);
-    this.shown.x += before[0] - after[0];
-    this.shown[this.up] += before[1] - after[1];
+    const [x, y] = this.middle;
+    return [this.shown.x + (px - x) / this.shown.scale, this.shown[this.up] - (py - y) / this.rise];
   }
 
   /**
@@ -133,55 +109,43 @@ export class Flat {
    */
   points(cloud, size, colours, ranks) {
     const { ratio } = this.stage;
-    const [mx, my] = this.middle;
-    const scale = this.shown.scale * ratio;
-    const left = mx * ratio - this.shown.x * scale;
-    const rise = this.rise * ratio;
-    const top = my * ratio + this.shown[this.up] * rise;
-    const view =
-      this.up === "y"
-        ? { right: [scale, 0, 0, left], down: [0, -rise, 0, top], near: [0, 0, 1] }
-        : { right: [scale, 0, 0, left], down: [0, 0, -rise, top], near: [0, -1, 0] };
-    this.stage.points(cloud, view, size, colours, ranks);
+    const [scale, rise] = [this.shown.scale * ratio, this.rise * ratio];
+    const right = [scale, 0, 0, this.px(0) * ratio];
+    const top = this.py(0) * ratio;
+    const [down, near] = this.up === "y" ? [[0, -rise, 0, top], [0, 0, 1]] : [[0, 0, -rise, top], [0, -1, 0]]; // prettier-ignore
+    this.stage.points(cloud, { right, down, near }, size, colours, ranks);
   }
 
-  /**
-   * Draw the grid and the axes' numbers, and return the pen for what is drawn above them.
-   */
+  /** Draw the grid and the axes' numbers, and return the pen for what is drawn above them. */
   axes() {
     const pen = this.stage.pen();
     const { width, height } = this.stage;
     const bottom = height - MARGIN.bottom;
     const step = niceStep(width / this.shown.scale, width / 90);
+    const stepUp = this.rise === this.shown.scale ? step : niceStep(height / this.rise, height / 30);
     const [left, low] = this.world([MARGIN.left, bottom]);
     const [right, high] = this.world([width, 0]);
+    const across = ticks(left, right, step).map((value) => ({
+      at: Math.round(this.px(value)) + 0.5,
+      text: tick(value, step),
+    }));
+    const along = ticks(low, high, stepUp).map((value) => ({
+      at: Math.round(this.py(value)) + 0.5,
+      text: tick(value, stepUp),
+    }));
     pen.strokeStyle = styled("--grid");
-    pen.fillStyle = styled("--faint");
-    const numbers = [];
-    const lines = [];
-    for (const value of ticks(left, right, step)) {
-      const x = Math.round(this.px(value)) + 0.5;
-      lines.push([x, 0, x, bottom]);
-      numbers.push({ x, y: bottom + 11, text: tick(value, step), align: "center" });
-    }
-    const stepUp = this.rise === this.shown.scale ? step : niceStep(height / this.rise, height / 30);
-    for (const value of ticks(low, high, stepUp)) {
-      const y = Math.round(this.py(value)) + 0.5;
-      lines.push([MARGIN.left, y, width, y]);
-      numbers.push({ x: MARGIN.left - 6, y, text: tick(value, stepUp), align: "right" });
-    }
     pen.globalCompositeOperation = "destination-over";
-    strokeLines(pen, ...lines);
+    strokeLines(pen, ...across.map(({ at }) => [at, 0, at, bottom]), ...along.map(({ at }) => [0, at, width, at]));
     pen.globalCompositeOperation = "source-over";
     pen.fillStyle = styled("--plot");
     pen.fillRect(0, 0, MARGIN.left, height);
     pen.fillRect(0, bottom, width, MARGIN.bottom);
     pen.fillStyle = styled("--faint");
-    for (const { x, y, text, align } of numbers) {
-      if (y < 6 || x > width - 10 || (align === "center" && x < MARGIN.left + 4)) continue;
-      pen.textAlign = /** @type {CanvasTextAlign} */ (align);
-      pen.fillText(text, x, y);
-    }
+    pen.textAlign = "center";
+    for (const { at, text } of across)
+      if (at >= MARGIN.left + 4 && at <= width - 10) pen.fillText(text, at, bottom + 11);
+    pen.textAlign = "right";
+    for (const { at, text } of along) if (at >= 6) pen.fillText(text, MARGIN.left - 6, at);
     pen.textAlign = "left";
     pen.fillText("m", 8, bottom + 11);
     pen.save();

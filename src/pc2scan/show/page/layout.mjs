@@ -93,10 +93,8 @@ function symmetricLayout(params) {
 
 /** @param {number} value */
 function roundHalfEven(value) {
-  const floor = Math.floor(value);
-  const part = value - floor;
-  if (part !== 0.5) return Math.round(value);
-  return floor % 2 === 0 ? floor : floor + 1;
+  const nearest = Math.round(value);
+  return nearest - value === 0.5 && nearest % 2 ? nearest - 1 : nearest;
 }
 
 /** @type {Record<string, (params: Params) => Layout>} */

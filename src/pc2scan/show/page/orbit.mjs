@@ -5,51 +5,30 @@ import { Stage } from "./stage.mjs";
 export class Orbit {
   /**
    * @param {HTMLElement} element
-   * @param {object} on
-   * @param {() => void} on.draw
-   * @param {() => void} on.fit
+   * @param {() => void} draw
+   * @param {() => void} fit
    */
-  constructor(element, on) {
+  constructor(element, draw, fit) {
     this.turn = -0.9;
     this.tilt = 0.75;
     this.scale = 10;
     this.centre = [0, 0, 0];
-    this.stage = new Stage(element, on.draw);
-    this.stage.onDrag((_start, event) => (dx, dy) => {
-      if (event.shiftKey) this.slide(dx, dy);
-      else this.rotate(dx * 0.008, dy * 0.008);
-      on.draw();
-    });
+    this.stage = new Stage(element, draw);
+    const rotate = (/** @type {number} */ turn, /** @type {number} */ tilt) => {
+      this.turn += turn;
+      this.tilt = Math.min(Math.PI / 2, Math.max(-0.2, this.tilt + tilt));
+      draw();
+    };
+    this.stage.onDrag(() => (dx, dy) => rotate(dx * 0.008, dy * 0.008));
     this.stage.onZoom((factor) => {
       this.scale = Math.min(1e5, Math.max(0.01, this.scale * factor));
-      on.draw();
+      draw();
     });
-    this.stage.onKeys(on.fit, (right, down) => {
-      this.rotate(0.1 * right, 0.1 * down);
-      on.draw();
-    });
-  }
-
-  /**
-   * @param {number} turn radians
-   * @param {number} tilt radians
-   */
-  rotate(turn, tilt) {
-    this.turn += turn;
-    this.tilt = Math.min(Math.PI / 2, Math.max(-0.2, this.tilt + tilt));
-  }
-
-  /**
-   * @param {number} dx pixels
-   * @param {number} dy pixels
-   */
-  slide(dx, dy) {
-    const [right, up] = this.directions();
-    this.centre = this.centre.map((value, axis) => value - (right[axis] * dx - up[axis] * dy) / this.scale);
+    this.stage.onKeys(fit, (right, down) => rotate(0.1 * right, 0.1 * down));
   }
 
   /** The unit vectors that point right, up, and to the eye. */
-  directions() {
+  get directions() {
     const [s, c] = [Math.sin(this.turn), Math.cos(this.turn)];
     const [st, ct] = [Math.sin(this.tilt), Math.cos(this.tilt)];
     return [
@@ -65,11 +44,21 @@ export class Orbit {
    */
   fit(limits) {
     this.centre = limits.map(([low, high]) => (low + high) / 2);
-    const [right, up] = this.directions();
-    const half = (/** @type {number[]} */ direction) =>
-      limits.reduce((sum, [low, high], axis) => sum + (Math.abs(direction[axis]) * (high - low)) / 2, 0);
+    const [across, along] = this.directions.map((direction) =>
+      limits.reduce((sum, [low, high], axis) => sum + (Math.abs(direction[axis]) * (high - low)) / 2, 0),
+    );
     const { width, height } = this.stage;
-    this.scale = 0.46 * Math.min(width / Math.max(0.1, half(right)), height / Math.max(0.1, half(up)));
+    this.scale = 0.46 * Math.min(width / Math.max(0.1, across), height / Math.max(0.1, along));
+  }
+
+  /** The rows that x, y, z and 1 are multiplied with: pixels of CSS from the left, and from the top. */
+  get rows() {
+    const [right, up] = this.directions;
+    const row = (/** @type {number[]} */ direction, /** @type {number} */ factor, /** @type {number} */ middle) => {
+      const [a, b, c] = direction.map((value) => value * factor);
+      return [a, b, c, middle - a * this.centre[0] - b * this.centre[1] - c * this.centre[2]];
+    };
+    return [row(right, this.scale, this.stage.width / 2), row(up, -this.scale, this.stage.height / 2)];
   }
 
   /**
@@ -77,13 +66,10 @@ export class Orbit {
    * @param {number} x metres
    * @param {number} y
    * @param {number} z
-   * @returns {[number, number]}
    */
   place(x, y, z) {
-    const [right, up] = this.directions();
-    const d = [x - this.centre[0], y - this.centre[1], z - this.centre[2]];
-    const dot = (/** @type {number[]} */ v) => v[0] * d[0] + v[1] * d[1] + v[2] * d[2];
-    return [this.stage.width / 2 + dot(right) * this.scale, this.stage.height / 2 - dot(up) * this.scale];
+    const [px, py] = this.rows.map(([a, b, c, d]) => a * x + b * y + c * z + d);
+    return /** @type {[number, number]} */ ([px, py]);
   }
 
   /**
@@ -93,18 +79,7 @@ export class Orbit {
    * @param {Uint32Array} colours
    */
   points(cloud, size, colours) {
-    const { ratio, width, height } = this.stage;
-    const [right, up, near] = this.directions();
-    const scale = this.scale * ratio;
-    const row = (/** @type {number[]} */ direction, /** @type {number} */ factor, /** @type {number} */ middle) => {
-      const [a, b, c] = direction.map((value) => value * factor);
-      return [a, b, c, middle - a * this.centre[0] - b * this.centre[1] - c * this.centre[2]];
-    };
-    const view = {
-      right: row(right, scale, (width * ratio) / 2),
-      down: row(up, -scale, (height * ratio) / 2),
-      near,
-    };
-    this.stage.points(cloud, view, size, colours, null);
+    const [right, down] = this.rows.map((row) => row.map((value) => value * this.stage.ratio));
+    this.stage.points(cloud, { right, down, near: this.directions[2] }, size, colours, null);
   }
 }

@@ -1,4 +1,4 @@
-// The parts that all kinds of pages share: the theme, the time slider, the readout, drawing once per frame.
+// The parts that all kinds of pages share: the theme, the time slider, drawing once per frame.
 
 /**
  * An element of the page.
@@ -13,22 +13,7 @@ export function element(id, kind) {
   return found;
 }
 
-/**
- * Set a property, if its value is another one: the browser lays out a text again even if it is the same.
- * @template {object} T
- * @template {keyof T} K
- * @param {T} element
- * @param {K} property
- * @param {T[K]} value
- */
-export function put(element, property, value) {
-  if (element[property] !== value) element[property] = value;
-}
-
-/**
- * A colour of the style sheet in the present theme, such as `--ink`.
- * @param {string} name
- */
+/** @param {string} name of a colour of the style sheet in the present theme, such as `--ink` */
 export const styled = (name) => getComputedStyle(document.documentElement).getPropertyValue(name);
 
 /**
@@ -45,40 +30,23 @@ export function make(tag, properties = {}, ...children) {
   return made;
 }
 
-/** @returns {import("./palette.mjs").Theme} */
-export function theme() {
-  return document.documentElement.dataset.theme === "dark" ? "dark" : "light";
-}
+const dark = window.matchMedia("(prefers-color-scheme: dark)");
 
-/** @param {() => void} changed */
-export function setUpTheme(changed) {
-  const system = window.matchMedia("(prefers-color-scheme: dark)");
-  let chosen = "";
-  const apply = () => {
-    document.documentElement.dataset.theme = chosen || (system.matches ? "dark" : "light");
-    changed();
-  };
-  system.addEventListener("change", apply);
-  element("theme", HTMLButtonElement).addEventListener("click", () => {
-    chosen = theme() === "dark" ? "light" : "dark";
-    apply();
-  });
-  apply();
-}
+/** The theme of the browser. */
+export const theme = () => (dark.matches ? "dark" : "light");
+
+/** @param {() => void} changed called when the theme changes */
+export const onTheme = (changed) => dark.addEventListener("change", changed);
 
 /**
  * Call a function once before the next frame, however often it is requested.
  * @param {() => void} draw
  */
 export function oncePerFrame(draw) {
-  let asked = false;
+  let asked = 0;
   return () => {
-    if (asked) return;
-    asked = true;
-    requestAnimationFrame(() => {
-      asked = false;
-      draw();
-    });
+    cancelAnimationFrame(asked);
+    asked = requestAnimationFrame(draw);
   };
 }
 
@@ -86,9 +54,9 @@ export function oncePerFrame(draw) {
  * The slider over moments, and playing them.
  * @param {() => number} count
  * @param {(step: number) => Promise<void>} show
- * @param {(step: number) => string} describe
+ * @param {(step: number) => string} moment
  */
-export function setUpTime(count, show, describe) {
+export function setUpTime(count, show, moment) {
   const slider = element("time", HTMLInputElement);
   const play = element("play", HTMLButtonElement);
   const label = element("moment", HTMLOutputElement);
@@ -97,32 +65,31 @@ export function setUpTime(count, show, describe) {
     slider.max = String(Math.max(0, count() - 1));
     slider.value = String(step);
     slider.disabled = play.disabled = count() < 2;
-    label.textContent = describe(step);
-    slider.setAttribute("aria-valuetext", label.textContent);
+    label.textContent = slider.ariaValueText = `${step + 1} of ${count()}: ${moment(step)}`;
     await show(step);
   };
+  const next = () => go((Number(slider.value) + 1) % count());
   slider.addEventListener("input", () => void go(Number(slider.value)));
   play.addEventListener("click", () => {
-    const on = !playing;
-    play.setAttribute("aria-pressed", String(on));
-    play.textContent = on ? "Pause" : "Play";
-    clearTimeout(playing);
-    playing = 0;
-    const next = async () => {
-      await go((Number(slider.value) + 1) % count());
-      if (playing) playing = window.setTimeout(next, 400);
-    };
-    if (on) playing = window.setTimeout(next, 400);
+    if (playing) clearInterval(playing);
+    playing = playing ? 0 : window.setInterval(next, 500);
+    play.ariaPressed = String(playing > 0);
+    play.textContent = playing ? "Pause" : "Play";
   });
   return go;
 }
 
 /**
- * Name the frame of the view from above.
- * @param {string} frame empty: unknown
+ * The beam that an angle is in; -1 for none.
+ * @param {number} angle radians
+ * @param {number} edge the first edge of the first beam, radians
+ * @param {number} increment radians
+ * @param {number} count
  */
-export function nameFrame(frame) {
-  put(element("frame", HTMLElement), "textContent", frame && `in frame ${frame}`);
+export function beamAt(angle, edge, increment, count) {
+  const turn = 2 * Math.PI;
+  const beam = Math.floor(((((angle - edge) % turn) + turn) % turn) / Math.abs(increment));
+  return beam < count ? beam : -1;
 }
 
 /**
@@ -149,7 +116,6 @@ export function copyButton(label, text) {
  * @param {number} digits
  */
 export function figure(value, digits = 3) {
-  if (!Number.isFinite(value)) return String(value);
-  if (Number.isInteger(value) && Math.abs(value) < 1e15) return String(value);
+  if (!Number.isFinite(value) || (Number.isInteger(value) && Math.abs(value) < 1e15)) return String(value);
   return Math.abs(value) >= 1e6 || Math.abs(value) < 1e-3 ? value.toExponential(2) : value.toFixed(digits);
 }

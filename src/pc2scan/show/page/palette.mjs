@@ -1,4 +1,6 @@
-// Colours, as CSS text and as the 32-bit words of a canvas.
+// Colours, as CSS text and as the 32-bit words of a canvas, in the theme of the browser.
+
+import { theme } from "./page.mjs";
 
 /** Okabe and Ito's colours, which colour-blind people can distinguish; in the order of `OUTCOMES`. */
 const OUTCOME_COLOURS = {
@@ -18,40 +20,27 @@ const LAYER_COLOURS = {
   dark: ["#56b4e9", "#ff8c4b", "#2fd3a4", "#e59bc6", "#f0e442", "#9ad1f5"],
 };
 
-/** @typedef {"light" | "dark"} Theme */
+export const outcomeColours = () => OUTCOME_COLOURS[theme()];
 
-/**
- * @param {Theme} theme
- * @returns {string[]}
- */
-export const outcomeColours = (theme) => OUTCOME_COLOURS[theme];
-
-/**
- * @param {Theme} theme
- * @param {number} layer
- */
-export const layerColour = (theme, layer) => LAYER_COLOURS[theme][layer % LAYER_COLOURS[theme].length];
+/** @param {number} layer */
+export const layerColour = (layer) => LAYER_COLOURS[theme()][layer % LAYER_COLOURS.light.length];
 
 /** @param {string} colour "#rrggbb" */
 export function word(colour) {
-  const value = Number.parseInt(colour.slice(1), 16);
-  return (0xff000000 | ((value & 0xff) << 16) | (value & 0xff00) | (value >> 16)) >>> 0;
+  const [red, green, blue] = channels(colour);
+  return (0xff000000 | (blue << 16) | (green << 8) | red) >>> 0;
 }
 
-/**
- * A scale of 256 colours, as words.
- * @param {Theme} theme
- */
-export function scale(theme) {
-  const stops = STOPS[theme].map((colour) => Number.parseInt(colour.slice(1), 16));
-  return Uint32Array.from({ length: 256 }, (_, n) => {
+/** @param {string} colour */
+const channels = (colour) => [1, 3, 5].map((place) => Number.parseInt(colour.slice(place, place + 2), 16));
+
+/** A scale of 256 colours, as words. */
+function scale() {
+  const stops = STOPS[theme()].map(channels);
+  return Array.from({ length: 256 }, (_, n) => {
     const place = (n / 255) * (stops.length - 1);
     const low = Math.min(Math.floor(place), stops.length - 2);
-    const part = place - low;
-    const mixed = [16, 8, 0].map((shift) => {
-      const [a, b] = [(stops[low] >> shift) & 0xff, (stops[low + 1] >> shift) & 0xff];
-      return Math.round(a + (b - a) * part);
-    });
+    const mixed = stops[low].map((value, k) => Math.round(value + (stops[low + 1][k] - value) * (place - low)));
     return (0xff000000 | (mixed[2] << 16) | (mixed[1] << 8) | mixed[0]) >>> 0;
   });
 }
@@ -73,16 +62,14 @@ export function usualRange(values) {
 }
 
 /**
- * Colour values.
+ * The colours of values, as words.
  * @param {ArrayLike<number>} values
- * @param {Theme} theme
- * @param {Uint32Array} into overwritten with a word for each value
  */
-export function paintValues(values, theme, into) {
-  const colours = scale(theme);
+export function paintValues(values) {
+  const colours = scale();
   const [low, high] = usualRange(values);
-  for (let n = 0; n < values.length; n++) {
-    const place = Math.round(((values[n] - low) / (high - low)) * 255);
-    into[n] = colours[Math.max(0, Math.min(255, place || 0))];
-  }
+  return Uint32Array.from(values, (value) => {
+    const place = Math.round(((value - low) / (high - low)) * 255);
+    return colours[Math.max(0, Math.min(255, place || 0))];
+  });
 }

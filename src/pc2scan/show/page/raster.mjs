@@ -1,6 +1,4 @@
 // Draws points as coloured pixels, the nearest in front, and finds the point that a pixel shows.
-//
-// Where the points are on the screen is found again only when the cloud or the view changes. A picture allocates nothing.
 
 /** @typedef {{x: Float32Array, y: Float32Array, z: Float32Array}} Cloud */
 
@@ -16,44 +14,12 @@ export class Raster {
   constructor() {
     this.width = 0;
     this.height = 0;
-    /** Size of a point, pixels. */
-    this.size = 1;
     /** @type {ImageData | null} the picture; null if there is none */
     this.image = null;
     this.pixels = new Uint32Array(0);
     this.depths = new Float32Array(0);
     /** Which point each pixel shows, plus one. */
     this.points = new Int32Array(0);
-    /** The upper left pixel of each point; -1 outside of the picture. */
-    this.places = new Int32Array(0);
-    /** @type {Cloud | null} what the places are of */
-    this.cloud = null;
-    this.key = "";
-  }
-
-  /**
-   * Draw a cloud.
-   * @param {Cloud} cloud metres; another object if the points have changed
-   * @param {View} view
-   * @param {number} size pixels of a point
-   * @param {Uint32Array} colours of the points
-   * @param {Uint8Array | null} ranks points of rank 0 are drawn in front; null: the nearest
-   */
-  draw(cloud, view, size, colours, ranks) {
-    const key = [view.right, view.down, view.near, size, this.width, this.height, ranks === null].join();
-    const moved = cloud !== this.cloud || key !== this.key;
-    if (moved) {
-      this.cloud = cloud;
-      this.key = key;
-      this.size = size;
-      this.locate(cloud, view);
-    }
-    if (moved || ranks) this.stack(cloud, view, ranks);
-    const { pixels, points } = this;
-    for (let place = 0; place < points.length; place++) {
-      const point = points[place];
-      pixels[place] = point === 0 ? 0 : colours[point - 1];
-    }
   }
 
   /**
@@ -66,19 +32,23 @@ export class Raster {
     this.width = width;
     this.height = height;
     this.image = width && height ? new ImageData(width, height) : null;
-    this.pixels = this.image ? new Uint32Array(this.image.data.buffer) : new Uint32Array(0);
+    this.pixels = new Uint32Array(this.image?.data.buffer ?? new ArrayBuffer(0));
     this.depths = new Float32Array(this.pixels.length);
     this.points = new Int32Array(this.pixels.length);
   }
 
   /**
-   * Find the pixel of each point.
-   * @param {Cloud} cloud
+   * Draw a cloud.
+   * @param {Cloud} cloud metres
    * @param {View} view
+   * @param {number} size pixels of a point
+   * @param {Uint32Array} colours of the points
+   * @param {Uint8Array | null} ranks points of rank 0 are drawn in front; null: the nearest
    */
-  locate({ x: xs, y: ys, z: zs }, { right: [a, b, c, p], down: [d, e, f, q] }) {
-    if (this.places.length !== xs.length) this.places = new Int32Array(xs.length);
-    const { places, size, width } = this;
+  draw({ x: xs, y: ys, z: zs }, { right: [a, b, c, p], down: [d, e, f, q], near: [g, h, i] }, size, colours, ranks) {
+    const { points, depths, pixels, width } = this;
+    points.fill(0);
+    depths.fill(-Infinity);
     const [mostLeft, mostTop] = [width - size + 1, this.height - size + 1];
     const shift = (1 - size) / 2;
     // A view along an axis shows points of which only the place along this axis is unknown: another axis, times 0,
@@ -88,31 +58,19 @@ export class Raster {
     for (let n = 0; n < us.length; n++) {
       const left = a * us[n] + b * vs[n] + c * ws[n] + p + shift;
       const top = d * us[n] + e * vs[n] + f * ws[n] + q + shift;
-      places[n] = left >= 0 && left < mostLeft && top >= 0 && top < mostTop ? (top | 0) * width + (left | 0) : -1;
-    }
-  }
-
-  /**
-   * Find the points of the pixels: the last of rank 0, or the nearest.
-   * @param {Cloud} cloud
-   * @param {View} view
-   * @param {Uint8Array | null} ranks
-   */
-  stack({ x: xs, y: ys, z: zs }, { near: [a, b, c] }, ranks) {
-    const { places, points, depths, size, width } = this;
-    points.fill(0);
-    depths.fill(-Infinity);
-    for (let n = 0; n < places.length; n++) {
-      if (places[n] < 0) continue;
-      const depth = ranks ? Number(ranks[n] === 0) : a * xs[n] + b * ys[n] + c * zs[n];
+      if (!(left >= 0 && left < mostLeft && top >= 0 && top < mostTop)) continue;
+      const depth = ranks ? Number(ranks[n] === 0) : g * xs[n] + h * ys[n] + i * zs[n];
+      const first = (top | 0) * width + (left | 0);
       for (let row = 0; row < size; row++) {
-        for (let place = places[n] + row * width, end = place + size; place < end; place++) {
+        for (let place = first + row * width, end = place + size; place < end; place++) {
           if (depth < depths[place]) continue;
           depths[place] = depth;
           points[place] = n + 1;
         }
       }
     }
+    for (let place = 0; place < points.length; place++)
+      pixels[place] = points[place] === 0 ? 0 : colours[points[place] - 1];
   }
 
   /**

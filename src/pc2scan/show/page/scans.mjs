@@ -3,9 +3,8 @@
 import { columns } from "./data.mjs";
 import { beamsFromAbove, endsOf, frameMarks, rings } from "./draw.mjs";
 import { Flat } from "./flat.mjs";
-import { element, figure, make, nameFrame, oncePerFrame, setUpTheme, setUpTime, theme } from "./page.mjs";
+import { beamAt, element, figure, make, oncePerFrame, onTheme, setUpTime } from "./page.mjs";
 import { layerColour, usualRange } from "./palette.mjs";
-import { niceStep } from "./stage.mjs";
 import { Unrolled } from "./unrolled.mjs";
 
 /**
@@ -26,7 +25,16 @@ import { Unrolled } from "./unrolled.mjs";
  * @property {{heading: string, lines: {text: string, wrong: boolean}[]}[]} findings
  */
 
-/** @typedef {Layer & {ranges: Float32Array, intensities: Float32Array | undefined, ends: Float64Array}} Loaded */
+/**
+ * @typedef {object} Arrays
+ * @property {Float32Array} ranges
+ * @property {Float32Array | undefined} intensities
+ * @property {Float64Array} ends
+ * @property {(range: number) => boolean} isReturn
+ * @property {string} summary
+ */
+
+/** @typedef {Layer & Arrays} Loaded */
 
 /** @param {ScanRecording} recording */
 export function showScans(recording) {
@@ -39,17 +47,22 @@ export function showScans(recording) {
   for (const id of ["side-figure", "orbit-figure", "colour-label", "topic-label"])
     element(id, HTMLElement).hidden = true;
   const draw = oncePerFrame(drawAll);
-  const top = new Flat(element("top", HTMLElement), "y", shown, { change: draw, draw, fit });
+  const top = new Flat(element("top", HTMLElement), "y", shown, draw, fit);
   const unrolled = new Unrolled(element("unrolled", HTMLElement), draw);
   const readout = element("readout", HTMLElement);
   const legend = make("table");
-  describeFindings(element("results", HTMLElement), recording, legend);
+  const panel = element("results", HTMLElement);
+  panel.append(make("h2", { textContent: "Scans" }), legend);
+  for (const { heading, lines } of recording.findings) {
+    const items = lines.map(({ text, wrong }) => make("li", { textContent: text, className: wrong ? "wrong" : "" }));
+    panel.append(make("h2", { textContent: heading }), make("ul", { className: "findings" }, ...items));
+  }
   const go = setUpTime(
     () => recording.moments.length,
     load,
-    (n) => `${n + 1} of ${recording.moments.length}: ${recording.moments[n].moment}`,
+    (n) => recording.moments[n].moment,
   );
-  setUpTheme(draw);
+  onTheme(draw);
   top.stage.element.addEventListener("pointermove", (event) => {
     const place = top.world(top.stage.place(event));
     point((layer) => seenFrom(layer, place));
@@ -65,93 +78,63 @@ export function showScans(recording) {
     const loaded = await Promise.all(recording.moments[wanted].layers.map(loadLayer));
     if (step !== wanted) return;
     layers = loaded;
-    nameFrame(recording.moments[wanted].frame);
+    const { frame } = recording.moments[wanted];
+    element("frame", HTMLElement).textContent = frame && `in frame ${frame}`;
     if (!fitted) fit();
-    describeLayers();
     draw();
   }
 
   function drawAll() {
     if (!layers.length) return;
     const pen = top.axes();
-    rings(pen, top, niceStep(top.stage.width / shown.scale, 8));
-    layers.forEach((layer, n) =>
-      beamsFromAbove(
-        pen,
-        top,
-        layer.ends,
-        layerColour(theme(), layer.colour),
-        [layer.pose[2], layer.pose[5]],
-        layers.length === 1,
-        1 + sizeOf(n),
-      ),
-    );
+    rings(pen, top);
+    // Each layer lies on larger returns of those below, so that all are seen.
+    const curves = layers.map((layer, n) => ({
+      ...layer,
+      colour: layerColour(layer.colour),
+      size: 2 + 3 * Math.min(2, layers.length - 1 - n),
+    }));
+    for (const { ends, colour, pose, size } of curves)
+      beamsFromAbove(pen, top, ends, colour, [pose[2], pose[5]], curves.length === 1, 1 + size);
     frameMarks(pen, (x, y) => [top.px(x), top.py(y)], [], 40 / shown.scale);
     pen.restore();
-    unrolled.draw(
-      layers.map((layer, n) => ({
-        angleMin: layer.angleMin,
-        increment: layer.increment,
-        ranges: layer.ranges,
-        colour: layerColour(theme(), layer.colour),
-        size: sizeOf(n),
-        isReturn: (range) => isReturn(layer, range),
-      })),
-      pointed,
-    );
-    const text = layers.map(
-      (layer) => `${layer.name}, ${returnsOf(layer)} of ${layer.ranges.length} beams with a return`,
-    );
-    top.stage.element.setAttribute("aria-label", `Scans from above: ${text.join("; ")}`);
-    unrolled.stage.element.setAttribute("aria-label", `Ranges by angle: ${text.join("; ")}`);
-    document.body.dataset.drawn = `${Number(document.body.dataset.drawn ?? 0) + 1}`;
-  }
-
-  /**
-   * The size of a layer's returns, pixels: each layer lies on larger returns of those below, so that all are seen.
-   * @param {number} layer
-   */
-  function sizeOf(layer) {
-    return 2 + 3 * Math.min(2, layers.length - 1 - layer);
+    unrolled.draw(curves, pointed);
+    const rows = curves.map(({ name, colour, summary }) => {
+      const swatch = make("span", { className: "swatch" });
+      swatch.style.background = colour;
+      return make("tr", {}, make("td", {}, swatch, name), make("td", { className: "count", textContent: summary }));
+    });
+    legend.replaceChildren(...rows);
+    const text = curves.map(({ name, summary }) => `${name}, ${summary}`).join("; ");
+    top.stage.element.ariaLabel = `Scans from above: ${text}`;
+    document.body.dataset.drawn = "";
   }
 
   function fit() {
     fitted = true;
     const all = layers.flatMap((layer) => [...layer.ends]);
-    const [x, y] = [0, 1].map((axis) => usualRange(all.filter((_, n) => n % 2 === axis)));
-    top.fit(x, y);
+    top.fit(...[0, 1].map((axis) => usualRange(all.filter((_, n) => n % 2 === axis))));
     draw();
-  }
-
-  function describeLayers() {
-    legend.replaceChildren(
-      ...layers.map((layer) => {
-        const swatch = make("span", { className: "swatch" });
-        swatch.style.background = layerColour(theme(), layer.colour);
-        const beams = `${returnsOf(layer)} of ${layer.ranges.length} beams`;
-        const count = make("td", { className: "count", textContent: beams });
-        return make("tr", {}, make("td", {}, swatch, layer.name), count);
-      }),
-    );
   }
 
   /**
    * Describe the beams in the direction of a place.
-   * @param {(layer: Loaded) => [number, number]} placeIn its angle, radians, and distance, metres, in a scan's frame
+   * @param {(layer: Loaded) => number[]} placeIn its angle, radians, and distance, metres, in a scan's frame
    */
   function point(placeIn) {
-    const turn = 2 * Math.PI;
-    const words = layers.map((layer) => {
+    const words = layers.map((layer, n) => {
       const [angle, distance] = placeIn(layer);
-      const turned = (((angle - layer.angleMin + layer.increment / 2) % turn) + turn) % turn;
-      const beam = Math.floor(turned / Math.abs(layer.increment));
-      const place = `${((angle * 180) / Math.PI).toFixed(2)}\u00b0${Number.isFinite(distance) ? `, ${distance.toFixed(2)} m` : ""}`;
-      if (!(beam < layer.ranges.length)) return `${layer.name}: ${place}: no beam`;
-      if (layer === layers[0]) pointed = beam;
-      const range = layer.ranges[beam];
-      const intensity = layer.intensities?.length ? `, intensity ${figure(layer.intensities[beam])}` : "";
-      const reads = isReturn(layer, range) ? `${figure(range)} m${intensity}` : `${range} (no return)`;
-      return `${layer.name}: ${place}: beam ${beam} reads ${reads}`;
+      const { name, ranges, intensities, angleMin, increment } = layer;
+      const beam = beamAt(angle, angleMin - increment / 2, increment, ranges.length);
+      if (n === 0) pointed = beam;
+      const away = Number.isFinite(distance) ? `, ${distance.toFixed(2)} m` : "";
+      const place = `${name}: ${((angle * 180) / Math.PI).toFixed(2)}\u00b0${away}`;
+      if (beam < 0) return `${place}: no beam`;
+      const intensity = intensities ? `, intensity ${figure(intensities[beam])}` : "";
+      const reads = layer.isReturn(ranges[beam])
+        ? `${figure(ranges[beam])} m${intensity}`
+        : `${ranges[beam]} (no return)`;
+      return `${place}: beam ${beam} reads ${reads}`;
     });
     readout.textContent = words.join("; ");
     draw();
@@ -164,23 +147,9 @@ export function showScans(recording) {
 }
 
 /**
- * @param {Layer} layer
- * @param {number} range
- */
-function isReturn(layer, range) {
-  return Number.isFinite(range) && range >= layer.rangeMin && range <= layer.rangeMax;
-}
-
-/** @param {Loaded} layer */
-function returnsOf(layer) {
-  return layer.ranges.filter((range) => isReturn(layer, range)).length;
-}
-
-/**
  * A place in a scan's frame: angle, radians, and distance, metres.
  * @param {Layer} layer
- * @param {[number, number]} place
- * @returns {[number, number]}
+ * @param {number[]} place
  */
 function seenFrom({ pose: [a, b, x, c, d, y] }, [px, py]) {
   const [dx, dy] = [px - x, py - y];
@@ -194,30 +163,14 @@ function seenFrom({ pose: [a, b, x, c, d, y] }, [px, py]) {
  * @returns {Promise<Loaded>}
  */
 async function loadLayer(layer) {
-  const found = await columns(layer.data);
-  const ranges = /** @type {Float32Array} */ (found.get("ranges"));
-  const intensities = /** @type {Float32Array | undefined} */ (found.get("intensities"));
-  const ends = endsOf({ layout: { angleMin: layer.angleMin, increment: layer.increment }, ranges }, (range) =>
-    isReturn(layer, range),
-  );
+  const found = /** @type {Map<string, Float32Array>} */ (await columns(layer.data));
+  const ranges = found.get("ranges") ?? new Float32Array();
+  const isReturn = (/** @type {number} */ range) =>
+    Number.isFinite(range) && range >= layer.rangeMin && range <= layer.rangeMax;
+  const ends = endsOf(layer, ranges, isReturn);
   const [a, b, x, c, d, y] = layer.pose;
-  for (let n = 0; n < ends.length; n += 2) {
-    [ends[n], ends[n + 1]] = [a * ends[n] + b * ends[n + 1] + x, c * ends[n] + d * ends[n + 1] + y];
-  }
-  return { ...layer, ranges, intensities, ends };
-}
-
-/**
- * @param {HTMLElement} panel
- * @param {ScanRecording} recording
- * @param {HTMLElement} legend
- */
-function describeFindings(panel, recording, legend) {
-  panel.append(make("h2", { textContent: "Scans" }), legend);
-  for (const { heading, lines } of recording.findings) {
-    const items = lines.map(({ text, wrong }) =>
-      make("li", wrong ? { textContent: text, className: "wrong" } : { textContent: text }),
-    );
-    panel.append(make("h2", { textContent: heading }), make("ul", { className: "findings" }, ...items));
-  }
+  for (let n = 0; n < ends.length; n += 2)
+    ends.set([a * ends[n] + b * ends[n + 1] + x, c * ends[n] + d * ends[n + 1] + y], n);
+  const summary = `${ranges.filter(isReturn).length} of ${ranges.length} beams`;
+  return { ...layer, ranges, intensities: found.get("intensities"), ends, isReturn, summary };
 }

@@ -5,6 +5,8 @@ import { Raster } from "./raster.mjs";
 /** What a pixel of the screen is at most divided into: more costs time, and nobody sees it. */
 const MAX_RATIO = 2;
 
+/** @typedef {[number, number]} Pair */
+
 export class Stage {
   /**
    * @param {HTMLElement} element
@@ -14,25 +16,22 @@ export class Stage {
     this.element = element;
     this.canvas = document.createElement("canvas");
     element.replaceChildren(this.canvas);
-    /** @type {Raster | null} the points; null before any are drawn */
-    this.raster = null;
+    this.raster = new Raster();
     this.ratio = 1;
     this.width = 0;
     this.height = 0;
+    const resize = () => {
+      this.ratio = Math.min(MAX_RATIO, window.devicePixelRatio || 1);
+      this.width = this.element.clientWidth;
+      this.height = this.element.clientHeight;
+      this.canvas.width = Math.round(this.width * this.ratio);
+      this.canvas.height = Math.round(this.height * this.ratio);
+    };
     new ResizeObserver(() => {
-      this.resize();
+      resize();
       draw();
     }).observe(element);
-    this.resize();
-  }
-
-  /** Take the element's size. */
-  resize() {
-    this.ratio = Math.min(MAX_RATIO, window.devicePixelRatio || 1);
-    this.width = this.element.clientWidth;
-    this.height = this.element.clientHeight;
-    this.canvas.width = Math.round(this.width * this.ratio);
-    this.canvas.height = Math.round(this.height * this.ratio);
+    resize();
   }
 
   /**
@@ -44,7 +43,6 @@ export class Stage {
    * @param {Uint8Array | null} ranks
    */
   points(cloud, view, size, colours, ranks) {
-    this.raster ??= new Raster();
     this.raster.resize(this.canvas.width, this.canvas.height);
     this.raster.draw(cloud, view, Math.max(1, Math.round(size * this.ratio)), colours, ranks);
   }
@@ -53,7 +51,7 @@ export class Stage {
   pen() {
     const pen = /** @type {CanvasRenderingContext2D} */ (this.canvas.getContext("2d"));
     pen.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
-    if (this.raster?.image) pen.putImageData(this.raster.image, 0, 0);
+    if (this.raster.image) pen.putImageData(this.raster.image, 0, 0);
     else pen.clearRect(0, 0, this.width, this.height);
     pen.font = `12px ${getComputedStyle(document.documentElement).fontFamily}`;
     pen.textBaseline = "middle";
@@ -64,7 +62,7 @@ export class Stage {
   /**
    * The position of an event, in CSS pixels.
    * @param {MouseEvent} event
-   * @returns {[number, number]}
+   * @returns {Pair}
    */
   place(event) {
     const box = this.element.getBoundingClientRect();
@@ -73,30 +71,22 @@ export class Stage {
 
   /**
    * Call a function with each step of dragging, in CSS pixels.
-   * @param {(start: [number, number], event: PointerEvent) => ((dx: number, dy: number, at: [number, number]) => void) | null} begin
+   * @param {(start: Pair, event: PointerEvent) => (dx: number, dy: number, at: Pair) => void} begin
    */
   onDrag(begin) {
     this.element.addEventListener("pointerdown", (event) => {
       if (event.button !== 0 || !event.isPrimary) return;
       let last = this.place(event);
       const step = begin(last, event);
-      if (!step) return;
       this.element.setPointerCapture(event.pointerId);
-      /** @param {PointerEvent} moved */
-      const move = (moved) => {
+      this.element.onpointermove = (moved) => {
         if (!moved.isPrimary) return;
         const at = this.place(moved);
         step(at[0] - last[0], at[1] - last[1], at);
         last = at;
       };
-      const released = new AbortController();
-      const { signal } = released;
-      /** @param {PointerEvent} ended */
-      const end = (ended) => ended.isPrimary && released.abort();
-      this.element.addEventListener("pointermove", move, { signal });
-      this.element.addEventListener("pointerup", end, { signal });
-      this.element.addEventListener("pointercancel", end, { signal });
     });
+    this.element.addEventListener("lostpointercapture", () => (this.element.onpointermove = null));
   }
 
   /**
@@ -117,22 +107,17 @@ export class Stage {
 
   /**
    * Call a function on zooming, by wheel or key, with the factor and the place that stays fixed.
-   * @param {(factor: number, at: [number, number]) => void} zoom
+   * @param {(factor: number, at: Pair) => void} zoom
    */
   onZoom(zoom) {
-    this.element.addEventListener(
-      "wheel",
-      (event) => {
-        event.preventDefault();
-        zoom(Math.exp(-event.deltaY * (event.deltaMode ? 0.05 : 0.0015)), this.place(event));
-      },
-      { passive: false },
-    );
+    const wheel = (/** @type {WheelEvent} */ event) => {
+      event.preventDefault();
+      zoom(Math.exp(-event.deltaY * (event.deltaMode ? 0.05 : 0.0015)), this.place(event));
+    };
+    this.element.addEventListener("wheel", wheel, { passive: false });
     this.element.addEventListener("keydown", (event) => {
       const factor = { "+": 1.25, "=": 1.25, "-": 0.8 }[event.key];
-      if (!factor) return;
-      event.preventDefault();
-      zoom(factor, [this.width / 2, this.height / 2]);
+      if (factor) zoom(factor, [this.width / 2, this.height / 2]);
     });
   }
 }

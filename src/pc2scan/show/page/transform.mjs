@@ -13,25 +13,6 @@
 export const MOUNT_KEYS = /** @type {const} */ (["x", "y", "z", "roll", "pitch", "yaw"]);
 
 /**
- * The quaternion x, y, z, w of roll, pitch and yaw, as tf2's `setRPY` computes it.
- * @param {number} roll
- * @param {number} pitch
- * @param {number} yaw
- * @returns {[number, number, number, number]}
- */
-export function quaternionOf(roll, pitch, yaw) {
-  const [sr, cr] = [Math.sin(roll / 2), Math.cos(roll / 2)];
-  const [sp, cp] = [Math.sin(pitch / 2), Math.cos(pitch / 2)];
-  const [sy, cy] = [Math.sin(yaw / 2), Math.cos(yaw / 2)];
-  return [
-    sr * cp * cy - cr * sp * sy,
-    cr * sp * cy + sr * cp * sy,
-    cr * cp * sy - sr * sp * cy,
-    cr * cp * cy + sr * sp * sy,
-  ];
-}
-
-/**
  * The rotation's rows and the translation, as tf2_sensor_msgs and Eigen compute them in float32.
  * @param {readonly number[]} quaternion x, y, z, w
  * @param {readonly number[]} translation metres
@@ -58,5 +39,13 @@ export function matrixOf(quaternion, translation) {
  * @returns {Float32Array} (12,)
  */
 export function matrixOfMount({ x, y, z, roll, pitch, yaw }) {
-  return matrixOf(quaternionOf(roll, pitch, yaw), [x, y, z]);
+  const [sr, cr, sp, cp, sy, cy] = [roll, pitch, yaw].flatMap((angle) => [Math.sin(angle / 2), Math.cos(angle / 2)]);
+  // As tf2's `setRPY` computes it.
+  const quaternion = [
+    sr * cp * cy - cr * sp * sy,
+    cr * sp * cy + sr * cp * sy,
+    cr * cp * sy - sr * sp * cy,
+    cr * cp * cy + sr * sp * sy,
+  ];
+  return matrixOf(quaternion, [x, y, z]);
 }
