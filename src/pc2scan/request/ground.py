@@ -10,7 +10,6 @@ import numpy as np
 
 from pc2scan.core.terrain import on_ground
 from pc2scan.errors import UsageError
-from pc2scan.text import did_you_mean
 
 from .filters import Frame
 
@@ -18,10 +17,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pc2scan.core.points import Points
-
-
-#: The values of `ground`.
-GROUND = ("keep", "remove")
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,17 +38,7 @@ class RemoveGround:
 
     @classmethod
     def parse(cls, text: str, _: float = 0.0) -> RemoveGround | None:
-        """Read ``remove``, or ``keep``: no filter.
-
-        Raises
-        ------
-        UsageError
-            If it is anything else.
-        """
-        if text not in GROUND:
-            raise UsageError(
-                f"`ground` is {text!r}, it must be one of {', '.join(GROUND)}", hint=did_you_mean(text, GROUND) or None
-            )
+        """Return the filter of ``remove``; None for ``keep``."""
         return cls() if text == "remove" else None
 
     def __call__(self, points: Points) -> NDArray[np.bool_]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from pc2scan.core.layout import FULL_TURN
@@ -109,12 +110,8 @@ ALIASES = {"concurrency_level": "queue_size"}
 TOPICS = frozenset({"cloud_in", "scan", "scan_in", "cloud", "point_cloud_topic", "scan_topic"})
 
 #: Pairs of parameters that describe the same thing. The setting with the higher precedence is used, the other ignored.
-RIVALS = {
-    "beams": "angle_increment",
-    "angle_increment": "beams",
-    "no_return": "use_inf",
-    "use_inf": "no_return",
-}
+RIVALS = {"beams": "angle_increment", "no_return": "use_inf"}
+RIVALS |= {rival: name for name, rival in RIVALS.items()}
 
 # Scalars that are not quoted, in ROS.
 _TRUE = frozenset(["y", "Y", "yes", "Yes", "YES", "true", "True", "TRUE", "on", "On", "ON"])
@@ -234,7 +231,9 @@ def resolve(
         rival = winners.get(RIVALS.get(name, ""))
         if rival is not None:
             if rival.source == setting.source:
-                raise _contradiction(setting, rival)
+                message = f"{rival.name} and {setting.name} set the same thing in two ways; give one of them"
+                places = f"{rival.name} from {rival.origin}; {setting.name} from {setting.origin}"
+                raise ParameterError(f"{message} ({places})", name=rival.name)
             continue
         if name not in values:
             values[name] = value
@@ -298,15 +297,6 @@ def is_given(origin: str) -> bool:
     return origin == CALL or (origin.startswith("--") and not preset_of(origin))
 
 
-def _contradiction(setting: Setting, rival: Setting) -> ParameterError:
-    """Return the error that two settings of the same precedence contradict each other."""
-    return ParameterError(
-        f"{rival.name} and {setting.name} set the same thing in two ways; give one of them "
-        f"({rival.name} from {rival.origin}; {setting.name} from {setting.origin})",
-        name=rival.name,
-    )
-
-
 def _with_origin(err: ParameterError, origin: Mapping[str, str]) -> ParameterError:
     """Return an error with the origins of the values that it names."""
     named = [name for name in PARAMETERS if re.search(rf"\b{name}\b", err.message)]
@@ -327,17 +317,10 @@ def plain_scalar(text: str) -> bool | int | float | str | None:
     if text in _NULL:
         return None
     if re.fullmatch(_INTEGER, text):
-        return _integer(text)
+        with suppress(ValueError):  # more digits than Python reads
+            return int(text, 8 if re.match("[-+]?0[0-7]", text) else 0)
+        return text
     if re.fullmatch(_FLOAT, text):
         return float(text)
     special = re.fullmatch(_SPECIAL, text)
     return float("".join(special.groups())) if special else text
-
-
-def _integer(text: str) -> int | str:
-    digits = text.lstrip("+-")
-    base = 16 if digits[:2] in {"0x", "0X"} else 8 if digits[0] == "0" else 10
-    try:
-        return int(text, base)
-    except ValueError:  # more digits than Python reads
-        return text

@@ -33,7 +33,7 @@ class ExcludeBox:
     Raises
     ------
     UsageError
-        If the frame is empty, or a lower limit is not below the upper one.
+        If a lower limit is not below the upper one.
     """
 
     frame: str
@@ -46,8 +46,6 @@ class ExcludeBox:
     fields = ()
 
     def __post_init__(self) -> None:
-        if not self.frame:
-            raise UsageError("`exclude_box` names no frame", hint=_BOX)
         for axis in ("x", "y", "z"):
             low, high = getattr(self, axis)
             if not low < high:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from pc2scan.bags.topics import new_topic
 from pc2scan.errors import ParameterError, UsageError
 from pc2scan.options.call import Options
 from pc2scan.options.table import PARAMETERS, output_options
@@ -92,9 +93,7 @@ def _outputs(scans: Entry) -> Iterator[tuple[str, Entry]]:
         raise UsageError(f"{scans.place}: expected outputs under 'scans', {problem}", hint=_EXAMPLE)
     seen: dict[str, str] = {}
     for topic, entry in scans.value.items():
-        full = topic if topic.startswith(("/", "~")) else f"/{topic}"
-        if not topic.strip() or any(character.isspace() for character in topic) or ":=" in topic:
-            raise UsageError(f"{entry.place}: {topic!r} is not a topic", hint=_EXAMPLE)
+        full = new_topic(topic, entry.place)
         if full in seen:
             raise UsageError(f"{entry.place}: {full} is given twice, first in {seen[full]}")
         seen[full] = entry.place

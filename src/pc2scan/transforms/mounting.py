@@ -401,17 +401,12 @@ def _fault(ground: Ground) -> str:
         )
     if not ground.off or ground.up is None:
         return ""
-    normal = ", ".join(_short(f"{part:.2f}") for part in ground.up)
+    how = f"tilted by {math.degrees(ground.tilt):.1f} deg"
     if ground.kind == "upside-down":
-        also = f", and tilted by {math.degrees(ground.tilt):.1f} deg" if ground.tilt > LEVEL else ""
-        return (
-            f"upside down{also}: the ground is {ground.height:.2f} m away on the side of +z, its normal is ({normal}) "
-            f"{seen}; expected it below, normal (0, 0, 1)"
-        )
-    return (
-        f"tilted by {math.degrees(ground.tilt):.1f} deg: the normal of the ground, {ground.height:.2f} m away, is "
-        f"({normal}) {seen}; expected (0, 0, 1)"
-    )
+        how = f"upside down, and {how}" if ground.tilt > LEVEL else "upside down"
+    normal = ", ".join(_short(f"{part:.2f}") for part in ground.up)
+    away = f"the ground is {ground.height:.2f} m away, its normal is ({normal}) {seen}"
+    return f"{how}: {away}; expected (0, 0, 1)"
 
 
 def _direction(up: tuple[float, float, float]) -> str:
@@ -475,25 +470,20 @@ def suitable_heights(
     top = math.inf if ceiling is None else ceiling - _BELOW_CEILING
     if floor is None:
         return _around(z, sensor, top)
-    low, high = floor + least, min(floor + _HIGH, top)
+    low, high, doubt = floor + least, min(floor + _HIGH, top), ""
+    shown = "no scan is proposed; `pc2scan view` shows them"
     if high - low < _THINNEST:
-        doubt = (
-            f"only {top + _BELOW_CEILING - floor:.2f} m are between the floor and what is overhead: no scan is "
-            "proposed; `pc2scan view` shows them"
-        )
-        return Heights(low, low, floor, ceiling, question, doubt)
-    doubt = ""
-    if ((z >= low) & (z <= high)).mean() < _FEWEST_SHARE:
+        between = f"{top + _BELOW_CEILING - floor:.2f} m"
+        high, doubt = low, f"only {between} are between the floor and what is overhead: {shown}"
+    elif ((z >= low) & (z <= high)).mean() < _FEWEST_SHARE:
         # There is no object on the ground, or the sensor is above all of them.
         higher = np.sort(z[(z > high) & (z < top)])
+        above = f"{high:.2f} m, above the floor at z = {floor:.2f} m"
         if len(higher) < _FEW:
-            doubt = (
-                f"no point is between {low:.2f} and {high:.2f} m, above the floor at z = {floor:.2f} m: no scan is "
-                "proposed; `pc2scan view` shows them"
-            )
-            return Heights(low, low, floor, ceiling, question, doubt)
-        doubt = f"no point is up to {high:.2f} m, above the floor at z = {floor:.2f} m: scans show what is above that"
-        high = min(top, float(higher[len(higher) // 4]) + _THINNEST)
+            high, doubt = low, f"no point is between {low:.2f} and {above}: {shown}"
+        else:
+            doubt = f"no point is up to {above}: scans show what is above that"
+            high = min(top, float(higher[len(higher) // 4]) + _THINNEST)
     return Heights(_round_down(low + 0.005), _round_down(high + 0.005), floor, ceiling, question, doubt)
 
 

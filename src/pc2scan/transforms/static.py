@@ -78,11 +78,10 @@ class StaticTransform:
             raise UsageError(f"a static transform needs two frames, not {parent!r} and {child!r}")
         _refuse_degrees(parent, child, translation, rotation)
         try:
-            rigid = (
-                Rigid.from_rpy(rotation[0], rotation[1], rotation[2], translation)
-                if len(rotation) == 3
-                else Rigid(rotation, translation)  # type: ignore[arg-type]
-            )
+            if len(rotation) == 3:
+                rigid = Rigid.from_rpy(rotation[0], rotation[1], rotation[2], translation)
+            else:
+                rigid = Rigid(rotation, translation)  # type: ignore[arg-type]
         except ParameterError as err:
             raise UsageError(f"static transform from {parent} to {child}: {err.message}") from err
         return cls(parent, child, rigid)

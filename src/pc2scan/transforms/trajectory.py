@@ -117,13 +117,8 @@ def load_trajectory(path: Path, frames: tuple[str, str]) -> Trajectory:
             if not words:
                 continue
             if len(words) != _COLUMNS:
-                raise UsageError(
-                    f"line {number}: has {len(words)} values; a pose has {_COLUMNS} (TUM: stamp x y z qx qy qz qw)",
-                    path=path,
-                    hint="KITTI's format has 12, and no stamps: evo_traj makes a TUM file of it"
-                    if len(words) == 12
-                    else None,
-                )
+                message = f"line {number}: has {len(words)} values; a pose has {_COLUMNS}"
+                raise UsageError(f"{message} (TUM: stamp x y z qx qy qz qw); evo_traj writes such files", path=path)
             stamps.append(_stamp(words[0], path, number))
             numbers.append(number)
             try:
