@@ -19,7 +19,7 @@ from .options.effects import refuse_idle
 from .options.table import PARAMETERS, options_about_scans
 from .request.options import TRAJECTORY, ConvertOptions, ScanSpec, StampOptions, TopicRequest
 from .request.param_sources import parse_params, resolve_sources
-from .request.parameters import ResolvedParams, Setting, refuse_degrees
+from .request.parameters import ParamsFile, ResolvedParams, Setting, refuse_degrees
 from .request.remappings import read_remaps
 from .request.scans_file import Outputs, load_scans, refuse_beside
 from .result import Failure, tell_early
@@ -202,7 +202,8 @@ def _changed_params(options: Options) -> ResolvedParams:
     angles = {name: getattr(params, name) for name in ("angle_min", "angle_max", "geometry")}
     refuse_degrees(angles | changes, dict.fromkeys(PARAMETERS, CALL))
     origins = {name: CALL if getattr(params, name) != row.default else "default" for name, row in PARAMETERS.items()}
-    return ResolvedParams(replace(params, **changes), origins | dict.fromkeys(changes, CALL), options.reverse)
+    origins |= dict.fromkeys(changes, CALL)
+    return ResolvedParams(replace(params, **changes), origins, options.reverse, ParamsFile())
 
 
 def params_from_file(path: PathText, node: str | None, changes: Mapping[str, Any]) -> ProjectionParams:

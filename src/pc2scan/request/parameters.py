@@ -98,8 +98,8 @@ class ResolvedParams(NamedTuple):
 
     params: ProjectionParams
     origin: Mapping[str, str]
-    reverse: bool = False
-    file: ParamsFile = ParamsFile()
+    reverse: bool
+    file: ParamsFile
 
 
 #: ROS 1's names for parameters that ROS 2 renamed.
@@ -247,7 +247,7 @@ def resolve(
         raise _with_origin(err, origin) from err
     if params.beams:
         origin["angle_increment"] = f"follows from {origin['beams']}"
-    return ResolvedParams(params, origin, reverse)
+    return ResolvedParams(params, origin, reverse, ParamsFile())
 
 
 def refuse_degrees(

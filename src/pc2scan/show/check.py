@@ -23,7 +23,7 @@ from pc2scan.requests import frames_of
 from pc2scan.result import Part, Result
 from pc2scan.text import counted
 from pc2scan.transforms.reading import tf_connections
-from pc2scan.transforms.robot_model import NO_MODEL
+from pc2scan.transforms.robot_model import RobotModel
 
 from .scan_frames import Arrivals, ScanFrames
 from .scan_topic import Finding, ScanTopic
@@ -164,7 +164,7 @@ def check(sources: Sequence[Path], options: Options, progress: Progress | None =
             raise
         others = open_recordings(frames.tf_from, stack)
         # Consumers know no transforms but those of the recording, and what the user adds.
-        known = frames if frames.model else replace(frames, model=NO_MODEL)
+        known = frames if frames.model else replace(frames, model=RobotModel("", ()))
         survey = Survey(reader, others, known, Span(None, None, 0))
         wanted = [each for group in chosen.values() for each in group]
         clocks = Clocks(survey, survey.topics(wanted).values())

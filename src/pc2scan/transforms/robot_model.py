@@ -33,10 +33,6 @@ class RobotModel(NamedTuple):
     joints: tuple[StaticTransform, ...]
 
 
-#: Nothing is known of the robot, and nothing is read of it in the recording.
-NO_MODEL = RobotModel("", ())
-
-
 def model_in_file(path: Path) -> RobotModel:
     """Read a URDF file.
 
