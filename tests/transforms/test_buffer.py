@@ -202,26 +202,3 @@ def test_a_tolerance_changes_nothing_that_is_known_without_it() -> None:
 def test_more_than_a_robot_has_is_refused(rows: Iterator[TransformRow], static: bool, told: str) -> None:
     with pytest.raises(RecordingError, match=told):
         TransformBuilder().add(rows, static=static)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("depth", "norm"), [(75_000, 1.0049), (18_000, 0.9951)])
-def test_rotations_that_grow_beyond_all_bounds_are_no_crash(depth: int, norm: float) -> None:
-    # tf2 never normalises: of thousands of frames, each a little off, comes what no float32 or float64 holds.
-    builder = TransformBuilder()
-    builder.add((row(f"f{n}", f"f{n + 1}", 0, x=1, yaw=0.1, norm=norm) for n in range(depth)), static=True)
-    buffer = builder.build()
-    for names in (("f0", f"f{depth}"), (f"f{depth}", "f0")):
-        found = buffer.lookup(*names, at(5))
-        found.as_float32()
-        assert len(found.rpy) == 3
-        assert found.apply(np.ones((2, 3), np.float32)).shape == (2, 3)
-
-
-def test_frames_that_are_removed_are_not_listed() -> None:
-    builder = TransformBuilder()
-    builder.add([row("map", "odom", 0), row("odom", "base", 0), row("odom", "base", 1)], static=False)
-    builder.remove(["odom"])
-    buffer = builder.build()
-    assert (buffer.frames, len(buffer)) == (("odom", "base"), 2)
-    assert [info.child for info in buffer.infos] == ["base"]
