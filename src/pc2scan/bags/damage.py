@@ -169,7 +169,7 @@ class DamageLog:
     def note_another(self, file: SourceFile, offset: int) -> None:
         """Note that another recording begins in a file, and end the first one there: only that is read."""
         rest = file.size - offset
-        file.end_at(offset)
+        file.size = offset
         what = f"another recording begins at byte {offset} and is not read: tail -c +{offset + 1} makes a file of it"
         self.note(DamageError(what, path=file.path, hint=RECOVER), offset=offset, key="another", bytes_lost=rest)
 

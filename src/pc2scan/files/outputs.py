@@ -101,9 +101,7 @@ def _is_of_kind(path: Path, beginning: bytes | None) -> bool:
     """Return whether a file has this beginning, or is empty."""
     length = len(beginning or b" ")
     try:
-        if isinstance(path, UrlPath):
-            return path.remote.head(length) in (beginning, b"")
-        if not stat.S_ISREG(path.lstat().st_mode):
+        if isinstance(path, UrlPath) or not stat.S_ISREG(path.lstat().st_mode):
             return False
         with path.open("rb") as file:
             return file.read(length) in (beginning, b"")

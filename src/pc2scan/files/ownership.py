@@ -177,7 +177,10 @@ class Inputs:
         self._files: dict[FileId, InputPath] = {}
         self._folders: dict[FileId, InputPath] = {}
         for given in inputs:
-            for place in (place for path in (given.path, *_entries(given.path)) for place in path_identities(path)):
+            entries: list[Path] = []
+            with suppress(OSError):
+                entries = [] if isinstance(given.path, UrlPath) else list(given.path.iterdir())
+            for place in (place for path in (given.path, *entries) for place in path_identities(path)):
                 # SQLite reads logs beside a database, if they are files; also one that does not exist yet.
                 logs = (Path(f"{place}{suffix}") for suffix in _LOGS)
                 for name in (place, *(log for log in logs if not os.path.isdir(log))):  # noqa: PTH112  # faster
@@ -196,31 +199,24 @@ class Inputs:
             If it does; the message says how the two are related.
         """
         for path in (output.path, *working_names(output.path)):
-            if (related := self._relation(path)) is None:
-                continue
-            relation, source = related
-            if path != output.path:
-                # What a killed run left may be a source.
-                message = f"needs the name {path.name} while it is written, which is a {source.role}"
-                hint = f"choose another name for it, or rename the {source.role} first"
-                raise DestinationError(message, path=output.path, hint=hint)
-            what = f"a {source.role}" if relation == "is" else f"the {source.role} {source.path}"
-            hint = "sources are never changed; choose another name"
-            raise DestinationError(f"{_subject(output)}{relation} {what}", path=path, hint=hint)
-
-    def _relation(self, path: Path) -> tuple[str, InputPath] | None:
-        """Return how a path is related to an input, and to which; None if to none."""
-        places = list(path_identities(path))
-        above = [folder for place in places for folder in place.parents]
-        for relation, known, paths in (
-            ("is", self._files, places),
-            ("contains", self._folders, places),
-            ("is inside", self._files, above),
-        ):
-            for identity in (identity for path in paths for identity in file_ids(path)):
-                if identity in known:
-                    return relation, known[identity]
-        return None
+            places = list(path_identities(path))
+            above = [folder for place in places for folder in place.parents]
+            relations = [
+                ("is", self._files, places),
+                ("contains", self._folders, places),
+                ("is inside", self._files, above),
+            ]
+            for relation, known, paths in relations:
+                source = next((known[key] for each in paths for key in file_ids(each) if key in known), None)
+                if source is not None and path != output.path:
+                    # What a killed run left may be a source.
+                    message = f"needs the name {path.name} while it is written, which is a {source.role}"
+                    hint = f"choose another name for it, or rename the {source.role} first"
+                    raise DestinationError(message, path=output.path, hint=hint)
+                if source is not None:
+                    what = f"a {source.role}" if relation == "is" else f"the {source.role} {source.path}"
+                    hint = "sources are never changed; choose another name"
+                    raise DestinationError(f"{_subject(output)}{relation} {what}", path=path, hint=hint)
 
 
 def _refuse_output(output: OutputPath, earlier: OutputPath) -> None:
@@ -240,13 +236,6 @@ def _refuse_output(output: OutputPath, earlier: OutputPath) -> None:
 
 def _subject(output: OutputPath) -> str:
     return f"the file of {output.option} " if output.option else ""
-
-
-def _entries(path: Path) -> list[Path]:
-    """Return the entries of a local folder; none for a file, or if the folder cannot be read."""
-    with suppress(OSError):
-        return [] if isinstance(path, UrlPath) else list(path.iterdir())
-    return []
 
 
 #: Device and inode; or a path: a URL, or one of this name.

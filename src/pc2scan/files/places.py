@@ -75,12 +75,8 @@ def output_folder(folder: Path) -> Iterator[None]:
     OutputError
         If it cannot be made.
     """
-    if isinstance(folder, UrlPath):
-        # There, folders are only a part of names.
-        check_place(folder)
-        yield
-        return
-    if folder.is_dir():
+    # In a store, folders are only a part of names.
+    if isinstance(folder, UrlPath) or folder.is_dir():
         yield
         return
     check_new_folder(folder)

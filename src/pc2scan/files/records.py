@@ -23,9 +23,6 @@ RECORD = ".pc2scan-files.json"
 
 _RECORD_VERSION = 1
 
-#: A record is small: even a million clouds need less.
-_MAX_RECORD_BYTES = 256_000_000
-
 _PIECE_BYTES = 1 << 20
 
 
@@ -107,11 +104,9 @@ def read_record(folder: Path) -> Record | str:
     """Return the record in a folder; text if there is none that can be read: the reason."""
     try:
         path = folder / RECORD
-        if not stat.S_ISREG(path.lstat().st_mode) or path.stat().st_size > _MAX_RECORD_BYTES:
-            raise ValueError("it is not a record")
-        noted = json.loads(path.read_bytes())
+        noted = json.loads(path.read_bytes() if stat.S_ISREG(path.lstat().st_mode) else b"")
         if noted["pc2scan files"] != _RECORD_VERSION:
-            return f"its {RECORD} is of another version of pc2scan"
+            raise ValueError("it is of another version")
         files: dict[str, FileState | None] = {
             str(name): FileState(int(size), int(crc)) for name, (size, crc) in noted["files"].items()
         }

@@ -227,10 +227,6 @@ class SourceFile:
             self._opened = keep_open(descriptor)
         return descriptor
 
-    def end_at(self, size: int) -> None:
-        """End the recording after this many bytes, where another one begins."""
-        self.size = size
-
     def expect(self, offset: int, length: int) -> None:
         """Tell the system to read these bytes ahead, if it can."""
         descriptor = self._file().number

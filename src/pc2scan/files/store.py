@@ -113,10 +113,6 @@ class RemotePath:
         # Some stores list the folder itself, as an empty file.
         return {name: objects[name] for name in sorted(objects) if name}
 
-    def head(self, length: int) -> bytes:
-        """Return the first bytes of a file."""
-        return bytes(self._call("cat_file", end=length))
-
     def delete(self) -> None:
         """Remove a file if it exists."""
         with self._translated_errors(OutputError), suppress(FileNotFoundError):
@@ -142,15 +138,15 @@ class RemotePath:
             message = f"the download was cut off: {arrived():,} of {size:,} bytes arrived"
             raise RecordingError(message, path=self.shown, hint=_AGAIN)
 
-    def _call(self, name: str, *args: object, arrived: Callable[[], int] = int, **options: Any) -> Any:
+    def _call(self, name: str, *args: object, arrived: Callable[[], int] = int) -> Any:
         """Call a method of the file system; it ends if fewer than `LEAST_BYTES` arrive in `SLOWEST_SECONDS`."""
         with self._translated_errors():
             if not self._fs.async_impl:
-                return getattr(self._fs, name)(self.key, *args, **options)
+                return getattr(self._fs, name)(self.key, *args)
             # fsspec has loaded it; all that reads no URL would take 5 MB for it.
             from asyncio import run_coroutine_threadsafe  # noqa: PLC0415
 
-            work = getattr(self._fs, f"_{name}")(self.key, *args, **options)
+            work = getattr(self._fs, f"_{name}")(self.key, *args)
             future = run_coroutine_threadsafe(work, self._fs.loop)
             try:
                 wanted = deadline = 0.0

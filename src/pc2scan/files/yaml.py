@@ -11,9 +11,6 @@ from typing import Any
 #: rosbag2 writes some 600 characters a topic. The library takes up to 300 bytes and 20 microseconds for each character.
 MAX_CHARACTERS = 800_000
 
-#: Up to this length a document is remembered, pickled: most topics have equal QoS profiles.
-_REMEMBERED_CHARACTERS = 64_000
-
 #: The library's time is quadratic in the number of open brackets.
 _MAX_BRACKETS = 100
 
@@ -30,14 +27,13 @@ def load_yaml(text: str) -> Any:
     """
     if len(text) > MAX_CHARACTERS:
         raise ValueError(f"has more than {MAX_CHARACTERS:,} characters, which is more than rosbag2 writes")
-    parse = _parse if len(text) <= _REMEMBERED_CHARACTERS else _parse.__wrapped__
     # Safe: it was pickled here.
-    return pickle.loads(parse(text))  # noqa: S301
+    return pickle.loads(_parse(text))  # noqa: S301
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=16)
 def _parse(text: str) -> bytes:
-    """Return the document, pickled, so that each caller gets objects of its own."""
+    """Return the document, pickled: each caller gets objects of its own. Most topics have equal QoS profiles."""
     from ruamel.yaml import YAML  # noqa: PLC0415  # a third of a start, where nothing is YAML
     from ruamel.yaml.error import YAMLError  # noqa: PLC0415
 
