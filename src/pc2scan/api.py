@@ -9,11 +9,9 @@ from typing import TYPE_CHECKING
 
 from .arguments import names_in
 from .cli.in_process import run_command
-from .compare.diff import TopicPair
 from .compare.diff import diff as compare
 from .compare.golden.check import check_cases
 from .compare.golden.init import make_case
-from .compare.rules import Rules
 from .datasets.run import run_batch
 from .errors import UsageError
 from .exports.run import export as write
@@ -413,8 +411,7 @@ def golden(
     """
     path, call = path_of("folder", folder), Options("golden", options)
     if call.init is not None:
-        part = {"start": call.start, "end": call.end, "topics": call.topics, "params": call.params_file}
-        make_case(path, call.init, run_command, **part)
+        make_case(path, run_command, call)
     refuse_idle(call.given, "golden")
     return check_cases(path, pattern, run_command, update=call.update)
 
@@ -451,10 +448,8 @@ def diff(
     >>> found = pc2scan.diff("expected.bag", "scans.mcap", rtol=1e-5)  # doctest: +SKIP
     >>> assert found.same, found  # doctest: +SKIP
     """
-    call = Options("diff", options)
-    pairs = [TopicPair.parse(topic) for topic in call.topics]
     other = None if b is None else path_of("b", b)
-    return compare(path_of("a", a), other, topics=pairs, all_topics=call.all_topics, rules=Rules.of(call))
+    return compare(path_of("a", a), other, Options("diff", options))
 
 
 @takes_options

@@ -1,11 +1,10 @@
-"""Text for users: names that were probably meant, numbers, sizes and times, words as enumerations."""
+"""Text for users: names that were probably meant, numbers, sizes and times."""
 
 from __future__ import annotations
 
 import difflib
 import shlex
 from datetime import datetime, timezone
-from enum import Enum
 from itertools import islice
 from typing import TYPE_CHECKING
 
@@ -138,13 +137,3 @@ def stamp(stamp_ns: int) -> str:
     if not _FIRST_DATE <= seconds <= _LAST_DATE:
         return stamp_text(stamp_ns)
     return f"{stamp_text(stamp_ns)} ({datetime.fromtimestamp(seconds, timezone.utc):%Y-%m-%d %H:%M:%S} UTC)"
-
-
-class TextEnum(str, Enum):
-    """`enum.StrEnum`, which Python 3.10 does not have: ``str()`` and format strings give the value."""
-
-    def __str__(self) -> str:
-        return str.__str__(self)
-
-    def __format__(self, format_spec: str) -> str:
-        return str.__format__(self, format_spec)

@@ -140,8 +140,7 @@ CHANGES: list[tuple[Recording, str, str, str]] = [
     # The allowed share is of all beams. The worst beam differs most.
     (THREE, f"--allow-beams {2.9 / 1810}", "same=False", ""),
     (THREE, f"--allow-beams {3 / 1810}", ALLOWED, "within the allowed"),
-    # What a new recording changes is pointed out.
-    (later(5), "", "same=False", "--ignore log_time"),
+    (later(5), "", "same=False", "log_time"),
     (later(0, stamps=0), "", "matched=0", "only in A  10 scans: | and 7 more|hint: no stamp is on both sides"),
     *((without(k), "", f"matched=9 missing.count=1 missing.first.0.stamp_ns={stamp_of(k)}", "") for k in (0, 9)),
 ]

@@ -39,7 +39,7 @@ def test_every_kind_of_case_is_there_without_tolerances() -> None:
     assert set(CASES) > MOVED
     assert len(CASES) >= 30
     assert all("target_frame" in (CASES[name] / "params.yaml").read_text() for name in MOVED)
-    assert [load_case(folder).rules for folder in OWN.values()] == [Rules()] * len(OWN)
+    assert [Rules.of(load_case(folder).comparison) for folder in OWN.values()] == [Rules()] * len(OWN)
 
 
 @cache
@@ -128,7 +128,7 @@ def outcome_of(name: str, folder: Path, bit: int) -> str:
     else:
         (case / "expected.txt").write_text(render_scans(messages))
     (checked,) = pc2scan.golden(case).cases
-    return checked.outcome.value
+    return checked.outcome
 
 
 @pytest.mark.parametrize("name", sampled(OWN, 4))

@@ -23,7 +23,7 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fuzz.judge import Outcome, attempt
+from fuzz.judge import OUTCOMES, attempt
 from fuzz.mutants import damaged, rearranged
 from fuzz.seeds import make_seeds, place
 from support.bounded import Hang
@@ -63,7 +63,7 @@ def main() -> None:
                 if arguments.keep is not None:
                     place(made.files, made.seed.opened, arguments.keep / str(number))
         table[made.seed.name][outcome] += 1
-    columns = [*Outcome, "finding"]
+    columns = [*OUTCOMES, "finding"]
     sys.stdout.write(" | ".join(["", *columns]) + "\n")
     for name, row in table.items():
         sys.stdout.write(" | ".join([name, *(str(row[column]) for column in columns)]) + "\n")

@@ -17,7 +17,6 @@ import pc2scan
 from fuzz.records import stretches
 from fuzz.seeds import place
 from pc2scan.bags.opening import open_recording
-from pc2scan.text import TextEnum
 from support.bounded import refused, size_of, watched
 
 if TYPE_CHECKING:
@@ -30,20 +29,20 @@ if TYPE_CHECKING:
 Messages: TypeAlias = Counter[tuple[str, int, bytes]]
 
 
-class Outcome(TextEnum):
-    """What became of a mutant."""
-
-    identical = "identical"
-    reported = "damage reported"
-    refused = "refused"
-    undetectable = "other values, as many messages"
+#: What may become of a mutant.
+OUTCOMES = IDENTICAL, REPORTED, REFUSED, UNDETECTABLE = (
+    "identical",
+    "damage reported",
+    "refused",
+    "other values, as many messages",
+)
 
 
 class Finding(Exception):  # noqa: N818 - it is what the campaign looks for
     """What must not happen."""
 
 
-def attempt(made: Mutant, folder: Path, *, repair: bool = True) -> Outcome:
+def attempt(made: Mutant, folder: Path, *, repair: bool = True) -> str:
     """Read a mutant, also by `pc2scan.repair`, `pc2scan.info` and `pc2scan.convert`, and compare.
 
     Raises
@@ -75,8 +74,8 @@ def attempt(made: Mutant, folder: Path, *, repair: bool = True) -> Outcome:
     if status == 0 and messages != sound:
         if messages.total() < sound.total() and "without-summary" not in made.seed.name:
             raise Finding(f"{sound.total() - messages.total()} messages are missing, and nothing is said")
-        return Outcome.undetectable
-    return {0: Outcome.identical, 3: Outcome.reported}.get(status, Outcome.refused)
+        return UNDETECTABLE
+    return {0: IDENTICAL, 3: REPORTED}.get(status, REFUSED)
 
 
 def _read(source: Path) -> tuple[int, Messages]:

@@ -40,8 +40,7 @@ def golden(folder: Path, pattern: str | None, *, options: Options) -> int:
 def _init(folder: Path, options: Options) -> int:
     """Make a case, and list its files."""
     with progress_bar(options) as progress:
-        part = {"start": options.start, "end": options.end, "topics": options.topics, "params": options.params_file}
-        case = make_case(folder, options.init, run_command, progress=progress, **part)
+        case = make_case(folder, run_command, options, progress=progress)
     if not options.quiet:
         show(case, options)
         say(f"next: look at {case.folder}/expected.txt, commit the folder, and: pc2scan golden {folder}")

@@ -8,7 +8,7 @@ so that only their content matters.
 from __future__ import annotations
 
 from contextlib import ExitStack, closing
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from pc2scan.bags.opening import open_recording
 from pc2scan.errors import TopicError, UsageError, name_list
@@ -28,39 +28,11 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.model import Connection
+    from pc2scan.options.call import Options
     from pc2scan.progress import Progress
 
 
-class TopicPair(NamedTuple):
-    """A topic of A, and the topic of B to compare it with."""
-
-    a: str
-    b: str
-
-    @classmethod
-    def parse(cls, text: str) -> TopicPair:
-        """Read ``/scan``, or ``/scan:=/scan2`` if the topic has another name in B.
-
-        Raises
-        ------
-        UsageError
-            If a side of ``:=`` is empty.
-        """
-        a, renamed, b = text.partition(":=")
-        if not a or (renamed and not b):
-            raise UsageError(f"{text!r} is not a topic", hint="write /scan, or /scan:=/scan2 if B has another name")
-        return cls(a, b or a)
-
-
-def diff(
-    a: Path,
-    b: Path | None,
-    *,
-    topics: Sequence[TopicPair] = (),
-    all_topics: bool = False,
-    rules: Rules | None = None,
-    progress: Progress | None = None,
-) -> Difference:
+def diff(a: Path, b: Path | None, options: Options, *, progress: Progress | None = None) -> Difference:
     """Compare two recordings; see `pc2scan.diff`.
 
     Parameters
@@ -75,19 +47,19 @@ def diff(
     RecordingError
         If one cannot be read to its end: damaged recordings are not compared.
     """
-    if b is None and not (topics and all(pair.a != pair.b for pair in topics)):
+    topics, rules = list(map(_pair_of, options.topics)), Rules.of(options)
+    if b is None and not (topics and all(one != other for one, other in topics)):
         raise UsageError(
             "to compare a recording with itself, two topics are needed",
             path=a,
             hint="give a second recording, or two topics: `topics=/scan:=/scan2`",
         )
-    rules = rules or Rules()
     meter = None if progress is None else Meter(progress)
     with ExitStack() as stack:
         paths = stack.enter_context(fetched((a, a if b is None else b)))
         sources = [stack.enter_context(closing(open_source(path))) for path in paths]
         result = Difference(str(sources[0].path), str(sources[1].path))
-        compared, result.left_aside = _streams(sources, topics, all_topics=all_topics)
+        compared, result.left_aside = _streams(sources, topics, all_topics=options.all_topics)
         if meter is not None:
             meter.expect(sum(max(map(_messages_of, pair)) for pair in compared))
         for pair in compared:
@@ -103,6 +75,14 @@ def diff(
     return result
 
 
+def _pair_of(text: str) -> tuple[str, str]:
+    """Return a topic of A, and that of B to compare it with, of ``/scan``, or ``/scan:=/scan2``."""
+    a, renamed, b = text.partition(":=")
+    if not a or (renamed and not b):
+        raise UsageError(f"{text!r} is not a topic", hint="write /scan, or /scan:=/scan2 if B has another name")
+    return a, b or a
+
+
 def open_source(path: Path) -> OpenRecording:
     """Open a recording, or a text file of scans.
 
@@ -115,7 +95,7 @@ def open_source(path: Path) -> OpenRecording:
 
 
 def _streams(
-    sources: Sequence[OpenRecording], topics: Sequence[TopicPair], *, all_topics: bool
+    sources: Sequence[OpenRecording], topics: Sequence[tuple[str, str]], *, all_topics: bool
 ) -> tuple[list[list[TopicStream]], int]:
     """Return the topics to compare, of both sides, and how many others there are."""
     by_topic: list[dict[str, list[Connection]]] = [{}, {}]
@@ -129,7 +109,7 @@ def _streams(
                 raise TopicError("there is no such topic", path=source.path, topic=topic, hint=hint.strip())
     rest = {*by_topic[0], *by_topic[1]} - {name for pair in topics for name in pair}
     named, others = [], []
-    for pair in (*topics, *(TopicPair(name, name) for name in sorted(rest))):
+    for pair in (*topics, *((name, name) for name in sorted(rest))):
         sides = [tuple(known.get(topic, ())) for topic, known in zip(pair, by_topic, strict=True)]
         stamped = any(connection.ros_type in DECODED_TYPES for side in sides for connection in side)
         streams = [TopicStream(source, side, stamped) for source, side in zip(sources, sides, strict=True)]

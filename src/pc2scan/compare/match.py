@@ -10,43 +10,22 @@ from __future__ import annotations
 from array import array
 from bisect import bisect_left
 from itertools import islice
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from pc2scan.errors import DecodeError, RecordingError
 from pc2scan.messages.wire import Cursor
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
-    from pathlib import Path
+    from collections.abc import Iterator, Sequence
 
+    from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, RawMessage
 
+    from .scan_text import ScanText
 
-class OpenRecording(Protocol):
-    """The part of an open recording that comparing needs; `pc2scan.bags.reader.Reader` has it."""
 
-    @property
-    def path(self) -> Path:
-        """The path of the recording."""
-        ...
-
-    @property
-    def connections(self) -> Sequence[Connection]:
-        """All connections."""
-        ...
-
-    def messages(
-        self,
-        connections: Collection[Connection] | None = None,
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
-    ) -> Iterator[RawMessage]:
-        """Messages in the order of log time, ``start_ns <= log_time_ns < stop_ns``."""
-        ...
-
-    def close(self) -> None:
-        """Release the files."""
-        ...
+#: What can be compared: a recording, or the text of scans.
+OpenRecording: TypeAlias = "Reader | ScanText"
 
 
 class TopicStream(NamedTuple):
@@ -80,7 +59,7 @@ class TopicStream(NamedTuple):
 class Match(NamedTuple):
     """A message of each side that belong together; None if a side has none.
 
-    ``moved`` is true if the two are at different places in the order of their recordings.
+    ``moved`` is true if ``b`` comes before the partner of an earlier message.
     """
 
     a: RawMessage | None
@@ -128,67 +107,25 @@ def match_messages(a: TopicStream, b: TopicStream) -> Iterator[Match]:
         yield from (Match(None, other) for other in right)
 
 
-def moved_indices(mates: Sequence[int]) -> set[int]:
-    """Return the elements that have moved between two sequences: those outside of the longest ascending subsequence.
-
-    Parameters
-    ----------
-    mates
-        For each element its place in the other sequence; each place at most once.
-
-    Returns
-    -------
-    set of int
-        Indices into ``mates``, as few as possible.
-
-    Notes
-    -----
-    The complement of a longest increasing subsequence, by patience sorting.
-
-    Examples
-    --------
-    >>> moved_indices([0, 2, 1, 3])
-    {1}
-    """
-    ends: list[int] = []
-    places: list[int] = []
-    before: list[int] = []
-    for index, mate in enumerate(mates):
-        length = bisect_left(ends, mate)
-        before.append(places[length - 1] if length else -1)
-        ends[length : length + 1] = [mate]
-        places[length : length + 1] = [index]
-    stayed = set()
-    index = places[-1] if places else -1
-    while index >= 0:
-        stayed.add(index)
-        index = before[index]
-    return set(range(len(mates))) - stayed
-
-
 def _match_by_all_stamps(a: TopicStream, b: TopicStream, common: int) -> Iterator[Match]:
     """Pair the messages after the first ``common`` ones by all their stamps."""
     times, mates = _find_mates(a, b, common)
-    having = [index for index, mate in enumerate(mates) if mate >= 0]
-    moved = {having[index] for index in moved_indices([mates[index] for index in having])}
-    paired = bytearray(len(times))
-    for index in having:
-        paired[mates[index]] = True
-
+    paired, last = set(mates), -1
     following = islice(enumerate(b.messages()), common, None)
-    for mate, (index, x) in zip(mates, enumerate(islice(a.messages(), common, None)), strict=True):
+    for mate, x in zip(mates, islice(a.messages(), common, None), strict=True):
         if mate < 0:
             yield Match(x, None)
-        elif index in moved:
+        elif mate < last:
             yield Match(x, b.at(times[mate], mate - bisect_left(times, times[mate])), moved=True)
         else:
+            last = mate
             for place, y in following:
-                if not paired[place]:
-                    yield Match(None, y)
-                elif place == mate:
+                if place == mate:
                     yield Match(x, y)
                     break
-    yield from (Match(None, y) for place, y in following if not paired[place])
+                if place not in paired:
+                    yield Match(None, y)
+    yield from (Match(None, y) for place, y in following if place not in paired)
 
 
 def _find_mates(a: TopicStream, b: TopicStream, common: int) -> tuple[Sequence[int], Sequence[int]]:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -29,8 +28,7 @@ if TYPE_CHECKING:
     from .rules import Rules
 
 
-@dataclass(frozen=True, slots=True)
-class Change:
+class Change(NamedTuple):
     """A difference between two messages that is not one of values; both sides as text."""
 
     name: str
@@ -38,8 +36,7 @@ class Change:
     b: str
 
 
-@dataclass(frozen=True, slots=True)
-class ValueChange:
+class ValueChange(NamedTuple):
     """Differing values of ``ranges``, ``intensities`` or a field of a cloud.
 
     ``beams`` are angle_min and angle_increment of a scan, rad; None for a cloud.
@@ -50,8 +47,7 @@ class ValueChange:
     beams: tuple[float, float] | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class MessageDifference:
+class MessageDifference(NamedTuple):
     """The differences between two messages.
 
     Attributes
@@ -100,17 +96,18 @@ def scan_values(a: LaserScan, b: LaserScan, rules: Rules) -> Iterator[ValueChang
 
 def cloud_changes(a: PointCloud2, b: PointCloud2) -> Iterator[Change]:
     """Yield differences other than values: fields, shape, layout, and bytes that belong to no field."""
-    if a.is_dense != b.is_dense:
-        yield Change("is_dense", str(a.is_dense).lower(), str(b.is_dense).lower())
-    if (a.height, a.width) != (b.height, b.width):
-        yield Change("shape", f"{a.height} x {a.width}", f"{b.height} x {b.width}")
-    fields = [", ".join(sorted(map(_field_text, cloud.fields))) for cloud in (a, b)]
-    if fields[0] != fields[1]:
-        yield Change("fields", *fields)
-    layouts = [_layout_text(cloud) for cloud in (a, b)]
-    if layouts[0] != layouts[1]:
-        yield Change("layout", *layouts)
-    elif fields[0] == fields[1] and (differing := _differing_padding(a, b)):
+    sides = [
+        {
+            "is_dense": str(cloud.is_dense).lower(),
+            "shape": f"{cloud.height} x {cloud.width}",
+            "fields": ", ".join(sorted(map(_field_text, cloud.fields))),
+            "layout": _layout_text(cloud),
+        }
+        for cloud in (a, b)
+    ]
+    changes = [Change(name, text, sides[1][name]) for name, text in sides[0].items() if text != sides[1][name]]
+    yield from changes
+    if not {"fields", "layout"} & {change.name for change in changes} and (differing := _differing_padding(a, b)):
         yield Change("padding", "", f"{differing:,} bytes differ")
 
 
@@ -187,13 +184,13 @@ def compare_messages(a: RawMessage, b: RawMessage, rules: Rules) -> MessageDiffe
     """
     times = [Change("log_time", str(a.log_time_ns), str(b.log_time_ns))] if a.log_time_ns != b.log_time_ns else []
     try:
-        difference = _compare_fields(a, b, rules)
+        elements, found, values = _compare_fields(a, b, rules)
     except DecodeError as err:
         alike = a.connection.serialization == b.connection.serialization and a.data == b.data
         unreadable = Change("bytes", f"{len(a.data)} bytes", f"{len(b.data)} bytes; not decoded: {err.message}")
-        difference = MessageDifference(0, () if alike else (unreadable,))
-    changes = tuple(change for change in (*times, *difference.changes) if change.name not in rules.ignore)
-    return MessageDifference(difference.elements, changes, difference.values)
+        elements, found, values = MessageDifference(changes=() if alike else (unreadable,))
+    changes = tuple(change for change in (*times, *found) if change.name not in rules.ignore)
+    return MessageDifference(elements, changes, values)
 
 
 def compare_bytes(a: RawMessage, b: RawMessage, rules: Rules) -> MessageDifference:

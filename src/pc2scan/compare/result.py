@@ -163,29 +163,22 @@ class TopicDifference:
         """Count a pair of messages."""
         self.matched += 1
         self.elements += difference.elements
-        if difference.same:
-            return
-        self.differing += 1
+        self.differing += not difference.same
         for change in difference.changes:
             self.change(change.name, times, change.a, change.b)
-        for values in difference.values:
-            array = values.difference
-            total = self.values.setdefault(values.name, ValuesFound(values.name))
+        for name, array, beams in difference.values:
+            total = self.values.setdefault(name, ValuesFound(name))
             total.messages += 1
             total.changed += array.changed
             total.shifted += array.shifted
             worst = array.worst
             if worst is not None and (total.worst is None or worst.difference > total.worst.difference):
-                angle = None if values.beams is None else values.beams[0] + worst.index * values.beams[1]
+                angle = None if beams is None else beams[0] + worst.index * beams[1]
                 total.worst = WorstValue(times, worst.index, angle, worst.reference, worst.value, worst.difference)
 
     def change(self, name: str, times: MessageTimes, a: str, b: str) -> None:
         """Count a change; the first of its name is kept as the example."""
-        entry = self.changes.get(name)
-        if entry is None:
-            self.changes[name] = ChangeFound(name, 1, times, a, b)
-        else:
-            entry.messages += 1
+        self.changes.setdefault(name, ChangeFound(name, 0, times, a, b)).messages += 1
 
 
 @dataclass(slots=True, repr=False)
@@ -222,7 +215,7 @@ class Difference(Result):
 
     def text(self, names: tuple[str, str] = ("A", "B")) -> str:
         """Summarize the differences in a few lines; ``names`` are the names of the two sides."""
-        return "\n".join(summary(self.topics, self.left_aside, names))
+        return "\n".join(self._lines(names))
 
     def __repr__(self) -> str:
         apart = sum(not topic.same for topic in self.topics)
@@ -232,7 +225,22 @@ class Difference(Result):
 
     def body(self, *, verbose: bool = False) -> Iterator[Part]:
         """Yield the differences of each topic, and a verdict."""
-        yield from summary(self.topics, self.left_aside)
+        yield from self._lines(("A", "B"))
+
+    def _lines(self, names: tuple[str, str]) -> Iterator[str]:
+        for topic in self.topics:
+            yield visible(f"{leading(topic.name)} ({topic.msgtype}): {'same' if topic.same else 'different'}")
+            lines = list(_lines(topic, names))
+            width = max(len(label) for label, _ in lines)
+            yield from (visible(f"  {label:<{width}}  {text}") for label, text in lines)
+        topics = counted(len(self.topics), "topic")
+        if self.same:
+            yield f"same: {topics}, {counted(sum(topic.matched for topic in self.topics), 'message')}"
+        else:
+            yield f"different: {sum(not topic.same for topic in self.topics)} of {topics}"
+            yield from _advice(self.topics)
+        if self.left_aside:
+            yield f"not compared: {counted(self.left_aside, 'other topic')} (`all_topics`)"
 
 
 #: Stamps of unpaired messages that are shown.
@@ -243,34 +251,6 @@ _LONGEST = 100
 _FEW = 0.25
 #: The words for an element of a message, and for the message.
 _WORDS = {LASERSCAN: ("beam", "scan"), **dict.fromkeys(CLOUDS, ("point", "cloud"))}
-
-
-def summary(topics: Sequence[TopicDifference], left_aside: int, names: tuple[str, str] = ("A", "B")) -> Iterator[str]:
-    """Yield a block of lines for each topic, and a verdict.
-
-    Parameters
-    ----------
-    topics
-        The compared topics.
-    left_aside
-        Number of topics that were not compared.
-    names
-        The names of the two sides.
-    """
-    for topic in topics:
-        yield visible(f"{leading(topic.name)} ({topic.msgtype}): {'same' if topic.same else 'different'}")
-        lines = list(_lines(topic, names))
-        width = max(len(label) for label, _ in lines)
-        yield from (visible(f"  {label:<{width}}  {text}") for label, text in lines)
-    apart = [topic for topic in topics if not topic.same]
-    pairs = sum(topic.matched for topic in topics)
-    if apart:
-        yield f"different: {len(apart)} of {counted(len(topics), 'topic')}"
-        yield from _advice(topics, names)
-    else:
-        yield f"same: {counted(len(topics), 'topic')}, {counted(pairs, 'message')}"
-    if left_aside:
-        yield f"not compared: {counted(left_aside, 'other topic')} (`all_topics`)"
 
 
 def _lines(topic: TopicDifference, names: tuple[str, str]) -> Iterator[tuple[str, str]]:
@@ -324,15 +304,11 @@ def _worst_text(found: ValuesFound, element: str, names: tuple[str, str]) -> str
     return f"{element} {worst.index}{angle}, {_times_text(worst.times)}: {values}"
 
 
-def _advice(topics: Sequence[TopicDifference], names: tuple[str, str]) -> Iterator[str]:
+def _advice(topics: Sequence[TopicDifference]) -> Iterator[str]:
     """Yield hints."""
     alone = [[topic for topic in topics if topic.topic_b is None], [topic for topic in topics if topic.topic_a is None]]
     if [[topic.msgtype for topic in side] for side in alone] in [[[topic.msgtype]] * 2 for topic in topics]:
         yield f"hint: the same under another name? `topics={alone[0][0].topic_a}:={alone[1][0].topic_b}`"
-    kinds = {name for topic in topics if not topic.same for name in topic.changes}
-    only_changes = all(
-        topic.same or (topic.matched == topic.messages_a == topic.messages_b and not topic.values) for topic in topics
-    )
     if any(topic.messages_a and topic.messages_b and not topic.matched for topic in topics):
         yield "hint: no stamp is on both sides; are these of one drive?"
     if any(map(_may_be_libm, topics)):
@@ -340,9 +316,6 @@ def _advice(topics: Sequence[TopicDifference], names: tuple[str, str]) -> Iterat
             "hint: returns are one beam over; if the two were made with different C libraries, convert again with the "
             "other `angle_rounding`"
         )
-    if only_changes and kinds and kinds <= {"log_time", "seq"}:
-        ignored = " ".join(f"`ignore={name}`" for name in sorted(kinds))
-        yield f"hint: nothing else differs between {names[0]} and {names[1]}: {ignored}"
 
 
 def _may_be_libm(topic: TopicDifference) -> bool:

@@ -18,23 +18,13 @@ if TYPE_CHECKING:
 #: The single numbers of a LaserScan; they are compared bit for bit.
 GEOMETRY = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time", "range_min", "range_max")
 
-#: The names that `Rules.ignore` may have, and their meaning.
-IGNORABLE: Mapping[str, str] = {
-    "log_time": "when a message was recorded",
-    "seq": "ROS 1's header.seq",
-    "frame_id": "header.frame_id",
-    "order": "the order of the messages",
-    **dict.fromkeys(GEOMETRY, "of a LaserScan"),
-    "ranges": "of a LaserScan",
-    "intensities": "of a LaserScan",
-    "shape": "height and width of a cloud",
-    "layout": "offsets, steps and byte order of a cloud",
-    "padding": "bytes of a cloud that belong to no field",
-    "is_dense": "of a cloud",
-    "format": "of a CompressedPointCloud2",
-    "packets": "of a VelodyneScan",
-    **dict.fromkeys(("timebase", "point_num", "lidar_id", "rsvd"), "of Livox's CustomMsg"),
-}
+#: The names that `Rules.ignore` may have: of all messages, of scans, of clouds, and of clouds of other types.
+IGNORABLE = (
+    *("log_time", "seq", "frame_id", "order"),
+    *(*GEOMETRY, "ranges", "intensities"),
+    *("shape", "layout", "padding", "is_dense"),
+    *("format", "packets", "timebase", "point_num", "lidar_id", "rsvd"),
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,7 +70,7 @@ class Rules:
                 f"allow_beams is {self.allow_beams}, it must be a share from 0 to 1",
                 hint="0.001 allows one beam in a thousand",
             )
-        if unknown := sorted(self.ignore - IGNORABLE.keys()):
+        if unknown := sorted(self.ignore - {*IGNORABLE}):
             near = did_you_mean(unknown[0], IGNORABLE)
             hint = f"{near} these can be ignored: {', '.join(IGNORABLE)}".strip()
             raise UsageError(f"{unknown[0]!r} cannot be ignored", hint=hint)

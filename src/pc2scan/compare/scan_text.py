@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -43,10 +43,10 @@ class ScanText:
         self, connections: Collection[Connection] | None = None, start_ns: int | None = None, stop_ns: int | None = None
     ) -> Iterator[RawMessage]:
         """Messages in the order of log time, ``start_ns <= log_time_ns < stop_ns``."""
-        wanted = {connection.id for connection in self.connections if connections is None or connection in connections}
         for message in sorted(self.content, key=lambda message: message.log_time_ns):
-            late_enough = start_ns is None or message.log_time_ns >= start_ns
-            if late_enough and (stop_ns is None or message.log_time_ns < stop_ns) and message.connection.id in wanted:
+            is_wanted = connections is None or message.connection in connections
+            is_early = start_ns is not None and message.log_time_ns < start_ns
+            if is_wanted and not is_early and (stop_ns is None or message.log_time_ns < stop_ns):
                 yield message
 
     def close(self) -> None:
@@ -84,15 +84,15 @@ def render_scans(messages: Iterable[RawMessage]) -> str:
             declared.add(topic)
             lines += ["", f"topic {topic} {LASERSCAN} {connection.serialization}"]
         scan = decode_laserscan(message.data, connection.serialization)
-        times = f"log_time {stamp_text(message.log_time_ns)}", f"stamp {stamp_text(scan.stamp_ns)}"
-        sequence = [f"seq {scan.sequence}"] if connection.serialization == "ros1" else []
-        geometry = _texts(np.array([getattr(scan, name) for name in GEOMETRY], np.float32))
-        numbers = (f"{name} {text}" for name, text in zip(GEOMETRY, geometry, strict=True))
-        lines += ["", f"message {topic}"]
-        lines += (f"  {line}" for line in (*times, *sequence, f"frame_id {json.dumps(scan.frame_id)}", *numbers))
-        valid = scan.ranges[
-            np.isfinite(scan.ranges) & (scan.ranges >= scan.range_min) & (scan.ranges <= scan.range_max)
-        ]
+        numbers = _texts(np.array([getattr(scan, name) for name in GEOMETRY], np.float32))
+        lines += ["", f"message {topic}", f"  log_time {stamp_text(message.log_time_ns)}"]
+        lines.append(f"  stamp {stamp_text(scan.stamp_ns)}")
+        if connection.serialization == "ros1":
+            lines.append(f"  seq {scan.sequence}")
+        lines.append(f"  frame_id {json.dumps(scan.frame_id)}")
+        lines += (f"  {name} {text}" for name, text in zip(GEOMETRY, numbers, strict=True))
+        ranges = scan.ranges
+        valid = ranges[np.isfinite(ranges) & (ranges >= scan.range_min) & (ranges <= scan.range_max)]
         comment = f"  # {len(valid)} returns" + (f", {valid.min():.3f} to {valid.max():.3f} m" if len(valid) else "")
         for name, values, remark in (("ranges", scan.ranges, comment), ("intensities", scan.intensities, "")):
             texts = _texts(values)
@@ -132,29 +132,28 @@ def open_scan_text(path: Path) -> ScanText:
     """
     try:
         with open_text(path) as file:
-            reading = _Lines(file.read())
+            lines = _Lines(file.read())
     except (OSError, UnicodeDecodeError) as err:
         raise RecordingError(f"cannot be read: {err}", path=path) from err
     result = ScanText(path)
+    connections: dict[str, Connection] = {}
     try:
-        for word, rest in reading:
-            if word == "topic":
-                topic, end = json.JSONDecoder().raw_decode(rest)
-                msgtype, serialization = rest[end:].split()
-                if msgtype != LASERSCAN or serialization not in ("ros1", "cdr"):
-                    raise ValueError(f"a topic of {msgtype} in {serialization}")
-                result.connections.append(Connection(len(result.connections), str(topic), msgtype, serialization))
-            elif word == "message":
-                topic = json.loads(rest)
-                result.content.append(_scan(reading, next(c for c in result.connections if c.topic == topic)))
-            else:
-                raise ValueError(f"{word!r}")
+        for word, rest in lines:
+            topic, end = json.JSONDecoder().raw_decode(rest)
+            if word == "message":
+                result.content.append(_scan(lines, connections[topic]))
+                continue
+            msgtype, serialization = rest[end:].split()
+            if (word, msgtype) != ("topic", LASERSCAN) or serialization not in ("ros1", "cdr"):
+                raise ValueError(f"{word} {rest}")
+            connections[topic] = Connection(len(connections), str(topic), msgtype, serialization)
     except Exception as err:  # any that text can cause which `render_scans` does not write
         raise RecordingError(
-            f"line {reading.number} has been changed: {str(err) or type(err).__name__}",
+            f"line {lines.number} has been changed: {str(err) or type(err).__name__}",
             path=path,
             hint="restore it from version control, or write it again: pc2scan golden `update=True`",
         ) from err
+    result.connections.extend(connections.values())
     return result
 
 
@@ -163,22 +162,18 @@ class _Lines:
 
     def __init__(self, text: str) -> None:
         self.number = 0
-        self._lines = iter(text.split("\n"))
+        self._lines = enumerate(text.split("\n"), start=1)
 
-    def __iter__(self) -> _Lines:
-        return self
-
-    def __next__(self) -> tuple[str, str]:
-        while True:
-            line = next(self._lines)
-            self.number += 1
+    def __iter__(self) -> Iterator[tuple[str, str]]:
+        for number, line in self._lines:
+            self.number = number
             word, _, rest = line.strip().partition(" ")
             if word and not word.startswith("#"):
-                return word, rest
+                yield word, rest
 
     def value(self, name: str) -> str:
         """Return what stands behind the word that must be next."""
-        word, rest = next(self)
+        word, rest = next(iter(self))
         if word != name:
             raise ValueError(f"{word!r} where {name!r} belongs")
         return rest
@@ -199,9 +194,8 @@ def _scan(lines: _Lines, connection: Connection) -> RawMessage:
     sequence = int(lines.value("seq")) if connection.serialization == "ros1" else 0
     frame_id = json.loads(lines.value("frame_id"))
     geometry = _numbers([lines.value(name) for name in GEOMETRY]).tolist()
-    values: dict[str, Any] = dict(zip(GEOMETRY, geometry, strict=True))
-    values |= {name: lines.values(name) for name in ("ranges", "intensities")}
-    data = encode_laserscan(LaserScan(sequence, stamp_ns, frame_id, **values), connection.serialization)
+    arrays = [lines.values(name) for name in ("ranges", "intensities")]
+    data = encode_laserscan(LaserScan(sequence, stamp_ns, frame_id, *geometry, *arrays), connection.serialization)
     return RawMessage(connection, log_time_ns, data, log_time_ns)
 
 

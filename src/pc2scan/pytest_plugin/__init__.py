@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from os import PathLike
 
-    from .collect import GoldenCase, GoldenFolder
-
 __all__ = ["assert_same_scans", "pc2scan_golden"]
 
 _FOLDERS = pytest.StashKey[frozenset[Path]]()
@@ -54,15 +52,16 @@ def pytest_configure(config: pytest.Config) -> None:
 
 # Optional: older versions of pytest do not have this hook.
 @pytest.hookimpl(tryfirst=True, optionalhook=True)
-def pytest_collect_directory(path: Path, parent: pytest.Collector) -> GoldenFolder | GoldenCase | None:
+def pytest_collect_directory(path: Path, parent: pytest.Collector) -> pytest.Collector | None:
     """Collect the folders of golden cases; pytest collects all others."""
     folders = parent.config.stash[_FOLDERS]
     resolved = path.resolve() if folders else path
     if not any(folder == resolved or folder in resolved.parents for folder in folders):
         return None
-    from .collect import make_collector  # noqa: PLC0415 - heavy
+    from .collect import GoldenFolder  # noqa: PLC0415 - heavy
 
-    return make_collector(path, parent)
+    folder: pytest.Collector = GoldenFolder.from_parent(parent, path=path)
+    return folder
 
 
 @pytest.fixture(scope="session")
@@ -90,14 +89,11 @@ def assert_same_scans() -> Callable[..., None]:
 @pytest.fixture(scope="session")
 def pc2scan_golden(request: pytest.FixtureRequest) -> Callable[[str | PathLike[str]], None]:
     """Check one golden case: ``pc2scan_golden("golden/hall")``."""
-    update = bool(request.config.getoption("--pc2scan-update"))
 
     def check(folder: str | PathLike[str]) -> None:
         __tracebackhide__ = True
         from .collect import check  # noqa: PLC0415
 
-        result = check(Path(folder), update=update)
-        if result.outcome in ("failed", "error"):
-            pytest.fail("\n".join((f"golden case {result.name}", *result.lines)), pytrace=False)
+        check(Path(folder), request.config)
 
     return check

@@ -12,10 +12,12 @@ from pc2scan.errors import UsageError
 from pc2scan.files.places import missing_hint
 from pc2scan.files.source import open_text
 from pc2scan.files.yaml import MAX_CHARACTERS, load_yaml
+from pc2scan.options.call import Options
+from pc2scan.options.values import Count, Texts
 from pc2scan.text import did_you_mean, nearest
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
     from pathlib import Path
 
 EXPECTED_TEXT = "expected.txt"
@@ -24,39 +26,8 @@ _INPUTS = ("input.bag", "input.mcap", "input.db3", "input")
 SETTINGS = "case.yaml"
 _PARAMS = "params.yaml"
 
-
-def _listed(value: Any) -> list[Any]:
-    return value if isinstance(value, list) else [value]
-
-
-def _are_texts(value: object) -> bool:
-    return all(isinstance(part, str) for part in _listed(value))
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _are_numbers(value: object) -> bool:
-    if not isinstance(value, dict):
-        return _is_number(value)
-    return all(isinstance(name, str) and _is_number(number) for name, number in value.items())
-
-
-#: The keys of ``case.yaml``: whether a value is right, and what it must be.
-KEYS: dict[str, tuple[Callable[[Any], bool], str]] = {
-    "input": (lambda value: bool(value) and _are_texts(value), "a path or a list of paths"),
-    "params": (lambda value: isinstance(value, str), "a path"),
-    "arguments": (
-        lambda value: isinstance(value, list) and all(isinstance(part, str | int | float) for part in value),
-        "a list, such as [--topic, /points:=/scan]",
-    ),
-    "exit_status": (lambda value: type(value) is int, "a whole number"),
-    "all_topics": (lambda value: type(value) is bool, "true or false"),
-    **dict.fromkeys(("atol", "rtol"), (_are_numbers, "a number, or numbers by name: {x: 1.0e-6}")),
-    "allow_beams": (_is_number, "a number"),
-    "ignore": (_are_texts, "a name or a list of names"),
-}
+#: The keys of ``case.yaml``: those of a case, and options of ``diff``.
+_KEYS = ("input", "params", "arguments", "exit_status", "all_topics", "atol", "rtol", "allow_beams", "ignore")
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,10 +48,8 @@ class Case:
         Further options of ``pc2scan convert``, not yet checked; ``{case}`` in them is replaced by the folder.
     exit_status
         The expected exit status of the conversion.
-    all_topics
-        Whether all topics are compared, and not only converted ones.
-    rules
-        The rules of the comparison.
+    comparison
+        The options of the comparison; with ``all_topics``, not only converted topics are compared.
     """
 
     folder: Path
@@ -89,8 +58,7 @@ class Case:
     expected: Path | None
     arguments: tuple[str, ...]
     exit_status: int
-    all_topics: bool
-    rules: Rules
+    comparison: Options
 
 
 def is_case(folder: Path) -> bool:
@@ -116,17 +84,12 @@ def case_folders(folder: Path, pattern: str = "") -> list[tuple[str, Path]]:
     UsageError
         If there is no such folder, or no case with such a name in it.
     """
-    try:
-        if not os.path.lexists(folder):
-            raise UsageError("does not exist", path=folder, hint=missing_hint(folder))
-        if not folder.is_dir():
-            raise UsageError("is not a folder", path=folder, hint="give the folder with the cases")
-        if is_case(folder):
-            cases = [(folder.resolve().name, folder)]
-        else:
-            cases = [(case.relative_to(folder).as_posix(), case) for case in _folders_below(folder)]
-    except OSError as err:
-        raise UsageError(f"cannot be read: {err.strerror}", path=err.filename or folder) from err
+    if not os.path.lexists(folder):
+        raise UsageError("does not exist", path=folder, hint=missing_hint(folder))
+    if not folder.is_dir():
+        raise UsageError("is not a folder", path=folder, hint="give the folder with the cases")
+    cases = [(case.relative_to(folder).as_posix(), case) for case in _cases_in(folder)]
+    cases = [(folder.resolve().name if case == folder else name, case) for name, case in cases]
     if not cases:
         raise UsageError(
             "has no cases", path=folder, hint="a case is a folder with input.bag (or .mcap, ...) and params.yaml"
@@ -138,13 +101,13 @@ def case_folders(folder: Path, pattern: str = "") -> list[tuple[str, Path]]:
     return chosen
 
 
-def _folders_below(folder: Path) -> Iterator[Path]:
+def _cases_in(folder: Path) -> Iterator[Path]:
+    if is_case(folder):
+        yield folder
+        return
     for path in sorted(folder.iterdir()):
         if path.is_dir() and not path.is_symlink() and not path.name.startswith("."):
-            if is_case(path):
-                yield path
-            else:
-                yield from _folders_below(path)
+            yield from _cases_in(path)
 
 
 def load_case(folder: Path) -> Case:
@@ -155,12 +118,37 @@ def load_case(folder: Path) -> Case:
     UsageError
         If a file is missing or exists twice, or ``case.yaml`` has a wrong value.
     """
+    path = folder / SETTINGS
+    _refuse_misnamed(folder)
+    settings = _settings(path)
     try:
-        _refuse_misnamed(folder)
-        settings = _settings(folder / SETTINGS)
-        return _case_of(folder, settings)
-    except OSError as err:
-        raise UsageError(f"cannot be read: {err.strerror}", path=err.filename or folder) from err
+        comparison = Options("diff", {key: value for key, value in settings.items() if key in _KEYS[4:]})
+        Rules.of(comparison)
+        named = {key: [folder / name for name in Texts().read(key, settings.get(key))] for key in ("input", "params")}
+        status = Count().read("exit_status", settings.get("exit_status", 0))
+        if not isinstance(arguments := settings.get("arguments", []), list):
+            raise TypeError(f"arguments is {arguments!r}, it must be a list, such as [--topic, /points:=/scan]")
+        # A missing file is always an error, even if the case expects a failure.
+        for missing in (file for files in named.values() for file in files if not file.exists()):
+            raise UsageError(f"names {missing.relative_to(folder)}, which does not exist")
+    except (AttributeError, TypeError, UsageError) as err:
+        raise UsageError(str(err), path=path, hint=getattr(err, "hint", None)) from err
+    inputs = named["input"] or _only(folder, _INPUTS)
+    if not inputs:
+        raise UsageError("has no input", path=folder, hint=f"{', '.join(_INPUTS)}, or 'input:' in {SETTINGS}")
+    params = named["params"] or _only(folder, (_PARAMS,))
+    expected = _only(folder, _EXPECTED)
+    if expected and any(file.samefile(expected[0]) for file in (*inputs, *params)):
+        raise UsageError("is a file of a case", path=expected[0])
+    return Case(
+        folder=folder,
+        inputs=tuple(inputs),
+        params=params[0] if params else None,
+        expected=expected[0] if expected else None,
+        arguments=tuple(str(part).replace("{case}", str(folder)) for part in arguments),
+        exit_status=status,
+        comparison=comparison,
+    )
 
 
 def _refuse_misnamed(folder: Path) -> None:
@@ -174,68 +162,26 @@ def _refuse_misnamed(folder: Path) -> None:
 
 
 def _settings(path: Path) -> dict[str, Any]:
-    """Return the checked content of ``case.yaml``; a value that may be a list is one."""
+    """Return the content of ``case.yaml``."""
+    if not path.exists():
+        return {}
     try:
         with open_text(path) as file:
             # One more than allowed, so that longer text is refused.
             settings = load_yaml(file.read(MAX_CHARACTERS + 1)) or {}
-    except FileNotFoundError:
-        return {}
     except (OSError, ValueError) as err:
         raise UsageError(f"cannot be read: {err}", path=path) from err
-    known = f"the keys are {', '.join(KEYS)}"
+    known = f"the keys are {', '.join(_KEYS)}"
     if not isinstance(settings, dict):
         raise UsageError("is not a mapping", path=path, hint=known)
-    for key, value in settings.items():
-        if key not in KEYS:
-            hint = f"{did_you_mean(str(key), KEYS)} {known}".strip()
-            raise UsageError(f"unknown key {key!r}", path=path, hint=hint)
-        is_right, what = KEYS[key]
-        if not is_right(value):
-            raise UsageError(f"{key} is {value!r}, it must be {what}", path=path)
+    if unknown := [key for key in settings if key not in _KEYS]:
+        raise UsageError(f"unknown key {unknown[0]!r}", path=path, hint=known)
     return settings
 
 
-def _case_of(folder: Path, settings: dict[str, Any]) -> Case:
-    def named(key: str) -> tuple[Path, ...]:
-        """Return files that the settings name. A missing one is always an error, even if the case expects a failure."""
-        paths = tuple(folder / name for name in _listed(settings[key]))
-        if missing := [path for path in paths if not path.exists()]:
-            hint = "paths are relative to the case's folder"
-            text = f"names {missing[0].relative_to(folder)}, which does not exist"
-            raise UsageError(text, path=folder / SETTINGS, hint=hint)
-        return paths
-
-    inputs = named("input") if "input" in settings else _only(folder, _INPUTS)
-    if not inputs:
-        raise UsageError("has no input", path=folder, hint=f"{', '.join(_INPUTS)}, or 'input:' in {SETTINGS}")
-    params = named("params") if "params" in settings else _only(folder, (_PARAMS,))
-    expected = _only(folder, _EXPECTED)
-    if expected and any(path.samefile(expected[0]) for path in (*inputs, *params)):
-        raise UsageError("is a file of a case", path=expected[0])
-    tolerances = {key: settings.get(key, {}) for key in ("atol", "rtol")}
-    by_name = {key: value if isinstance(value, dict) else {"": value} for key, value in tolerances.items()}
-    share, ignore = settings.get("allow_beams", 0.0), frozenset(_listed(settings.get("ignore", [])))
-    try:
-        rules = Rules(**by_name, allow_beams=share, ignore=ignore)
-    except UsageError as err:
-        err.path = folder / SETTINGS
-        raise
-    return Case(
-        folder=folder,
-        inputs=inputs,
-        params=params[0] if params else None,
-        expected=expected[0] if expected else None,
-        arguments=tuple(str(part).replace("{case}", str(folder)) for part in settings.get("arguments", [])),
-        exit_status=settings.get("exit_status", 0),
-        all_topics=settings.get("all_topics", False),
-        rules=rules,
-    )
-
-
-def _only(folder: Path, names: tuple[str, ...]) -> tuple[Path, ...]:
+def _only(folder: Path, names: tuple[str, ...]) -> list[Path]:
     """Return the one of several names that exists; empty for none."""
-    paths = tuple(folder / name for name in names if (folder / name).exists())
+    paths = [folder / name for name in names if (folder / name).exists()]
     if len(paths) > 1:
         raise UsageError(f"has {' and '.join(path.name for path in paths)}", path=folder, hint="remove all but one")
     return paths

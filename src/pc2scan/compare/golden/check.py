@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeAlias
 
 from pc2scan.compare.diff import diff, open_source
 from pc2scan.compare.scan_text import render_scans
@@ -16,12 +17,12 @@ from pc2scan.errors import OutputError, Pc2ScanError, RecordingError, UsageError
 from pc2scan.files.outputs import file_output
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.result import Part, Result
-from pc2scan.text import TextEnum, duration
+from pc2scan.text import duration
 
 from .case import EXPECTED_TEXT, SETTINGS, case_folders, load_case
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator
 
     from pc2scan.compare.result import Difference
 
@@ -31,22 +32,14 @@ if TYPE_CHECKING:
 NAMES = ("expected", "actual")
 
 
-class CaseOutcome(TextEnum):
-    """The outcome of a case."""
-
-    passed = "passed"
-    failed = "failed"
-    updated = "updated"
-    #: The case could not be checked.
-    error = "error"
-
-
 @dataclass(frozen=True, slots=True)
 class CaseResult:
     """The result of a case.
 
     Attributes
     ----------
+    outcome
+        ``passed``, ``failed``, ``updated``; or ``error``: it could not be checked.
     lines
         The differences (for an updated case: the old ones), or the error. Empty if it passed.
     difference
@@ -56,7 +49,7 @@ class CaseResult:
     json_names: ClassVar[tuple[str, ...]] = ("name", "outcome", "text", "difference", "seconds")
 
     name: str
-    outcome: CaseOutcome
+    outcome: str
     lines: tuple[str, ...] = ()
     difference: Difference | None = None
     seconds: float = 0.0
@@ -68,7 +61,7 @@ class CaseResult:
 
     def body(self) -> Iterator[str]:
         """Yield the outcome, and the differences or the error."""
-        yield f"{self.outcome.value:<8}{self.name}"
+        yield f"{self.outcome:<8}{self.name}"
         yield from (f"    {line}" for line in self.lines)
 
 
@@ -83,10 +76,10 @@ class GoldenReport(Result):
     cases: list[CaseResult] = field(default_factory=list)
 
     @property
-    def counts(self) -> dict[CaseOutcome, int]:
+    def counts(self) -> dict[str, int]:
         """Number of cases by outcome."""
         counted = Counter(case.outcome for case in self.cases)
-        return {outcome: counted[outcome] for outcome in CaseOutcome}
+        return {outcome: counted[outcome] for outcome in ("passed", "failed", "updated", "error")}
 
     @property
     def seconds(self) -> float:
@@ -96,15 +89,15 @@ class GoldenReport(Result):
     @property
     def exit_status(self) -> int:
         """0: all passed or were updated; 1: some differ; 2: some could not be checked."""
-        return 2 if self.counts[CaseOutcome.error] else 1 if self.counts[CaseOutcome.failed] else 0
+        return 2 if self.counts["error"] else 1 if self.counts["failed"] else 0
 
     def __repr__(self) -> str:
         return f"<GoldenReport of {self.folder!r}: {self._counted()}, exit status {self.exit_status}>"
 
     def _counted(self) -> str:
-        words = {CaseOutcome.error: "could not be checked"}
-        counts = ((number, words.get(outcome, outcome.value)) for outcome, number in self.counts.items() if number)
-        return ", ".join(f"{number:,} {word}" for number, word in counts) or "no cases"
+        words = {"error": "could not be checked"}
+        counts = (f"{number:,} {words.get(outcome, outcome)}" for outcome, number in self.counts.items() if number)
+        return ", ".join(counts) or "no cases"
 
     def body(self, *, verbose: bool = False) -> Iterator[Part]:
         """Yield the cases, and how many have which outcome."""
@@ -126,24 +119,9 @@ class CommandResult(NamedTuple):
     messages: str
 
 
-class Command(Protocol):
-    """Runs pc2scan like the command line."""
-
-    def __call__(self, arguments: Sequence[str], chosen: Sequence[str] = ()) -> CommandResult:
-        """Run a command.
-
-        Parameters
-        ----------
-        arguments
-            The command and its arguments.
-        chosen
-            Further options from an untrusted case: only those that decide what is converted are allowed.
-
-        Raises
-        ------
-        UsageError
-            If ``chosen`` has any other or an unknown option.
-        """
+#: Runs pc2scan like the command line, given a command with its arguments, and further options from an untrusted case:
+#: only those that decide what is converted are allowed, any other is a UsageError.
+Command: TypeAlias = Callable[[Sequence[str], Sequence[str]], CommandResult]
 
 
 def check_cases(
@@ -184,41 +162,37 @@ def check_case(name: str, folder: Path, command: Command, *, update: bool = Fals
     try:
         outcome, lines, difference = _run_case(load_case(folder), command, update=update)
     except Pc2ScanError as err:
-        outcome, difference = CaseOutcome.error, None
-        lines = (str(err), *([f"hint: {err.hint}"] if err.hint else []))
+        outcome, lines, difference = "error", [str(err), *([f"hint: {err.hint}"] if err.hint else [])], None
     return CaseResult(name, outcome, tuple(lines), difference, time.monotonic() - began)
 
 
-def _run_case(case: Case, command: Command, *, update: bool) -> tuple[CaseOutcome, Sequence[str], Difference | None]:
+def _run_case(case: Case, command: Command, *, update: bool) -> tuple[str, list[str], Difference | None]:
+    """Return the outcome, the lines about it, and the difference."""
+    difference = None
     with TemporaryDirectory(prefix="pc2scan-golden-") as folder:
         actual = Path(folder) / "actual.mcap"
         result = _run_conversion(case, command, actual, "--compression", "none")
         if result.status != case.exit_status:
             text = f"the conversion ended with exit status {result.status}, expected was {case.exit_status}"
-            return CaseOutcome.failed, [text, *result.messages.splitlines()], None
+            return "failed", [text, *result.messages.splitlines()], None
         if not actual.exists():
             # The conversion failed as expected.
-            return CaseOutcome.passed, [], None
-        difference, lines = _compare(case, actual, update=update)
-        if not lines:
-            return CaseOutcome.passed, lines, difference
-        if not update:
-            return CaseOutcome.failed, lines, difference
-        _write_expected(case, actual, command)
-        return CaseOutcome.updated, lines, difference
-
-
-def _compare(case: Case, actual: Path, *, update: bool) -> tuple[Difference | None, list[str]]:
-    """Compare with the expected output; returns no lines if there is no difference."""
-    if case.expected is None:
-        return None, ["new" if update else "there is no expected output: `update=True` writes it"]
-    try:
-        difference = diff(case.expected, actual, all_topics=case.all_topics, rules=case.rules)
-    except RecordingError as err:
-        if not update:
-            raise
-        return None, [str(err)]
-    return difference, [] if difference.same else difference.text(NAMES).split("\n")
+            return "passed", [], None
+        lines = ["new" if update else "there is no expected output: `update=True` writes it"]
+        if case.expected is not None:
+            try:
+                difference = diff(case.expected, actual, case.comparison)
+            except RecordingError as err:
+                if not update:
+                    raise
+                lines = [str(err)]
+            else:
+                if difference.same:
+                    return "passed", [], difference
+                lines = difference.text(NAMES).split("\n")
+        if update:
+            _write_expected(case, actual, command)
+        return "updated" if update else "failed", lines, difference
 
 
 def _run_conversion(case: Case, command: Command, destination: Path, *further: str) -> CommandResult:
@@ -226,7 +200,7 @@ def _run_conversion(case: Case, command: Command, destination: Path, *further: s
     arguments = ["convert", *map(str, case.inputs), "-o", str(destination), *further]
     if case.params is not None:
         arguments += ["--params-file", str(case.params)]
-    if not case.all_topics:
+    if not case.comparison.all_topics:
         arguments.append("--only-scans")
     try:
         return command(arguments, case.arguments)

@@ -22,11 +22,12 @@ from pc2scan.text import counted
 from .check import check_case
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from pc2scan.bags.reader import Reader
-    from pc2scan.options.moment import TimeBound
+    from pc2scan.options.call import Options
+    from pc2scan.progress import Progress
 
     from .check import Command
 
@@ -49,33 +50,17 @@ class NewCase(Result):
         yield from (f"{self.folder / name}  {counted(size, 'byte')}" for name, size in self.files)
 
 
-def make_case(
-    folder: Path,
-    source: Path,
-    command: Command,
-    *,
-    start: TimeBound | None = None,
-    end: TimeBound | None = None,
-    topics: Sequence[str] = (),
-    params: Path | None = None,
-    progress: Callable[[int, int, int], None] | None = None,
-) -> NewCase:
-    """Make a case.
+def make_case(folder: Path, command: Command, options: Options, *, progress: Progress | None = None) -> NewCase:
+    """Make a case, by ``init``, ``start``, ``end``, ``topics`` and ``params_file`` of a call.
+
+    Clouds, scans, transforms and IMU messages of the recording are kept, byte for byte.
 
     Parameters
     ----------
     folder
         The case; it must not exist. The folder above it is made, if it does not exist.
-    source
-        The recording. Its clouds, scans, transforms and IMU messages are kept, byte for byte.
     command
         Runs ``pc2scan``.
-    start, end
-        The cut, by log time.
-    topics
-        Clouds and scans to keep, as names or globs; empty for all.
-    params
-        The parameter file, which is copied.
 
     Raises
     ------
@@ -89,12 +74,12 @@ def make_case(
             stack.enter_context(output_folder(folder.parent))
         partial = stack.enter_context(staged_output(folder, overwrite=False))
         partial.mkdir()
-        (reader,) = open_recordings([source], stack)
-        kept = _needed_topics(reader, topics)
+        (reader,) = open_recordings([options.init], stack)
+        kept = _needed_topics(reader, options.topics)
         name = "input.bag" if any(each.ros_version == 1 for each in reader.connections) else "input.mcap"
-        options = ConvertOptions(repair=True, start=start, end=end, keep=tuple(kept))
-        report = run([source], partial / name, options, OutputOptions(), progress=progress)
-        if params is not None:
+        cut = ConvertOptions(repair=True, start=options.start, end=options.end, keep=tuple(kept))
+        report = run([options.init], partial / name, cut, OutputOptions(), progress=progress)
+        if (params := options.params_file) is not None:
             try:
                 shutil.copyfile(params, partial / "params.yaml")
             except OSError as err:
