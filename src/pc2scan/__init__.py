@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from .exports.report import ExportReport as ExportReport
     from .request.ground import MinHeightSlope as MinHeightSlope
     from .request.regions import ExcludeBox as ExcludeBox
+    from .request.regions import ExcludePolygon as ExcludePolygon
     from .request.where import Where as Where
     from .show.check import Check as Check
     from .show.info import Info as Info
@@ -109,7 +110,7 @@ _PUBLIC = {
     "errors": ("Pc2ScanError", "RecordingWarning", "errors"),
     "exports.report": ("ExportReport",),
     "request.ground": ("MinHeightSlope",),
-    "request.regions": ("ExcludeBox",),
+    "request.regions": ("ExcludeBox", "ExcludePolygon"),
     "request.where": ("Where",),
     "show.check": ("Check",),
     "show.info": ("Info",),

@@ -1,4 +1,4 @@
-"""Points chosen by field, box and a sloping height limit; `tests/transcripts/selecting.txt` has the words."""
+"""Points chosen by field, box, polygon and a sloping height limit; `tests/transcripts/selecting.txt` has the words."""
 
 from __future__ import annotations
 
@@ -54,6 +54,12 @@ CHOICES: list[tuple[dict[str, Any], Callable[..., Any], float, str]] = [
         lambda x, y, z, **_: ~((x >= 1) & (x <= 6) & (abs(y) <= 2) & (abs(z) <= 1)),
         1.0,
         "exclude_box",
+    ),
+    (
+        {"exclude_polygon": "body 1 -2 6 -2 6 2 1 2", **BODY},
+        lambda x, y, **_: ~((x >= 1) & (x <= 6) & (abs(y) <= 2)),
+        1.0,
+        "exclude_polygon",
     ),
     (
         {"min_height": -0.5, "min_height_slope": 0.1},

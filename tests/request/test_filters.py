@@ -13,6 +13,7 @@ from pc2scan.request.filters import filters_of
 VALUES: dict[str, Any] = {
     "where": ["ring in (3, 4)", "intensity > 10"],
     "exclude_box": ["base_link -0.5 0.5 -inf inf 0 1"],
+    "exclude_polygon": ["base_link 0 0 1 0 1.5 1"],
     "ground": "remove",
     "min_height_slope": 0.05,
 }

@@ -97,6 +97,13 @@ class PointSelection(TypedDict, total=False):
         "Reject points in this box, such as the robot's own body: 'frame x0 x1 y0 y1 z0 z1' (m).",
         How(makes="regions:ExcludeBox"),
     ]
+    exclude_polygon: Annotated[
+        Names | None,
+        texts("POLYGON"),
+        "Reject points in this polygon, at any height, such as the robot's footprint: 'frame x0 y0 x1 y1 x2 y2 ...' "
+        "(m).",
+        How(makes="regions:ExcludePolygon"),
+    ]
     ground: Annotated[
         Literal["keep", "remove"],
         "remove: reject points on the ground, which is found in each cloud; it may slope by up to 15 degrees and have"

@@ -27,7 +27,7 @@ NEEDS = (
 
 #: An option, those that have no effect beside it, and why.
 IDLE = (
-    ("reverse", "keep_used remove where exclude_box ground min_height_slope", "which makes clouds"),
+    ("reverse", "keep_used remove where exclude_box exclude_polygon ground min_height_slope", "which makes clouds"),
     ("reverse", "filters level point_time stamp fixed_frame accumulate every rebin min_used", "which makes clouds"),
     ("rebin", "point_time", "which converts scans, whose beams have the times of their time_increment"),
     ("accumulate", "window", "which uses all messages of an interval"),

@@ -60,7 +60,7 @@ _NOISE = 0.02
 
 #: Filters that may remove the floor, and filters that may remove points at the sensor.
 _FLOOR_FILTERS = {"ground", "min_height_slope", "where"}
-_PLACE_FILTERS = {"exclude_box", "where"}
+_PLACE_FILTERS = {"exclude_box", "exclude_polygon", "where"}
 
 #: Frames that do not move with the robot: those of REP 105, and the one that LOAM and its successors register
 #: clouds in.
