@@ -102,8 +102,6 @@ def test_times_that_are_right_draw_none(case: dict[str, Any]) -> None:
             "measured 0.3 to 0.4 s after the stamp of their cloud, by field t, but clouds come every 0.1 s",
         ),
         ({"stored": lambda seconds: seconds + T0 / 1e9 - 5}, "measured 4.9 to 5 s before the stamp of their cloud"),
-        ({"stored": lambda seconds: seconds * (np.arange(seconds.size) % 2)}, "follow neither the order of the points"),
-        ({"azimuth": np.random.default_rng(1).permutation(ROSETTE), "seconds": order}, "follow neither"),
     ],
 )
 def test_times_that_are_probably_wrong_draw_a_warning(case: dict[str, Any], what: str) -> None:

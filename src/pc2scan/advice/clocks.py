@@ -92,15 +92,12 @@ class ClockFinding(NamedTuple):
         What is wrong, for users.
     time_offset
         The value of the option ``time_offset`` that corrects it.
-    reason
-        Why, in a few words.
     other
         The topic with moving transforms that it was compared with; empty if that were the log times.
     """
 
     text: str
     time_offset: str
-    reason: str
     other: str = ""
 
     @property
@@ -148,36 +145,37 @@ class Clocks:
         far from the log times (a simulation, or a recording that was played back), none are wrong.
         """
         findings = {}
-        motion = {topic: _nearest(each.found) for topic, each in self._motion.items() if each.found}
-        others = [median_low(_nearest(each.found)) for each in self._others.values() if each.found]
+        motion = _medians(self._motion)
+        others = _medians(self._others).values()
         for facts in self._topics:
             if not facts.headers:
                 continue
-            delay_ns = median_low([each.delay_ns for each in facts.headers[:CLOCK_HEADERS]])
-            known = {topic: median_low(delays) for topic, delays in motion.items() if delays}
-            topic = min(known, key=lambda name: abs(delay_ns - known[name]), default="")
-            reference_ns = known.get(topic, 0)
-            if not are_doubtful(delay_ns, reference_ns):
+            delay_ns = _delay(facts)
+            topic = min(motion, key=lambda name: abs(delay_ns - motion[name]), default="")
+            behind_ns = delay_ns - motion.get(topic, 0)
+            if not are_doubtful(delay_ns, delay_ns - behind_ns):
                 continue
-            if not known and (self._is_simulated or not all(are_doubtful(delay_ns, each) for each in others)):
+            if not motion and (self._is_simulated or not all(are_doubtful(delay_ns, each) for each in others)):
                 continue
             against = f"those of {topic}, compared with their log times" if topic else "their log times"
-            behind_ns = delay_ns - reference_ns
             how = f"{_duration_text(behind_ns)} {'behind' if behind_ns > 0 else 'ahead of'} {against}"
             scale = next((s for s in _TIME_SCALES if abs(behind_ns + s * 1_000_000_000) < _OTHER_CLOCK_NS), None)
+            cause = "" if scale is None else f" ({_TIME_SCALES[scale]})"
+            if behind_ns > _DAY_NS and 0 <= facts.headers[0].stamp_ns < _LONG_AGO_NS:
+                cause = " (its clock counts from its start)"
             offset = "auto" if scale is None else f"-{scale}s"
-            cause = _cause(facts.headers[0].stamp_ns, behind_ns) if scale is None else f" ({_TIME_SCALES[scale]})"
-            text = f"the stamps of {facts.topic} are {how}{cause}"
-            short = f"its stamps are {_duration_text(behind_ns)} {'behind' if behind_ns > 0 else 'ahead'}"
-            findings[facts.topic] = ClockFinding(text, offset, short + cause, topic)
+            findings[facts.topic] = ClockFinding(f"the stamps of {facts.topic} are {how}{cause}", offset, topic)
         return findings
 
 
-def _cause(stamp_ns: int, behind_ns: int) -> str:
-    """Return why a clock probably differs, as a part of a sentence."""
-    if behind_ns > _DAY_NS and 0 <= stamp_ns < _LONG_AGO_NS:
-        return " (its clock counts from its start)"
-    return f" (its clock says {stamp(stamp_ns)})" if abs(behind_ns) > _DAY_NS else ""
+def _delay(facts: TopicFacts) -> int:
+    return median_low([each.delay_ns for each in facts.headers[:CLOCK_HEADERS]])
+
+
+def _medians(observers: Mapping[str, Observer[Delays]]) -> dict[str, int]:
+    """Return the median delay of each topic that has messages."""
+    delays = {topic: _nearest(each.found) for topic, each in observers.items()}
+    return {topic: median_low(each) for topic, each in delays.items() if each}
 
 
 def _duration_text(duration_ns: int) -> str:
@@ -195,11 +193,11 @@ def _observers(connections: Iterable[Connection], span: Span) -> dict[str, Obser
 def _delays(message: RawMessage) -> Delays:
     """Return the delays from the stamps in a message to its log time, and of transforms their child frames."""
     kind, serialization = message.connection.ros_type, message.connection.serialization
-    stamps: list[tuple[str, int]] = []
+    stamps: Iterable[tuple[str, int]] = ()
     if kind in TF_TYPES:
-        stamps = [(child, stamp_ns) for _, child, stamp_ns, *_ in decode_transforms(message.data, serialization)]
+        stamps = ((child, stamp_ns) for _, child, stamp_ns, *_ in decode_transforms(message.data, serialization))
     elif kind in STAMPED:
-        stamps = [("", stamp_in(message.data, serialization))]
+        stamps = (("", stamp_in(message.data, serialization)),)
     return [(child, message.log_time_ns - stamp_ns) for child, stamp_ns in stamps]
 
 
@@ -224,7 +222,7 @@ def refuse_other_clock(trajectory: Trajectory, topics: Iterable[TopicFacts], spa
     for facts in topics:
         if not facts.headers:
             continue
-        delay_ns = median_low([each.delay_ns for each in facts.headers[:CLOCK_HEADERS]])
+        delay_ns = _delay(facts)
         begin_ns, end_ns = span.first_ns - delay_ns, last_ns - delay_ns
         if trajectory.first_ns <= end_ns and trajectory.last_ns >= begin_ns:
             return
@@ -279,14 +277,13 @@ def measure_offsets(
     ends = {topic: Observer(own, _delay_of_end, _MOTIONS, span.start_ns, span.stop_ns) for topic, own in topics.items()}
     references = _observers(motion, span)
     observe((reader, [*ends.values(), *references.values()]))
-    known = {topic: _nearest(observer.found) for topic, observer in references.items()}
-    fitting = {topic: delays for topic, delays in known.items() if delays}
-    reference = min(fitting, key=lambda topic: abs(median_low(fitting[topic])), default="")
-    others = fitting.get(reference, [0])
+    medians = _medians(references)
+    reference = min(medians, key=lambda topic: abs(medians[topic]), default="")
+    others = _nearest(references[reference].found) if reference else [0]
+    against = f"the stamps of {reference}" if reference else "the log times"
     offsets = {}
     for topic, observer in ends.items():
         delays = observer.found
-        against = f"the stamps of {reference}" if reference else "the log times"
         number = counted(len(delays), "message")
         if not delays or not are_doubtful(median_low(delays), median_low(others)):
             note = f"{topic}: time_offset is 0: its first stamps fit to {against} ({number})"

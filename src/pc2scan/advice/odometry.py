@@ -22,7 +22,7 @@ from pc2scan.request.point_time import PointTime
 from pc2scan.text import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -57,14 +57,15 @@ _EVENLY = np.arange(_OF_CLOUD) * GOLDEN % 1.0
 _KNOWN = 0.8
 _NEAREST, _FARTHEST = 0.1, 1000.0
 
-#: How far times are shifted, seconds: first these, then those between if one of these is a little sharper, then those
-#: around the sharpest; the distance of poses that are interpolated; and the smallest shift that is reported.
+#: How far times are shifted, seconds: first these, then every hundredth up to the farthest, if one of the first is a
+#: little sharper; the distance of poses that are interpolated, nanoseconds; and the smallest shift that is reported.
 _FIRST_SHIFTS = (0.03, 0.1, 0.25)
-_SHIFTS = (0.02, 0.05, 0.07, 0.13, 0.16, 0.2, 0.3)
-_FINE = (-0.02, -0.01, 0.01, 0.02)
+_SHIFTS = np.arange(0.01, 0.315, 0.01).round(2).tolist()
 _A_LITTLE = 1.02
 _NODE_NS = 5_000_000
 _LEAST_SHIFT = 0.015
+
+_NOTHING = np.empty((0, 3))
 
 #: The signs of x, y and z of a lidar that is turned over.
 _TURNED_OVER = (1.0, -1.0, -1.0)
@@ -215,33 +216,20 @@ class _Path(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """What a topic shows in a window: (N, 3) points of walls in the sensor's frame, and (N,) times of each.
-
-    ``stamps`` are those of their clouds, seconds after the window's begin, and ``seconds`` after the stamp.
-    """
+    """What a topic shows in a window: (N, 3) points in the sensor's frame, and (N,) times of each after its begin."""
 
     path: _Path
     points: NDArray[np.float64]
-    stamps: NDArray[np.float64]
     seconds: NDArray[np.float64]
-
-    def select(self, chosen: NDArray[np.intp]) -> _Seen:
-        """Return some of the points."""
-        return _Seen(self.path, self.points[chosen], self.stamps[chosen], self.seconds[chosen])
 
     @cached_property
     def here(self) -> NDArray[np.float64]:
         """The points in the fixed frame, (N, 3)."""
         return self.placed()
 
-    @cached_property
-    def width(self) -> float:
-        """Over how many cells they are spread."""
-        return spread(self.here[:, :2])
-
     def placed(self, later: float = 0.0) -> NDArray[np.float64]:
         """Return the points in the fixed frame, by the poses of so many seconds later."""
-        return self.path.place(self.points, self.stamps + self.seconds + later)
+        return self.path.place(self.points, self.seconds + later)
 
 
 class Surroundings:
@@ -276,7 +264,7 @@ class Surroundings:
         self._buffer = buffer
         self._source_frame = source_frame
         self._together = together
-        self._clouds: dict[str, list[_Cloud]] = {}
+        self._clouds: dict[tuple[str, Window], list[_Cloud]] = {}
         body = odometry.links[0]
         self._windows = busiest(body.stamps_ns, body.poses, Window(*span), _WINDOW_NS, _WINDOWS)
 
@@ -289,10 +277,9 @@ class Surroundings:
             Returns the times of the points. None: those that a cloud has in one of the fields `TIME_FIELDS`; a cloud
             without is not sampled.
         """
-        if not any(begin_ns <= points.stamp_ns < end_ns for begin_ns, end_ns in self._windows):
-            return
+        window = next((each for each in self._windows if each.begin_ns <= points.stamp_ns < each.end_ns), None)
         x, y, z = points.xyz()
-        if len(self._clouds.get(topic, ())) >= _MOST_CLOUDS or not x.size:
+        if window is None or not x.size:
             return
         try:
             seconds = seconds or PointTime().read(points).at
@@ -304,47 +291,39 @@ class Surroundings:
             times = seconds(places)
             squares = np.einsum("ni,ni->n", sample, sample)
             good = np.isfinite(times) & (squares > _NEAREST**2) & (squares < _FARTHEST**2)
-        if good.any():
-            cloud = _Cloud(points.stamp_ns, self._source_frame or points.frame_id, sample[good], times[good])
-            self._clouds.setdefault(topic, []).append(cloud)
+        clouds = self._clouds.setdefault((topic, window), [])
+        if good.any() and len(clouds) < _MOST_CLOUDS:
+            clouds.append(_Cloud(points.stamp_ns, self._source_frame or points.frame_id, sample[good], times[good]))
 
     @np.errstate(all="ignore")
     def warnings(self) -> Iterator[str]:
         """Yield warnings about transforms, or times, that do not fit the clouds."""
-        seen = {topic: self._seen_on(topic) for topic in (self._together or sorted(self._clouds))}
+        topics = self._together or sorted({topic for topic, _ in self._clouds})
+        seen = {
+            topic: {window: each for window in self._windows if (each := self._seen_in(topic, window)) is not None}
+            for topic in topics
+        }
         for topic, windows in seen.items():
             if topic not in self._together[1:]:
-                yield from self._doubts(topic, windows)
-        if self._together:
-            lead, *others = self._together
-            for other in others:
-                yield from self._clock_doubts(lead, other, seen[lead], seen[other])
+                yield from self._doubts(topic, list(windows.values()))
+        for other in self._together[1:]:
+            lead = self._together[0]
+            pairs = [(seen[lead][window], each) for window, each in seen[other].items() if window in seen[lead]]
+            yield from _clock_doubts(lead, other, pairs)
 
-    def _seen_on(self, topic: str) -> dict[Window, _Seen]:
-        """Return what a topic shows of walls in each window; windows with too few points are left out."""
-        clouds = sorted(self._clouds.get(topic, ()), key=lambda cloud: cloud.stamp_ns)
-        walls: dict[Window, _Seen] = {}
-        for window in self._windows:
-            own = [
-                each
-                for each in clouds
-                if window.begin_ns <= each.stamp_ns < window.end_ns
-                and each.frame_id == clouds[0].frame_id
-                and len(each.points)
-            ]
-            if not own:
-                continue
-            path = self._path(own[0].frame_id, window)
-            if path is None:
-                continue
-            after = [np.full(len(each.points), (each.stamp_ns - window.begin_ns) / 1e9) for each in own]
-            stamps, seconds = np.concatenate(after), np.concatenate([each.seconds for each in own])
-            seen = _Seen(path, np.concatenate([each.points for each in own]), stamps, seconds)
-            seen = seen.select(np.arange(len(stamps))[:: 1 + len(stamps) // _OF_WINDOW])
-            seen = seen.select(np.flatnonzero(_are_walls(seen.here)))
-            if len(seen.points) >= _FEWEST:
-                walls[window] = seen
-        return walls
+    def _seen_in(self, topic: str, window: Window) -> _Seen | None:
+        """Return what a topic shows of walls in a window; None if that is too little."""
+        clouds = sorted(self._clouds.get((topic, window), ()), key=lambda cloud: cloud.stamp_ns)
+        own = [each for each in clouds if each.frame_id == clouds[0].frame_id]
+        path = self._path(own[0].frame_id, window) if own else None
+        if path is None:
+            return None
+        points = np.concatenate([each.points for each in own])
+        seconds = np.concatenate([each.seconds + (each.stamp_ns - window.begin_ns) / 1e9 for each in own])
+        some = slice(None, None, 1 + len(points) // _OF_WINDOW)
+        seen = _Seen(path, points[some], seconds[some])
+        walls = _are_walls(seen.here)
+        return _Seen(path, seen.points[walls], seen.seconds[walls]) if walls.sum() >= _FEWEST else None
 
     def _path(self, frame: str, window: Window) -> _Path | None:
         reach_ns = round((_SHIFTS[-1] + 0.2) * 1e9)
@@ -361,55 +340,47 @@ class Surroundings:
             return None
         return _Path((stamps_ns - window.begin_ns) / 1e9, rows[::2])
 
-    def _doubts(self, topic: str, windows: Mapping[Window, _Seen]) -> Iterator[str]:
-        """Yield a warning if other times of the points of a topic fit the transforms better."""
+    def _doubts(self, topic: str, windows: Sequence[_Seen]) -> Iterator[str]:
+        """Yield a warning if other times, or other poses, of the points of a topic fit better."""
         spec = self._spec
-        gain, shift = _best_shift(
-            lambda seconds: _gain((each, each.placed(seconds), None) for each in windows.values())
-        )
-        seen = f"in {counted(len(windows), 'second')} of the strongest motion, surroundings are"
-        over = ((each, replace(each, points=each.points * _TURNED_OVER)) for each in windows.values())
-        turned = _gain((each, other.placed(), None) for each, other in over)
-        if turned > max(gain, _SHARPER):
+
+        def gain(changed: Callable[[_Seen], _Seen], seconds: float = 0.0) -> float:
+            return _gain((each.here, changed(each).placed(seconds), _NOTHING) for each in windows)
+
+        sharper, shift = _best_shift(lambda seconds: gain(lambda each: each, seconds))
+        seen = f"{topic}: in {counted(len(windows), 'second')} of the strongest motion, surroundings are"
+        turned = gain(lambda each: replace(each, points=each.points * _TURNED_OVER))
+        if turned > max(sharper, _SHARPER):
             yield (
-                f"{topic}: {seen} {turned:.2g} times as sharp if the lidar is turned over: when the robot turns, they "
+                f"{seen} {turned:.2g} times as sharp if the lidar is turned over: when the robot turns, they "
                 "turn the wrong way; is it upside down against its transform? `static_tf` says how it is mounted"
             )
-            return
-        if gain >= _SHARPER and abs(shift) >= _LEAST_SHIFT:
+        elif shift:
             yield (
-                f"{topic}: {seen} {gain:.2g} times as sharp with the transforms to {spec.fixed_frame} of "
+                f"{seen} {sharper:.2g} times as sharp with the transforms to {spec.fixed_frame} of "
                 f"{1000 * abs(shift):.0f} ms {'later' if shift > 0 else 'earlier'}: the odometry "
                 f"{'lags' if shift > 0 else 'is ahead'}, or its clock is another one; `time_offset={shift:.2f}s` "
                 "corrects the clouds' stamps"
             )
-            return
-        if spec.deskew:
-            paths = ((each, replace(each, path=each.path.smoothed(_SMOOTH))) for each in windows.values())
-            smooth = _gain((each, other.placed(), None) for each, other in paths)
-            if smooth >= _SHARPER:
-                yield (
-                    f"{topic}: {seen} {smooth:.2g} times as sharp by poses that are smoothed over {_SMOOTH} s: the "
-                    f"transforms to {spec.fixed_frame} jitter; a smoother `fixed_frame` deskews better, or none"
-                )
-
-    def _clock_doubts(
-        self, lead: str, other: str, first: Mapping[Window, _Seen], second: Mapping[Window, _Seen]
-    ) -> Iterator[str]:
-        """Yield a warning if two topics fit each other better with a difference of their clocks."""
-        pairs = [(first[window], second[window]) for window in first if window in second]
-
-        def gain(seconds: float) -> float:
-            return _gain((each, each.placed(seconds), known) for known, each in pairs)
-
-        sharpness, shift = _best_shift(gain)
-        if sharpness >= _SHARPER and abs(shift) >= _LEAST_SHIFT:
+        elif spec.deskew and (smooth := gain(lambda each: replace(each, path=each.path.smoothed(_SMOOTH)))) >= _SHARPER:
             yield (
-                f"{lead} and {other}: in {counted(len(pairs), 'second')} of the strongest motion, what both see fits "
-                f"better ({sharpness:.2g} times as sharp) if {other} was measured {1000 * abs(shift):.0f} ms "
-                f"{'later' if shift > 0 else 'earlier'} than its stamps say: the clocks of the two lidars differ; "
-                f"`time_offset={other}={shift:.2f}s` corrects them"
+                f"{seen} {smooth:.2g} times as sharp by poses that are smoothed over {_SMOOTH} s: the "
+                f"transforms to {spec.fixed_frame} jitter; a smoother `fixed_frame` deskews better, or none"
             )
+
+
+def _clock_doubts(lead: str, other: str, pairs: Sequence[tuple[_Seen, _Seen]]) -> Iterator[str]:
+    """Yield a warning if two topics fit each other better with a difference of their clocks."""
+    sharper, shift = _best_shift(
+        lambda seconds: _gain((each.here, each.placed(seconds), first.here) for first, each in pairs)
+    )
+    if shift:
+        yield (
+            f"{lead} and {other}: in {counted(len(pairs), 'second')} of the strongest motion, what both see fits "
+            f"better ({sharper:.2g} times as sharp) if {other} was measured {1000 * abs(shift):.0f} ms "
+            f"{'later' if shift > 0 else 'earlier'} than its stamps say: the clocks of the two lidars differ; "
+            f"`time_offset={other}={shift:.2f}s` corrects them"
+        )
 
 
 def _are_walls(points: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -422,24 +393,20 @@ def _are_walls(points: NDArray[np.float64]) -> NDArray[np.bool_]:
     return np.asarray(((high - low)[columns] >= _TALL) & np.isfinite(points[:, 2]))
 
 
-def _gain(windows: Iterable[tuple[_Seen, NDArray[np.float64], _Seen | None]]) -> float:
+def _gain(windows: Iterable[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]]) -> float:
     """Return how many times as sharp surroundings are in another way; 0 if they are not, in one of the windows.
 
     Parameters
     ----------
     windows
-        What is seen in each, where its points are otherwise, and what is beside them in both cases.
+        Where the points of each are, where they are otherwise, and what is beside them in both cases.
     """
     logarithms, weights = 0.0, 0.0
-    for seen, otherwise, beside in windows:
+    for here, otherwise, beside in windows:
         known = np.isfinite(otherwise[:, 0])
         if known.mean() < _KNOWN:
             continue
-        if beside is None and known.all():
-            now, then = seen.width, spread(otherwise[:, :2])
-        else:
-            others = [] if beside is None else [beside.here]
-            now, then = (spread(np.concatenate([each[known], *others])[:, :2]) for each in (seen.here, otherwise))
+        now, then = (spread(np.concatenate([each[known], beside])[:, :2]) for each in (here, otherwise))
         if not then or now / then < _NOT_LESS:
             return 0.0
         logarithms += math.log(now / then) * len(otherwise)
@@ -448,11 +415,8 @@ def _gain(windows: Iterable[tuple[_Seen, NDArray[np.float64], _Seen | None]]) ->
 
 
 def _best_shift(gain: Callable[[float], float]) -> tuple[float, float]:
-    """Return by how much another time is sharper at most, and how many seconds later it is."""
-    best = max((gain(shift), shift) for seconds in _FIRST_SHIFTS for shift in (seconds, -seconds))
-    if best[0] < _A_LITTLE:
-        return best
-    best = max(best, *((gain(shift), shift) for seconds in _SHIFTS for shift in (seconds, -seconds)))
-    if best[0] < _SHARPER:
-        return best
-    return max(best, *((gain(best[1] + more), best[1] + more) for more in _FINE))
+    """Return by how much another time is sharper at most, and how many seconds later it is; 0 if it is not worth it."""
+    best = max((gain(sign * shift), sign * shift) for shift in _FIRST_SHIFTS for sign in (1, -1))
+    if best[0] >= _A_LITTLE:
+        best = max(best, *((gain(sign * shift), sign * shift) for shift in _SHIFTS for sign in (1, -1)))
+    return best if best[0] >= _SHARPER and abs(best[1]) >= _LEAST_SHIFT else (best[0], 0.0)

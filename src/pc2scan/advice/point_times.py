@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-
 from pc2scan.core.percentiles import median
-from pc2scan.core.timing import IN_SECONDS, TIME_UNITS, fit_sweep, increment_doubt, is_brief, median_interval_ns
+from pc2scan.core.timing import IN_SECONDS, TIME_UNITS, increment_doubt, is_brief, median_interval_ns
 from pc2scan.request.point_time import BY_AZIMUTH
 from pc2scan.request.turn import TURN_CLOUDS, measure_turn, turn_sample
 
@@ -15,8 +13,6 @@ from .survey import Fact
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
-
-    from numpy.typing import NDArray
 
     from pc2scan.core.points import Points
     from pc2scan.model import RawMessage
@@ -37,15 +33,6 @@ _ABOUT = (0.2, 2.0)
 #: Clocks probably differ if the points are measured this many periods, and this many seconds, from their stamp.
 _PERIODS, _SECONDS = 2.0, 0.2
 
-#: The order of points is judged by runs of consecutive ones: how many, and of how many points.
-_RUNS, _RUN = 64, 32
-
-#: Times are in no order if consecutive points are this share of the cloud's time apart; of random times, a third.
-_APART = 0.15
-#: Points that are stored in another order than they were measured follow a sweep nonetheless: at least this share of
-#: them, within so many radians.
-_FOLLOWS, _NEAR = 0.9, 0.5
-
 
 class PointTimes(NamedTuple):
     """The times of a cloud's points.
@@ -60,8 +47,6 @@ class PointTimes(NamedTuple):
         Of the first and the last point, seconds after the stamp.
     unit
         Of the values, seconds.
-    ordered
-        Whether they follow the order of the points, or a turning lidar.
     """
 
     stamp_ns: int
@@ -69,7 +54,6 @@ class PointTimes(NamedTuple):
     low: float
     high: float
     unit: float
-    ordered: bool
 
 
 def ask_times(facts: TopicFacts, point_time: PointTime) -> None:
@@ -87,12 +71,6 @@ def time_warnings(facts: TopicFacts, point_time: PointTime) -> Iterator[str]:
     Times that are impossible are not among them: those are errors when their cloud is converted.
     """
     topic, clouds = facts.topic, [] if point_time.turn is not None else facts.found(times_of(point_time))
-    name = clouds[0].field if clouds else ""
-    if clouds and not any(each.ordered for each in clouds):
-        yield (
-            f"{topic}: the times of the points, field {name}, follow neither the order of the points nor their "
-            "directions: if they are wrong, deskewing scatters the points; `point_time=FIELD` names another field"
-        )
     if doubt := duration_warning(facts, point_time):
         yield doubt
         return
@@ -106,7 +84,7 @@ def time_warnings(facts: TopicFacts, point_time: PointTime) -> Iterator[str]:
         first, last = sorted((abs(low), abs(high)))
         yield (
             f"{topic}: the points are measured {first:.3g} to {last:.3g} s {where} the stamp of their cloud, by field "
-            f"{name}, but {every}: if their clocks differ, deskewing moves the points wrongly; {BY_AZIMUTH}"
+            f"{clouds[0].field}, but {every}: if their clocks differ, deskewing moves the points wrongly; {BY_AZIMUTH}"
         )
 
 
@@ -144,30 +122,7 @@ def _times(points: Points, _: RawMessage, point_time: PointTime) -> PointTimes |
     low, high = known.low, known.high
     if known.measured - known.unknown < 2:
         return None
-    x, y = points.field("x"), points.field("y")
-    ordered = True
-    if x.size > _RUN and high > low:
-        begins = np.linspace(0, x.size - _RUN, _RUNS).astype(np.intp)
-        chosen = np.unravel_index(begins[:, np.newaxis] + np.arange(_RUN), x.shape)
-        seconds = known.at(chosen)
-        with np.errstate(invalid="ignore"):
-            angles = np.arctan2(y[chosen].astype(np.float64), x[chosen].astype(np.float64))
-        ordered = _are_ordered(angles, np.where(np.isnan(x[chosen]), np.nan, seconds), high - low)
-    return PointTimes(points.stamp_ns, known.field, low, high, known.unit, ordered)
-
-
-def _are_ordered(angles: NDArray[np.float64], seconds: NDArray[np.float64], whole: float) -> bool:
-    """Whether times follow the order of the points, or a turning lidar; (runs, points of a run)."""
-    steps = np.abs(np.diff(seconds, axis=1))
-    steps = steps[np.isfinite(steps)]
-    if not steps.size or steps.mean() < _APART * whole:
-        return True
-    sweep = fit_sweep(angles.ravel(), seconds.ravel())
-    if sweep is None:
-        return False
-    off = sweep.angle + sweep.rate * (seconds - sweep.begin) - angles
-    off = np.abs(np.remainder(off[np.isfinite(off)] + np.pi, 2 * np.pi) - np.pi)
-    return bool((off < _NEAR).mean() >= _FOLLOWS)
+    return PointTimes(points.stamp_ns, known.field, low, high, known.unit)
 
 
 def _duration_doubt(topic: str, clouds: Sequence[PointTimes]) -> str:

@@ -33,9 +33,6 @@ if TYPE_CHECKING:
     from pc2scan.transforms.mounting import Mounting
     from pc2scan.transforms.placing import FrameOptions, Placer
 
-#: How many messages are read to find the first clouds that can be decoded and transformed.
-_MOST_SAMPLES = PARTS
-
 #: Clouds that are registered in a world's frame are judged from so far above the robot's frame, metres.
 _ABOVE_ROBOT = 0.5
 
@@ -78,8 +75,7 @@ def _sample(points: Points, _: RawMessage) -> CloudSample:
 
 
 #: Samples of points, if they are moved into another frame, which the first clouds may lack a transform to; and if not.
-_MOVED_SAMPLES = Fact(_sample, _MOST_SAMPLES)
-_OWN_SAMPLES = Fact(_sample, _MOST_SAMPLES, are_enough=are_enough)
+_SAMPLES = {True: Fact(_sample, PARTS), False: Fact(_sample, PARTS, are_enough=are_enough)}
 
 
 class Header(NamedTuple):
@@ -106,10 +102,6 @@ class Header(NamedTuple):
     turn: float = 0.0
 
 
-def _samples(*, moved: bool) -> Fact[CloudSample]:
-    return _MOVED_SAMPLES if moved else _OWN_SAMPLES
-
-
 class TopicFacts:
     """What the first messages of a topic show.
 
@@ -129,6 +121,7 @@ class TopicFacts:
         self._decoders = {each.id: CLOUDS[each.ros_type](each.serialization) for each in self._clouds}
         # By `Fact`; the headers, which LaserScans have as well, by `Header`.
         self._observers: dict[Hashable, Observer[Any]] = {}
+        self._samples = _SAMPLES[True]
 
     @property
     def observers(self) -> Sequence[Observer[Any]]:
@@ -153,7 +146,8 @@ class TopicFacts:
         moved
             Whether they are moved into another frame.
         """
-        self.ask(_samples(moved=moved))
+        self._samples = _SAMPLES[moved]
+        self.ask(self._samples)
 
     def ask(self, fact: Fact[Any]) -> None:
         """Ask for a fact about the first clouds; its observer begins at the first call."""
@@ -188,14 +182,14 @@ class TopicFacts:
         """
         return self._observed(fact).found[: fact.most]
 
-    def samples(self, placer: Placer, *, moved: bool) -> list[CloudSample]:
+    def samples(self, placer: Placer) -> list[CloudSample]:
         """Return as many samples as show how the sensor is mounted, in the frames of scans.
 
         Those that have no place there are left out.
         """
         clouds: list[CloudSample] = []
         above = Rigid.from_rpy(0.0, 0.0, 0.0, (0.0, 0.0, _ABOVE_ROBOT))
-        for sample in self.found(_samples(moved=moved)):
+        for sample in self.found(self._samples):
             try:
                 place = placer.place(sample.frame_id, sample.stamp_ns)
             except TransformError:
@@ -207,7 +201,7 @@ class TopicFacts:
                 break
         return clouds
 
-    def mounting(self, placer: Placer, buffer: TransformBuffer | None, *, moved: bool) -> Mounting | None:
+    def mounting(self, placer: Placer, buffer: TransformBuffer | None) -> Mounting | None:
         """Return how the sensor is mounted, and which options suit that; None if no cloud can be judged.
 
         Parameters
@@ -216,20 +210,13 @@ class TopicFacts:
             The frames of the scans.
         buffer
             The robot's transforms; None if there are none.
-        moved
-            As for `ask_samples`.
         """
-        clouds = self.samples(placer, moved=moved)
-        if not clouds:
-            return None
-        return mounting(self.topic, placer.source_frame or clouds[0].frame_id, clouds, buffer)
+        clouds = self.samples(placer)
+        return mounting(self.topic, placer.source_frame or clouds[0].frame_id, clouds, buffer) if clouds else None
 
-    def unit_warning(self, *, moved: bool) -> str:
+    def unit_warning(self) -> str:
         """Return the warning that the clouds are in another unit than metres; empty if they are not."""
-        first = next(iter(self.found(_samples(moved=moved))), None)
-        if first is None:
-            return ""
-        return unit_warning(self.topic, first)
+        return next((unit_warning(self.topic, each) for each in self.found(self._samples)), "")
 
     def _observed(self, fact: Hashable) -> Observer[Any]:
         if fact not in self._observers:

@@ -442,7 +442,7 @@ class _Surveyed:
             self.buffer, self.knows_end = survey.robot.finish(), not survey.robot.is_cut
         self.clocks = clocks.findings()
         self.warnings += (each.warning for each in self.clocks.values())
-        self.warnings += filter(None, (each.unit_warning(moved=moved) for each in clouds.values()))
+        self.warnings += filter(None, (each.unit_warning() for each in clouds.values()))
         self.warnings += filter(None, (increment_warning(each) for each in flat.values()))
         self.warnings += (text for each in self.facts.values() for text in stamp_faults(each))
         self.ups: dict[str, UpEstimate] = {}
@@ -478,7 +478,7 @@ class _Surveyed:
 
     def _judged(self, facts: TopicFacts, frame: str) -> Mounting | None:
         places = self.places._replace(target_frame=frame, buffer=self.buffer) if frame else self.places
-        return facts.mounting(places, self.buffer, moved=bool(self.places.target_frame))
+        return facts.mounting(places, self.buffer)
 
     def moving_frames(self, topic: str) -> Iterator[str]:
         """Yield a warning for each frame that is given for clouds of a topic, and in which the robot moves."""

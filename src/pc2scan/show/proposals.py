@@ -298,7 +298,7 @@ def _choices(
     if lidar.target:
         yield Choice("target_frame", lidar.target, "the robot's frame" if lidar.target in BODIES else "its z points up")
     if (clock := clocks.get(lidar.topic)) is not None:
-        yield Choice("time_offset", clock.time_offset, clock.reason)
+        yield Choice("time_offset", clock.time_offset, clock.text)
     elif any(stamp_faults(each.facts) for each in group):
         yield Choice("stamps", "log", "its stamps go back, or are 0")
     yield from _heights(group)

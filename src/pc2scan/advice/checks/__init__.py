@@ -28,7 +28,6 @@ REQUEST: Checks[OutputRequest] = (
     request.returns_without_object,
     request.times_in_another_unit,
     request.increment_in_degrees,
-    request.sector_in_degrees,
     request.beams_beyond_half_turn,
 )
 

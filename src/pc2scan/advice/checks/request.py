@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.core.layout import FULL_TURN
 from pc2scan.core.timing import is_brief
+from pc2scan.errors import name_list
 from pc2scan.request.parameters import is_given
 from pc2scan.text import stamp
 
@@ -53,21 +54,16 @@ def unused_transforms(request: OutputRequest) -> Iterator[str]:
     frames = request.options.frames
     if request.spec.needs_transforms:
         return
-    idle = [
-        name
-        for name, is_given in (
-            ("static_tf", frames.static and not frames.write_static),
-            ("urdf", frames.model is not None and not frames.write_static),
-            ("tf_from", frames.tf_from),
-            ("tf_topics", frames.tf_topics),
-            ("transform_tolerance", "transform_tolerance" in request.given),
-        )
-        if is_given
-    ]
-    if idle:
-        names = ", ".join(f"`{name}`" for name in idle)
+    options = {
+        "static_tf": frames.static and not frames.write_static,
+        "urdf": frames.model is not None and not frames.write_static,
+        "tf_from": frames.tf_from,
+        "tf_topics": frames.tf_topics,
+        "transform_tolerance": "transform_tolerance" in request.given,
+    }
+    if idle := [f"`{name}`" for name, is_given in options.items() if is_given]:
         yield (
-            f"{names} {'have' if idle[1:] else 'has'} no effect without `target_frame`: "
+            f"{name_list(idle)} {'have' if idle[1:] else 'has'} no effect without `target_frame`: "
             "every message stays in its own frame"
         )
 
@@ -99,22 +95,26 @@ def returns_without_object(request: OutputRequest) -> Iterator[str]:
 def times_in_another_unit(request: OutputRequest) -> Iterator[str]:
     """Yield a warning for each time that is so long or so short that another unit was probably meant."""
     spec, params = request.spec, request.spec.params
-    turn = params.time_increment * params.length if isinstance(params.time_increment, float) else 0.0
-    times = (
-        ("transform_tolerance", params.transform_tolerance, "a transform of that age is used as if it were current"),
-        ("scan_time", params.scan_time, "a lidar takes less than a second for a scan"),
-        ("time_increment", params.time_increment, f"{params.length} beams take {abs(turn):,.0f} s"),
-    )
-    for name, value, why in times:
-        if name not in request.given or isinstance(value, str) or (spec.reverse and name != "transform_tolerance"):
+    if "transform_tolerance" in request.given and params.transform_tolerance >= _LONG:
+        yield _long(
+            "transform_tolerance", params.transform_tolerance, "a transform of that age is used as if it were current"
+        )
+    # The time of a turn: of a sector, however narrow it is.
+    turns = {"scan_time": (params.scan_time, 1.0), "time_increment": (params.time_increment, float(params.length))}
+    for name, (value, beams) in turns.items():
+        if name not in request.given or isinstance(value, str) or spec.reverse:
             continue
-        if abs(turn if name == "time_increment" else value) >= _LONG:
-            yield f"{name} is {value:g} s, and {why}; milliseconds are written `{name}={value:g}ms`"
-        elif name != "transform_tolerance" and not isinstance(params.beams, str):
-            # Of a sector, however narrow it is.
-            circle = abs(value) * (FULL_TURN / params.layout.angle_increment if name == "time_increment" else 1)
-            if is_brief(circle, math.inf):
-                yield f"{name} is {value:g} s: a turn would take {circle:.3g} s; `{name}=auto` measures it"
+        turn = abs(value) * beams
+        if turn >= _LONG:
+            yield _long(name, value, "a lidar takes less than a second for a scan")
+        elif not isinstance(params.beams, str):
+            turn = abs(value) * (FULL_TURN / params.layout.angle_increment if name == "time_increment" else 1)
+            if is_brief(turn, math.inf):
+                yield f"{name} is {value:g} s: a turn would take {turn:.3g} s; `{name}=auto` measures it"
+
+
+def _long(name: str, value: float, why: str) -> str:
+    return f"{name} is {value:g} s, and {why}; milliseconds are written `{name}={value:g}ms`"
 
 
 def increment_in_degrees(request: OutputRequest) -> Iterator[str]:
@@ -130,30 +130,19 @@ def increment_in_degrees(request: OutputRequest) -> Iterator[str]:
         )
 
 
-def sector_in_degrees(request: OutputRequest) -> Iterator[str]:
-    """Yield a warning if scans have more than a full turn, so that degrees were probably meant."""
-    params = request.spec.params
-    span = params.angle_max - params.angle_min
-    if not request.spec.reverse and span > FULL_TURN:
-        yield (
-            f"angle_min {params.angle_min:g} to angle_max {params.angle_max:g} rad is a sector of "
-            f"{math.degrees(span):.0f} degrees: beams beyond pi stay empty; degrees are written `angle_max=90deg`"
-        )
-
-
 def beams_beyond_half_turn(request: OutputRequest) -> Iterator[str]:
     """Yield a warning if some beams have angles that no point has: those of points are from -pi to pi."""
     params = request.spec.params
     # Beams of a full circle go round it, wherever it begins.
-    if request.spec.reverse or params.angle_max - params.angle_min > FULL_TURN or params.layout.full_circle:
+    if request.spec.reverse or params.layout.full_circle:
         return
-    low, high = max(params.angle_min, -math.pi), min(params.angle_max, math.pi)
-    share = 1 - max(0.0, high - low) / (params.angle_max - params.angle_min)
+    first, last = params.angle_min, params.angle_max
+    share = 1 - max(0.0, min(last, math.pi) - max(first, -math.pi)) / (last - first)
     if share >= _NOTABLE_SHARE:
-        first, last = math.degrees(params.angle_min), math.degrees(params.angle_max)
         yield (
-            f"angle_min is {first:.4g} degrees and angle_max {last:.4g}, but the angles of points are from -180 to "
-            f"180: {share:.0%} of the beams never have a return; a full turn is `angle_min=-180deg` `angle_max=180deg`"
+            f"angle_min is {math.degrees(first):.4g} degrees and angle_max {math.degrees(last):.4g}, but the angles of "
+            f"points are from -180 to 180: {share:.0%} of the beams never have a return; a full turn is "
+            "`angle_min=-180deg` `angle_max=180deg`"
         )
 
 
