@@ -55,7 +55,7 @@ def test_a_link_to_what_is_no_file_is_not_followed(target: str, drive: Path, tmp
 @pytest.mark.parametrize("tag", [tag for (tag,) in rows(TABLES, "tags")])
 def test_tags_construct_nothing(tag: str, drive: Path, tmp_path: Path) -> None:
     place = tmp_path / "touched-by-a-tag"
-    with_text(drive, "custom_data: ~", f"custom_data: {tag.format(place=place)}")
+    with_text(drive, "custom_data: null", f"custom_data: {tag.format(place=place)}")
     for strict, status in (("--strict",), 1), ((), 3):
         done = run_bounded("convert", drive, "--overwrite", *strict)
         assert done.status == status
@@ -92,7 +92,7 @@ def test_yaml_that_unfolds(bomb: str, drive: Path) -> None:
 def test_aliases_that_unfold_in_what_is_made_text(drive: Path) -> None:
     """``custom_data`` and QoS profiles are written out again, with every alias in its full length."""
     aliases = LAUGHS.replace("\n", "\n    ")
-    with_text(drive, "  custom_data: ~", f"  custom_data:\n    {aliases}".rstrip())
+    with_text(drive, "  custom_data: null", f"  custom_data:\n    {aliases}".rstrip())
     done = run_bounded("convert", drive, "--strict")
     assert done.status == 1
     assert "its aliases multiply" in done.stderr

@@ -7,7 +7,6 @@ recording with everything that a conversion must keep; `build` puts it into any 
 
 from __future__ import annotations
 
-import json
 import sqlite3
 from collections.abc import Callable
 from contextlib import closing
@@ -22,6 +21,8 @@ from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapLibraryWriter
 from rosbags.rosbag1 import Writer as Rosbag1LibraryWriter
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from ruamel.yaml import YAML
+from ruamel.yaml.scalarstring import DoubleQuotedScalarString
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -252,6 +253,9 @@ class Recording:
     def halves(self) -> tuple[Recording, Recording]:
         middle = len(self.items) // 2
         return replace(self, items=self.items[:middle]), replace(self, items=self.items[middle:])
+
+    def parts(self, number: int) -> tuple[Recording, ...]:
+        return self.halves() if number == 2 else (self,)
 
 
 def item(stream: Stream, log_time_ns: int, make: Callable[[int, int], bytes], seq: int = 0) -> Item:
@@ -566,7 +570,7 @@ def write_rosbag2(
     pack = zstandard.ZstdCompressor().compress
     by_name = version >= 9
     names = []
-    for number, part in enumerate(recording.halves() if parts == 2 else (recording,)):
+    for number, part in enumerate(recording.parts(parts)):
         path = folder / f"{folder.name}_{number}.{'db3' if storage == 'sqlite3' else 'mcap'}"
         packer = pack if mode == "message" else bytes
         if storage == "sqlite3":
@@ -582,63 +586,60 @@ def write_rosbag2(
             path = packed
         names.append(path.name)
     if metadata:
-        text = metadata_yaml(folder.name, recording, names, storage=storage, version=version, mode=mode)
-        (folder / "metadata.yaml").write_text(text)
+        times = span_of(recording)
+        spans = [{"path": name, **span_of(part)} for name, part in zip(names, recording.parts(parts), strict=True)]
+        topics = [
+            listed(topic, version, len(recording.of(topic)), streams) for topic, streams in _by_topic(recording).items()
+        ]
+        more: dict[str, Any] = {} if version < 5 else {"files": spans}
+        if mode:
+            more |= {"compression_format": "zstd", "compression_mode": mode.upper()}
+        write_metadata(folder, version, names, storage, topics_with_message_count=topics, **times, **more)
     return folder
 
 
-def metadata_yaml(
-    folder: str, recording: Recording, names: Sequence[str], *, storage: str, version: int, mode: str
-) -> str:
-    """metadata.yaml as the versions of rosbag2 write it."""
+def span_of(recording: Recording) -> dict[str, Any]:
+    """What metadata.yaml says of the messages of a recording, or of one of its files."""
     times = [entry.log_time_ns for entry in recording.items]
-    lines = [
-        "rosbag2_bagfile_information:",
-        f"  version: {version}",
-        f"  storage_identifier: {storage}",
-        "  duration:",
-        f"    nanoseconds: {max(times) - min(times)}",
-        "  starting_time:",
-        f"    nanoseconds_since_epoch: {min(times)}",
-        f"  message_count: {len(times)}",
-        "  topics_with_message_count:",
-    ]
-    for topic, streams in _by_topic(recording).items():
-        lines += [
-            "    - topic_metadata:",
-            f"        name: {topic}",
-            f"        type: {streams[0].msgtype}",
-            "        serialization_format: cdr",
-        ]
-        if version >= 9:
-            lines.append(f"        offered_qos_profiles: {json.dumps(profiles(streams, by_name=True))}")
-        elif version >= 4:
-            lines.append(f"        offered_qos_profiles: {json.dumps(qos_text(streams))}")
-        if version >= 7:
-            lines.append('        type_description_hash: ""')
-        lines.append(f"      message_count: {len(recording.of(topic))}")
+    return {
+        "starting_time": {"nanoseconds_since_epoch": min(times)},
+        "duration": {"nanoseconds": max(times) - min(times)},
+        "message_count": len(times),
+    }
+
+
+#: A text that rosbag2 writes with quotes.
+_QUOTED = DoubleQuotedScalarString("")
+
+
+def listed(topic: str, version: int, count: int, streams: Sequence[Stream], digest: str = _QUOTED) -> dict[str, Any]:
+    """What metadata.yaml says of a topic."""
+    entry: dict[str, Any] = {"name": topic, "type": streams[0].msgtype, "serialization_format": "cdr"}
+    if version >= 4:
+        entry["offered_qos_profiles"] = profiles(streams, by_name=True) if version >= 9 else qos_text(streams)
+    if version >= 7:
+        entry["type_description_hash"] = digest
+    return {"topic_metadata": entry, "message_count": count}
+
+
+def write_metadata(folder: Path, version: int, files: Sequence[str], storage: str, /, **more: Any) -> None:
+    """metadata.yaml as the versions of rosbag2 write it; what is ``...`` is left out."""
+    info: dict[str, Any] = {"version": version, "storage_identifier": storage}
+    info["relative_file_paths"] = [f"{folder.name}/{file}" if version < 4 else file for file in files]
     if version >= 3:
-        lines += [f'  compression_format: "{"zstd" if mode else ""}"', f'  compression_mode: "{mode.upper()}"']
-    prefix = f"{folder}/" if version < 3 else ""
-    lines += ["  relative_file_paths:", *(f"    - {prefix}{name}" for name in names)]
+        info |= {"compression_format": _QUOTED, "compression_mode": _QUOTED}
     if version >= 5:
-        lines.append("  files:")
-        parts = recording.halves() if len(names) == 2 else (recording,)
-        for name, part in zip(names, parts, strict=True):
-            inside = [entry.log_time_ns for entry in part.items]
-            lines += [
-                f"    - path: {name}",
-                "      starting_time:",
-                f"        nanoseconds_since_epoch: {min(inside)}",
-                "      duration:",
-                f"        nanoseconds: {max(inside) - min(inside)}",
-                f"      message_count: {len(inside)}",
-            ]
+        info["files"] = []
     if version >= 6:
-        lines.append("  custom_data: ~")
+        info["custom_data"] = None
     if version >= 8:
-        lines.append("  ros_distro: humble")
-    return "\n".join(lines) + "\n"
+        info["ros_distro"] = "humble"
+    info = {key: value for key, value in (info | more).items() if value is not ...}
+    yaml = YAML()
+    yaml.representer.ignore_aliases = lambda *_: True
+    yaml.indent(sequence=4, offset=2)
+    with (folder / "metadata.yaml").open("w") as stream:
+        yaml.dump({"rosbag2_bagfile_information": info}, stream)
 
 
 Build = Callable[[Path, Recording], Path]

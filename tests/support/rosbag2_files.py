@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rosbags.typesys import Stores, get_typestore
-from ruamel.yaml import YAML
 
 from pc2scan.bags.mcap.write import McapWriter
 from pc2scan.bags.rosbag2.read import Rosbag2Reader
 from pc2scan.bags.rosbag2.sqlite3.write import Sqlite3Writer
 from pc2scan.model import Connection, Definition
+from support import builders
 from support.builders import STRING, Stream, qos_text
 
 if TYPE_CHECKING:
@@ -55,39 +55,20 @@ def write_storage(path: Path, messages: Sequence[tuple[str, int]], **changes: An
 
 
 def listed(name: str, version: int, count: int = 1) -> dict[str, Any]:
-    entry: dict[str, Any] = {"name": name, "type": STRING, "serialization_format": "cdr"}
-    if version >= 4:
-        entry["offered_qos_profiles"] = QOS_NUMBERS
-    if version >= 7:
-        entry["type_description_hash"] = "RIHS01_listed"
-    if version >= 9:
-        entry["offered_qos_profiles"] = YAML(typ="safe").load(QOS_NAMES)
-    return {"topic_metadata": entry, "message_count": count}
+    return builders.listed(name, version, count, _RECORDER, "RIHS01_listed")
 
 
 def write_metadata(
     folder: Path, version: int, files: Sequence[str], storage: str = "sqlite3", /, **changes: Any
 ) -> None:
-    info: dict[str, Any] = {
-        "version": version,
-        "storage_identifier": storage,
-        "relative_file_paths": [f"{folder.name}/{file}" if version < 4 else file for file in files],
+    """metadata.yaml that says other things than the files."""
+    wrong: dict[str, Any] = {
         "duration": {"nanoseconds": 10**18},
         "starting_time": {"nanoseconds_since_epoch": 0},
         "message_count": 77,
         "topics_with_message_count": [listed("/a", version), listed("/silent", version, 0)],
     }
-    if version >= 3:
-        info |= {"compression_format": "", "compression_mode": ""}
-    if version >= 5:
-        info["files"] = []
-    if version >= 6:
-        info["custom_data"] = None
-    if version >= 8:
-        info["ros_distro"] = "rolling"
-    info = {key: value for key, value in (info | changes).items() if value is not ...}
-    with (folder / "metadata.yaml").open("w") as stream:
-        YAML(typ="safe").dump({"rosbag2_bagfile_information": info}, stream)
+    builders.write_metadata(folder, version, files, storage, **(wrong | changes))
 
 
 def read(path: Path, *, strict: bool = False) -> list[tuple[str, int, bytes]]:
