@@ -13,7 +13,7 @@ from pc2scan.files.places import missing_hint
 from pc2scan.files.source import open_text
 from pc2scan.files.yaml import MAX_CHARACTERS, load_yaml
 from pc2scan.options.call import Options
-from pc2scan.options.values import Count, Texts
+from pc2scan.options.values import count, texts
 from pc2scan.text import did_you_mean, nearest
 
 if TYPE_CHECKING:
@@ -124,8 +124,8 @@ def load_case(folder: Path) -> Case:
     try:
         comparison = Options("diff", {key: value for key, value in settings.items() if key in _KEYS[4:]})
         Rules.of(comparison)
-        named = {key: [folder / name for name in Texts().read(key, settings.get(key))] for key in ("input", "params")}
-        status = Count().read("exit_status", settings.get("exit_status", 0))
+        named = {key: [folder / name for name in texts().read(key, settings.get(key))] for key in ("input", "params")}
+        status = count().read("exit_status", settings.get("exit_status", 0))
         if not isinstance(arguments := settings.get("arguments", []), list):
             raise TypeError(f"arguments is {arguments!r}, it must be a list, such as [--topic, /points:=/scan]")
         # A missing file is always an error, even if the case expects a failure.
