@@ -99,5 +99,5 @@ def remove(path: Path) -> None:
     """Delete a file or a directory if it exists; a symbolic link, not its target."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
+    elif os.path.lexists(path):
+        path.unlink()
