@@ -11,7 +11,6 @@ from pc2scan.advice.measurements import Measurements
 from pc2scan.conversion.cloud_to_scan import CloudToScan
 from pc2scan.conversion.scan_to_cloud import ScanToCloud
 from pc2scan.core.params import ProjectionParams
-from pc2scan.core.project import project
 from pc2scan.errors import DecodeError
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan, encode_laserscan
 from pc2scan.messages.pointcloud2 import PointCloud2, decode_pointcloud2
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
 
 TABLES = Path(__file__).parent / "times.txt"
 SECOND = 1_000_000_000
-BAND = ProjectionParams(min_height=-1.0, max_height=1.0)
 
 
 def cloud(points: Any, ros_version: int = 1, stamp_ns: int = 5 * SECOND) -> bytes:
@@ -88,22 +86,6 @@ def test_a_timed_topic_has_its_own_stamps(stamp_ns: int, first_beam_ns: int, exp
     assert (read.stamp_ns, read.scan_time, read.time_increment) == (expected, 0.125, -0.25)
     other = decode_laserscan(once(conversion, message, serialization, serialization, "/rear").message, serialization)
     assert (other.stamp_ns, other.scan_time, other.time_increment) == (stamp_ns, 0, 0)
-
-
-def test_a_cloud_is_transformed_before_the_limits_apply() -> None:
-    known = frames("base", ("base", "lidar", 4 * SECOND, 0.0, 0.0), ("base", "lidar", 6 * SECOND, 2.0, math.pi))
-    points = [[3, 0, 0.5], [2, 4, -0.5], [0, 0, 3]]
-    spec = ScanSpec(params=ProjectionParams(min_height=-1, max_height=1, target_frame="base"))
-    made = once(CloudToScan(spec, known), cloud(points))
-    read = decode_laserscan(made.message, "ros1")
-    moved = known.place("lidar", 5 * SECOND).target_from_source
-    assert moved is not None
-    expected = project(moved.apply(np.float32(points)), BAND)  # type: ignore[arg-type]
-    assert read.frame_id == "base"
-    assert read.ranges.tobytes() == expected.ranges.tobytes()
-    assert made.counts == expected.counts
-    # Half way: moved by 1 m and turned by 90 degrees, so that x became y.
-    np.testing.assert_allclose(np.sort(read.ranges)[:2], [math.hypot(1, 3), math.hypot(3, 2)], rtol=1e-6)
 
 
 def test_deskewing_takes_each_beam_from_where_the_sensor_was() -> None:

@@ -159,4 +159,4 @@ def test_what_is_fixed_to_the_robot_stays_where_it_is() -> None:
     moving = moving_of(Deskew(known, "odom", PointTime()), cloud)
     box = ExcludeBox("base_link", (0.49, 0.51), (0.19, 0.21), (0.09, 0.11))
     selected = SelectStage((box,), known).apply(moving.points, known.place("lidar", T0), moving)
-    assert selected.rejected["exclude_box"] == 3
+    assert selected[2]["exclude_box"] == 3

@@ -51,11 +51,6 @@ def test_requests_that_cannot_be_met(topics: dict[str, str], requests: str, word
     assert all(word in told for word in words), told
 
 
-def test_two_publishers_of_a_cloud_share_its_scan_topic() -> None:
-    connections = [Connection(i, "/points", CLOUD, "ros1", callerid=f"/n{i}") for i in range(2)]
-    assert [route.targets for route in make_plan(connections, ConvertOptions()).routes] == [("/scan",), ("/scan",)]
-
-
 def test_topics_that_share_a_target_become_one_scan() -> None:
     topics = {"/a": "cloud", "/b": "cloud", "/c": "scan", "/d": "cloud"}
     made = plan(topics, "/b:=/s /a:=/s /c:=/s /d /a:=/alone", **BASE)

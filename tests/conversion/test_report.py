@@ -35,7 +35,14 @@ def report(params: ProjectionParams | None = None, /, **counts: Any) -> Report:
     points = PointCounts(**{"total": 100, "used": 0, **counts})
     made.topics.append(
         TopicReport(
-            "/points", "a/msg/B", "/scan", "converted", messages_in=4, points=points, **{"messages_out": 4, **own}
+            "/points",
+            "a/msg/B",
+            "/scan",
+            "converted",
+            messages_in=4,
+            points=points,
+            spec=spec,
+            **{"messages_out": 4, **own},
         )
     )
     made.add(*result_findings(made))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -90,17 +89,6 @@ def test_an_offset_is_measured_against_the_transforms(tmp_path: Path) -> None:
         # What is printed can be typed.
         again, _ = converted(wrong, "c", time_offset=note.split("time_offset=")[1].strip("`"), overwrite=True)
         assert messages(again, "/scan") == messages(found, "/scan")
-
-
-def test_a_clock_that_jumps_is_not_corrected_without_a_word(tmp_path: Path) -> None:
-    made = recording("tf", offset_ns=-100 * SECOND)
-    late = recording("tf")
-    items = [
-        a if a.log_time_ns < made.items[-9].log_time_ns else b for a, b in zip(made.items, late.items, strict=True)
-    ]
-    path = write_mcap(tmp_path / "w.mcap", replace(made, items=tuple(items)))
-    _, report = converted(path, "b", time_offset="100s")
-    assert any("the difference of the clocks is not constant; `stamps=log`" in text for text in report.warnings)
 
 
 @pytest.mark.parametrize("kind", ["<f8", "<u4", "<f4"])

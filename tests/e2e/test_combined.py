@@ -205,7 +205,7 @@ def test_gaps_of_the_odometry_and_silent_lidars_are_reported(world: Callable[...
     front, rear = world(SMALL_FRONT, seconds=3.0), world(SMALL_REAR, seconds=1.0)
     silent = run("convert", front, rear, "-o", tmp_path / "o.mcap", *TWO, *MOVED, "--min-height", "0.1")
     assert silent.status == 0, silent.stderr
-    assert "21 scans on /scan have nothing of /rear; 21 in a row" in " ".join(silent.stderr.split())
+    assert "21 scans on /scan have nothing of /rear" in " ".join(silent.stderr.split())
 
 
 @pytest.mark.parametrize("name", ["out.mcap", "out.bag", "out"])

@@ -23,6 +23,7 @@ from pc2scan.bags.qos import respell_qos
 from pc2scan.bags.topics import latches
 from pc2scan.compare.scan_text import open_scan_text, render_scans
 from pc2scan.conversion.cloud_to_scan import CloudToScan
+from pc2scan.conversion.steps import decoder_of, serialised
 from pc2scan.errors import Pc2ScanError
 from pc2scan.files.salvage import decompressed_prefix
 from pc2scan.messages.clouds import CLOUDS
@@ -61,7 +62,8 @@ def _cloud(data: bytes, kind: str = "") -> None:
     conversion = CloudToScan(ScanSpec(params=ProjectionParams(min_height=-9.0)), Placer())
     place, project = conversion.steps("/points")
     assert place is not None
-    conversion.serialise("cdr", project(place(conversion.decoder(serialization, kind)(content))))
+    decode = decoder_of(kind or "sensor_msgs/msg/PointCloud2", serialization)
+    serialised(encode_laserscan, "cdr", project(place(decode(content))))
     if kind:
         from pc2scan.messages.clouds import CLOUDS
         from pc2scan.messages.pointcloud2 import as_pointcloud2, encode_cloud, recorded_cloud

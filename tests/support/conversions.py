@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import json
 from contextlib import closing
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.bags.opening import open_recording
-from pc2scan.messages.laserscan import LaserScan, decode_laserscan
+from pc2scan.conversion.scan_to_cloud import ScanToCloud
+from pc2scan.conversion.steps import decoder_of, serialised
+from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan, encode_laserscan
+from pc2scan.messages.pointcloud2 import POINTCLOUD2, encode_cloud
 from pc2scan.messages.tfmessage import decode_transforms
 from support.command import Finished, run
 
@@ -20,8 +24,10 @@ if TYPE_CHECKING:
 
 def serialized_by(conversion: Conversion, topic: str, source: str, target: str) -> Callable[[bytes], Any]:
     """Return what makes serialised messages of serialised messages, each with what is counted of it."""
-    decode = conversion.decoder(source, "")
-    return lambda message: conversion.serialise(target, stepped(conversion, topic, decode(message)))
+    reverses = isinstance(conversion, ScanToCloud)
+    decode = decoder_of(LASERSCAN if reverses else POINTCLOUD2, source)
+    encode = partial(serialised, encode_cloud if reverses else encode_laserscan, target)
+    return lambda message: encode(stepped(conversion, topic, decode(message)))
 
 
 def stepped(conversion: Conversion, topic: str, decoded: Any) -> Any:

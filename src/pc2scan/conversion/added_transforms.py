@@ -10,19 +10,19 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, cast
+from itertools import chain
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 
 from pc2scan.core.rule import NO_POINTS
 from pc2scan.errors import MessageError
-from pc2scan.messages.definitions import definition
 from pc2scan.messages.poses import decode_pose
 from pc2scan.messages.tfmessage import decode_transforms, encode_transforms
-from pc2scan.model import MAX_ROSBAG2_NS as LAST_NS
-from pc2scan.model import NEW_ID, TF_QOS, Connection, StoredChunk
+from pc2scan.model import TF_QOS, StoredChunk
 from pc2scan.transforms.reading import tf_connections
 
+from .declarations import new_connection
 from .plan import Output
 from .report import TopicReport
 from .steps import ConvertedMessage, as_it_is
@@ -34,102 +34,96 @@ if TYPE_CHECKING:
     from pc2scan.bags.destinations import Destination
     from pc2scan.bags.reader import Reader
     from pc2scan.core.rigid import Pose, TransformRow
-    from pc2scan.model import Buffer, Writer
+    from pc2scan.model import Buffer, Connection, Writer
     from pc2scan.transforms.placing import FrameOptions, LevelTransform
     from pc2scan.transforms.sources import AddedPoses, Attachment, PoseReading
 
     from .declarations import RecordingTopics
     from .items import Item
     from .plan import Route
+    from .preparation import Preparation
 
 
 @dataclass(slots=True)
-class AddedTopic:
-    """A topic that one message is written to: its entry in the report, and the writer's handle."""
-
-    report: TopicReport
-    handle: int = -1
-
-
-@dataclass(slots=True)
-class TrajectoryWriter:
-    """Writes the transforms of a trajectory, each before the first message that is logged later.
+class AddedTransforms:
+    """A topic that transforms are added to.
 
     Attributes
     ----------
-    rows, count
-        The transforms, by stamp, and how many they are.
+    report
+        The report's entry that counts the messages.
     serialization
         That of the destination.
-    report
-        The report's entry that counts them.
-    first_ns
-        The time of the earliest transform: log times are not before.
     handle
-        The writer's handle of their topic.
+        The writer's handle.
     """
 
-    rows: Iterator[TransformRow]
-    count: int
-    serialization: str
     report: TopicReport
-    first_ns: int
+    serialization: str
     handle: int = -1
-    _next: TransformRow | None = None
+    _written: set[tuple[str, int]] = field(default_factory=set)
 
-    def __post_init__(self) -> None:
-        self._next = next(self.rows, None)
+    def write(self, row: TransformRow, log_time_ns: int, publish_time_ns: int, writer: Writer) -> None:
+        """Write a transform.
 
-    def write_until(self, log_time_ns: int, writer: Writer) -> None:
-        """Write all transforms up to a log time."""
-        while self._next is not None and self._next[2] <= log_time_ns:
-            row, self._next = self._next, next(self.rows, None)
-            time_ns = max(row[2], self.first_ns)
-            # A stamp that the destination cannot store is far from any message.
-            with suppress(MessageError):
-                writer.write(self.handle, time_ns, encode_transforms([row], self.serialization), time_ns)
-                self.report.messages_out += 1
+        Raises
+        ------
+        UnwritableError
+            If the destination cannot store it.
+        """
+        writer.write(self.handle, log_time_ns, encode_transforms([row], self.serialization), publish_time_ns)
+        self.report.messages_out += 1
+
+    def write_level(self, level: LevelTransform, log_time_ns: int, publish_time_ns: int, writer: Writer) -> None:
+        """Write the transform of a level frame, unless it was written for another scan of this frame and stamp."""
+        name_and_stamp = level.row[1], level.row[2]
+        if name_and_stamp not in self._written:
+            self.write(level.row, log_time_ns, publish_time_ns, writer)
+            self._written.add(name_and_stamp)
+
+
+class AddedTrajectory(NamedTuple):
+    """The transforms of a trajectory by stamp, and where they are written: not before ``first_ns``."""
+
+    rows: Iterator[TransformRow]
+    topic: AddedTransforms
+    first_ns: int
 
 
 def add_poses(
-    reader: Reader,
-    frames: FrameOptions,
+    prepared: Preparation,
     added: Sequence[AddedPoses],
     routes: Mapping[int, Route],
     entries: list[TopicReport],
     topics: RecordingTopics,
-    span: Span,
-) -> list[TrajectoryWriter]:
-    """Let routes write poses as transforms, before the topics are declared; return what writes those of files.
+) -> AddedTrajectory | None:
+    """Let routes write poses as transforms, before the topics are declared; return the transforms of a trajectory.
 
     Parameters
     ----------
-    reader, frames
-        The source, and the options about transforms.
     added
         The poses that were used.
     routes, entries
         The routes, and the report's entries, which are changed.
     topics
         The topics of the destination.
-    span
-        The cut.
     """
-    target = topics.target
+    reader, frames, form = prepared.reader, prepared.options.frames, topics.target.serialization
     children = {name for poses in added for attachment in poses.attachments.values() for name in attachment.replaced}
     for connection in tf_connections(reader.connections, frames.tf_topics):
         route = routes[connection.id]
         if route.handle >= 0 and not connection.is_static:
-            route.reencode = partial(_without, children, connection.serialization, target.serialization)
-    shared = tf_connection(reader, frames, target)
-    files: list[TrajectoryWriter] = []
-    outputs: list[Output] = []
+            route.reencode = partial(_without, children, connection.serialization, form)
+    shared = tf_connection(reader, frames, topics.target)
+    trajectory = None
+    owners: list[Output | AddedTransforms] = []
     for poses in added:
         if poses.reading is None:
-            rows, count = _rows_in(poses, span, reader.summary.end_ns)
             entry = TopicReport(shared.topic, TFMESSAGE, shared.topic, "added", f"from {poses.name}")
             entries.append(entry)
-            files.append(TrajectoryWriter(rows, count, target.serialization, entry, span.first_ns))
+            owners.append(topic := AddedTransforms(entry, form))
+            rows = _rows_in(poses, prepared.span, reader.summary.end_ns)
+            trajectory = AddedTrajectory(rows, topic, prepared.span.first_ns)
             continue
         for connection in poses.reading.connections:
             entry = TopicReport(connection.topic, connection.ros_type, shared.topic, "added", "its poses as transforms")
@@ -139,25 +133,28 @@ def add_poses(
                 # Only counted until now.
                 entries.remove(route.report)
                 route.report = None
-            step = partial(_as_transform, poses.reading, poses.attachments, connection, target.serialization)
+            step = partial(_as_transform, poses.reading, poses.attachments, connection, form)
             route.decode, route.steps = as_it_is, [(step,)]
             route.outputs.append(Output(None, shared.topic, report=entry))
-            outputs.append(route.outputs[-1])
-    topics.add(shared, *outputs, *files)
-    return files
+            owners.append(route.outputs[-1])
+    topics.add(shared, *owners)
+    return trajectory
 
 
 def between(
-    items: Generator[Item | StoredChunk], trajectories: Sequence[TrajectoryWriter], writer: Writer
+    items: Generator[Item | StoredChunk], trajectory: AddedTrajectory, writer: Writer
 ) -> Generator[Item | StoredChunk]:
-    """Yield items, and write transforms of files before each that is logged later; all others at the end."""
-    for item in items:
-        if not isinstance(item, StoredChunk):
-            for trajectory in trajectories:
-                trajectory.write_until(item.log_time_ns, writer)
-        yield item
-    for trajectory in trajectories:
-        trajectory.write_until(LAST_NS, writer)
+    """Yield items, and write each transform before the first that is logged later; the others at the end."""
+    row = next(trajectory.rows, None)
+    for item in chain(items, [None]):
+        while row is not None and not isinstance(item, StoredChunk) and (item is None or row[2] <= item.log_time_ns):
+            time_ns = max(row[2], trajectory.first_ns)
+            # A stamp that the destination cannot store is far from any message.
+            with suppress(MessageError):
+                trajectory.topic.write(row, time_ns, time_ns, writer)
+            row = next(trajectory.rows, None)
+        if item is not None:
+            yield item
 
 
 def _as_transform(
@@ -181,10 +178,10 @@ def _without(children: Collection[str], source: str, target: str, data: Buffer) 
     return encode_transforms([row for row in rows if row[1].removeprefix("/") not in children], target)
 
 
-def _rows_in(added: AddedPoses, span: Span, end_ns: int | None) -> tuple[Iterator[TransformRow], int]:
+def _rows_in(added: AddedPoses, span: Span, end_ns: int | None) -> Iterator[TransformRow]:
     """Yield the transforms of a trajectory during the cut, by stamp, with the last one before and the first after.
 
-    The second result is their number. Rows are made one by one: a million of them would take half a gigabyte.
+    Rows are made one by one: a million of them would take half a gigabyte.
     """
     used = [each for each in added.trajectories if (each.parent, each.child) in added.attachments]
     stamps_ns = np.concatenate([np.empty(0, np.int64), *(each.stamps_ns for each in used)])
@@ -194,13 +191,10 @@ def _rows_in(added: AddedPoses, span: Span, end_ns: int | None) -> tuple[Iterato
     begin = max(0, int(np.searchsorted(stamps_ns, span.first_ns, "right", order)) - 1)
     places = order[begin : int(np.searchsorted(stamps_ns, last_ns, "right", order)) + 1]
     poses = np.concatenate([np.empty((0, 7)), *(each.poses for each in used)])
-
-    def row(place: int) -> TransformRow:
+    for place in places:
         trajectory = used[owners[place]]
-        pose = cast("Pose", tuple(poses[place].tolist()))
-        return added.attachments[trajectory.parent, trajectory.child].row(int(stamps_ns[place]), pose)
-
-    return map(row, places), len(places)
+        attachment = added.attachments[trajectory.parent, trajectory.child]
+        yield attachment.row(int(stamps_ns[place]), cast("Pose", tuple(poses[place].tolist())))
 
 
 TFMESSAGE = "tf2_msgs/msg/TFMessage"
@@ -209,55 +203,11 @@ TFMESSAGE = "tf2_msgs/msg/TFMessage"
 def tf_connection(reader: Reader, frames: FrameOptions, target: Destination) -> Connection:
     """Return the connection of new transforms: one more publisher of the topic that has the moving ones."""
     moving = [c for c in tf_connections(reader.connections, frames.tf_topics) if not c.is_static]
-    first = moving[0] if moving else None
-    if first is not None and first.ros_version == target.ros_version and first.definition.data:
+    if not moving:
+        return new_connection(target, "/tf", TFMESSAGE, qos=TF_QOS)
+    first = moving[0]
+    if first.ros_version == target.ros_version and first.definition.data:
         # ROS 1 has two types with the same layout; all publishers of a topic have the same type.
-        msgtype, text, digest = first.msgtype, first.definition, first.digest
-    else:
-        msgtype = TFMESSAGE
-        text, digest = definition(msgtype, target.ros_version)
-    return Connection(
-        id=NEW_ID,
-        topic="/tf" if first is None else first.topic,
-        msgtype=msgtype,
-        serialization=target.serialization,
-        definition=text,
-        digest=digest,
-        callerid="/pc2scan" if target.ros_version == 1 else None,
-        qos=TF_QOS if target.ros_version == 2 else "",
-    )
-
-
-@dataclass(slots=True)
-class LevelFrames:
-    """Writes the transforms of the level frames.
-
-    Attributes
-    ----------
-    serialization
-        The serialisation of the destination.
-    report
-        The report's entry that counts them.
-    handle
-        The writer's handle of `tf_connection`.
-    """
-
-    serialization: str
-    report: TopicReport
-    handle: int = -1
-    _written: set[tuple[str, int]] = field(default_factory=set)
-
-    def write(self, level: LevelTransform, log_time_ns: int, publish_time_ns: int, writer: Writer) -> None:
-        """Write the transform of a scan, unless it was written for another scan of the same frame and stamp.
-
-        Raises
-        ------
-        UnwritableError
-            If the destination cannot store it.
-        """
-        _, name, stamp_ns, *_ = level.row
-        if (name, stamp_ns) not in self._written:
-            data = encode_transforms([level.row], self.serialization)
-            writer.write(self.handle, log_time_ns, data, publish_time_ns)
-            self._written.add((name, stamp_ns))
-            self.report.messages_out += 1
+        declared = first.definition, first.digest
+        return new_connection(target, first.topic, first.msgtype, declared, qos=TF_QOS)
+    return new_connection(target, first.topic, TFMESSAGE, qos=TF_QOS)

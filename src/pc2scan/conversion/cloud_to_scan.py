@@ -14,22 +14,18 @@ from pc2scan.core.layout import TURN
 from pc2scan.core.points import NUMBER
 from pc2scan.core.project import Projector
 from pc2scan.core.rule import PointCounts
-from pc2scan.messages.clouds import CLOUDS
-from pc2scan.messages.laserscan import LaserScan, encode_laserscan
-from pc2scan.messages.pointcloud2 import POINTCLOUD2
+from pc2scan.messages.laserscan import LaserScan
 from pc2scan.messages.used_points import UsedPoints
 
 from .stages import PlacedCloud, PlaceStage, SelectStage
-from .steps import Conversion, ConvertedMessage, Steps
+from .steps import ConvertedMessage, Steps
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from pc2scan.core.moving import MovingTransform
     from pc2scan.core.params import ProjectionParams
-    from pc2scan.core.points import Points
     from pc2scan.core.project import ProjectedScan, Transform
-    from pc2scan.model import Buffer
     from pc2scan.request.options import ScanSpec
     from pc2scan.transforms.placing import Placer
 
@@ -73,7 +69,7 @@ class Beams:
         return message, scan.ranges.tobytes() == self._no_returns
 
 
-class CloudToScan(Conversion):
+class CloudToScan:
     """Converts clouds to scans, as upstream's pointcloud_to_laserscan_node.cpp does, or as the parameters say.
 
     Parameters
@@ -94,8 +90,6 @@ class CloudToScan(Conversion):
         As above.
     """
 
-    encode = encode_laserscan
-
     def __init__(
         self,
         spec: ScanSpec,
@@ -112,10 +106,6 @@ class CloudToScan(Conversion):
         )
         self._select = SelectStage(spec.filters, placer, bool(spec.keep_used)) if spec.filters else None
         self._remove = partial(remove_beams, spec.remove, params.empty_range) if spec.remove else None
-
-    def decoder(self, source: str, source_type: str) -> Callable[[Buffer], Points]:
-        """Return the decoder of clouds; see `Conversion`."""
-        return CLOUDS[source_type or POINTCLOUD2](source)
 
     def steps(self, topic: str) -> Steps:
         """Return what is done with the clouds of one topic; see `Conversion`."""

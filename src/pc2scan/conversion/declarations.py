@@ -115,6 +115,26 @@ def _merge_connections(publishers: Sequence[Connection]) -> Connection:
     )
 
 
+def new_connection(
+    target: Destination,
+    topic: str,
+    msgtype: str,
+    declared: tuple[Definition, str] | None = None,
+    *,
+    callerid: str | None = "/pc2scan",
+    latching: bool = False,
+    qos: str = "",
+) -> Connection:
+    """Return a connection that a recording gets; ``declared`` has the definition and its digest, if they are known."""
+    text, digest = declared or definition(msgtype, target.ros_version)
+    if target.ros_version == 1:
+        qos = ""
+    else:
+        callerid = None
+    form = target.serialization
+    return Connection(NEW_ID, topic, msgtype, form, text, digest, callerid=callerid, latching=latching, qos=qos)
+
+
 class HasHandle(Protocol):
     """Whatever writes to a topic by the writer's handle: a route, an output, added transforms."""
 
@@ -160,23 +180,10 @@ class RecordingTopics:
 
     def add_like(self, source: Connection, topic: str, msgtype: str, owner: HasHandle) -> None:
         """Add a topic with the QoS profile, latching and caller id of a source's, and set the handle of its owner."""
-        target = self.target
-        text, digest = definition(msgtype, target.ros_version)
-        same = source.ros_version == target.ros_version
-        self.add(
-            Connection(
-                id=NEW_ID,
-                topic=topic,
-                msgtype=msgtype,
-                serialization=target.serialization,
-                definition=text,
-                digest=digest,
-                callerid=source.callerid if target.ros_version == 1 else None,
-                latching=source.is_latched,
-                qos=source.qos if same else LATCHED_QOS if source.is_latched and target.ros_version == 2 else "",
-            ),
-            owner,
-        )
+        same, latched = source.ros_version == self.target.ros_version, source.is_latched
+        qos = source.qos if same else LATCHED_QOS if latched else ""
+        new = new_connection(self.target, topic, msgtype, callerid=source.callerid, latching=latched, qos=qos)
+        self.add(new, owner)
 
     def add_passing(self, route: Route, entry: TopicReport) -> None:
         """Add a connection that passes through, re-encoded if the destination is of the other ROS version.

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.placing import Placer
 
+_ANOTHER_FIELD = "if another field has the times, name it: `point_time=FIELD`"
+
 #: If a cloud takes less with another unit, seconds, a hint names this unit.
 _USUAL = 2.0
 #: Points that are measured this long before or after their stamp, nanoseconds, probably have another clock.
@@ -163,12 +165,7 @@ class Track(NamedTuple):
     end_ns: int
 
     def seen_from(
-        self,
-        target_from_fixed: Rigid,
-        reference: tuple[Rigid, ...] | int,
-        frame_id: str,
-        stamp_ns: int,
-        rows: NDArray[np.float64] | None = None,
+        self, target_from_fixed: Rigid, reference: tuple[Rigid, ...] | int, frame_id: str, stamp_ns: int
     ) -> MovingCloud:
         """Return the motion as seen from a frame at a scan's time.
 
@@ -181,10 +178,8 @@ class Track(NamedTuple):
             its row.
         frame_id, stamp_ns
             The frame's name, and the scan's time.
-        rows
-            Overwritten with the result. Pass ``self.rows`` if they are not needed again. None: a copy is used.
         """
-        rows = self.rows.copy() if rows is None else rows
+        rows = self.rows.copy()
         any_time = np.zeros(len(rows), np.int64)
         kernel.follow(any_time, _ALWAYS, _as_matrix(target_from_fixed), rows)
         values = self.points.field(self.time_field)
@@ -218,12 +213,6 @@ class Deskew:
     stamp: str = "header"
     sample: Callable[[Points, Times], None] | None = field(default=None, compare=False)
 
-    @property
-    def _buffer(self) -> TransformBuffer:
-        if self.placer.buffer is None:
-            raise ValueError("deskewing needs transforms")
-        return self.placer.buffer
-
     def __call__(self, points: Points) -> MovingCloud | None:
         """Look up the motion of a cloud's sensor; None for a cloud without a point.
 
@@ -237,15 +226,16 @@ class Deskew:
         track = self.track(points)
         if track is None:
             return None
-        tolerance_ns, reference_ns = self.placer.tolerance_ns, track.reference_ns
-        source = self.placer.source_frame or points.frame_id
-        target, from_fixed = self.placer.from_fixed(self.fixed_frame, points.frame_id, reference_ns)
+        placer, reference_ns = self.placer, track.reference_ns
+        target, from_fixed = placer.from_fixed(self.fixed_frame, points.frame_id, reference_ns)
         reference: tuple[Rigid, ...] | int
         reference = {track.begin_ns: 0, track.end_ns: -1}.get(reference_ns, 1)
         if reference == 1 or math.isnan(track.rows[reference, 0]):
-            reference = from_fixed, self._buffer.lookup(self.fixed_frame, source, reference_ns, tolerance_ns)
-        # The rows are not needed again.
-        return track.seen_from(from_fixed, reference, target, reference_ns, track.rows)
+            source = placer.source_frame or points.frame_id
+            assert placer.buffer is not None
+            own = placer.buffer.lookup(self.fixed_frame, source, reference_ns, placer.tolerance_ns)
+            reference = from_fixed, own
+        return track.seen_from(from_fixed, reference, target, reference_ns)
 
     def track(self, points: Points) -> Track | None:
         """Look up the path of a cloud's sensor in the fixed frame; None for a cloud without a point.
@@ -269,21 +259,17 @@ class Deskew:
             return None
         if unknown == measured:
             message = f"none of its points has a time: {name} is not finite"
-            hint = None if of_scan else "if another field has the times, name it: `point_time=FIELD`"
+            hint = None if of_scan else _ANOTHER_FIELD
             raise DecodeError(message, stamp_ns=points.stamp_ns, hint=hint)
         label = AZIMUTH if turn is not None else "time_increment" if given else name
         self._check(label, low, high, unit, several=measured > 1 and not given, stamp_ns=points.stamp_ns)
         stamp_ns = points.stamp_ns
         begin_ns = stamp_ns + math.floor(low * 1e9)
         end_ns = max(stamp_ns + math.ceil(high * 1e9), begin_ns + 1)
-        reference_ns = {
-            "header": stamp_ns,
-            "start": begin_ns,
-            "middle": begin_ns + (end_ns - begin_ns) // 2,
-            "end": end_ns,
-        }[self.stamp]
-        buffer = self._buffer
-        source = self.placer.source_frame or points.frame_id
+        middle_ns = begin_ns + (end_ns - begin_ns) // 2
+        reference_ns = {"header": stamp_ns, "start": begin_ns, "middle": middle_ns, "end": end_ns}[self.stamp]
+        buffer, source = self.placer.buffer, self.placer.source_frame or points.frame_id
+        assert buffer is not None
         measured_ns = begin_ns, end_ns
         # The pose at the scan's time is needed as well.
         if end_ns - begin_ns > 4 * _STEP_NS:
@@ -307,23 +293,22 @@ class Deskew:
 
     def _check(self, name: str, low: float, high: float, unit: float, *, several: bool, stamp_ns: int) -> None:
         """Raise an error for impossible times."""
-        message, hint = "", "if another field has the times, name it: `point_time=FIELD`"
+        of, hint = f"by their field {name}", _ANOTHER_FIELD
         if high - low > LONGEST:
-            message = f"its points span {high - low:.6g} s by their field {name}, at most {LONGEST:g} s are possible"
+            message = f"its points span {high - low:.6g} s {of}, at most {LONGEST:g} s are possible"
             units = (other for other, size in TIME_UNITS.items() if size < unit and (high - low) / unit * size < _USUAL)
             if name in {*TIME_FIELDS, self.point_time.field} and (fitting := next(units, "")):
                 hint = f"name the unit of the times: `point_time={name}:{fitting}`"
         elif low < -LONGEST or high > LONGEST:
-            message = f"its points are {low:.6g} to {high:.6g} s after its stamp by their field {name}"
+            message = f"its points are {low:.6g} to {high:.6g} s after its stamp {of}"
             hint = "the times of the points and the stamps come from different clocks, or have another unit"
             hint += f": `point_time={name}:us`; {BY_AZIMUTH}"
         elif several and high - low < _SHORTEST:
             message = f"its points all have the same time in their field {name}, {low:.6g} s after its stamp"
             hint = "name the field with the times: `point_time=FIELD`; clouds measured at once need no `deskew`"
-        if name == "time_increment":
-            hint = IN_SECONDS
-        if message:
-            raise DecodeError(message, stamp_ns=stamp_ns, hint=hint)
+        else:
+            return
+        raise DecodeError(message, stamp_ns=stamp_ns, hint=IN_SECONDS if name == "time_increment" else hint)
 
 
 def _raise_why(buffer: TransformBuffer, fixed: str, source: str, time_ns: int, stamp_ns: int) -> None:

@@ -69,38 +69,26 @@ def items_of(
     Item | StoredChunk
         By log time. A group follows the item of the message that completes it.
     """
-    items = _messages(reader, routes, span, threads, rule, window, meter)
-    combiners = {each.combiner: None for route in routes.values() for each in route.outputs if each.combiner}
-    if not combiners:
-        return items
-    return add_groups(items, combiners, threads)
-
-
-def _messages(
-    reader: Reader,
-    routes: Mapping[int, Route],
-    span: Span,
-    threads: Threads | None,
-    rule: ChunkRule | None,
-    window: int | None,
-    meter: Meter | None,
-) -> Generator[Item | StoredChunk]:
-    """Yield the items of the messages in the cut, after those of latched messages from before it."""
     wanted = [route.connection for route in routes.values()]
-    if meter is not None:
-        meter.expect(reader.stored_bytes(wanted, span.start_ns, span.stop_ns))
-    for chunks in _chunks_of_cut(reader, wanted, span, rule, threads):
-        # Closed before the threads are joined, so that work that has not begun is cancelled after an error.
-        work = partial(convert, routes)
-        with closing(merge_by_time(chunks, work, threads, window=window, path=reader.path, meter=meter)) as items:
-            for item in items:
-                if meter is not None:
-                    meter.messages += sum(map(len, item.index.values())) if isinstance(item, StoredChunk) else 1
-                yield item
-                # Frees the item before the next one is made.
-                del item
-    if meter is not None:
-        meter.finish()
+    work = partial(convert, routes)
+
+    def items() -> Generator[Item | StoredChunk]:
+        if meter is not None:
+            meter.expect(reader.stored_bytes(wanted, span.start_ns, span.stop_ns))
+        for chunks in _chunks_of_cut(reader, wanted, span, rule, threads):
+            # Closed before the threads are joined, so that work that has not begun is cancelled after an error.
+            with closing(merge_by_time(chunks, work, threads, window=window, path=reader.path, meter=meter)) as loaded:
+                for item in loaded:
+                    if meter is not None:
+                        meter.messages += sum(map(len, item.index.values())) if isinstance(item, StoredChunk) else 1
+                    yield item
+                    # Frees the item before the next one is made.
+                    del item
+        if meter is not None:
+            meter.finish()
+
+    combiners = {each.combiner: None for route in routes.values() for each in route.outputs if each.combiner}
+    return add_groups(items(), combiners, threads) if combiners else items()
 
 
 def _chunks_of_cut(

@@ -17,16 +17,14 @@ from .result_checks import result_findings
 from .steps import ConvertedMessage
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping
+    from collections.abc import Collection, Iterator, Mapping
 
-    from pc2scan.bags.reader import Reader
     from pc2scan.model import RawMessage
     from pc2scan.request.options import ScanSpec
 
     from .items import Item, Tally
     from .plan import Output, Route
     from .preparation import Preparation
-    from .recording import OpenRecording
     from .report import Report
 
 #: How many messages of a topic are read at most, to find clouds that can be converted; and how many of them must lack
@@ -35,23 +33,15 @@ _MOST_READ = 30
 _UNCONNECTED = 10
 
 
-def judge_first(
-    reader: Reader,
-    routes: Mapping[int, Route],
-    prepared: Preparation,
-    report: Report,
-    tell: Callable[..., None],
-    tally: Tally | None = None,
-) -> None:
+def judge_first(routes: Mapping[int, Route], prepared: Preparation, report: Report, tally: Tally | None = None) -> None:
     """Add to the report what the first clouds of each topic show.
 
     Parameters
     ----------
-    tell
-        Called with warnings.
     tally
         Counts these clouds, in a dry run: all are read until one is connected with the target frame.
     """
+    reader, tell = prepared.reader, prepared.tell
     converted = [route.connection for route in routes.values() if any(each.spec for each in route.outputs)]
     for topic, connections in by_topic(converted).items():
         specs = {each.spec for own in connections for each in routes[own.id].outputs}
@@ -119,15 +109,16 @@ def _samples(
             yield spec, FirstCloud(sample.placed_in(place.frame_id, place.target_from_source), scan.counts)
 
 
-def count_by_index(reader: Reader, recording: OpenRecording, prepared: Preparation, report: Report) -> None:
+def count_by_index(routes: Mapping[int, Route], prepared: Preparation, report: Report) -> None:
     """Fill in the report of a dry run: its points are those of the first messages, its counts those of the index."""
+    reader, span = prepared.reader, prepared.span
+    report.ways = [words for route in prepared.plan.routes for words in route.words]
     report.add(reader.remarks)
     report.damage += reader.damage
     report.add(*result_findings(report))
-    routes, span = recording.routes, prepared.span
-    counts = reader.counts([route.connection for route in routes.values()], span.start_ns, span.stop_ns)
-    for entry in {id(entry): entry for route in routes.values() for entry in route.reports}.values():
+    for entry in (entry for route in routes.values() for entry in route.reports):
         entry.messages_in = entry.messages_out = entry.skipped = 0
+    counts = reader.counts([route.connection for route in routes.values()], span.start_ns, span.stop_ns)
     uncounted = set()
     for key, route in routes.items():
         count = counts.get(key, route.connection.message_count)
@@ -135,17 +126,8 @@ def count_by_index(reader: Reader, recording: OpenRecording, prepared: Preparati
             uncounted.add(route.connection.topic)
         for entry in route.reports:
             entry.messages_in += count or 0
-            entry.messages_out += (count or 0) if route.writes else 0
-    first_ns, last_ns = reader.summary.start_ns, reader.summary.end_ns
-    for entry in report.topics:
-        every_ns = 0 if entry.spec is None else entry.spec.combining.every_ns
-        if every_ns and first_ns is not None and last_ns is not None:
-            length_ns = min(last_ns, span.stop_ns or last_ns) - max(first_ns, span.start_ns or first_ns)
-            entry.messages_out = min(entry.messages_out, length_ns // every_ns + 1)
-    if recording.levels is not None:
-        scan_counts = (each.messages_out for each in report.topics if each.spec is not None and each.spec.level)
-        recording.levels.report.messages_out = max(scan_counts, default=0)
-    for trajectory in recording.trajectories:
-        trajectory.report.messages_out = trajectory.count
+            # How many intervals have a leading message is not known.
+            if route.writes and not (entry.spec is not None and entry.spec.combining.every_ns):
+                entry.messages_out += count or 0
     if uncounted:
         report.notes.append(f"no index counts the messages on {', '.join(sorted(uncounted))}")

@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.bags.topics import fill_glob, find_topic, find_topics, matches, short_types
 from pc2scan.errors import NothingToConvertError, TopicError, leading, name_list
-from pc2scan.messages.clouds import CLOUDS, SCANS, usual_topics, written_as_pointcloud2
+from pc2scan.messages.clouds import CLOUDS, SCANS, usual_topics
 from pc2scan.messages.other_clouds import instead_of_topic, without
 from pc2scan.text import did_you_mean
 
 from .steps import as_it_is
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-    from collections.abc import Set as AbstractSet
+    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
     from pc2scan.model import Buffer, Connection
     from pc2scan.request.options import ConvertOptions, ScanSpec
@@ -221,12 +220,8 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
         passes = not options.only_scans and (options.keep_clouds if outputs else wanted)
         routes.append(Route(connection, outputs, passes))
     _refuse_collisions(routes)
-    converted = {topic for found in targets.values() for topic in found}
-    idle = _pattern_warnings(types.keys(), options, converted) if options.keep or options.drop else []
-    if options.clouds_as == "pointcloud2" and not any(
-        each.passes and written_as_pointcloud2(each.connection) for each in routes
-    ):
-        idle.append("`clouds_as=pointcloud2` has no effect: there are no clouds of other types to write")
+    replaced = {topic for found in targets.values() for topic in found if not options.keep_clouds}
+    idle = [*_idle_patterns("keep", options.keep, types, replaced), *_idle_patterns("drop", options.drop, types)]
     return Plan(tuple(routes), specs, tuple(idle))
 
 
@@ -367,24 +362,23 @@ def _refuse_collisions(routes: Sequence[Route]) -> None:
             )
 
 
-def _pattern_warnings(topics: AbstractSet[str], options: ConvertOptions, converted: AbstractSet[str]) -> list[str]:
-    """Return warnings about patterns that match no topic: they are nearly always typing errors."""
-    idle = []
-    for name, patterns in (("keep", options.keep), ("drop", options.drop)):
-        for pattern in patterns:
-            matched = {topic for topic in topics if matches(topic, (pattern,))}
-            if not matched and pattern.startswith("'"):
-                bare = pattern.strip("'")
-                raise TopicError(
-                    f"`{name}` {pattern}: no topic has quotes in its name",
-                    hint=f'in Windows\' command prompt, only double quotes are quotes: `{name}` "{bare}"',
-                )
-            if not matched:
-                near = did_you_mean(pattern, sorted(topics))
-                idle.append(f"`{name}={pattern}` matches no topic" + (f"; {near}" if near else ""))
-            elif name == "keep" and matched <= converted and not options.keep_clouds:
-                idle.append(
-                    f"`keep={pattern}` matches only topics that are converted, and has no effect on them; "
+def _idle_patterns(
+    name: str, patterns: Sequence[str], topics: Collection[str], replaced: Collection[str] = ()
+) -> Iterator[str]:
+    """Yield warnings about patterns that match no topic, or only topics whose messages become scans."""
+    for pattern in patterns:
+        if matched := [topic for topic in topics if matches(topic, (pattern,))]:
+            if all(topic in replaced for topic in matched):
+                yield (
+                    f"`{name}={pattern}` matches only topics that are converted, and has no effect on them; "
                     "`keep_clouds=True` writes them too"
                 )
-    return idle
+            continue
+        if pattern.startswith("'"):
+            bare = pattern.strip("'")
+            raise TopicError(
+                f"`{name}` {pattern}: no topic has quotes in its name",
+                hint=f'in Windows\' command prompt, only double quotes are quotes: `{name}` "{bare}"',
+            )
+        near = did_you_mean(pattern, sorted(topics))
+        yield f"`{name}={pattern}` matches no topic" + (f"; {near}" if near else "")

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from pc2scan.advice.odometry import Odometry
     from pc2scan.advice.survey import TopicFacts
     from pc2scan.bags.reader import Reader
+    from pc2scan.model import Connection
     from pc2scan.progress import Meter
     from pc2scan.request.options import ConvertOptions, ScanSpec
     from pc2scan.transforms.buffer import TransformBuffer
@@ -45,10 +46,12 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True, eq=False)
 class Preparation:
-    """The conversions of a run, and what was found out before them.
+    """What a run reads and does, and what was found out before the first message.
 
     Attributes
     ----------
+    reader, plan, options
+        The recording, the routes, and the options of the conversion.
     span
         The cut.
     known
@@ -67,6 +70,9 @@ class Preparation:
         Texts for the user.
     """
 
+    reader: Reader
+    plan: Plan
+    options: ConvertOptions
     span: Span
     known: KnownTransforms
     tell: Callable[..., None]
@@ -152,7 +158,7 @@ def prepare(
     known = KnownTransforms(
         frame_options.source_frame, cache(partial(_robot_transforms, reader, options, span)), buffer
     )
-    prepared = Preparation(span, known, tell, survey.others, transforms)
+    prepared = Preparation(reader, plan, options, span, known, tell, survey.others, transforms)
     if transforms is not None:
         tell(*transforms.warnings)
         prepared.notes += transforms.notes
@@ -169,10 +175,11 @@ def prepare(
             up = None if buffer is None or not spec.level else _up_source(spec, buffer, survey, prepared)
             placer = Placer(spec.params.target_frame, frame_options.source_frame, buffer, spec.params.tolerance_ns, up)
         if spec.reverse:
-            conversion = ScanToCloud(spec.channels, placer, deskewed=spec.deskew, echo=spec.echo)
+            conversion = ScanToCloud(spec.channels, placer, deskewed=spec.deskew)
             prepared.conversions[spec, ""] = conversion
         else:
-            outputs[spec].convert_with(placer, prepared)
+            with spec.naming_errors():
+                outputs[spec].convert_with(placer, prepared)
     return prepared
 
 
@@ -197,32 +204,24 @@ class _OutputFacts:
     """The facts that one output to scans needs: asked for before the survey reads, and then made into conversions."""
 
     def __init__(self, spec: ScanSpec, plan: Plan, survey: Survey) -> None:
-        self._spec, self._survey = spec, survey
-        self._topics: Mapping[str, TopicFacts] = {}
-        self._alone: Mapping[str, TopicFacts] = survey.topics(plan.sources_of(spec, ""))
+        self._spec = spec
         self._where = PointTime.parse(spec.point_time) if spec.deskew else None
-        self._clocks: list[Clocks] = []
-        if spec.fixed_frame or spec.imu or spec.deskew:
-            self._topics = survey.topics(plan.sources_of(spec))
-        if spec.fixed_frame or spec.imu:
-            connections = survey.reader.connections
-            if spec.fixed_frame:
-                self._clocks.append(Clocks(survey, self._topics.values(), moving(connections, survey.frames.tf_topics)))
-            if spec.imu_request:
-                observers = survey.imu(spec.imu_request.topic).observers(survey.reader)
-                imu = [connection for each in observers for connection in each.connections]
-                self._clocks.append(Clocks(survey, self._topics.values(), imu))
-        self._sources: list[SourceFacts] = []
-        for output in (each for each in plan.combined.values() if each.spec is spec):
-            own = survey.topics(plan.sources_of(spec, output.scan))
-            facts_of = {topic: own[topic] for topic in output.sources}
-            self._sources.append(SourceFacts(output, facts_of))
-        if spec.needs_measuring:
-            for facts in self._alone.values():
-                ask_measurements(facts, spec)
-        if self._where is not None:
-            for topics in (self._alone, *(each.facts for each in self._sources)):
-                for facts in topics.values():
+        self._topics = survey.topics(plan.sources_of(spec)).values()
+        references: list[Sequence[Connection]] = []
+        if spec.fixed_frame:
+            references.append(moving(survey.reader.connections, survey.frames.tf_topics))
+        if spec.imu_request:
+            observers = survey.imu(spec.imu_request.topic).observers(survey.reader)
+            references.append([connection for each in observers for connection in each.connections])
+        self._clocks = [Clocks(survey, self._topics, each) for each in references]
+        self._alone = survey.topics(plan.sources_of(spec, ""))
+        joined = [output for output in plan.combined.values() if output.spec is spec]
+        self._sources = [SourceFacts(each, survey.topics(plan.sources_of(spec, each.scan))) for each in joined]
+        for topics in (self._alone, *(each.facts for each in self._sources)):
+            for facts in topics.values():
+                if spec.needs_measuring:
+                    ask_measurements(facts, spec)
+                if self._where is not None:
                     ask_times(facts, self._where)
 
     def convert_with(self, placer: Placer, prepared: Preparation) -> None:
@@ -239,16 +238,13 @@ class _OutputFacts:
         odometry = None
         if spec.fixed_frame and placer.buffer is not None:
             # By log time.
-            first = min((facts.headers[0] for facts in self._topics.values() if facts.headers), default=None)
+            first = min((facts.headers[0] for facts in self._topics if facts.headers), default=None)
             source = placer.source_frame or ("" if first is None else first.frame_id)
-            with spec.naming_errors():
-                doubts = check_fixed_frame(source, spec, placer.buffer)
+            doubts = check_fixed_frame(source, spec, placer.buffer)
             odometry = odometry_of(placer.buffer, spec.fixed_frame, source)
-            doubts += [odometry.doubt] if odometry.doubt else []
-            prepared.add(spec, doubts)
+            prepared.add(spec, [*doubts, *([odometry.doubt] if odometry.doubt else [])])
         for sources in self._sources:
-            with spec.naming_errors():
-                timing, grouper, notes, doubts = measure_sources(sources, placer)
+            timing, grouper, notes, doubts = measure_sources(sources, placer)
             prepared.add(spec, doubts, notes)
             topics = sources.output.sources
             seen = self._surroundings(placer, odometry, prepared, topics)
@@ -256,11 +252,8 @@ class _OutputFacts:
             scan = MessagesToScan(spec, topics, placer, timing, grouper, deskews, seen)
             prepared.conversions[sources.output.key] = scan
         if self._alone or not self._sources:
-            measurements: Mapping[str, Any] = {}
-            if spec.needs_measuring:
-                with spec.naming_errors():
-                    measurements, notes = measure(self._alone.values(), spec, placer)
-                prepared.add(spec, (), notes)
+            measurements, notes = measure(self._alone.values(), spec, placer) if spec.needs_measuring else ({}, [])
+            prepared.add(spec, (), notes)
             seen = self._surroundings(placer, odometry, prepared)
             deskews = self._deskews(placer, prepared, self._alone, seen)
             prepared.conversions[spec, ""] = CloudToScan(spec, placer, measurements, deskews)
@@ -269,13 +262,11 @@ class _OutputFacts:
         self, placer: Placer, odometry: Odometry | None, prepared: Preparation, topics: Sequence[str] = ()
     ) -> Surroundings | None:
         """Return what samples the clouds of some topics, to compare them with the odometry; None where nothing does."""
-        if placer.buffer is None or odometry is None or not odometry.links:
+        moves = odometry is not None and odometry.links and (self._spec.deskew or len(topics) > 1)
+        if placer.buffer is None or odometry is None or not moves:
             return None
-        if not (self._spec.deskew or len(topics) > 1):
-            return None
-        span = prepared.span
-        first_ns, last_ns = span.first_ns, span.stop_ns or self._survey.reader.summary.end_ns
-        times = (first_ns, first_ns if last_ns is None else last_ns)
+        first_ns = prepared.span.first_ns
+        times = (first_ns, prepared.span.stop_ns or prepared.reader.summary.end_ns or first_ns)
         seen = Surroundings(self._spec, placer.buffer, odometry, placer.source_frame, times, topics)
         prepared.surroundings.append((self._spec.label, seen))
         return seen
@@ -287,23 +278,17 @@ class _OutputFacts:
         spec, where, facts = self._spec, self._where, topics.values()
         if where is None:
             return {}
-        prepared.add(spec, (text for each in facts for text in time_warnings(each, where)))
-        with spec.naming_errors():
-            turns, notes = measure_turns(facts, where)
-        prepared.add(spec, (), notes)
+        turns, notes = measure_turns(facts, where)
+        prepared.add(spec, (text for each in facts for text in time_warnings(each, where)), notes)
         if any(duration_warning(each, where) for each in facts):
             # Points at wrong times are where odometry that lags would put them.
             seen = None
-        return {
-            topic: Deskew(
-                placer,
-                spec.fixed_frame,
-                PointTime(turn=turns[topic]) if topic in turns else where,
-                spec.stamp,
-                None if seen is None else partial(seen.add, topic),
-            )
-            for topic in topics
-        }
+        deskews = {}
+        for topic in topics:
+            own = PointTime(turn=turns[topic]) if topic in turns else where
+            sample = None if seen is None else partial(seen.add, topic)
+            deskews[topic] = Deskew(placer, spec.fixed_frame, own, spec.stamp, sample)
+        return deskews
 
 
 def _robot_transforms(reader: Reader, options: ConvertOptions, span: Span) -> TransformBuffer | None:

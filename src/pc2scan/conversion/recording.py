@@ -6,29 +6,27 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.errors import MessageError, UnwritableError, UsageError
-from pc2scan.messages.definitions import definition
-from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.messages.pointcloud2 import POINTCLOUD2
+from pc2scan.messages.laserscan import LASERSCAN, encode_laserscan
+from pc2scan.messages.pointcloud2 import POINTCLOUD2, encode_cloud
 from pc2scan.messages.tfmessage import encode_transforms
-from pc2scan.model import LATCHED_QOS, NEW_ID, ChunkRule, Connection, StoredChunk
+from pc2scan.model import LATCHED_QOS, ChunkRule, StoredChunk
 
-from .added_transforms import TFMESSAGE, AddedTopic, LevelFrames, add_poses, between, tf_connection
+from .added_transforms import TFMESSAGE, AddedTrajectory, AddedTransforms, add_poses, between, tf_connection
 from .combine.combiner import Combiner
 from .combine.conversion import MessagesToScan
-from .declarations import RecordingTopics
+from .declarations import RecordingTopics, new_connection
 from .items import NOTHING_REFUSED
 from .report import TopicReport
-from .steps import ConvertedMessage
+from .steps import ConvertedMessage, decoder_of, serialised
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Mapping, Sequence
 
+    from pc2scan.advice.survey import Span
     from pc2scan.bags.destinations import Destination
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Buffer, Writer
-    from pc2scan.request.options import ConvertOptions
 
-    from .added_transforms import TrajectoryWriter
     from .items import Item, Tally
     from .plan import Plan, Route
     from .preparation import Preparation
@@ -45,15 +43,15 @@ class OpenRecording(NamedTuple):
         As for `pc2scan.conversion.engine.items_of`, without those that are counted already.
     levels
         Writes the frames of level scans; None if no scan is level.
-    trajectories
-        Write the transforms of files.
+    trajectory
+        The transforms of a file; None without one.
     rule
         Which of the source's chunks can be copied whole; None: none.
     """
 
     routes: Mapping[int, Route]
-    levels: LevelFrames | None = None
-    trajectories: Sequence[TrajectoryWriter] = ()
+    levels: AddedTransforms | None = None
+    trajectory: AddedTrajectory | None = None
     rule: ChunkRule | None = None
 
     @property
@@ -114,10 +112,12 @@ def open_routes(
             route.report = shared(passing or TopicReport(topic, msgtype, None, "skipped"))
             continue
         chosen = {output.index: conversions[output.key] for output in route.outputs}
-        route.decode = chosen[0].decoder(connection.serialization, msgtype)
+        spec = route.outputs[0].spec
+        route.decode = decoder_of(msgtype, connection.serialization, spec.echo)
         route.steps = [conversion.steps(topic) for conversion in chosen.values()]
         form = connection.serialization if topics is None else topics.target.serialization
-        route.finish = partial(chosen[0].serialise if finish is None else finish, form)
+        encode = encode_cloud if spec.reverse else encode_laserscan
+        route.finish = partial(serialised, encode, form) if finish is None else partial(finish, form)
         for output in route.outputs:
             conversion, leads = chosen[output.index], output.sources[:1] in ((), (topic,))
             if output.used:
@@ -131,7 +131,9 @@ def open_routes(
                     entry.note, entry.lost = passing.note, True
                 output.report = shared(entry)
                 if isinstance(conversion, MessagesToScan) and conversion.grouper is not None:
-                    output.combiner = combiners.setdefault(output.key, Combiner(conversion, route.finish))
+                    if output.key not in combiners:
+                        combiners[output.key] = Combiner(conversion, conversion.grouper(), route.finish)
+                    output.combiner = combiners[output.key]
                     output.combiner.reports[output.sources.index(topic)] = output.report
             if leads and topics is not None:
                 topics.add_like(
@@ -140,64 +142,54 @@ def open_routes(
     return opened, list(entries.values())
 
 
-def open_output(
-    reader: Reader,
-    plan: Plan,
-    prepared: Preparation,
-    target: Destination,
-    options: ConvertOptions,
-    writer: Writer | None,
-    report: Report,
-    tell: Callable[..., None],
-) -> OpenRecording:
+def open_output(prepared: Preparation, target: Destination, writer: Writer | None, report: Report) -> OpenRecording:
     """Declare the topics of a recording, and write what comes before all messages; the report then has all topics.
 
     Parameters
     ----------
     writer
         Its writer; None in a dry run.
-    tell
-        Called with warnings about what the recording cannot store.
     """
-    span, frames = prepared.span, options.frames
+    reader, options, span = prepared.reader, prepared.options, prepared.span
+    frames, found = options.frames, prepared.found
     copying = target.same_chunks(reader.summary)
     if copying and writer is not None:
         writer.keep_ids(reader.connections)
     topics = RecordingTopics(target, options, same_kind=target.same_kind(reader.summary))
-    routes, entries = open_routes(plan, prepared.conversions, topics)
+    routes, entries = open_routes(prepared.plan, prepared.conversions, topics)
     report.topics = entries
-    static = TopicReport("/tf_static", TFMESSAGE, "/tf_static", "added", "from `write_static_tf`", messages_out=1)
-    added = AddedTopic(static)
+    entry = TopicReport("/tf_static", TFMESSAGE, "/tf_static", "added", "from `write_static_tf`")
+    static = AddedTransforms(entry, target.serialization)
     if frames.write_static:
-        topics.add(_static_connection(target), added)
-    trajectories: list[TrajectoryWriter] = []
-    if prepared.found is not None and prepared.found.poses and not options.only_scans:
-        trajectories = add_poses(reader, frames, prepared.found.poses, routes, entries, topics, span)
-    levels = None
-    if any(spec.level for spec in plan.specs):
+        # One more latched publisher.
+        topics.add(new_connection(target, "/tf_static", TFMESSAGE, latching=True, qos=LATCHED_QOS), static)
+    trajectory = levels = None
+    if found is not None and found.poses and not options.only_scans:
+        trajectory = add_poses(prepared, found.poses, routes, entries, topics)
+    if any(spec.level for spec in prepared.plan.specs):
         connection = tf_connection(reader, frames, target)
         entry = TopicReport(connection.topic, connection.ros_type, connection.topic, "added", "from `level`")
-        levels = LevelFrames(target.serialization, entry)
+        levels = AddedTransforms(entry, target.serialization)
         topics.add(connection, levels)
         entries.append(entry)
-    tell(*topics.warnings)
-    if writer is not None:
-        topics.declare(writer)
-    routes = count_skipped(routes, reader, span.start_ns, span.stop_ns)
+    prepared.tell(*topics.warnings)
+    routes = count_skipped(routes, reader, span)
     if writer is None:
-        return OpenRecording(routes, levels, trajectories)
+        return OpenRecording(routes, levels, trajectory)
+    topics.declare(writer)
     if not options.only_scans:
-        tell(*_copy_extras(reader, target, writer))
+        prepared.tell(*_copy_extras(reader, target, writer))
     if frames.write_static:
         earliest_ns, latest_ns = target.times_ns
         begin_ns = max(earliest_ns, min(span.first_ns, latest_ns))
-        rows = [each.row(begin_ns) for each in (frames.static if prepared.found is None else prepared.found.static)]
+        rows = [each.row(begin_ns) for each in (frames.static if found is None else found.static)]
         if not rows:
             raise UsageError("there is no added transform to write", hint="give one with `static_tf`, or with `urdf`")
-        writer.write(added.handle, begin_ns, encode_transforms(rows, target.serialization), begin_ns)
-        entries.append(static)
+        writer.write(static.handle, begin_ns, encode_transforms(rows, target.serialization), begin_ns)
+        static.report.messages_out = 1
+        entries.append(static.report)
     rule = _chunk_rule(routes, target, writer) if copying else None
-    return OpenRecording(routes, levels, trajectories, rule)
+    return OpenRecording(routes, levels, trajectory, rule)
 
 
 def write_items(items: Generator[Item | StoredChunk], writer: Writer, tally: Tally, recording: OpenRecording) -> None:
@@ -208,20 +200,19 @@ def write_items(items: Generator[Item | StoredChunk], writer: Writer, tally: Tal
     recording
         The routes, and what writes transforms besides.
     """
-    levels = recording.levels
-    if recording.trajectories:
-        items = between(items, recording.trajectories, writer)
+    if recording.trajectory is not None:
+        items = between(items, recording.trajectory, writer)
     for item in items:
         if isinstance(item, StoredChunk):
             writer.write_chunk(item)
             tally.count_chunk(item)
         else:
-            tally.count(item, _write(item, writer, levels))
+            tally.count(item, _write(item, writer, recording.levels))
         # Frees the item before the next one is made.
         del item
 
 
-def _write(item: Item, writer: Writer, levels: LevelFrames | None) -> Mapping[int, MessageError]:
+def _write(item: Item, writer: Writer, levels: AddedTransforms | None) -> Mapping[int, MessageError]:
     """Write an item; return what the destination cannot store, as `Tally.count` takes it."""
     log_time_ns, publish_time_ns, sequence = item.log_time_ns, item.publish_time_ns, item.sequence
     refused: dict[int, MessageError] | None = None
@@ -234,15 +225,13 @@ def _write(item: Item, writer: Writer, levels: LevelFrames | None) -> Mapping[in
     for number, (output, result) in enumerate(item.results):
         if not isinstance(result, ConvertedMessage) or output.handle < 0:
             continue
+        message = result.used if output.used else result.message
         try:
-            if output.used:
-                if result.used is not None:
-                    writer.write(output.handle, log_time_ns, result.used, publish_time_ns, sequence)
-                continue
             if levels is not None and result.level is not None:
                 # Before the scan, so that its frame is known when the recording is replayed.
-                levels.write(result.level, log_time_ns, publish_time_ns, writer)
-            writer.write(output.handle, log_time_ns, result.message, publish_time_ns, sequence)
+                levels.write_level(result.level, log_time_ns, publish_time_ns, writer)
+            if message is not None:
+                writer.write(output.handle, log_time_ns, message, publish_time_ns, sequence)
         except UnwritableError as err:
             refused = {**(refused or {}), number: err}
     return refused or NOTHING_REFUSED
@@ -282,25 +271,7 @@ def _copy_extras(reader: Reader, target: Destination, writer: Writer) -> list[st
     return [f"{lost} MCAP attachments and metadata records are not copied: the destination cannot store them"]
 
 
-def _static_connection(target: Destination) -> Connection:
-    """Return the connection of the added transforms: one more latched publisher of /tf_static."""
-    text, digest = definition(TFMESSAGE, target.ros_version)
-    return Connection(
-        id=NEW_ID,
-        topic="/tf_static",
-        msgtype=TFMESSAGE,
-        serialization=target.serialization,
-        definition=text,
-        digest=digest,
-        callerid="/pc2scan" if target.ros_version == 1 else None,
-        latching=True,
-        qos=LATCHED_QOS if target.ros_version == 2 else "",
-    )
-
-
-def count_skipped(
-    routes: Mapping[int, Route], reader: Reader, start_ns: int | None, stop_ns: int | None
-) -> dict[int, Route]:
+def count_skipped(routes: Mapping[int, Route], reader: Reader, span: Span) -> dict[int, Route]:
     """Count the messages of routes that write nothing, if the source's index has their numbers.
 
     Returns
@@ -309,10 +280,10 @@ def count_skipped(
         All other routes: those that write, and those whose messages must be read to be counted.
     """
     skipped = [route for route in routes.values() if not route.writes]
-    counted = reader.counts([route.connection for route in skipped], start_ns, stop_ns) if skipped else {}
+    counted = reader.counts([route.connection for route in skipped], span.start_ns, span.stop_ns) if skipped else {}
     # What was latched before the cut would have been written, too.
     lasting = [route.connection for route in skipped if route.connection.is_latched]
-    earlier = reader.counts(lasting, None, start_ns) if lasting and start_ns is not None else {}
+    earlier = reader.counts(lasting, None, span.start_ns) if lasting and span.start_ns is not None else {}
     for route in skipped:
         (entry,) = route.reports
         before = earlier.get(route.connection.id, 0)

@@ -27,10 +27,6 @@ if TYPE_CHECKING:
     from .combine.grouping import SourceCounts
     from .steps import ConvertedMessage
 
-#: The text for the frame of scans without a target frame.
-_OWN = "each message's own"
-
-
 #: No clock that is set differs by more from the log times, nanoseconds, unless a driver is slow.
 _EARLY_NS, _LATE_NS = -100_000_000, 500_000_000
 
@@ -155,6 +151,11 @@ class TopicReport:
     def scan(self) -> str:
         """The name of its output in a scans file; empty without one."""
         return self.spec.name if self.spec else ""
+
+    @property
+    def is_made(self) -> bool:
+        """Whether messages were converted."""
+        return self.action == "converted" and self.messages_out > 0
 
     @property
     def motion(self) -> dict[str, float] | None:
@@ -330,23 +331,19 @@ class Report(Result):
         if self.dry_run:
             yield f"dry run, nothing is written: {', '.join(self.sources)}"
             yield ""
-        for spec in self.scans:
-            names = [
-                name
-                for name in PARAMETERS
-                if verbose or (self.dry_run and spec.origins.get(name, "default") != "default")
+        for spec in self.scans if verbose or self.dry_run else ():
+            origins = {name: spec.origins.get(name, "default") for name in PARAMETERS}
+            rows = [
+                (name, in_words(getattr(spec.params, name)), origin)
+                for name, origin in origins.items()
+                if verbose or origin != "default"
             ]
-            if spec.name and names:
+            if spec.name and rows:
                 yield f"{leading(spec.name)}:"
-            if names:
-                rows = [
-                    (name, in_words(getattr(spec.params, name)), spec.origins.get(name, "default")) for name in names
-                ]
+            if rows:
                 yield Table(("parameter", "value", "from"), rows, left=("parameter", "from"))
                 yield ""
-        yield from self.ways
-        if self.ways:
-            yield ""
+        yield from [*self.ways, ""] if self.ways else ()
         yield self._topics()
         if converted := self.converted:
             yield ""
@@ -355,14 +352,12 @@ class Report(Result):
         written, read = size(self.bytes_written), size(self.bytes_read)
         place = leading(self.destination)
         if self.dry_run:
-            frames = [repr(spec.params.target_frame) if spec.params.target_frame else _OWN for spec in self.scans]
-            named = ", ".join(dict.fromkeys(frames))
-            yield f"frame{'s' * (',' in named)}: {named}; points: those of the first messages"
-            yield f"{place}: {FORMATS[self.container].readable}, which can be written; from {read}"
+            kind = FORMATS[self.container].readable
+            yield f"{place}: {kind}, which can be written; from {read}; points: those of the first messages"
         else:
             yield f"{place}: {written} from {read} in {duration(self.seconds)}"
         if self.container == "mcap":
-            # Shown because the file's name does not say which ROS version it is for.
+            # The file's name does not say which ROS version it is for.
             hint = ": `profile=ros2` for ros2 tools" if converted and self.ros_version == 1 else ""
             yield f"MCAP, ROS {self.ros_version} profile{hint}"
 

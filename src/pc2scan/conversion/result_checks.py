@@ -4,31 +4,35 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pc2scan.advice.checks.clouds import NOTABLE_SHARE, notable_share
+from pc2scan.advice.checks.clouds import notable_share
 from pc2scan.bags.damage import RECOVER, Damage, count_details
 from pc2scan.core.consumers import CONSUMERS, judge
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import DamageError, ResultError, name_list, stamp_text
 from pc2scan.messages.laserscan import decode_laserscan, scan_for_consumers
 from pc2scan.request.parameters import preset_of
+from pc2scan.result import Remark
 from pc2scan.text import agreeing, counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
-    from pc2scan.bags.reader import Reader
     from pc2scan.core.rule import Rejection
-    from pc2scan.core.verdicts import Outcome, Verdict
+    from pc2scan.core.verdicts import Outcome
+    from pc2scan.messages.laserscan import LaserScan
     from pc2scan.model import Buffer
     from pc2scan.request.options import ConvertOptions, ScanSpec
 
-    from .combine.grouping import SourceCounts
     from .plan import Route
+    from .preparation import Preparation
     from .report import Report, TopicReport
+
+warning, note = partial(Remark, "warning"), partial(Remark, "note")
 
 #: How many topics the warning about skipped ones lists.
 _MAX_WARNED = 5
@@ -74,148 +78,146 @@ _DOES: dict[Outcome, str] = {
 }
 
 
-def refused_scans(first_scans: Sequence[tuple[TopicReport, Buffer]], serialization: str) -> Iterator[str]:
-    """Yield a warning for each reason why consumers would ignore the scans, or abort, with the topics."""
-    topics: dict[str, dict[str, None]] = {}
-    for topic, data in first_scans:
-        origins = topic.spec.origins.values() if topic.spec else ()
-        chosen = next(filter(None, map(preset_of, origins)), "")
-        if text := _refusal(data, serialization, chosen):
-            topics.setdefault(text, {})[topic.target or ""] = None
-    yield from (f"{', '.join(names)}: {text}" for text, names in topics.items())
-
-
-def _refusal(data: Buffer, serialization: str, consumer: str = "") -> str:
+def _refusal(topic: TopicReport, scan: LaserScan) -> str:
     """Return a warning that names the consumers that would ignore scans like this one, or abort; empty if none would.
 
     The consumer that the scans are made for is checked by all its rules. The others are checked only by what a
     scan's header advertises; `pc2scan check` judges the ranges. Infinite ranges with an infinite range_max, as
     upstream's own defaults have them, are misplaced by most consumers, and gmapping aborts.
-
-    Parameters
-    ----------
-    data
-        A serialised LaserScan.
-    serialization
-        ``ros1`` or ``cdr``.
-    consumer
-        The consumer whose preset was chosen; empty if none was.
     """
-    scan = scan_for_consumers(decode_laserscan(data, serialization))
-    if consumer:
-        verdict = judge(consumer, scan)
-        return "" if verdict.outcome == "accepted" else f"{consumer} {_DOES[verdict.outcome]}: {_explanation(verdict)}"
-    scan = replace(scan, infinite=0, short=0)
-    verdicts = [verdict for name in CONSUMERS if (verdict := judge(name, scan)).refused]
+    judged = scan_for_consumers(scan)
+    chosen = next(filter(None, map(preset_of, topic.spec.origins.values() if topic.spec else ())), "")
+    if chosen:
+        verdicts = [judge(chosen, judged)]
+        verdicts = [each for each in verdicts if each.outcome != "accepted"]
+    else:
+        judged = replace(judged, infinite=0, short=0)
+        verdicts = [verdict for name in CONSUMERS if (verdict := judge(name, judged)).refused]
     if not verdicts:
         return ""
-    first = verdicts[0]
-    others = f" (so would {', '.join(verdict.consumer for verdict in verdicts[1:])})" if verdicts[1:] else ""
-    return f"{first.consumer} would ignore these scans{others}: {_explanation(first)}"
+    first, *others = verdicts
+    does = _DOES[first.outcome] if chosen else _DOES["ignored"]
+    others_too = f" (so would {', '.join(verdict.consumer for verdict in others)})" if others else ""
+    cure = f"{first.cure[:1].upper()}{first.cure[1:]}"
+    return f"{first.consumer} {does}{others_too}: {first.observed} where it allows {first.allowed}. {cure}"
 
 
-def _explanation(verdict: Verdict) -> str:
-    """Return what a scan has, what the consumer allows, and how to change it."""
-    return f"{verdict.observed} where it allows {verdict.allowed}. {verdict.cure[:1].upper()}{verdict.cure[1:]}"
-
-
-def shared_beams(first_scans: Sequence[tuple[TopicReport, Buffer]], serialization: str) -> Iterator[str]:
+def _shared_beams(topic: TopicReport, scan: LaserScan) -> Iterator[str]:
     """Yield a note where upstream's beams end at the angles of a 2D lidar's: two are in one, and none in the next."""
-    for topic, data in first_scans:
-        spec = topic.spec
-        if spec is None or not spec.combining.rebin or topic.joined is not None or spec.params.geometry != "upstream":
-            continue
-        scan = decode_laserscan(data, serialization)
-        hit = np.isfinite(scan.ranges) & (scan.ranges <= scan.range_max)
-        between = np.count_nonzero(hit[:-2] & ~hit[1:-1] & hit[2:])
-        most = min(topic.points.used / topic.messages_out, hit.size)
-        if between > _NOTABLE_GAPS * hit.size and np.count_nonzero(hit) < (1 - _NOTABLE_GAPS) * most:
-            yield (
-                f"{topic.target}: {between:,} of {hit.size:,} beams have no return between two that have one: those of "
-                "the lidar are at their edges, by rounding on either side; `geometry=centered` has them in the middle"
-            )
-
-
-def lost_topics(report: Report) -> Iterator[str]:
-    """Yield a warning of how many messages of which topics are missing, and why."""
-    topics = report.lost_topics
-    if not topics:
+    spec = topic.spec
+    if spec is None or not spec.combining.rebin or topic.joined is not None or spec.params.geometry != "upstream":
         return
-    count = sum(topic.messages_in for topic in topics)
-    listed = [f"{topic.topic} ({topic.messages_in:,}: {topic.note})" for topic in topics[:_MAX_WARNED]]
-    more = len(topics) - len(listed)
-    yield (
-        f"{counted(count, 'message')} of {counted(len(topics), 'topic')} "
-        f"{agreeing(count, 'are')} skipped: {', '.join(listed)}{f' and {more} more' if more else ''}"
-    )
+    hit = np.isfinite(scan.ranges) & (scan.ranges <= scan.range_max)
+    between = np.count_nonzero(hit[:-2] & ~hit[1:-1] & hit[2:])
+    most = min(topic.points.used / topic.messages_out, hit.size)
+    if between > _NOTABLE_GAPS * hit.size and np.count_nonzero(hit) < (1 - _NOTABLE_GAPS) * most:
+        yield (
+            f"{topic.target}: {between:,} of {hit.size:,} beams have no return between two that have one: those of "
+            "the lidar are at their edges, by rounding on either side; `geometry=centered` has them in the middle"
+        )
 
 
-def unconverted_topic(topic: TopicReport, _: Report) -> Iterator[str]:
+def _of_first_scans(first_scans: Sequence[tuple[TopicReport, Buffer]], serialization: str) -> Iterator[Remark]:
+    """Yield what consumers would do with the first scans, a warning for each reason with the topics; and notes."""
+    topics: dict[str, list[str]] = {}
+    for topic, data in first_scans:
+        scan = decode_laserscan(data, serialization)
+        if text := _refusal(topic, scan):
+            topics.setdefault(text, []).append(topic.target or "")
+        yield from map(note, _shared_beams(topic, scan))
+    yield from (warning(f"{', '.join(dict.fromkeys(names))}: {text}") for text, names in topics.items())
+
+
+def _lost_topics(report: Report) -> Iterator[Remark]:
+    """Yield a warning of how many messages of which topics are missing, and why."""
+    if topics := report.lost_topics:
+        count = sum(topic.messages_in for topic in topics)
+        listed = [f"{topic.topic} ({topic.messages_in:,}: {topic.note})" for topic in topics[:_MAX_WARNED]]
+        listed += [f"and {len(topics) - _MAX_WARNED} more"] if len(topics) > _MAX_WARNED else []
+        which = f"{counted(count, 'message')} of {counted(len(topics), 'topic')}"
+        yield warning(f"{which} {agreeing(count, 'are')} skipped: {', '.join(listed)}")
+
+
+def _of_request(spec: ScanSpec) -> Iterator[Remark]:
+    """Yield notes if the increment is another one than was given, and if a preset limits the range."""
+    params, origin = spec.params, spec.origins.get("range_max", "")
+    layout, increment = params.layout, params.angle_increment
+    is_changed = abs(layout.angle_increment - increment) > _NOTABLE_STEP * increment
+    # If beams are measured, another note has their number.
+    if params.beams != "auto" and layout.full_circle and is_changed:
+        yield note(
+            f"angle_increment is {layout.angle_increment:.7g} rad instead of {increment:.7g}: "
+            f"{layout.count} beams divide the circle evenly"
+        )
+    if preset_of(origin):
+        yield note(
+            f"range_max is {params.range_max:g} m, chosen by {origin}: returns beyond are ignored; `range_max` chooses "
+            "another"
+        )
+
+
+def unconverted_topic(topic: TopicReport, *_: object) -> Iterator[Remark]:
     """Yield a warning if no message of a topic was converted."""
     if topic.action == "converted" and not topic.messages_out:
         why = "could be converted" if topic.messages_in else "was there to convert (see `start` and `end`)"
-        yield f"no message of {topic.topic} {why}"
+        yield warning(f"no message of {topic.topic} {why}")
 
 
-def unordered_stamps(topic: TopicReport, _: Report) -> Iterator[str]:
+def unordered_stamps(topic: TopicReport, *_: object) -> Iterator[Remark]:
     """Yield a warning if stamps go back or are 0."""
-    yield from topic.stamps.faults(topic.topic)
+    yield from map(warning, topic.stamps.faults(topic.topic))
 
 
-def scans_without_return(topic: TopicReport, report: Report) -> Iterator[str]:
+def scans_without_return(topic: TopicReport, spec: ScanSpec, report: Report) -> Iterator[Remark]:
     """Yield a warning that names the cause of scans without returns."""
-    if _is_made(topic) and topic.empty_scans:
-        scans = f"{counted(topic.messages_out, 'scan')} on {topic.target}"
-        empty = f"{topic.empty_scans:,} of {scans} {agreeing(topic.empty_scans, 'have')} no return at all"
-        yield f"{empty}: {_blame(topic, topic.spec or report.scans[0], report.rejections)}"
+    yield warning(f"{_empty(topic)} at all: {_blame(topic, spec, report.rejections)}")
 
 
-def points_rejected_by_default(topic: TopicReport, report: Report) -> Iterator[str]:
-    """Yield a warning for each default that rejects many points."""
-    points, spec = topic.points, topic.spec or report.scans[0]
-    if not _is_made(topic) or topic.empty_scans:
-        return
-    for rejection in report.rejections.values():
-        share = points.rejected.get(rejection.name, 0) / points.total if points.total else 0.0
-        no_returns = topic.no_returns if rejection.name == "height" else 0.0
-        if 0 < no_returns < 1:
-            share = (share - no_returns) / (1 - no_returns)
-        least = notable_share(spec) if rejection.name == "height" else NOTABLE_SHARE
-        if share >= least and _surprises(spec, rejection):
-            advice = f": {topic.advice}" if topic.advice and rejection.name == "height" else ""
-            of = "returns" if no_returns else "points"
-            yield f"{topic.target}: {share:.0%} of the {of} were {rejection.by_default[1]}{advice}"
+def _empty(topic: TopicReport) -> str:
+    """Return how many scans have no return."""
+    scans = f"{counted(topic.messages_out, 'scan')} on {topic.target}"
+    return f"{topic.empty_scans:,} of {scans} {agreeing(topic.empty_scans, 'have')} no return"
 
 
-def filters_without_effect(topic: TopicReport, report: Report) -> Iterator[str]:
-    """Yield a warning for each filter that should have rejected points, and rejected none."""
-    points = topic.points
-    if not _is_made(topic) or topic.empty_scans or not points.total:
-        return
-    for rejection in report.rejections.values():
-        if rejection.absent and points.rejected.get(rejection.name) == 0:
-            yield f"{topic.target}: {rejection.absent}"
-
-
-def faults_without_number(topic: TopicReport, report: Report) -> Iterator[str]:
-    """Yield warnings of filters that remove far more than the faults that they are for.
+def rejected_points(topic: TopicReport, spec: ScanSpec, report: Report) -> Iterator[Remark]:
+    """Yield a warning for each default that rejects many points, each fault that does, and each filter without effect.
 
     Not of limits, conditions and regions, nor of the ground: they reject what users ask them to, and often most of it.
     """
-    points, beams = topic.points, topic.removed_beams
-    if not _is_made(topic):
-        return
-    faulty = [(each.name, each.explanation, each.remedy) for each in report.rejections.values() if each.remedy]
-    removals = [(points.rejected.get(name, 0), points.total, "point", what, remedy) for name, what, remedy in faulty]
-    removals += [
-        (beams[name], beams["returns"], "beam", f"removed as {name}", remedy)
-        for name, remedy in _REMEDIES.items()
-        if name in beams
-    ]
-    for number, total, kind, what, remedy in removals:
-        if number > _MOST_REMOVED * total:
-            share = f"{number:,} of {counted(total, kind)} ({number / total:.0%})"
-            yield f"{topic.target}: {share} {agreeing(number, 'were')} {what}; {remedy}"
+    points = topic.points
+    for name, rejection in report.rejections.items():
+        count = points.rejected.get(name)
+        if rejection.remedy:
+            yield from _removed(
+                topic, "point", count or 0, points.total, f"{rejection.explanation}; {rejection.remedy}"
+            )
+        elif topic.empty_scans or not points.total:
+            continue
+        elif rejection.absent and count == 0:
+            yield warning(f"{topic.target}: {rejection.absent}")
+        elif _surprises(spec, rejection):
+            share = ((count or 0) / points.total - topic.no_returns) / (1 - topic.no_returns or 1.0)
+            if share >= notable_share(spec):
+                of = "returns" if topic.no_returns else "points"
+                advice = f": {topic.advice}" if topic.advice else ""
+                yield warning(f"{topic.target}: {share:.0%} of the {of} were {rejection.by_default[1]}{advice}")
+
+
+def removed_beams(topic: TopicReport, *_: object) -> Iterator[Remark]:
+    """Yield a note for each reason for which beams are removed, and a warning if it removes many."""
+    returns = topic.removed_beams["returns"]
+    for name, number in topic.removed_beams.items():
+        if name != "returns":
+            of = f"{topic.target}: {number:,} of {counted(returns, 'beam')}"
+            yield note(f"{of} {agreeing(number, 'were')} {name}, and {agreeing(number, 'are')} removed")
+            yield from _removed(topic, "beam", number, returns, f"removed as {name}; {_REMEDIES[name]}")
+
+
+def _removed(topic: TopicReport, kind: str, number: int, total: int, why: str) -> Iterator[Remark]:
+    """Yield a warning if more is removed than faults may be."""
+    if number > _MOST_REMOVED * total:
+        share = f"{number:,} of {counted(total, kind)} ({number / total:.0%})"
+        yield warning(f"{topic.target}: {share} {agreeing(number, 'were')} {why}")
 
 
 def _surprises(spec: ScanSpec, rejection: Rejection) -> bool:
@@ -252,192 +254,97 @@ def _blame(topic: TopicReport, spec: ScanSpec, rejections: Mapping[str, Rejectio
     return "; ".join(parts)
 
 
-def jumping_stamps(topic: TopicReport, _: Report) -> Iterator[str]:
+def jumping_stamps(topic: TopicReport, *_: object) -> Iterator[Remark]:
     """Yield a warning about stamps that jump, which no scan may combine."""
-    counts = topic.joined
-    if counts is None or not counts.jumped:
-        return
-    stamp_ns, by_ns = counts.first_jump
-    far = f"{abs(by_ns) / 1e9:,.3f}".rstrip("0").rstrip(".")
-    more = f" and {counts.jumped - 1:,} more times" if counts.jumped > 1 else ""
-    yield (
-        f"the stamps of {topic.topic} jump {'back' if by_ns < 0 else 'ahead'} by {far} s at {stamp_text(stamp_ns)}"
-        f"{more}, compared with their log times: no scan on {topic.target} has messages from before and after"
-    )
+    if topic.joined is not None and topic.joined.jumped:
+        (stamp_ns, by_ns), jumped = topic.joined.first_jump, topic.joined.jumped
+        far = f"{abs(by_ns) / 1e9:,.3f}".rstrip("0").rstrip(".")
+        more = f" and {jumped - 1:,} more times" if jumped > 1 else ""
+        yield warning(
+            f"the stamps of {topic.topic} jump {'back' if by_ns < 0 else 'ahead'} by {far} s at {stamp_text(stamp_ns)}"
+            f"{more}, compared with their log times: no scan on {topic.target} has messages from before and after"
+        )
 
 
-def source_in_no_scan(topic: TopicReport, _: Report) -> Iterator[str]:
+def source_in_no_scan(topic: TopicReport, *_: object) -> Iterator[Remark]:
     """Yield a warning about a topic whose messages are in no scan, or not in some."""
     counts, scans = topic.joined, topic.target
     if topic.action != "joined" or counts is None:
         return
     if counts.messages and not counts.used:
-        yield (
-            f"no message of {topic.topic} is in a scan on {scans}: its stamps are never within the window of the "
-            "leading topic's"
-        )
-    elif counts.longest_silence is not None:
-        first, last, number = counts.longest_silence
-        yield (
-            f"{counted(counts.scans_without, 'scan')} on {scans} {agreeing(counts.scans_without, 'have')} "
-            f"nothing of {topic.topic}; {number:,} in a row, "
-            f"from {stamp_text(first)} to {stamp_text(last)}"
-        )
+        why = "its stamps are never within the window of the leading topic's"
+        yield warning(f"no message of {topic.topic} is in a scan on {scans}: {why}")
+    elif counts.scans_without:
+        have = agreeing(counts.scans_without, "have")
+        yield warning(f"{counted(counts.scans_without, 'scan')} on {scans} {have} nothing of {topic.topic}")
 
 
-def messages_in_no_scan(topic: TopicReport, _: Report) -> Iterator[str]:
-    """Yield a warning about many messages in a row that are in no scan."""
-    if topic.joined is not None and _are_left_long(topic, topic.joined):
-        leads = "Scans are made for messages of the leading topic, the first one of `topics`"
-        yield f"{_unmatched(topic, topic.joined)}. {leads}"
-
-
-def _are_left_long(topic: TopicReport, counts: SourceCounts) -> bool:
-    """Whether messages in a row are in no scan for so long that the leading topic is silent, or far from them."""
-    every_ns = topic.spec.combining.every_ns if topic.spec else 0
-    run = counts.longest_unmatched
-    if topic.action != "joined" or run is None:
-        return False
-    return run.last_stamp_ns - run.first_stamp_ns > _NOTABLE_SILENCE_NS + every_ns
-
-
-def _unmatched(topic: TopicReport, counts: SourceCounts) -> str:
-    """Return how many messages are in no scan, and where most of them are."""
-    run = counts.longest_unmatched
-    assert run is not None
-    return (
+def messages_in_no_scan(topic: TopicReport, spec: ScanSpec, _: Report) -> Iterator[Remark]:
+    """Yield a note about messages that are in no scan; a warning if many in a row are: the leading topic is silent."""
+    counts = topic.joined
+    if counts is None or counts.longest_unmatched is None:
+        return
+    first, last, number = counts.longest_unmatched
+    text = (
         f"{counts.unmatched:,} of {counted(counts.messages, 'message')} of {topic.topic} "
-        f"{agreeing(counts.unmatched, 'are')} in no scan on {topic.target}; {run.number:,} in a row, "
-        f"from {stamp_text(run.first_stamp_ns)} to {stamp_text(run.last_stamp_ns)}"
+        f"{agreeing(counts.unmatched, 'are')} in no scan on {topic.target}; {number:,} in a row, "
+        f"from {stamp_text(first)} to {stamp_text(last)}"
     )
+    if topic.action == "joined" and last - first > _NOTABLE_SILENCE_NS + spec.combining.every_ns:
+        yield warning(f"{text}. Scans are made for messages of the leading topic, the first one of `topics`")
+    else:
+        yield note(text)
 
 
-def missing_transforms(topic: TopicReport, _: Report) -> Iterator[str]:
-    """Yield a warning about gaps in the transforms while clouds were measured."""
-    motion = topic.motion
-    if motion and motion["longest_gap_s"] > _NOTABLE_GAP:
-        yield (
+def motion_of_sensor(topic: TopicReport, spec: ScanSpec, _: Report) -> Iterator[Remark]:
+    """Yield a note about how far the sensor moved while clouds were measured; a warning about missing transforms."""
+    if (motion := topic.motion) is None:
+        return
+    placed = "deskewed" if spec.deskew else "placed through `fixed_frame`"
+    yield note(
+        f"{topic.target}: {placed}; within a {'cloud' if topic.joined is None else 'scan'} the sensor moved by up to "
+        f"{motion['largest_m']:.3g} m and {motion['largest_deg']:.3g} degrees (median {motion['median_m']:.3g} m, "
+        f"{motion['median_deg']:.3g} degrees)"
+    )
+    if motion["longest_gap_s"] > _NOTABLE_GAP:
+        yield warning(
             f"{topic.target}: while clouds were measured, transforms to `fixed_frame` were missing for up "
             f"to {motion['longest_gap_s']:.3g} s; points are placed as if the robot had moved evenly meanwhile"
         )
 
 
-def implausible_tilt(topic: TopicReport, report: Report) -> Iterator[str]:
-    """Yield a warning if the target frame is tilted more than a robot is, or never."""
-    tilt, (by, frame) = topic.tilt, _levelled(topic, report)
-    if not tilt:
+def tilt_of_frame(topic: TopicReport, spec: ScanSpec, report: Report) -> Iterator[Remark]:
+    """Yield a note about the tilt of the target frame; a warning if a robot is never tilted so, or always."""
+    if (tilt := topic.tilt) is None:
         return
-    if (median := tilt["median_deg"]) > _NOTABLE_TILT:
-        yield (
+    by, median, largest = spec.imu or spec.fixed_frame, tilt["median_deg"], tilt["largest_deg"]
+    frame = spec.params.target_frame or report.source_frame or "the clouds' frame"
+    if median > _NOTABLE_TILT:
+        yield warning(
             f"{topic.target}: by {by}, {frame} is tilted by {median:.0f} degrees (median). If it is not mounted "
             "so, the mount of the IMU is wrong (`static_tf`), or z of `fixed_frame` is not up"
         )
-    elif tilt["largest_deg"] < _NO_TILT and len(topic.tilts) >= _SEVERAL:
-        yield (
+    elif largest < _NO_TILT and len(topic.tilts) >= _SEVERAL:
+        yield warning(
             f"{topic.target}: by {by}, {frame} is never tilted, so `level` has no effect. Wheel odometry has no "
             "roll and pitch, an IMU has: `imu=TOPIC`"
         )
-
-
-def evenly_divided_circle(spec: ScanSpec) -> Iterator[str]:
-    """Yield a note if the increment is another one than was given."""
-    params = spec.params
-    layout, increment = params.layout, params.angle_increment
-    # If beams are measured, another note has their number.
-    if (
-        params.beams != "auto"
-        and layout.full_circle
-        and abs(layout.angle_increment - increment) > _NOTABLE_STEP * increment
-    ):
-        yield (
-            f"angle_increment is {layout.angle_increment:.7g} rad instead of {increment:.7g}: "
-            f"{layout.count} beams divide the circle evenly"
+    else:
+        yield note(
+            f"{topic.target}: level by {by}; {frame} was tilted by up to {largest:.3g} degrees (median {median:.3g})"
         )
 
 
-def range_of_preset(spec: ScanSpec) -> Iterator[str]:
-    """Yield a note if a preset limits the range."""
-    origin = spec.origins.get("range_max", "")
-    if preset_of(origin):
-        yield (
-            f"range_max is {spec.params.range_max:g} m, chosen by {origin}: returns beyond are ignored; "
-            "`range_max` chooses another"
-        )
-
-
-def unmatched_messages(topic: TopicReport, _: Report) -> Iterator[str]:
-    """Yield a note about messages that are in no scan, if there is no warning about them."""
-    if (counts := topic.joined) is not None and counts.unmatched and not _are_left_long(topic, counts):
-        yield _unmatched(topic, counts)
-
-
-def removed_beams(topic: TopicReport, _: Report) -> Iterator[str]:
-    """Yield a note for each reason for which beams are removed."""
-    if not topic.removed_beams:
-        return
-    returns = topic.removed_beams["returns"]
-    for name, number in topic.removed_beams.items():
-        if name != "returns":
-            of = f"{topic.target}: {number:,} of {counted(returns, 'beam')}"
-            yield f"{of} {agreeing(number, 'were')} {name}, and {agreeing(number, 'are')} removed"
-
-
-def motion_of_sensor(topic: TopicReport, _: Report) -> Iterator[str]:
-    """Yield a note about how far the sensor moved while clouds were measured."""
-    motion = topic.motion
-    if not motion:
-        return
-    placed = "deskewed" if topic.spec is not None and topic.spec.deskew else "placed through `fixed_frame`"
-    within = f"{placed}; within a {'cloud' if topic.joined is None else 'scan'}"
-    yield (
-        f"{topic.target}: {within} the sensor moved by up to {motion['largest_m']:.3g} m "
-        f"and {motion['largest_deg']:.3g} degrees (median {motion['median_m']:.3g} m, "
-        f"{motion['median_deg']:.3g} degrees)"
-    )
-
-
-def tilt_of_frame(topic: TopicReport, report: Report) -> Iterator[str]:
-    """Yield a note about the tilt of the target frame, if it is plausible."""
-    tilt, (by, frame) = topic.tilt, _levelled(topic, report)
-    if tilt and not any(implausible_tilt(topic, report)):
-        yield (
-            f"{topic.target}: level by {by}; {frame} was tilted by up to {tilt['largest_deg']:.3g} degrees "
-            f"(median {tilt['median_deg']:.3g})"
-        )
-
-
-def _is_made(topic: TopicReport) -> bool:
-    """Whether messages were converted."""
-    return topic.action == "converted" and topic.messages_out > 0
-
-
-def _levelled(topic: TopicReport, report: Report) -> tuple[str, str]:
-    """Return by what the scans of a topic are level, and in which frame they would be otherwise."""
-    spec = topic.spec
-    frame = (spec.params.target_frame if spec else "") or report.source_frame or "the clouds' frame"
-    return (spec.imu or spec.fixed_frame) if spec else "", frame
-
-
-#: What the counts of a topic show: warnings and notes, in this order.
-WARNINGS: Sequence[Callable[[TopicReport, Report], Iterator[str]]] = (
-    unconverted_topic,
-    unordered_stamps,
-    scans_without_return,
-    points_rejected_by_default,
-    filters_without_effect,
-    faults_without_number,
-    jumping_stamps,
-    source_in_no_scan,
-    messages_in_no_scan,
-    missing_transforms,
-    implausible_tilt,
-)
-NOTES: Sequence[Callable[[TopicReport, Report], Iterator[str]]] = (
-    unmatched_messages,
-    removed_beams,
-    motion_of_sensor,
-    tilt_of_frame,
-)
+#: Checks of a topic, by the attribute that a topic must have for them; each yields warnings and notes.
+TOPIC_CHECKS: Mapping[str, Sequence[Callable[[TopicReport, ScanSpec, Report], Iterator[Remark]]]] = {
+    "action": (unconverted_topic, unordered_stamps),
+    "empty_scans": (scans_without_return,),
+    "is_made": (rejected_points,),
+    "removed_beams": (removed_beams,),
+    "joined": (jumping_stamps, source_in_no_scan, messages_in_no_scan),
+    "motions": (motion_of_sensor,),
+    "tilts": (tilt_of_frame,),
+}
 
 
 def result_findings(
@@ -454,61 +361,45 @@ def result_findings(
     serialization
         That of the scans: ``ros1`` or ``cdr``.
     """
-    warnings = [*refused_scans(first_scans, serialization), *lost_topics(report)]
-    notes = dict.fromkeys(
-        text for spec in report.scans for text in (*evenly_divided_circle(spec), *range_of_preset(spec))
-    )
-    notes.update(dict.fromkeys(shared_beams(first_scans, serialization)))
+    remarks = [*_of_first_scans(first_scans, serialization), *_lost_topics(report)]
+    remarks += (remark for spec in report.scans for remark in _of_request(spec))
     for topic in report.topics:
-        warnings += (text for check in WARNINGS for text in check(topic, report))
-        notes.update(dict.fromkeys(text for note in NOTES for text in note(topic, report)))
-    return warnings, [*notes]
+        if (spec := topic.spec) is not None:
+            groups = (checks for name, checks in TOPIC_CHECKS.items() if getattr(topic, name))
+            remarks += (remark for checks in groups for check in checks for remark in check(topic, spec, report))
+    warnings = [remark.text for remark in remarks if remark.label == "warning"]
+    return warnings, list(dict.fromkeys(remark.text for remark in remarks if remark.label == "note"))
 
 
-def compare_counts(
-    reader: Reader, routes: Collection[Route], options: ConvertOptions, report: Report
-) -> tuple[int | None, list[Damage]]:
-    """Compare how many messages were read with how many the sources declare, for each connection.
+def compare_counts(prepared: Preparation, routes: Collection[Route], report: Report) -> None:
+    """Compare how many messages were read with how many the sources declare, for each connection of a whole recording.
 
-    Parameters
-    ----------
-    reader, routes
-        The source, and its connections; all their messages have been read.
-    report
-        How many messages were read, and the damage that explains a difference.
-
-    Returns
-    -------
-    How many messages the sources declare (None: they do not, or only a part was read), and the damage of a difference
-    that nothing else explains; empty without one.
+    The report then has how many they declare, and the damage of a difference that nothing else explains.
 
     Raises
     ------
     DamageError
-        With ``strict``, instead of returning damage.
+        With ``strict``, if there is such a difference.
     """
-    if options.start is not None or options.end is not None:
-        return None, []
+    reader, options, read = prepared.reader, prepared.options, report.messages_read
     written = [route for route in routes if route.writes]
-    declared_counts = ((route.connection, route.connection.message_count, route.messages) for route in written)
-    counts = [(connection.topic, known, read) for connection, known, read in declared_counts if known is not None]
+    known = [(route.connection.topic, route.connection.message_count, route.messages) for route in written]
+    counts = [(topic, declared, own) for topic, declared, own in known if declared is not None]
     # MCAP's writers may omit the counts by channel, and store the sum.
     declared = reader.summary.message_count if len(written) == len(reader.connections) else None
     if declared is None and len(counts) == len(written):
         declared = sum(count for _, count, _ in counts)
-    if declared is None:
-        return None, []
-    messages_read = report.messages_read
-    lost = max(declared - messages_read, sum(max(0, count - read) for _, count, read in counts))
+    if declared is None or options.start is not None or options.end is not None:
+        return
+    report.messages_declared = declared
     details = count_details(counts)
-    if (declared == messages_read and not details) or any(damage.loses for damage in report.damage):
-        return declared, []
-    missing = (
-        f"declares {counted(declared, 'message')}, {messages_read:,} {agreeing(messages_read, 'were')} found{details}"
-    )
+    if (declared == read and not details) or any(damage.loses for damage in report.damage):
+        return
+    missing = f"declares {counted(declared, 'message')}, {read:,} {agreeing(read, 'were')} found{details}"
     if options.strict:
         raise DamageError(missing, path=reader.path, hint=RECOVER)
-    return declared, [Damage(missing, reader.path, messages_lost=max(0, lost))]
+    lost = max(0, declared - read, sum(max(0, count - own) for _, count, own in counts))
+    report.damage.append(Damage(missing, reader.path, messages_lost=lost))
 
 
 def refuse_nothing(report: Report) -> None:
@@ -519,33 +410,25 @@ def refuse_nothing(report: Report) -> None:
     ResultError
         The error names the most frequent reason.
     """
-    converted = report.converted
-    if any(topic.messages_out for topic in converted):
+    if any(topic.messages_out for topic in report.converted):
         return
-    read = sum(topic.messages_in for topic in converted)
-    if not read and report.damage:
-        place = report.damage[0]
-        error = f"no message was converted: there was none to convert in a damaged recording: {place.what}"
-        raise ResultError(error, path=place.path)
-    joined = [topic for topic in report.topics if topic.action == "joined" and topic.messages_in]
-    if not read and joined:
-        raise ResultError(
-            f"no message was converted: the leading topic has none, so those of "
-            f"{name_list([topic.topic for topic in joined])} are in no scan",
-            hint="name another topic first in `topics`; or check `start` and `end`",
-        )
-    if not read:
-        raise ResultError(
-            "no message was converted: there was none to convert", hint="check `topics`, `start` and `end`"
-        )
-    if not report.skipped:
-        raise ResultError("no message was converted")
-    reasons = Counter("" if entry.gap_ns else entry.reason for entry in report.skipped)
-    ((common, count),) = reasons.most_common(1)
-    # Of stamps without transforms the farthest: what helps it helps the others, too.
-    shown = max(report.skipped, key=lambda entry: entry.gap_ns if not common else entry.reason == common)
-    which = "" if count == len(report.skipped) else f", {count:,} of {read:,}"
-    raise ResultError(f"no message was converted: all were skipped{which}: {shown.reason}", hint=shown.hint or None)
+    read = sum(topic.messages_in for topic in report.converted)
+    joined = [topic.topic for topic in report.topics if topic.action == "joined" and topic.messages_in]
+    why, path, hint = "there was none to convert", None, "check `topics`, `start` and `end`"
+    if read:
+        reasons = Counter("" if entry.gap_ns else entry.reason for entry in report.skipped)
+        ((common, count),) = reasons.most_common(1)
+        # Of stamps without transforms the farthest: what helps it helps the others, too.
+        shown = max(report.skipped, key=lambda entry: entry.gap_ns if not common else entry.reason == common)
+        which = "" if count == len(report.skipped) else f", {count:,} of {read:,}"
+        why, hint = f"all were skipped{which}: {shown.reason}", shown.hint
+    elif report.damage:
+        why, hint = f"{why} in a damaged recording: {report.damage[0].what}", ""
+        path = report.damage[0].path
+    elif joined:
+        why = f"the leading topic has none, so those of {name_list(joined)} are in no scan"
+        hint = "name another topic first in `topics`; or check `start` and `end`"
+    raise ResultError(f"no message was converted: {why}", path=path, hint=hint or None)
 
 
 def refuse_unsatisfied(report: Report, options: ConvertOptions) -> None:
@@ -558,17 +441,11 @@ def refuse_unsatisfied(report: Report, options: ConvertOptions) -> None:
     """
     for topic in report.converted:
         if options.fail_on and topic.empty_scans:
-            raise ResultError(
-                f"{topic.empty_scans:,} of {counted(topic.messages_out, 'scan')} on {topic.target} "
-                f"{agreeing(topic.empty_scans, 'have')} no return "
-                f"(`fail_on={options.fail_on}`)"
-            )
+            raise ResultError(f"{_empty(topic)} (`fail_on={options.fail_on}`)")
         share = topic.points.used / topic.points.total if topic.points.total else 0.0
         if share < options.min_used:
-            raise ResultError(
-                f"{share:.3%} of the points of {topic.topic} are in the scans on {topic.target}, less than "
-                f"{options.min_used:.3%} (`min_used`)"
-            )
+            of = f"{share:.3%} of the points of {topic.topic} are in the scans on {topic.target}"
+            raise ResultError(f"{of}, less than {options.min_used:.3%} (`min_used`)")
     if options.fail_on != "warning":
         return
     if report.damage:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import time
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -15,7 +15,6 @@ from pc2scan.bags.damage import mention
 from pc2scan.bags.destinations import (
     check_to,
     default_destination,
-    default_storage,
     open_writer,
     plan_destination,
     source_form,
@@ -41,11 +40,10 @@ from pc2scan.files.staging import check_destination, staged_output
 from pc2scan.files.system import copying_to
 from pc2scan.files.urls import UrlPath, exists
 from pc2scan.progress import Meter
-from pc2scan.request.options import ConvertOptions
 from pc2scan.result import BEGINNING, Result, tell_early
 from pc2scan.threads import Threads, cores
 
-from .cloud_scale import scaled
+from .corrections import corrected_for, scaled
 from .engine import items_of
 from .first_clouds import count_by_index, judge_first
 from .items import Tally
@@ -55,7 +53,6 @@ from .recording import open_output, write_items
 from .report import Report
 from .result_checks import compare_counts, refuse_nothing, refuse_unsatisfied, result_findings
 from .source_checks import refuse_no_messages
-from .stamps import corrected_for
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Mapping, Sequence
@@ -63,11 +60,12 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.destinations import Destination
     from pc2scan.bags.reader import Reader
+    from pc2scan.files.ownership import InputPath
     from pc2scan.model import Writer
     from pc2scan.progress import Progress
+    from pc2scan.request.options import ConvertOptions
     from pc2scan.result import Failure
 
-    from .plan import Plan
     from .preparation import Preparation
     from .recording import OpenRecording
 
@@ -133,24 +131,45 @@ def run(
     """
     if not sources:
         raise UsageError("no source given")
-    this = _Run(sources, destination, options, output)
-    report, tell = this.report, partial(tell_early, this.report.warnings, warn)
-    with ExitStack() as stack, this.reporting():
-        reader, plan, target = this.open(stack, tell)
-        with this.writing(target, stack) as writer:
+    read = (*sources, *options.frames.tf_from)
+    inputs, states = inputs_of(sources, options.frames.tf_from, options.files), [state_of(path) for path in read]
+    report = Report([str(source) for source in sources], str(destination or ""), options.scans)
+    report.source_frame, report.dry_run = options.frames.source_frame, output.dry_run
+    report.warnings += options.notes
+    tell = partial(tell_early, report.warnings, warn)
+    with copying_to(output.scratch), _reporting(report, inputs, output), ExitStack() as stack:
+        readers = _open(stack, sources, destination, options, output)
+        reader = scaled(as_one(readers), options.cloud_scale)
+        if options.repair and reader.damage and not reader.connections:
+            damage = reader.damage[0]
+            raise DamageError(f"nothing of it can be recovered: {damage.what}", path=damage.path)
+        try:
+            plan = make_plan(reader.connections, options)
+        except TopicError as err:
+            mention(reader.damage, err)
+            raise
+        reader, notes = corrected_for(reader, plan, options)
+        report.add((), notes)
+        target = _target(reader, readers, sources[0], destination, options, output)
+        report.destination = str(target.path)
+        report.container, report.ros_version = target.format.name, target.ros_version
+        report.bytes_read = reader.summary.size_bytes
+        if readers[1:]:
+            tell(*overlap_warnings(readers))
+        tell(*plan.warnings, *request_warnings(options, reader.summary))
+        with _writing(target, inputs, output, report) as writer:
             span = span_of(reader, options)
             refuse_no_messages(reader, plan.converted, span.start_ns, span.stop_ns)
             meter = None if progress is None else Meter(progress)
             prepared = prepare(reader, plan, options, span, stack, tell, meter=meter)
             report.add((), prepared.notes)
-            recording = open_output(reader, plan, prepared, target, options, writer, report, tell)
+            recording = open_output(prepared, target, writer, report)
             tally = Tally(recording.routes, strict=options.strict)
             report.skipped = tally.skipped
-            judge_first(reader, recording.routes, prepared, report, tell, tally if writer is None else None)
+            judge_first(recording.routes, prepared, report, tally if writer is None else None)
             if writer is None:
                 tally.finish()
-                report.ways = [words for route in plan.routes for words in route.words]
-                count_by_index(reader, recording, prepared, report)
+                count_by_index(recording.routes, prepared, report)
                 return report
             jobs = options.jobs or cores()
             threads = stack.enter_context(Threads(jobs)) if jobs > 1 else None
@@ -166,193 +185,138 @@ def run(
                 report.messages_read = tally.messages
             tally.finish()
             tell(*(label + text for label, seen in prepared.surroundings for text in seen.warnings()))
-            this.refuse_changed()
-            _judge(reader, plan, prepared, recording, target, options, report)
+            for path, state in zip(read, states, strict=True):
+                # The result may mix its old and new bytes.
+                if state_of(path) != state:
+                    raise changed_while_read(path)
+            _judge(prepared, recording, target, report)
     return report
 
 
 def report_failure(
     failure: Failure, sources: Sequence[Path], output: OutputOptions, also_read: Mapping[str, Path]
 ) -> None:
-    """Write the report of a run that failed before its options were known."""
-    _Run(sources, None, ConvertOptions(files=also_read), output).deliver_failure(failure)
+    """Write the report of a run that failed, if possible; the error itself is raised in any case."""
+    _deliver(failure, inputs_of(sources, (), also_read), output)
 
 
-class _Run:
-    """A run: its sources, its destination, which is None until it is known, its options and its report."""
-
-    def __init__(
-        self, sources: Sequence[Path], destination: Path | None, options: ConvertOptions, output: OutputOptions
-    ) -> None:
-        self.sources, self.destination = sources, destination
-        self.options, self.output = options, output
-        self.report = Report([str(source) for source in sources], str(destination or ""), options.scans)
-        self.report.source_frame = options.frames.source_frame
-        self.report.warnings += options.notes
-        self._read = (*sources, *options.frames.tf_from)
-        self._inputs = inputs_of(sources, options.frames.tf_from, options.files)
-        self._states = [state_of(path) for path in self._read]
-        self._write_report: Callable[[str], None] | None = None
-
-    @contextmanager
-    def reporting(self) -> Generator[None]:
-        """Write the report at the end, also after an error. If that fails, the recording stays, with a warning."""
-        report = self.report
-        began = time.monotonic()
-        try:
-            yield
-        except Exception as err:
-            report.errors = [err if isinstance(err, Pc2ScanError) else Pc2ScanError(f"{type(err).__name__}: {err}")]
-            report.seconds = round(time.monotonic() - began, 3)
-            self.deliver_failure(report)
-            raise
+@contextmanager
+def _reporting(report: Report, inputs: Sequence[InputPath], output: OutputOptions) -> Generator[None]:
+    """Write the report at the end, also after an error. If that fails, the recording stays, with a warning."""
+    began = time.monotonic()
+    try:
+        yield
+    except Exception as err:
+        report.errors = [err if isinstance(err, Pc2ScanError) else Pc2ScanError(f"{type(err).__name__}: {err}")]
         report.seconds = round(time.monotonic() - began, 3)
-        if self._write_report is not None:
-            try:
-                self._write_report(report.as_json())
-            except (DestinationError, OutputError) as err:
-                report.undelivered = True
-                report.warnings.append(f"{err.path}: the report is not written: {err.message}; {report.destination} is")
+        _deliver(report, inputs, output)
+        raise
+    report.seconds = round(time.monotonic() - began, 3)
+    if (refusal := _deliver(report, inputs, output)) is not None:
+        report.undelivered = True
+        why = f"the report is not written: {refusal.message}; {report.destination} is{'; ' * bool(refusal.hint)}"
+        report.warnings.append(f"{refusal.path}: {why}{refusal.hint or ''}")
 
-    def deliver_failure(self, report: Result) -> None:
-        """Write the report of a run that failed, if possible; the error itself is raised in any case."""
-        path = self.output.report
-        # The error may be that this file cannot be written.
-        if path is None or self.output.dry_run or any(error.path == path for error in report.errors):
-            return
-        with suppress(DestinationError, OutputError), ExitStack() as stack:
-            if self._write_report is None:
-                self._open_report(stack)
-            if self._write_report is not None:
-                self._write_report(report.as_json())
 
-    def open(self, stack: ExitStack, tell: Callable[..., None]) -> tuple[Reader, Plan, Destination]:
-        """Open the sources, plan the conversion, and decide the destination; the report then has what they say.
+def _deliver(report: Result, inputs: Sequence[InputPath], output: OutputOptions) -> Pc2ScanError | None:
+    """Write the report; return the error if that fails. Nothing is written over an input."""
+    path = output.report
+    # The error of a failed run may be that this file cannot be written.
+    if path is None or output.dry_run or any(error.path == path for error in report.errors):
+        return None
+    try:
+        refuse_overlap(inputs, [OutputPath(path, "`report`")])
+        with file_output(path, beginning=BEGINNING, overwrite=output.overwrite) as write:
+            write(report.as_json())
+    except (DestinationError, OutputError) as err:
+        return err
+    return None
 
-        Errors about missing topics mention damage. ``stack`` closes the sources, and ``tell`` is called with warnings.
-        """
-        options, output, report = self.options, self.output, self.report
-        places = (*self._read, self.destination, output.folder)
-        if output.scratch is not None and not any(isinstance(path, UrlPath) for path in places):
-            raise UsageError("`scratch` has no effect: no source and no destination is a URL")
-        stack.enter_context(copying_to(output.scratch))
-        if self.destination is not None and any(isinstance(path, UrlPath) for path in self._read):
-            # Before anything is fetched.
-            check_destination(self.destination, overwrite=output.overwrite, record_in=recorded_in)
-        if len(self.sources) > 1 and self.destination is None and output.folder is None:
-            _refuse_missing_destination(self.sources)
-        readers = open_recordings(self.sources, stack, strict=options.strict)
-        reader = scaled(as_one(readers), options.cloud_scale)
-        damage = reader.damage
-        if options.repair and damage and not reader.connections:
-            raise DamageError(f"nothing of it can be recovered: {damage[0].what}", path=damage[0].path)
+
+def _open(
+    stack: ExitStack, sources: Sequence[Path], destination: Path | None, options: ConvertOptions, output: OutputOptions
+) -> Sequence[Reader]:
+    """Open the sources, which ``stack`` closes; what forbids the destination is said before anything is fetched."""
+    read = (*sources, *options.frames.tf_from)
+    if destination is not None and any(isinstance(path, UrlPath) for path in read):
+        check_destination(destination, overwrite=output.overwrite, record_in=recorded_in)
+    *others, last = sources
+    if others and destination is output.folder is None and not exists(last) and all(map(exists, others)):
+        # It may be meant as the destination, as with `cp`.
+        hint = f"did you mean `destination={shlex.quote(str(last))}`?"
+        raise MissingError("does not exist", path=last, hint=hint)
+    return open_recordings(sources, stack, strict=options.strict)
+
+
+def _target(
+    reader: Reader,
+    readers: Sequence[Reader],
+    source: Path,
+    path: Path | None,
+    options: ConvertOptions,
+    output: OutputOptions,
+) -> Destination:
+    """Decide the destination's name and format; a repaired recording has its source's if its name allows it."""
+    summaries = [opened.summary for opened in readers]
+    is_named = path is not None and not output.like_source
+    if path is None:
+        mark = "_repaired" if options.repair else "_clouds" if options.no_scans else "_scan"
+        path = default_destination(source, summaries[0].container, mark, folder=output.folder, to=output.to)
+    if output.to is not None:
+        check_to(path, output.to)
+    # None for a source without ROS messages.
+    ros_version = next((each.ros_version for each in reader.connections if each.ros_version is not None), None)
+    storage, compression = source_form(path, summaries) if options.repair or not is_named else (None, None)
+    keeps_compression = options.repair and output.storage in (None, storage)
+    names_directory = output.to is not None and destinations()[output.to].is_directory
+    target = plan_destination(
+        path,
+        storage=output.storage or storage,
+        compression=output.compression or (compression if keeps_compression else None),
+        profile=output.profile,
+        source_ros_version=ros_version,
+        is_directory=not is_named or output.storage is not None or names_directory,
+    )
+    # A recording without ROS messages has no ROS profile.
+    if options.repair and ros_version is None and target.format.profiles and output.profile is None:
+        return target._replace(profile=summaries[0].profile)
+    return target
+
+
+@contextmanager
+def _writing(
+    target: Destination, inputs: Sequence[InputPath], output: OutputOptions, report: Report
+) -> Generator[Writer | None]:
+    """Open the destination's writer, and finish the recording, or abort it after an error; None in a dry run."""
+    outputs = [OutputPath(target.path), *([OutputPath(output.report, "`report`")] if output.report else [])]
+    refuse_overlap(inputs, outputs)
+    if output.report is not None:
         try:
-            plan = make_plan(reader.connections, options)
-        except TopicError as err:
-            mention(damage, err)
-            raise
-        reader, notes = corrected_for(reader, plan, options)
-        report.add((), notes)
-        target = self._target(reader, readers)
-        report.destination = str(target.path)
-        report.container, report.ros_version = target.format.name, target.ros_version
-        report.bytes_read, report.dry_run = reader.summary.size_bytes, output.dry_run
-        if readers[1:]:
-            tell(*overlap_warnings(readers))
-        tell(*plan.warnings, *request_warnings(options, reader.summary))
-        return reader, plan, target
-
-    def _target(self, reader: Reader, readers: Sequence[Reader]) -> Destination:
-        """Decide the destination's name and format; a repaired recording has its source's if its name allows it."""
-        options, output = self.options, self.output
-        summaries = [opened.summary for opened in readers]
-        is_named = self.destination is not None and not output.like_source
-        if self.destination is None:
-            mark = "_repaired" if options.repair else "_clouds" if options.no_scans else "_scan"
-            first = self.sources[0], summaries[0].container
-            self.destination = default_destination(*first, mark, folder=output.folder, to=output.to)
-        path = self.destination
-        if output.to is not None:
-            check_to(path, output.to)
-        # None for a source without ROS messages.
-        ros_version = next((each.ros_version for each in reader.connections if each.ros_version is not None), None)
-        storage = None if is_named else default_storage(path, summaries)
-        compression = None
-        if options.repair:
-            storage, compression = source_form(path, summaries)
-        names_directory = output.to is not None and destinations()[output.to].is_directory
-        target = plan_destination(
-            path,
-            storage=output.storage or storage,
-            compression=output.compression or (compression if output.storage in (None, storage) else None),
-            profile=output.profile,
-            source_ros_version=ros_version,
-            is_directory=not is_named or output.storage is not None or names_directory,
-        )
-        # A recording without ROS messages has no ROS profile.
-        if options.repair and ros_version is None and target.format.profiles and output.profile is None:
-            return target._replace(profile=summaries[0].profile)
-        return target
-
-    @contextmanager
-    def writing(self, target: Destination, stack: ExitStack) -> Generator[Writer | None]:
-        """Open the destination's writer, and finish the recording, or abort it after an error; None in a dry run."""
-        output = self.output
-        if output.folder is not None and not output.dry_run:
-            stack.enter_context(output_folder(output.folder))
-        self._open_report(stack)
-        if output.dry_run:
-            check_destination(target.path, overwrite=output.overwrite, record_in=recorded_in, folder=output.folder)
-            yield None
-            return
-        with staged_output(target.path, overwrite=output.overwrite, record_in=recorded_in) as unfinished:
-            writer = open_writer(target, unfinished, target.path.name)
-            try:
-                yield writer
-                writer.finish()
-            except BaseException:
-                writer.abort()
-                raise
-            self.report.bytes_written = _size_on_disk(unfinished)
-
-    def _open_report(self, stack: ExitStack) -> None:
-        """Open the report's file; raise if that cannot be done, or if an input would be overwritten.
-
-        In a dry run, it is only checked that the file can be written.
-        """
-        output, path = self.output, self.output.report
-        report = [] if path is None else [OutputPath(path, "`report`")]
-        destination = [] if self.destination is None else [OutputPath(self.destination)]
-        refuse_overlap(self._inputs, [*destination, *report])
-        if path is None:
-            return
-        try:
-            if output.dry_run:
-                check_file_output(path, beginning=BEGINNING, overwrite=output.overwrite)
-            else:
-                written = file_output(path, beginning=BEGINNING, overwrite=output.overwrite)
-                self._write_report = stack.enter_context(written)
+            check_file_output(output.report, beginning=BEGINNING, overwrite=output.overwrite)
         except (DestinationError, OutputError) as err:
             err.message = f"the report cannot be written there: {err.message}"
             raise
+    if output.dry_run:
+        check_destination(target.path, overwrite=output.overwrite, record_in=recorded_in, folder=output.folder)
+        yield None
+        return
+    with ExitStack() as stack:
+        if output.folder is not None:
+            stack.enter_context(output_folder(output.folder))
+        unfinished = stack.enter_context(staged_output(target.path, overwrite=output.overwrite, record_in=recorded_in))
+        writer = open_writer(target, unfinished, target.path.name)
+        try:
+            yield writer
+            writer.finish()
+        except BaseException:
+            writer.abort()
+            raise
+        report.bytes_written = _size_on_disk(unfinished)
 
-    def refuse_changed(self) -> None:
-        """Raise if a source changed during the run: the result may mix its old and new bytes."""
-        for source, state in zip(self._read, self._states, strict=True):
-            if state_of(source) != state:
-                raise changed_while_read(source)
 
-
-def _judge(
-    reader: Reader,
-    plan: Plan,
-    prepared: Preparation,
-    recording: OpenRecording,
-    target: Destination,
-    options: ConvertOptions,
-    report: Report,
-) -> None:
+def _judge(prepared: Preparation, recording: OpenRecording, target: Destination, report: Report) -> None:
     """Add to the report what the result and its sources show; raise if the result is of no use."""
+    reader, options = prepared.reader, prepared.options
     report.add(reader.remarks)
     report.damage += [damage for each in (reader, *prepared.others) for damage in each.damage]
     report.add(*result_findings(report, recording.first_scans, target.serialization))
@@ -363,26 +327,16 @@ def _judge(
         if each.stamps.is_far and each.spec is not None and not (each.spec.fixed_frame or each.spec.imu)
     }
     if far and not options.clock:
-        doubtful = [each for each in plan.converted if each.topic in far]
+        doubtful = [each for each in prepared.plan.converted if each.topic in far]
         survey = Survey(reader, (), options.frames, prepared.span)
         clocks = Clocks(survey, survey.topics(doubtful).values())
         survey.read()
         report.add(clocks.warnings())
-    routes = recording.routes.values()
-    report.messages_declared, difference = compare_counts(reader, routes, options, report)
-    report.damage += difference
-    if plan.specs:
+    compare_counts(prepared, recording.routes.values(), report)
+    if prepared.plan.specs:
         refuse_nothing(report)
     if not options.repair:
         refuse_unsatisfied(report, options)
-
-
-def _refuse_missing_destination(sources: Sequence[Path]) -> None:
-    """Raise if the last of several sources does not exist: it may be meant as the destination, as with `cp`."""
-    *others, last = sources
-    if exists(last) or not all(map(exists, others)):
-        return
-    raise MissingError("does not exist", path=last, hint=f"did you mean `destination={shlex.quote(str(last))}`?")
 
 
 def _size_on_disk(path: Path) -> int:

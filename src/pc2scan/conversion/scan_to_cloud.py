@@ -10,20 +10,16 @@ from pc2scan.core.timing import IN_SECONDS, LONGEST
 from pc2scan.core.unproject import UnprojectParams, deskew, last_beam_ns
 from pc2scan.errors import DecodeError, stamp_text
 from pc2scan.messages.beams import unproject_scan
-from pc2scan.messages.clouds import SCANS
-from pc2scan.messages.laserscan import LASERSCAN, LaserScan
-from pc2scan.messages.pointcloud2 import encode_cloud, structured_cloud
+from pc2scan.messages.pointcloud2 import structured_cloud
 
-from .steps import Conversion, ConvertedMessage, Steps
+from .steps import ConvertedMessage, Steps
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from pc2scan.model import Buffer
+    from pc2scan.messages.laserscan import LaserScan
     from pc2scan.transforms.placing import Placer
 
 
-class ScanToCloud(Conversion):
+class ScanToCloud:
     """Converts LaserScan to PointCloud2, as upstream's laserscan_to_pointcloud_node.cpp does with laser_geometry.
 
     Parameters
@@ -34,23 +30,12 @@ class ScanToCloud(Conversion):
         The recording's transforms.
     deskewed
         Whether every beam is transformed by the pose at its own time instead of the scan's stamp.
-    echo
-        Which echo of each beam is used, if there are several.
     """
 
-    encode = encode_cloud
-
-    def __init__(
-        self, channels: UnprojectParams | None, placer: Placer, *, deskewed: bool = False, echo: str = "first"
-    ) -> None:
+    def __init__(self, channels: UnprojectParams | None, placer: Placer, *, deskewed: bool = False) -> None:
         self.channels = channels
         self.placer = placer
         self._deskewed = deskewed
-        self._echo = echo
-
-    def decoder(self, source: str, source_type: str) -> Callable[[Buffer], LaserScan]:
-        """Return the decoder of scans; see `Conversion`."""
-        return SCANS[source_type or LASERSCAN](source, self._echo)
 
     def steps(self, topic: str) -> Steps:  # noqa: ARG002
         """Return the only step, which is the same for all topics; see `Conversion`."""

@@ -53,20 +53,27 @@ def check_given_frames(
         clouds, which no transform has.
     """
     frames = [frame.removeprefix("/") for frame in dict.fromkeys(own) if frame]
-    if asked.source_frame:
-        known = robot if buffer is None else buffer
-        yield from _source_doubts(asked.source_frame.removeprefix("/"), frames, known)
-        frames = [asked.source_frame.removeprefix("/")]
+    if source := asked.source_frame.removeprefix("/"):
+        transforms = robot if buffer is None else buffer
+        known = dict.fromkeys((*(() if transforms is None else transforms.frames), *frames))
+        if source not in known and (meant := did_you_mean(source, known)):
+            yield (
+                f"`source_frame` is {source!r}, which neither a cloud nor a transform of the recording has (the clouds "
+                f"are in {name_list(frames, _MOST_NAMES) or 'no frame'}); {meant}"
+            )
+        frames = [source]
     if buffer is None:
         return
     for static in asked.static:
         _refuse_loop(static, buffer)
     targets = {spec.params.target_frame.removeprefix("/") for spec in plan.specs} - {""}
-    named = {name.removeprefix("/") for spec in plan.specs for name in _further_frames(spec)} - {""}
-    used = {name for frame in (*frames, *targets, *named) for name in _upwards(buffer, frame)}
+    named = {frame.removeprefix("/") for spec in plan.specs for frame in spec.frames}
+    used = {name for frame in (*frames, *named) for name in _upwards(buffer, frame)}
+    if asked.write_static or not frames or any(spec.imu for spec in plan.specs):
+        return
     for static in asked.static:
         child = static.child.removeprefix("/")
-        if child not in used and frames and not (asked.write_static or any(spec.imu for spec in plan.specs)):
+        if child not in used:
             near = nearest(child, frames)
             text = (
                 f"`static_tf` from {static.parent} to {static.child} has no effect: the clouds are in "
@@ -76,28 +83,6 @@ def check_given_frames(
                 # Nothing could be placed.
                 raise UsageError(text, hint=f"did you mean `static_tf='{static_text(static.parent, near, static)}'`?")
             yield text + (f"; did you mean {near}?" if near else "")
-
-
-def _source_doubts(source: str, frames: Sequence[str], buffer: TransformBuffer | None) -> Iterator[str]:
-    if source in frames:
-        if len(frames) == 1:
-            yield f"`source_frame` has no effect: the clouds are in {source} already"
-        return
-    known = dict.fromkeys((*(() if buffer is None else buffer.frames), *frames))
-    if source in known:
-        return
-    near = did_you_mean(source, known)
-    if near:
-        names = name_list(frames, _MOST_NAMES)
-        yield (
-            f"`source_frame` is {source!r}, which neither a cloud nor a transform of the recording has "
-            f"({'the clouds are in ' + names if names else 'the clouds have no frame'}); {near}"
-        )
-
-
-def _further_frames(spec: ScanSpec) -> Iterable[str]:
-    """Return the fixed frame of an output, and those of its filters."""
-    return (spec.fixed_frame, *(each.frame for each in spec.filters if isinstance(each.frame, str)))
 
 
 def _upwards(buffer: TransformBuffer, frame: str) -> list[str]:
@@ -144,15 +129,13 @@ def check_fixed_frame(source: str, spec: ScanSpec, buffer: TransformBuffer) -> l
             f"`fixed_frame` is {fixed!r}, which is in no transform; {frames_text(buffer.frames)}",
             hint=f"{near}{'' if near.endswith('?') or not near else ';'} {advice}".strip(),
         )
-    frame = spec.params.target_frame or source
-    frame = frame.removeprefix("/")
+    frame = (spec.params.target_frame or source).removeprefix("/")
     if not frame or not buffer.is_rigid(fixed, frame):
         return []
     if fixed == frame and find_body_motion(buffer, fixed, source):
         return []  # the target frame itself is wrong, which another warning says
     which = "the frame of the scans itself" if fixed == frame else f"and {frame} never moves in it"
-    offered = _offered(buffer, fixed)
-    advice = offered or "the recording has no transform that moves; `tf_from` adds the odometry of another one"
+    advice = _offered(buffer, fixed) or "no recorded transform moves; `tf_from` adds the odometry of another recording"
     return [f"`fixed_frame` is {fixed}, {which}: no point is moved; {advice}"]
 
 

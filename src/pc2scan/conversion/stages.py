@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -14,8 +14,6 @@ from pc2scan.request.filters import Frame
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-    from numpy.typing import NDArray
 
     from pc2scan.core.moving import MovingTransform
     from pc2scan.core.points import Points
@@ -95,23 +93,8 @@ class PlaceStage:
         return PlacedCloud(moving.points, moving.stamp_ns, place, moving, moving.transform, _NOTHING, points)
 
 
-class SelectedPoints(NamedTuple):
-    """The selected points, the transform that is still to be applied, and how many points each filter rejected."""
-
-    points: Points
-    transform: Rigid | MovingTransform | None
-    rejected: dict[str, int]
-
-
-class _RemainingPoints:
-    """The points that are kept so far, in each frame that a filter needed."""
-
-    def __init__(self, points: Points) -> None:
-        self.by_frame: dict[Frame | str, Points] = {Frame.SOURCE: points}
-
-    def keep(self, kept: NDArray[np.bool_]) -> None:
-        """Keep only these points."""
-        self.by_frame = {frame: points.select(kept) for frame, points in self.by_frame.items()}
+#: The selected points, the transform that is still to be applied, and how many points each filter rejected.
+Selected: TypeAlias = "tuple[Points, Rigid | MovingTransform | None, dict[str, int]]"
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +130,7 @@ class SelectStage:
         points, transform, rejected = self.apply(points, placed.place, placed.moving)
         return replace(placed, points=points, transform=transform, rejected=rejected)
 
-    def apply(self, points: Points, place: Placement, moving: MovingCloud | None = None) -> SelectedPoints:
+    def apply(self, points: Points, place: Placement, moving: MovingCloud | None = None) -> Selected:
         """Select points of a cloud.
 
         Parameters
@@ -167,50 +150,39 @@ class SelectStage:
             If there is no transform to a filter's frame at the cloud's stamp.
         """
         rejected = {chosen.name: 0 for chosen in self.filters}
-        seen = _RemainingPoints(points)
+        # The points that are kept so far, in each frame that a filter needed.
+        seen: dict[Frame | str, Points] = {Frame.SOURCE: points}
         steps = [(chosen.frame, chosen) for chosen in self.filters]
         if moving is not None:
             steps.sort(key=lambda step: step[0] is Frame.TARGET)
         else:
             steps = [(Frame.TARGET if frame == place.frame_id else frame, chosen) for frame, chosen in steps]
         for frame, chosen in steps:
-            if frame not in seen.by_frame:
-                try:
-                    self._place(seen, frame, place, moving, rejected)
-                except UnconnectedError as err:
-                    if isinstance(frame, str):
-                        err.message = f"the frame of `{chosen.name}`: {err.message}"
-                    raise
+            if frame is Frame.TARGET and frame not in seen and moving is not None:
+                seen[frame], placed, lost = moving.place(seen[Frame.SOURCE])
+                rejected.update(lost)
+                seen = seen if placed is None else {each: own.select(placed) for each, own in seen.items()}
+            elif frame not in seen:
+                seen[frame] = self._placed(seen[Frame.SOURCE], frame, place, chosen.name)
             with np.errstate(all="ignore"):
-                mask = chosen(seen.by_frame[frame])
+                mask = chosen(seen[frame])
             if mask.dtype != np.bool_:
                 raise TypeError(f"the filter {chosen.name} returned {mask.dtype}, expected bool")
             if count := mask.size - int(np.count_nonzero(mask)):
                 rejected[chosen.name] += count
-                seen.keep(mask)
-        if Frame.TARGET in seen.by_frame:
-            return SelectedPoints(seen.by_frame[Frame.TARGET], None, rejected)
-        kept = seen.by_frame[Frame.SOURCE]
-        return SelectedPoints(kept, place.target_from_source if moving is None else moving.transform_of(kept), rejected)
+                seen = {each: own.select(mask) for each, own in seen.items()}
+        if Frame.TARGET in seen:
+            return seen[Frame.TARGET], None, rejected
+        kept = seen[Frame.SOURCE]
+        return kept, place.target_from_source if moving is None else moving.transform_of(kept), rejected
 
-    def _place(
-        self,
-        seen: _RemainingPoints,
-        frame: Frame | str,
-        place: Placement,
-        moving: MovingCloud | None,
-        rejected: dict[str, int],
-    ) -> None:
-        """Place the remaining points in another frame, and count those that have no place there."""
-        points = seen.by_frame[Frame.SOURCE]
-        if moving is not None and frame is Frame.TARGET:
-            seen.by_frame[frame], kept, lost = moving.place(points)
-            rejected.update(lost)
-            if kept is not None:
-                seen.keep(kept)
-            return
+    def _placed(self, points: Points, frame: Frame | str, place: Placement, name: str) -> Points:
+        """Return points in the frame of a filter."""
+        frame_id, transform, _ = place
         if isinstance(frame, str):
-            name, transform = frame, self.placer.transform(frame, points.frame_id, points.stamp_ns)
-        else:
-            name, transform, _ = place
-        seen.by_frame[frame] = points if transform is None else points.transform(transform.as_float32(), name)
+            try:
+                frame_id, transform = frame, self.placer.transform(frame, points.frame_id, points.stamp_ns)
+            except UnconnectedError as err:
+                err.message = f"the frame of `{name}`: {err.message}"
+                raise
+        return points if transform is None else points.transform(transform.as_float32(), frame_id)

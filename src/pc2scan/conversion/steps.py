@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
+
+from pc2scan.messages.clouds import CLOUDS, SCANS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -61,33 +62,17 @@ def as_it_is(value: Any) -> Any:
     return value
 
 
-class Conversion(ABC):
+class Conversion(Protocol):
     """A conversion between two kinds of messages: clouds to scans, scans to clouds, or scans to scans.
 
     Attributes
     ----------
-    encode
-        Serialises a new message as ``ros1`` or ``cdr``.
     placer
         The recording's transforms.
     """
 
-    encode: ClassVar[Callable[[Any, str], bytes]]
     placer: Placer
 
-    @abstractmethod
-    def decoder(self, source: str, source_type: str) -> Callable[[Buffer], Any]:
-        """Return the decoder of messages; conversions of one direction share it.
-
-        Parameters
-        ----------
-        source
-            The serialisation of the messages: ``ros1`` or ``cdr``.
-        source_type
-            Their ROS type; empty for the usual type of this direction.
-        """
-
-    @abstractmethod
     def steps(self, topic: str) -> Steps:
         """Return what is done with the decoded messages of one topic.
 
@@ -95,12 +80,17 @@ class Conversion(ABC):
         their work on each message.
         """
 
-    def serialise(self, serialization: str, result: ConvertedMessage) -> ConvertedMessage:
-        """Do the last step of a consumer that writes: replace arrays by their form in ``ros1`` or ``cdr``."""
-        # Of the class: a function that is read from an instance would be bound to it.
-        result.message = type(self).encode(result.message, serialization)
-        result.size = len(result.message)
-        if result.used is not None:
-            result.used = result.used.encode(serialization)
-            result.size += len(result.used)
-        return result
+
+def decoder_of(msgtype: str, serialization: str, echo: str = "first") -> Callable[[Buffer], Any]:
+    """Return the decoder of a type of clouds or scans; ``echo`` chooses among several echoes of a beam."""
+    return SCANS[msgtype](serialization, echo) if msgtype in SCANS else CLOUDS[msgtype](serialization)
+
+
+def serialised(encode: Callable[[Any, str], bytes], serialization: str, result: ConvertedMessage) -> ConvertedMessage:
+    """Do the last step of a consumer that writes: replace arrays by their form in ``ros1`` or ``cdr``."""
+    result.message = encode(result.message, serialization)
+    result.size = len(result.message)
+    if result.used is not None:
+        result.used = result.used.encode(serialization)
+        result.size += len(result.used)
+    return result

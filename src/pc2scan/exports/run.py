@@ -9,7 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.opening import as_one, open_recordings
-from pc2scan.conversion.stamps import corrected_transforms
+from pc2scan.conversion.corrections import corrected_transforms
 from pc2scan.errors import (
     DestinationError,
     MessageError,

@@ -18,7 +18,7 @@ from pc2scan.bags.destinations import default_destination
 from pc2scan.bags.observers import Observer
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics
-from pc2scan.conversion.cloud_scale import scaled
+from pc2scan.conversion.corrections import scaled
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError, leading
 from pc2scan.messages.clouds import CLOUDS, SCANS, usual_topics

@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING
 from pc2scan.bags.damage import mention
 from pc2scan.bags.observers import Observer, Spread, observing
 from pc2scan.bags.opening import as_one, open_recordings
-from pc2scan.conversion.cloud_scale import scaled
+from pc2scan.conversion.corrections import corrected_transforms, scaled
 from pc2scan.conversion.preparation import prepare, span_of
 from pc2scan.conversion.source_checks import refuse_outside
-from pc2scan.conversion.stamps import corrected_transforms
 from pc2scan.errors import TopicError, UsageError, stamp_text
 from pc2scan.model import RawMessage, copied_message
 from pc2scan.result import tell_early

@@ -14,9 +14,9 @@ from pc2scan.advice.checks import found_by
 from pc2scan.advice.measurements import Measurements
 from pc2scan.bags.topics import by_topic
 from pc2scan.conversion.cloud_to_scan import CloudToScan
+from pc2scan.conversion.corrections import corrected_for
 from pc2scan.conversion.plan import make_plan
 from pc2scan.conversion.stages import PlaceStage, SelectStage
-from pc2scan.conversion.stamps import corrected_for
 from pc2scan.core.points import NUMBER
 from pc2scan.core.rule import PointCounts
 from pc2scan.core.scene import CloudSample, are_enough

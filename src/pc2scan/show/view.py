@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from html import escape
 from typing import TYPE_CHECKING, ClassVar
 
-from pc2scan.conversion.stamps import corrected
+from pc2scan.conversion.corrections import corrected
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import Pc2ScanError, UsageError, leading
 from pc2scan.files.outputs import file_output

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pc2scan.advice.checks import request_warnings
+from pc2scan.conversion.corrections import corrected_for
 from pc2scan.conversion.first_clouds import judge_first
 from pc2scan.conversion.plan import make_plan
 from pc2scan.conversion.preparation import prepare, span_of
 from pc2scan.conversion.recording import open_routes
 from pc2scan.conversion.report import Report
 from pc2scan.conversion.result_checks import result_findings
-from pc2scan.conversion.stamps import corrected_for
 from pc2scan.core.unproject import UnprojectParams, unproject
 from pc2scan.errors import stamp_text, visible
 from pc2scan.messages.clouds import CLOUDS
@@ -225,7 +225,7 @@ class Scans(Stream[Scan]):
         report.add((), (*notes, *prepared.notes))
         self.notes = tuple(report.notes)
         routes, report.topics = open_routes(plan, prepared.conversions, finish=_as_in_message)
-        judge_first(reader, routes, prepared, report, partial(tell_early, report.warnings, None))
+        judge_first(routes, prepared, report)
 
         def conclude() -> None:
             report.add([label + text for label, seen in prepared.surroundings for text in seen.warnings()])

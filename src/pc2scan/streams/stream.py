@@ -14,14 +14,13 @@ import numpy as np
 from pc2scan.bags.damage import mention
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import by_topic, find_topics, short_types, types_by_topic
-from pc2scan.conversion.cloud_scale import scaled
+from pc2scan.conversion.corrections import corrected, scaled
 from pc2scan.conversion.engine import items_of
 from pc2scan.conversion.items import Tally
 from pc2scan.conversion.plan import Output, Route
 from pc2scan.conversion.preparation import span_of
 from pc2scan.conversion.report import TopicReport
 from pc2scan.conversion.source_checks import refuse_no_messages
-from pc2scan.conversion.stamps import corrected
 from pc2scan.conversion.steps import ConvertedMessage, as_it_is
 from pc2scan.core.rule import NO_POINTS
 from pc2scan.errors import NothingToConvertError, Pc2ScanError, RecordingWarning, TopicError, name_list, visible
@@ -267,7 +266,7 @@ class Stream(ABC, Generic[Item]):
         span = span_of(reader, options)
         if options.clock:
             wanted = [connection for connections in chosen.values() for connection in connections]
-            reader, notes = corrected(reader, wanted, options.clock, (), start_ns=span.start_ns, stop_ns=span.stop_ns)
+            reader, notes = corrected(reader, wanted, options.clock, (), span)
             self.notes = tuple(notes)
         routes = {}
         for topic, connections in chosen.items():

@@ -7,11 +7,13 @@ that of the last message of its topics, whatever else was recorded later.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import closing
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pc2scan.conversion.items import Item
+from pc2scan.conversion.steps import as_it_is
 from pc2scan.errors import MessageError
 from pc2scan.model import StoredChunk
 from pc2scan.threads import InOrder
@@ -19,7 +21,7 @@ from pc2scan.threads import InOrder
 from .conversion import Contribution
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterable
+    from collections.abc import Generator, Iterable
 
     from pc2scan.conversion.plan import Output, Route
     from pc2scan.conversion.report import TopicReport
@@ -27,20 +29,18 @@ if TYPE_CHECKING:
     from pc2scan.threads import Threads
 
     from .conversion import MessagesToScan
-    from .grouping import Group
-    from .rules import SourceMessage
+    from .grouping import Group, Grouper
 
 #: Bytes that may wait for each thread to be written.
 _AHEAD_BYTES = 6 << 20
 
 
-class Arrival(NamedTuple):
-    """A message for a scan: its route, the output of the scan if this message leads it, and the sequence number."""
+#: What another thread may do, or the caller's: the function that makes an item, its size in bytes, and whether it takes
+#: longer than handing it to another thread.
+Work: TypeAlias = tuple[Callable[[], "Item | StoredChunk"], int, bool]
 
-    route: Route
-    output: Output
-    contribution: Contribution
-    sequence: int
+#: A message for a scan: its route, the output of the scan if this message leads it, itself, and the sequence number.
+Arrival: TypeAlias = tuple["Route", "Output", Contribution, int]
 
 
 class Combiner:
@@ -50,6 +50,8 @@ class Combiner:
     ----------
     conversion
         The conversion of the messages.
+    grouper
+        Groups them.
     last
         The consumer's last step with each scan.
 
@@ -59,48 +61,49 @@ class Combiner:
         The report's entry of each topic, by the topic's number. All publishers of a topic share one.
     """
 
-    def __init__(self, conversion: MessagesToScan, last: Callable[[ConvertedMessage], ConvertedMessage]) -> None:
-        if conversion.grouper is None:
-            raise ValueError("each message is a scan by itself")
+    def __init__(
+        self, conversion: MessagesToScan, grouper: Grouper, last: Callable[[ConvertedMessage], ConvertedMessage]
+    ) -> None:
         self.reports: dict[int, TopicReport] = {}
         self._conversion = conversion
         self._last = last
-        self._grouper = conversion.grouper()
+        self._grouper = grouper
+        self._last_ns = 0
 
-    def add(self, arrival: Arrival, log_time_ns: int) -> list[Group]:
-        """Take a message, and return the groups that are complete now."""
-        contribution = arrival.contribution
-        return self._grouper.add(contribution.source, contribution.stamp_ns, log_time_ns, contribution.size, arrival)
+    def add(self, arrival: Arrival, log_time_ns: int) -> list[Work]:
+        """Take a message, and return how the scans are made that are complete now."""
+        self._last_ns, message = log_time_ns, arrival[2]
+        groups = self._grouper.add(message.source, message.stamp_ns, log_time_ns, message.size, arrival)
+        return list(map(self._work, groups))
 
-    def finish(self) -> list[Group]:
-        """Return the groups that are still open, and add the counts to the report."""
+    def finish(self) -> list[Work]:
+        """Return how the scans are made that are still open, and add the counts to the report."""
         groups = self._grouper.finish()
         for number, entry in self.reports.items():
             entry.joined = self._grouper.counts[number]
             if number:
                 entry.messages_out = entry.joined.used
-        return groups
-
-    def make(self, group: Group, log_time_ns: int) -> Item:
-        """Make the scan of a group; runs on any thread."""
-        lead: SourceMessage = group.lead
-        route, output, contribution, sequence = lead.item
-        result: ConvertedMessage | MessageError
-        try:
-            members = [member.item.contribution for member in group.members]
-            result = self._last(self._conversion.scan(contribution, members))
-        except MessageError as err:
-            result = err
-            err.stamp_ns = err.stamp_ns or contribution.stamp_ns
-        return Item(route, log_time_ns, log_time_ns, sequence, [(output, result)], is_group=True)
-
-    def is_quick(self, group: Group) -> bool:
-        """Whether making a scan takes less time than handing it to another thread: all points are projected already."""
-        return all(member.item.contribution.nearest is not None for member in group.members)
+        return list(map(self._work, groups))
 
     def alone(self, contribution: Contribution) -> ConvertedMessage:
         """Make the scan of one message alone, for dry runs."""
         return self._last(self._conversion.alone(contribution))
+
+    def _work(self, group: Group) -> Work:
+        # Points that are projected already are soon a scan.
+        takes_long = any(member.item[2].nearest is None for member in group.members)
+        size = sum(member.size for member in group.members)
+        return partial(self._make, group, self._last_ns), size, takes_long
+
+    def _make(self, group: Group, log_time_ns: int) -> Item:
+        route, output, contribution, sequence = group.lead.item
+        result: ConvertedMessage | MessageError
+        try:
+            result = self._last(self._conversion.scan(contribution, [member.item[2] for member in group.members]))
+        except MessageError as err:
+            result = err
+            err.stamp_ns = err.stamp_ns or contribution.stamp_ns
+        return Item(route, log_time_ns, log_time_ns, sequence, [(output, result)], is_group=True)
 
 
 def add_groups(
@@ -149,42 +152,24 @@ def add_groups(
         items.close()
 
 
-def _work(
-    items: Iterable[Item | StoredChunk], combiners: Iterable[Combiner]
-) -> Generator[tuple[Callable[[], Item | StoredChunk], int, bool]]:
-    """Yield the work in order, its size in bytes, and whether another thread should do it."""
-    last_ns = dict.fromkeys(combiners, 0)
+def _work(items: Iterable[Item | StoredChunk], combiners: Iterable[Combiner]) -> Generator[Work]:
+    """Yield the work in order."""
     for item in items:
         arrivals: list[tuple[Combiner, Arrival]] = []
         if isinstance(item, StoredChunk):
             log_time_ns, size = 0, len(item.stored)
         else:
-            log_time_ns, size, arrivals = item.log_time_ns, item.size, _arrivals(item)
-        yield partial(_same, item), size, False
+            log_time_ns, size = item.log_time_ns, item.size
+            arrivals = [
+                (output.combiner, (item.route, output, result, item.sequence))
+                for output, result in item.results
+                if output.combiner is not None and isinstance(result, Contribution)
+            ]
+        yield partial(as_it_is, item), size, False
+        # This frame must hold neither the item nor its points while the next message is read.
         del item
         for combiner, arrival in arrivals:
-            last_ns[combiner] = log_time_ns
-            for group in combiner.add(arrival, log_time_ns):
-                yield partial(combiner.make, group, log_time_ns), _size(group), not combiner.is_quick(group)
-                # This frame must not hold the points in memory while the next message is read.
-                del group
-    for combiner, log_time_ns in last_ns.items():
-        for group in combiner.finish():
-            yield partial(combiner.make, group, log_time_ns), _size(group), not combiner.is_quick(group)
-
-
-def _arrivals(item: Item) -> list[tuple[Combiner, Arrival]]:
-    """Return the parts of a message in scans of several."""
-    return [
-        (output.combiner, Arrival(item.route, output, result, item.sequence))
-        for output, result in item.results
-        if output.combiner is not None and isinstance(result, Contribution)
-    ]
-
-
-def _same(item: Item | StoredChunk) -> Item | StoredChunk:
-    return item
-
-
-def _size(group: Group) -> int:
-    return sum(member.size for member in group.members)
+            yield from combiner.add(arrival, log_time_ns)
+        arrivals.clear()
+    for combiner in combiners:
+        yield from combiner.finish()

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
-from pc2scan.advice.clocks import MEASURES, are_doubtful, logged_early
-from pc2scan.advice.measurements import Measurements, ask_measurements, measure, require_fields, unknown_step
+from pc2scan.advice.clocks import MEASURES, are_doubtful
+from pc2scan.advice.measurements import Measurements, measure, require_fields, unknown_step
 from pc2scan.conversion.cloud_to_scan import Beams, remove_beams
 from pc2scan.conversion.stages import SelectStage
-from pc2scan.conversion.steps import Conversion, ConvertedMessage, Motion, Steps
+from pc2scan.conversion.steps import ConvertedMessage, Motion, Steps
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import median_low
 from pc2scan.core.points import Points
@@ -28,9 +28,8 @@ from pc2scan.core.rule import PointCounts
 from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import UsageError, name_list
 from pc2scan.messages.beams import scan_points
-from pc2scan.messages.clouds import CLOUDS, SCANS
-from pc2scan.messages.laserscan import LaserScan, encode_laserscan
-from pc2scan.messages.pointcloud2 import POINTCLOUD2
+from pc2scan.messages.clouds import SCANS
+from pc2scan.messages.laserscan import LaserScan
 from pc2scan.request.filters import Frame
 from pc2scan.transforms.placing import Placement
 
@@ -38,7 +37,7 @@ from .grouping import Grouper
 from .rules import Interval, Nearest, Recent
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -48,7 +47,6 @@ if TYPE_CHECKING:
     from pc2scan.conversion.plan import Output
     from pc2scan.core.moving import MovingTransform
     from pc2scan.core.project import Transform
-    from pc2scan.model import Buffer
     from pc2scan.request.filters import Filter
     from pc2scan.request.options import ScanSpec
     from pc2scan.transforms.placing import LevelFrame, Placer
@@ -120,7 +118,7 @@ class Contribution(NamedTuple):
     size: int = 0
 
 
-class MessagesToScan(Conversion):
+class MessagesToScan:
     """Converts several messages to one scan.
 
     Parameters
@@ -141,8 +139,6 @@ class MessagesToScan(Conversion):
     surroundings
         Samples some clouds that are not deskewed; None: nothing does.
     """
-
-    encode = encode_laserscan
 
     def __init__(
         self,
@@ -181,12 +177,6 @@ class MessagesToScan(Conversion):
         #: Upstream's default minimum, the smallest positive number, is meant for clouds: it rejects all beams of scans.
         self._any_height = params.min_height == _DEFAULTS.min_height
 
-    def decoder(self, source: str, source_type: str) -> Callable[[Buffer], Any]:
-        """Return the decoder of clouds or scans; see `Conversion`."""
-        if source_type in SCANS:
-            return SCANS[source_type](source, self.spec.echo)
-        return CLOUDS[source_type or POINTCLOUD2](source)
-
     def steps(self, topic: str) -> Steps:
         """Return the step of one topic's messages, which makes a scan only if each message becomes one."""
         contribute = partial(self._contribute, self.topics.index(topic), self._deskews.get(topic))
@@ -224,9 +214,10 @@ class MessagesToScan(Conversion):
             level = placer.level(target, reference_ns)
         if self._early is not None:
             # Filters in the target frame see the points where the scan shows them.
-            selected = self._early.apply(points, Placement(target, mount) if self._rigid else Placement("", None))
-            points, rejected = selected.points, rejected | selected.rejected
-            mount = cast("Rigid | None", selected.transform) if self._rigid else mount
+            seen_in = Placement(target, mount) if self._rigid else Placement("", None)
+            points, transform, by_filters = self._early.apply(points, seen_in)
+            rejected |= by_filters
+            mount = cast("Rigid | None", transform) if self._rigid else mount
         name = target if level is None else level.name
         poses = mount, target_from_fixed, fixed_from_source
         contribution = Contribution(
@@ -331,9 +322,8 @@ class MessagesToScan(Conversion):
             motion = _motion_of(transform, mount)._replace(gap=max(lead.gap_ns, member.gap_ns) / 1e9)
         if self._late is None:
             return member.points, transform if moving is None else moving.transform, member.rejected, motion
-        selected = self._late.apply(member.points, Placement(lead.frame_id, transform), moving)
-        rejected = {**member.rejected, **selected.rejected}
-        return selected.points, selected.transform, rejected, motion
+        points, still, rejected = self._late.apply(member.points, Placement(lead.frame_id, transform), moving)
+        return points, still, {**member.rejected, **rejected}, motion
 
 
 def _round_transform(transform: Rigid | MovingTransform | None) -> Transform | MovingTransform | None:
@@ -360,8 +350,8 @@ def _motion_of(transform: Rigid | None, mount: Rigid | None) -> Motion:
 #: How many messages of a topic are read to measure its period, and to compare its clock.
 _HEADERS = 6
 
-#: Half a period, nanoseconds, for topics without two different stamps.
-_HALF_PERIOD_NS = 50_000_000
+#: The period of topics without two different stamps, nanoseconds.
+_USUAL_PERIOD_NS = 100_000_000
 
 #: Two topics have different clocks if the delays from their stamps to their log times differ by this.
 _SURELY_ANOTHER_NS = 2_000_000_000
@@ -383,43 +373,27 @@ class SourceFacts:
         The request, and the topics.
     facts
         Of each topic.
-
-    Raises
-    ------
-    ParameterError
-        If a field is requested that the beams of LaserScans do not have.
     """
 
     def __init__(self, output: Output, facts: Mapping[str, TopicFacts]) -> None:
         self.output, self.facts = output, facts
-        spec, topics = output.spec, output.sources
-        combining, params = spec.combining, spec.params
-        self.flat = [topic for topic in topics if any(each.ros_type in SCANS for each in facts[topic].connections)]
-        self._is_compared = bool(
-            len(topics) > 1
-            or combining.every_ns
-            or combining.span_ns
-            or (self.flat and "auto" in (params.scan_time, params.beams))
-        )
-        if spec.needs_measuring:
-            for topic_facts in facts.values():
-                ask_measurements(topic_facts, spec)
+        combining, params = output.spec.combining, output.spec.params
+        self.flat = [
+            topic for topic in output.sources if any(each.ros_type in SCANS for each in facts[topic].connections)
+        ]
+        are_compared = len(facts) > 1 or combining.every_ns or combining.span_ns
+        self._is_compared = are_compared or (self.flat and "auto" in (params.scan_time, params.beams))
         if self._is_compared:
-            for topic_facts in facts.values():
-                topic_facts.ask_headers(_HEADERS)
+            for each in facts.values():
+                each.ask_headers(_HEADERS)
 
     def firsts(self, topic: str) -> Sequence[Header]:
         """Return the first headers of a topic; none if they are not needed."""
         return self.facts[topic].headers[:_HEADERS] if self._is_compared else ()
 
-    def period_ns(self, topic: str) -> int | None:
-        """Return the median interval of the first stamps of a topic."""
-        return median_interval_ns(each.stamp_ns for each in self.firsts(topic))
-
-    def delays(self, topic: str, lead: str) -> tuple[int, int] | None:
-        """Return the median delays from stamps to log times of two topics, nanoseconds; None if one has no messages."""
-        own, other = ([each.delay_ns for each in self.firsts(name)] for name in (topic, lead))
-        return (median_low(own), median_low(other)) if own and other else None
+    def period_ns(self, topic: str) -> int:
+        """Return the median interval of the first stamps of a topic; 0 if there are no two different ones."""
+        return median_interval_ns(each.stamp_ns for each in self.firsts(topic)) or 0
 
 
 def measure_sources(
@@ -461,75 +435,56 @@ def measure_sources(
         hint = "the beams of a LaserScan have intensity, index, x and y"
         require_fields(spec, _BEAM_FIELDS, f"the scans on {name_list(sources.flat)}", lambda _: hint)
     measurements = timing.get(lead) or _of_scans(sources, notes)
-    if combining.every_ns and (
-        spec.params.scan_time == "auto" or spec.origins.get("scan_time", "default") == "default"
-    ):
+    is_default = spec.origins.get("scan_time", "default") == "default"
+    if combining.every_ns and (spec.params.scan_time == "auto" or is_default):
         measurements = Measurements(combining.every_ns / 1e9, measurements.time_increment, 0, measurements.azimuth_step)
-    warnings = _doubtful(sources)
-    grouper: Callable[[], Grouper]
-    if combining.accumulates:
-        # The first message is in the middle of an interval: near its edge, jitter would move messages to the next.
-        half_ns = (sources.period_ns(lead) or 0) // 2
+    # The window of a topic: half its own period or half the leading topic's, whichever is longer.
+    periods = [sources.period_ns(topic) or _USUAL_PERIOD_NS for topic in topics]
+    windows = [combining.window_ns] * len(topics) if combining.window_ns is not None else None
+    windows = windows or [max(period, periods[0]) // 2 for period in periods]
+    warnings = [*_doubtful(sources), *_clocks(sources, [0] * len(topics) if combining.accumulates else windows)]
+    # The first message is in the middle of an interval: near its edge, jitter would move messages to the next.
+    half_ns = sources.period_ns(lead) // 2
+    if combining.span_ns or combining.count:
         rule: Rule = Recent(combining.every_ns, half_ns, combining.span_ns, combining.count)
-        if not (combining.span_ns or combining.count):
-            rule = Interval(combining.every_ns, half_ns)
-        grouper = partial(Grouper, rule, len(topics))
-        return measurements, grouper, notes, [*warnings, *_clocks(sources, None)]
-    if len(topics) == 1:
+    elif combining.every_ns:
+        rule = Interval(combining.every_ns, half_ns)
+    elif len(topics) == 1:
         return measurements, None, notes, warnings
-    windows = _windows(sources, combining.window_ns)
-    warnings += _clocks(sources, windows)
-    joined = ", ".join(
-        f"{topic} (within {window / 1e9:.4g} s)" for topic, window in zip(topics[1:], windows[1:], strict=True)
-    )
-    notes.append(f"{output.target}: has the stamps of {lead}, and the nearest messages of {joined}")
-    grouper = partial(Grouper, Nearest(windows_ns=tuple(windows)), len(topics), apart_ns=combining.window_ns or 0)
-    return measurements, grouper, notes, warnings
+    else:
+        rule = Nearest(windows_ns=tuple(windows))
+        joined = (f"{topic} (within {window / 1e9:.4g} s)" for topic, window in zip(topics, windows, strict=True))
+        notes.append(
+            f"{output.target}: has the stamps of {lead}, and the nearest messages of {', '.join([*joined][1:])}"
+        )
+    return measurements, partial(Grouper, rule, len(topics), apart_ns=combining.window_ns or 0), notes, warnings
 
 
-def _doubtful(sources: SourceFacts) -> list[str]:
-    """Return warnings of times that were probably meant in milliseconds, or as a number of clouds."""
-    combining, topics = sources.output.spec.combining, sources.output.sources
-    period_ns = sources.period_ns(topics[0])
-    warnings = []
-    for name, value_ns in (
-        ("every", combining.every_ns),
-        ("accumulate", combining.span_ns),
-        ("window", combining.window_ns or 0),
-    ):
-        most, seconds = _MOST_PERIODS if name == "window" else _MOST_MESSAGES, value_ns / 1e9
-        if seconds < 1 or not period_ns:
-            continue
-        meant = [f"milliseconds were meant: `{name}={seconds:g}ms`"] if value_ns > most * period_ns else []
-        if name == "accumulate" and combining.is_bare and value_ns > period_ns:
-            meant.append(f"clouds were meant: `{name}={seconds:g}clouds`")
+def _doubtful(sources: SourceFacts) -> Iterator[str]:
+    """Yield warnings of times that were probably meant in milliseconds, or as a number of clouds."""
+    combining, lead = sources.output.spec.combining, sources.output.sources[0]
+    period_ns = sources.period_ns(lead)
+    times = {"every": combining.every_ns, "accumulate": combining.span_ns, "window": combining.window_ns or 0}
+    for name, value_ns in times.items() if period_ns else ():
+        number, seconds = value_ns / period_ns, value_ns / 1e9
+        meant = []
+        if seconds >= 1 and number > (_MOST_PERIODS if name == "window" else _MOST_MESSAGES):
+            meant.append(f"if milliseconds were meant: `{name}={seconds:g}ms`")
+        if seconds >= 1 and number > 1 and name == "accumulate" and combining.is_bare:
+            meant.append(f"if clouds were meant: `{name}={seconds:g}clouds`")
         if meant:
-            every = f"messages of {topics[0]} come every {period_ns / 1e9:.3g} s"
-            warnings.append(f"`{name}` is {seconds:g} s, but {every}; if {', if '.join(meant)}")
-    return warnings
+            every = f"messages of {lead} come every {period_ns / 1e9:.3g} s"
+            yield f"`{name}` is {seconds:g} s, but {every}; {', '.join(meant)}"
 
 
-def _windows(sources: SourceFacts, window_ns: int | None) -> list[int]:
-    """Return the window of each topic: half its own period or half the leading topic's, whichever is longer."""
-    topics = sources.output.sources
-    if window_ns is not None:
-        return [window_ns] * len(topics)
-    periods = [sources.period_ns(topic) or 2 * _HALF_PERIOD_NS for topic in topics]
-    return [max(period, periods[0]) // 2 for period in periods]
-
-
-def _clocks(sources: SourceFacts, windows: Sequence[int] | None) -> list[str]:
-    """Compare the clocks of the topics: return warnings if they may differ, and raise if they do."""
-    warnings = []
-    lead, *others = sources.output.sources
-    for number, topic in enumerate(others, 1):
-        delays = sources.delays(topic, lead)
-        if delays is None:
+def _clocks(sources: SourceFacts, windows: Sequence[int]) -> Iterator[str]:
+    """Compare the clocks of the topics: yield warnings if they may differ, and raise if they do."""
+    lead = sources.output.sources[0]
+    delays = {topic: [each.delay_ns for each in sources.firsts(topic)] for topic in sources.output.sources}
+    for (topic, own), window_ns in zip(delays.items(), windows, strict=True):
+        if not own or not delays[lead] or not are_doubtful(median_low(own), median_low(delays[lead]), window_ns):
             continue
-        own_ns, lead_ns = delays
-        behind_ns = own_ns - lead_ns
-        if not are_doubtful(own_ns, lead_ns, 0 if windows is None else windows[number]):
-            continue
+        behind_ns = median_low(own) - median_low(delays[lead])
         how = f"{abs(behind_ns) / 1e9:.4g} s {'behind' if behind_ns > 0 else 'ahead of'}"
         said = f"the stamps of {topic} are {how} those of {lead}, compared with their log times"
         if abs(behind_ns) > _SURELY_ANOTHER_NS:
@@ -537,14 +492,7 @@ def _clocks(sources: SourceFacts, windows: Sequence[int] | None) -> list[str]:
                 f"{said}: they are of different clocks",
                 hint=f"{MEASURES}; or convert them to scans of their own: `topics={topic}:=/scan_2`",
             )
-        if logged_early(own_ns, lead_ns):
-            which = topic if behind_ns < 0 else lead
-            early = f"messages of {which} are logged {-min(own_ns, lead_ns) / 1e9:.3g} s before their stamps"
-            said += f": {early}, so their clocks differ, and a scan has what was measured that far apart"
-        else:
-            said += ": if their clocks differ, a scan has what was measured that far apart"
-        warnings.append(f"{said}; {MEASURES}")
-    return warnings
+        yield f"{said}: if their clocks differ, a scan has what was measured that far apart; {MEASURES}"
 
 
 def _of_scans(sources: SourceFacts, notes: list[str]) -> Measurements:
@@ -552,7 +500,7 @@ def _of_scans(sources: SourceFacts, notes: list[str]) -> Measurements:
     params, topic = sources.output.spec.params, sources.output.sources[0]
     scan_time, step = params.scan_time, 0.0
     if scan_time == "auto":
-        scan_time = (sources.period_ns(topic) or 0) / 1e9
+        scan_time = sources.period_ns(topic) / 1e9
         notes.append(f"{topic}: scan_time is {scan_time:.6g} s, the median interval of its first stamps")
     if params.beams == "auto":
         steps = [each.increment for each in sources.firsts(topic)]

@@ -49,7 +49,7 @@ _AFTER_ALL: Key = (1 << 80, 0)
 
 
 class Run(NamedTuple):
-    """Scans or messages in a row: the stamps of the first and the last, and their number."""
+    """Messages in a row: the stamps of the first and the last, and their number."""
 
     first_stamp_ns: int
     last_stamp_ns: int
@@ -66,8 +66,8 @@ class SourceCounts:
         All messages, those in a scan, and those in no scan.
     scans_without
         Scans without a message of this topic.
-    longest_silence, longest_unmatched
-        The longest run of such scans, and that of messages in no scan; None without any.
+    longest_unmatched
+        The longest run of messages in no scan; None without any.
     jumped
         How many stamps do not continue those before.
     first_jump
@@ -75,28 +75,17 @@ class SourceCounts:
     """
 
     json_names: ClassVar[tuple[str, ...]] = (
-        *("messages", "used", "unmatched", "scans_without", "jumped", "longest_silence", "longest_unmatched"),
+        *("messages", "used", "unmatched", "scans_without", "jumped", "longest_unmatched"),
     )
 
     messages: int = 0
     used: int = 0
     unmatched: int = 0
     scans_without: int = 0
-    longest_silence: Run | None = None
     longest_unmatched: Run | None = None
     jumped: int = 0
     first_jump: tuple[int, int] = (0, 0)
-    _silence: Run | None = field(default=None, repr=False, compare=False)
     _unmatched: Run | None = field(default=None, repr=False, compare=False)
-
-    def in_scan(self, lead_ns: int, *, has_message: bool) -> None:
-        """Count a scan with or without a message of this topic."""
-        if has_message:
-            self._silence = None
-            return
-        self.scans_without += 1
-        self._silence = _longer(self._silence, lead_ns)
-        self.longest_silence = _longest(self.longest_silence, self._silence)
 
     def let_go(self, stamp_ns: int, *, used: bool) -> None:
         """Count a message that no later scan has."""
@@ -104,8 +93,10 @@ class SourceCounts:
             self._unmatched = None
             return
         self.unmatched += 1
-        self._unmatched = _longer(self._unmatched, stamp_ns)
-        self.longest_unmatched = _longest(self.longest_unmatched, self._unmatched)
+        first_ns, _, number = self._unmatched or (stamp_ns, stamp_ns, 0)
+        self._unmatched = Run(first_ns, stamp_ns, number + 1)
+        if self.longest_unmatched is None or number + 1 > self.longest_unmatched.number:
+            self.longest_unmatched = self._unmatched
 
     def jump(self, stamp_ns: int, by_ns: int) -> None:
         """Count a jump of the stamps."""
@@ -114,23 +105,11 @@ class SourceCounts:
         self.jumped += 1
 
 
-def _longer(run: Run | None, stamp_ns: int) -> Run:
-    return Run(stamp_ns, stamp_ns, 1) if run is None else Run(run.first_stamp_ns, stamp_ns, run.number + 1)
-
-
-def _longest(one: Run | None, other: Run) -> Run:
-    return other if one is None or other.number > one.number else one
-
-
 class _Moment(NamedTuple):
     """The stamp and the log time of a message, nanoseconds."""
 
     stamp_ns: int
     log_time_ns: int
-
-    def drift_ns(self, other: _Moment) -> int:
-        """Return how much further stamps went than log times, from another message to this one; negative: back."""
-        return self.stamp_ns - other.stamp_ns - self.log_time_ns + other.log_time_ns
 
     def follows(self, other: _Moment, back_ns: int, apart_ns: int) -> bool:
         """Whether the stamp is not much further on than the log times are, nor before that of an earlier message."""
@@ -206,7 +185,7 @@ class Grouper:
         groups: list[Group] = []
         if not self._continues(source, moment):
             if last is not None and not moment.follows(last, _BACK_NS, _APART_NS):
-                counts.jump(stamp_ns, moment.drift_ns(last))
+                counts.jump(stamp_ns, stamp_ns - last.stamp_ns - log_time_ns + last.log_time_ns)
             if source:
                 counts.let_go(stamp_ns, used=False)
                 return groups
@@ -228,16 +207,10 @@ class Grouper:
         return groups
 
     def _continues(self, source: int, moment: _Moment) -> bool:
-        """Whether a message is of the same clock: it follows the last message of its topic, or that of any topic."""
-        own, newest, apart_ns = self._own[source], self._newest, self._apart_ns
-        if newest is None:
-            return True
-        if own is not None and moment.stamp_ns < own.stamp_ns - _BACK_NS:
-            return False
-        # Nearly every message is of the clock of the one before, and there may be thousands in a second.
-        if -apart_ns <= moment.drift_ns(newest) <= apart_ns or moment.follows(newest, apart_ns, apart_ns):
-            return True
-        return own is not None and moment.follows(own, apart_ns, apart_ns)
+        """Whether a message is of the same clock: it follows the last one of its topic; the first one, any topic's."""
+        if (own := self._own[source]) is not None:
+            return moment.follows(own, _BACK_NS, self._apart_ns)
+        return self._newest is None or moment.follows(self._newest, self._apart_ns, self._apart_ns)
 
     def _hold(self, source: int, moment: _Moment, size: int, item: Any) -> None:
         """Hold a message."""
@@ -324,7 +297,7 @@ class Grouper:
             self._over = (lead.end_ns, 0)
         sources = {entry.source for entry in members}
         for source, counts in enumerate(self.counts):
-            counts.in_scan(lead.key[0], has_message=source in sources)
+            counts.scans_without += source not in sources
         for entry in members:
             self.counts[entry.source].used += not entry.used
             entry.used = True

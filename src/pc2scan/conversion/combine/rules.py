@@ -129,13 +129,10 @@ class Rule(ABC):
 
 @dataclass(frozen=True)
 class Nearest(Rule):
-    """Each leading message leads a scan, with at most one message of each other topic: the best assignment.
+    """Each leading message leads a scan, with the nearest message of each other topic.
 
-    Of all pairs of a leading message and a message of the other topic that are not farther apart than the window, the
-    closest pair is in one scan, then the closest pair of the messages that are left, and so on. Of equally close pairs
-    the one with the earlier leading message is first, then the one with the earlier other message; equal stamps are in
-    the order of the file. So each message goes to the scan whose stamp is nearest unless that has a nearer one, no
-    message is in two scans, and no scan lacks a topic while a message within the window is left.
+    A message that is nearer to a later leading message is left to that, so no message is in two scans. Of equally near
+    ones, the earlier is taken; equal stamps are in the order of the file.
 
     Attributes
     ----------
@@ -153,62 +150,28 @@ class Nearest(Rule):
 
     def members(self, leads: Messages, held: Sequence[Messages], coming: Sequence[Key]) -> Messages | None:
         """Return the messages of the first scan; see `Rule.members`."""
-        messages = [leads[0]]
-        for source in range(1, len(held)):
-            window_ns = self.windows_ns[source]
-            is_certain, partner = _partner(leads, held[source], window_ns, coming[0][0], coming[source][0])
-            if not is_certain:
+        lead_ns, messages = leads[0].stamp_ns, [leads[0]]
+        next_ns = next((each.stamp_ns for each in leads if each.stamp_ns > lead_ns), None)
+        for own, window_ns, (coming_ns, _) in zip(held[1:], self.windows_ns[1:], coming[1:], strict=True):
+            begin = bisect_left(own, (lead_ns - window_ns, 0), key=KEY)
+            within = own[begin : bisect_left(own, (lead_ns + window_ns + 1, 0), key=KEY)]
+            if next_ns is not None:
+                within = [each for each in within if abs(each.stamp_ns - next_ns) >= abs(each.stamp_ns - lead_ns)]
+            partner = min(within, key=lambda each: abs(each.stamp_ns - lead_ns), default=None)
+            if partner is None:
+                if coming_ns <= lead_ns + window_ns:
+                    return None
+                continue
+            apart_ns = abs(partner.stamp_ns - lead_ns)
+            # A nearer message of the other topic may still come, or a leading message that is nearer to this one.
+            if coming_ns < lead_ns + apart_ns or coming[0][0] < partner.stamp_ns + apart_ns:
                 return None
-            if partner is not None:
-                messages.append(partner)
+            messages.append(partner)
         return messages
 
     def needless(self, held: Messages, source: int, first: Key, end_ns: int) -> int:  # noqa: ARG002
         """Return how many messages no scan needs; see `Rule.needless`."""
         return _before(held, (first[0] - self.windows_ns[source], 0) if source else first)
-
-
-def _partner(
-    leads: Messages,
-    others: Messages,
-    window_ns: int,
-    coming_lead_ns: int,
-    coming_ns: int,
-) -> tuple[bool, SourceMessage | None]:
-    """Return whether it is certain which message is in the scan of the first leading message, and that message.
-
-    A pair is in a scan if no closer pair that shares a message with it is. So pairs are judged from the closest one on.
-    A pair is in doubt if a message that may still come could make a closer pair with one of its two, or if a closer
-    pair that shares one of the two is in doubt.
-    """
-    first_ns = leads[0].stamp_ns
-    begin = bisect_left(others, (first_ns - window_ns, 0), key=KEY)
-    at = bisect_left(others, leads[0].key, lo=begin, key=KEY)
-    nearest_ns = min((abs(each.stamp_ns - first_ns) for each in others[max(begin, at - 1) : at + 1]), default=None)
-    if nearest_ns is None or nearest_ns > window_ns:
-        return coming_ns > first_ns + window_ns, None
-    if coming_ns < first_ns + nearest_ns:
-        return False, None
-    pairs = []
-    for i, lead in enumerate(leads):
-        j = bisect_left(others, (lead.stamp_ns - window_ns, 0), key=KEY)
-        while j < len(others) and others[j].stamp_ns <= lead.stamp_ns + window_ns:
-            pairs.append((abs(others[j].stamp_ns - lead.stamp_ns), i, j))
-            j += 1
-    pairs.sort()
-    taken: tuple[set[int], set[int]] = (set(), set())
-    doubtful: tuple[set[int], set[int]] = (set(), set())
-    for distance_ns, i, j in pairs:
-        if i in taken[0] or j in taken[1]:
-            continue
-        may_change = coming_ns < leads[i].stamp_ns + distance_ns or coming_lead_ns < others[j].stamp_ns + distance_ns
-        is_certain = not (may_change or i in doubtful[0] or j in doubtful[1])
-        if i == 0:
-            return is_certain, others[j] if is_certain else None
-        one, other = taken if is_certain else doubtful
-        one.add(i)
-        other.add(j)
-    return coming_ns > first_ns + window_ns, None
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,220 @@
+"""Corrects messages as they are read, for everything else: stamps of another clock, and coordinates in another unit.
+
+What a lidar on its own clock has recorded is read with corrected stamps: the look ahead, lookups of transforms, scans
+and kept clouds all have these. Points' own times move along.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pc2scan.advice.clocks import measure_offsets
+from pc2scan.advice.survey import Span
+from pc2scan.bags.opening import open_recordings
+from pc2scan.bags.reader import ChangedReader
+from pc2scan.bags.topics import by_topic, find_topic, types_by_topic
+from pc2scan.errors import DecodeError, UsageError
+from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.pointcloud2 import POINTCLOUD2, CloudFields, encode_cloud, pack_cloud
+from pc2scan.messages.stamps import STAMPED, move_times, set_stamp, stamp_in, writable
+from pc2scan.request.options import TRAJECTORY
+from pc2scan.transforms.reading import read_transforms
+
+from .preparation import span_of
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+    from contextlib import ExitStack
+
+    from pc2scan.bags.reader import Reader
+    from pc2scan.model import Connection, RawMessage
+    from pc2scan.progress import Meter
+    from pc2scan.request.options import ConvertOptions, StampOptions
+    from pc2scan.transforms.reading import FoundTransforms
+
+    from .plan import Plan
+
+#: An offset that takes stamps farther from those of the transforms by more than this is wrong.
+_NOTABLE_NS = 1_000_000_000
+
+_WHOLE = Span(None, None, 0)
+
+
+def _moved(offset_ns: int | None, fields: Sequence[str], message: RawMessage) -> RawMessage:
+    """Return a message with its corrected stamp; one that cannot be decoded stays as it is.
+
+    Parameters
+    ----------
+    offset_ns
+        What is added; None: the stamp becomes the log time.
+    fields
+        Fields with the points' times, besides the usual ones.
+    """
+    connection, copy = message.connection, bytearray(message.data)
+    try:
+        own_ns = stamp_in(copy, connection.serialization)
+        stamp_ns = message.log_time_ns if offset_ns is None else own_ns + offset_ns
+        if connection.ros_type in CLOUDS and stamp_ns != own_ns:
+            # Before the stamp changes, which tells their unit.
+            move_times(copy, connection.serialization, connection.ros_type, stamp_ns - own_ns, fields)
+        set_stamp(copy, connection.serialization, stamp_ns)
+    except DecodeError:
+        return message
+    return message._replace(data=bytes(copy))
+
+
+def corrected(
+    reader: Reader,
+    converted: Sequence[Connection],
+    clock: StampOptions,
+    tf_topics: Sequence[str],
+    span: Span = _WHOLE,
+    fields: Sequence[str] = (),
+) -> tuple[Reader, list[str]]:
+    """Return a recording with corrected stamps, and notes about offsets that were measured.
+
+    Parameters
+    ----------
+    converted
+        The connections whose messages are converted.
+    clock
+        How stamps are corrected.
+    tf_topics
+        The topics of the transforms, whose clock offsets are measured against; see `FrameOptions`.
+    span
+        The cut: offsets are measured in its first messages.
+    fields
+        Fields with the points' times, besides the usual ones.
+
+    Raises
+    ------
+    TopicError
+        If there is no topic of a name, or it has no stamps.
+    """
+    own = _named_topics(reader.connections, clock)
+    offsets = dict.fromkeys((each.topic for each in converted), clock.offset_ns) | own
+    topics = by_topic(each for each in reader.connections if each.topic in offsets and _is_stamped(each))
+    wanted = {
+        topic: topics[topic]
+        for topic, offset in offsets.items()
+        if topic in topics and (offset is None or abs(offset) > _NOTABLE_NS)
+    }
+    notes: list[str] = []
+    remarks: list[str] = []
+    for topic, fit in (measure_offsets(reader, wanted, tf_topics, span) if wanted else {}).items():
+        if (given_ns := offsets[topic]) is None:
+            offsets[topic] = fit.offset_ns
+            notes.append(fit.note)
+        elif fit.reference and abs(given_ns - fit.offset_ns) > abs(fit.offset_ns) + _NOTABLE_NS:
+            without = f"are {abs(fit.offset_ns) / 1e9:.3g} s off" if fit.offset_ns else "fit"
+            remarks.append(
+                f"{topic}: `time_offset` takes its stamps farther from those of {fit.reference}: without it they "
+                f"{without}, with it they are {abs(given_ns - fit.offset_ns) / 1e9:.3g} s off; "
+                f"`time_offset={topic}=auto` measures what corrects them"
+            )
+    if clock.by_log:
+        offsets |= dict.fromkeys(offsets.keys() - own.keys())
+    moved = {topic: partial(_moved, offset_ns, fields) for topic, offset_ns in offsets.items() if offset_ns != 0}
+    changes = {each.id: moved[topic] for topic, group in topics.items() if topic in moved for each in group}
+    return (ChangedReader(reader, changes, remarks) if changes else reader), notes
+
+
+def corrected_for(reader: Reader, plan: Plan, options: ConvertOptions) -> tuple[Reader, list[str]]:
+    """Return the recording of a conversion with corrected stamps, and notes; see `corrected`."""
+    if not options.clock:
+        return reader, []
+    fields = [spec.point_time.partition(":")[0] for spec in plan.specs if spec.point_time]
+    span = span_of(reader, options)
+    return corrected(reader, plan.converted, options.clock, options.frames.tf_topics, span, fields)
+
+
+def corrected_transforms(
+    reader: Reader, options: ConvertOptions, stack: ExitStack, needed: Collection[str], meter: Meter | None = None
+) -> tuple[FoundTransforms, Sequence[Reader]]:
+    """Return all transforms of a recording, and the opened recordings of ``tf_from``, which have some of them.
+
+    Parameters
+    ----------
+    stack
+        Closes these.
+    needed
+        Frames that they must have.
+    meter
+        Counts the bytes; None: nothing is reported.
+    """
+    others = open_recordings(options.frames.tf_from, stack, strict=options.strict)
+    if options.clock:
+        # Of topics with poses that have an offset of their own.
+        reader, _ = corrected(reader, [], options.clock, options.frames.tf_topics)
+    return read_transforms([reader, *others], options.frames, needed=needed, meter=meter), others
+
+
+def _is_stamped(connection: Connection) -> bool:
+    return connection.ros_version is not None and connection.ros_type in (*CLOUDS, *STAMPED)
+
+
+def _named_topics(connections: Sequence[Connection], clock: StampOptions) -> dict[str, int | None]:
+    """Return the offsets of topics that have their own, by the names in the recording."""
+    types = types_by_topic(connections)
+    known = sorted({connection.topic for connection in connections if _is_stamped(connection)})
+    return {
+        find_topic(name, types, known, *CLOUDS, *sorted(STAMPED)): offset_ns
+        for name, offset_ns in clock.by_topic.items()
+        if name != TRAJECTORY
+    }
+
+
+#: Messages that have the coordinates as numbers; those of others are compressed, or computed of packets.
+_TYPES = (
+    *(POINTCLOUD2, "sensor_msgs/msg/PointCloud"),
+    *("livox_ros_driver/msg/CustomMsg", "livox_ros_driver2/msg/CustomMsg"),
+)
+
+
+def scaled(reader: Reader, factor: float) -> Reader:
+    """Return a recording with multiplied coordinates of clouds; the recording itself if the factor is 1.
+
+    Raises
+    ------
+    UsageError
+        If the factor is not positive, or no message has coordinates.
+    """
+    if factor == 1:
+        return reader
+    if not 0 < factor < math.inf:
+        raise UsageError(
+            f"`cloud_scale` is {factor:g}, it must be above 0", hint="for millimetres: `cloud_scale=0.001`"
+        )
+    clouds = [each for each in reader.connections if each.ros_type in _TYPES and each.ros_version is not None]
+    if not clouds:
+        raise UsageError("`cloud_scale` has no effect: no message has coordinates of points", path=reader.path)
+    return ChangedReader(reader, {each.id: partial(_scaled, factor) for each in clouds})
+
+
+def _scaled(factor: float, message: RawMessage) -> RawMessage:
+    """Return a message with multiplied coordinates; one that cannot be decoded stays as it is."""
+    connection, copy = message.connection, bytearray(message.data)
+    try:
+        points = CLOUDS[connection.ros_type](connection.serialization)(memoryview(copy))
+        fields = points.fields
+        axes = fields.cloud.xyz() if isinstance(fields, CloudFields) else points.xyz()
+        with np.errstate(all="ignore"):
+            if all(axis.dtype.kind == "f" for axis in axes):
+                for axis in axes:
+                    own = writable(copy, axis)
+                    np.multiply(own, factor, out=own, dtype=np.float64, casting="same_kind")
+            elif isinstance(fields, CloudFields):
+                # Integers cannot hold metres.
+                columns = {name: (axis * factor).astype(np.float32) for name, axis in zip("xyz", axes, strict=True)}
+                cloud, width = pack_cloud(points.replace(columns, points.frame_id)), fields.cloud.width
+                row_step = width * cloud.point_step
+                cloud = replace(cloud, height=fields.cloud.height, width=width, row_step=row_step)
+                return message._replace(data=encode_cloud(cloud, connection.serialization))
+    except DecodeError:
+        return message
+    return message._replace(data=bytes(copy))
