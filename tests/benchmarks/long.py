@@ -19,10 +19,8 @@ from unittest import mock
 from benchmarks.clouds import POINT_BYTES, serialized_clouds
 from pc2scan.bags.destinations import open_writer, plan_destination
 from pc2scan.files.new_file import NewFile
-from pc2scan.messages.definitions import TYPES, definition
-from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.model import Connection, Definition
-from support.builders import IMU, TF, imu_message, transforms, typestore
+from support.builders import CLOUD, IMU, TF, definition, imu_message, transforms
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Sequence
@@ -59,31 +57,31 @@ class Long:
     joints: int = 0
 
     def write(self, path: Path) -> Path:
-        """Write it; the name says the format: a folder has a database."""
+        """Write an MCAP file."""
         with _holes():
             self._write(path)
         return path
 
     def _write(self, path: Path) -> None:
-        version = 1 if path.suffix == ".bag" else 2
-        serialization = "ros1" if version == 1 else "cdr"
-        storage = None if path.suffix else "sqlite3"
-        target = plan_destination(path, storage=storage, compression=self.compression, source_ros_version=version)
-        writer = open_writer(target, path, path.name)
-        topics = {"/points": POINTCLOUD2, "/tf": TF, "/imu": IMU, "/tf_static": TF}
+        writer = open_writer(
+            plan_destination(path, compression=self.compression, source_ros_version=2), path, path.name
+        )
+        topics = {"/points": CLOUD, "/tf": TF, "/imu": IMU, "/tf_static": TF}
         points, tf, imu, static = (
-            writer.add_connection(Connection(0, topic, kind, serialization, *_definition(kind, version)))
+            writer.add_connection(
+                Connection(0, topic, kind, "cdr", Definition("ros2msg", definition(kind, 2).encode()))
+            )
             for topic, kind in topics.items()
         )
-        cloud = bytearray(serialized_clouds(serialization, self.points, 1)[0])
+        cloud = bytearray(serialized_clouds("cdr", self.points, 1)[0])
         # Behind its points, a cloud has one more byte, in CDR or without.
         hole = (self.points - _REAL_POINTS) * POINT_BYTES
         cloud[-1 - hole : -1] = bytes(hole)
         moving = [("odom", "base_link"), *(("base_link", f"joint_{number}") for number in range(self.joints))]
-        pose = bytearray(transforms([(*pair, _ANY_NS, (1.0, 0.0, 0.0)) for pair in moving], version))
+        pose = bytearray(transforms([(*pair, _ANY_NS, (1.0, 0.0, 0.0)) for pair in moving], 2))
         stamps = [each.start() for each in re.finditer(re.escape(_STAMP.pack(*divmod(_ANY_NS, 1_000_000_000))), pose)]
-        turn = bytearray(imu_message(version))
-        mount = transforms([("base_link", "lidar", 0, (0.0, 0.0, 0.5))], version)
+        turn = bytearray(imu_message(2))
+        mount = transforms([("base_link", "lidar", 0, (0.0, 0.0, 0.5))], 2)
         writer.write(static, BEGIN_NS, mount, BEGIN_NS)
         write = writer.write
         poses, turns = memoryview(pose), memoryview(turn)
@@ -100,13 +98,6 @@ class Long:
                 _STAMP.pack_into(cloud, 4, *stamp)
                 write(points, now + 7_000_000, memoryview(cloud), now + 7_000_000, number)
         writer.finish()
-
-
-def _definition(msgtype: str, version: int) -> tuple[Definition, str]:
-    if msgtype in TYPES:
-        return definition(msgtype, version)
-    text, digest = typestore(version).generate_msgdef(msgtype, ros_version=version)
-    return Definition(f"ros{version}msg", text.encode()), digest if version == 1 else ""
 
 
 @contextmanager

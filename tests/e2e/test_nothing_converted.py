@@ -103,18 +103,3 @@ def test_clouds_that_all_are_skipped(folder: Path) -> None:
     assert report["errors"][0]["kind"] == "ResultError"
     assert (report["skipped_count"], len(report["skipped"])) == (150, 100)
     assert [topic["messages_out"] for topic in report["topics"] if topic["action"] == "converted"] == [0]
-
-
-def test_one_converted_message_is_enough(folder: Path) -> None:
-    first, *rest = CONTENT.of("/points")
-    broken = [replace(entry, data={1: entry.data[1][:40], 2: entry.data[2][:40]}) for entry in rest]
-    others = [entry for entry in CONTENT.items if entry.stream.topic != "/points"]
-    items = sorted([*others, first, *broken], key=lambda entry: entry.log_time_ns)
-    write_rosbag1(folder / "broken.bag", replace(CONTENT, items=tuple(items)))
-    convert(folder, *HEIGHTS, status=3, source="broken.bag")
-    convert(folder, *HEIGHTS, "--fail-on", "empty", "--overwrite", status=3, source="broken.bag")
-    done, _ = convert(folder, *HEIGHTS, "--fail-on", "warning", "--overwrite", status=1, source="broken.bag")
-    assert "2 messages were skipped (--fail-on warning)" in done.stderr
-
-
-# --- The report of a run that failed ---

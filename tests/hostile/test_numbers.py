@@ -68,19 +68,6 @@ def test_stamps_that_cannot_be(stamp: tuple[int, int], destination: str, tmp_pat
         assert len(opened(tmp_path / destination).scans()) == 1
 
 
-@pytest.mark.parametrize("log_time_ns", [0, 2**63 - 1, 2**63, 2**64 - 1])
-@pytest.mark.parametrize("destination", ["out.bag", "out.mcap", "out", "sqlite3"])
-def test_log_times_that_cannot_be(log_time_ns: int, destination: str, tmp_path: Path) -> None:
-    data = cloud(points_of(1), 2)
-    late = Item(POINTS, max(log_time_ns, 1_001), {2: data})
-    source = write_mcap(tmp_path / "a.mcap", Recording((POINTS,), (late, Item(POINTS, T0, {2: data}))))
-    storage = ("--storage", "sqlite3") if destination == "sqlite3" else ()
-    done = run_bounded("convert", source, "-o", tmp_path / destination, *storage)
-    assert done.status in (0, 1, 3), done.stderr
-    assert (tmp_path / destination).exists() == (done.status != 1)
-    assert run_bounded("info", source).status in (0, 1)
-
-
 VALUES = (np.nan, np.inf, -np.inf, 3.4e38, -3.4e38, 1e-45, 0.0)
 
 
