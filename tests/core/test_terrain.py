@@ -39,7 +39,7 @@ def quality(cloud: Labelled) -> tuple[float, float, int, int]:
 
 @pytest.mark.parametrize(
     ("place", "sensor"),
-    sampled(product(["street", "hill", "valley", "hall", "hall from above", "ramp"], ["camera", *RINGS]), 9),
+    sampled(product(["street", "hill", "hall", "hall from above", "ramp"], ["camera", *RINGS]), 8),
 )
 def test_the_ground_is_found_and_nothing_that_stands_on_it(place: str, sensor: str) -> None:
     precision, recall, beams, lost = quality(labelled(place, sensor, pitch=10.0 if sensor == "camera" else 0.0))
@@ -87,13 +87,13 @@ def test_boxes_are_not_ground(sensor: str, lidar: float) -> None:
 
 #: The least share of its raised points that is found.
 RAISED = {
-    "kerbs of 0.1 m": 0.98, "kerbs of 0.15 m": 0.95, "kerbs of 0.2 m": 0.78, "narrow sidewalks": 0.90, "waves": 0.98,
+    "kerbs of 0.1 m": 0.98, "kerbs of 0.15 m": 0.95, "kerbs of 0.2 m": 0.78, "narrow sidewalks": 0.90,
     **{f"slope of {degrees} degrees": 0.97 for degrees in (5, 10, 14)},
 }  # fmt: skip
 
 
 @pytest.mark.parametrize(("place", "sensor", "lidar"), sampled(product(RAISED, RINGS, HEIGHTS), 12))
-def test_kerbs_waves_and_slopes_are_ground(place: str, sensor: str, lidar: float) -> None:
+def test_kerbs_and_slopes_are_ground(place: str, sensor: str, lidar: float) -> None:
     cloud = labelled(place, sensor, lidar=lidar)
     x, y, z = cloud.points.T
     # Level ground needs no test; between two rings the ground may rise by half a metre at most.

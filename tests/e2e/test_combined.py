@@ -34,7 +34,6 @@ TOP = Lidar("/top", "top", Rigid.from_rpy(0.0, 0.02, 1.0, (0.0, 0.0, 0.9)), peri
 FLAT = Lidar("/flat", "flat", Rigid.from_rpy(0.0, 0.0, -1.2, (0.1, -0.3, 0.4)), kind="flat", phase=0.061, columns=1440)
 FLAT2 = Lidar("/flat2", "flat2", Rigid.from_rpy(0.0, 0.0, 2.0, (-0.3, 0.2, 0.4)), kind="flat", columns=1440)
 PACKETS = Lidar("/front", kind="packets", columns=1800, jitter=0.004)
-ROSETTE = Lidar("/front", kind="rosette", columns=400)
 #: The same with few points, where only what is said counts.
 SMALL_FRONT, SMALL_REAR, SMALL_FLAT = (replace(each, columns=60) for each in (FRONT, REAR, FLAT))
 TILTING = Drive(tilt=float(np.radians(3.0)))

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from hostile.recordings import make_hostile
 from support import ROOT, sampled
 from support.builders import POINTS, T0, Recording, cloud, item, points_of, write_rosbag1
 from support.command import run
@@ -71,7 +70,8 @@ def test_no_command_touches_what_is_not_its_own(hostile: bool, tmp_path: Path, m
     monkeypatch.setenv("HOME", str(watched))
     monkeypatch.setattr(tempfile, "tempdir", str(watched / "tmp"))
     if hostile:
-        sources = list(make_hostile(watched).values())
+        files = ROOT / "tests" / "hostile" / "files"
+        sources = [Path(shutil.copy(file, watched)) for file in sorted(files.iterdir()) if file.suffix != ".md"]
     else:
         sources = [Path(shutil.copy(HALL, watched)), Path(shutil.copytree(HALL.with_suffix(""), watched / "hall"))]
     done = []

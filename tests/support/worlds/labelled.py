@@ -65,13 +65,6 @@ def _hill() -> Scene:
     return Scene(surfaces, lambda x, _: np.clip((x - 6) * slope, 0, 30 * slope), 1.8)
 
 
-def _valley() -> Scene:
-    slope = math.tan(math.radians(-8))
-    places = [(8.0, 2.0), (12.0, -3.0), (20.0, 4.0), (-6.0, 3.0)]
-    surfaces = [_floor(-150, 5, 0), _floor(5, 65, 0, -8), *_posts(places, lambda x: min(0.0, (x - 5) * slope))]
-    return Scene(surfaces, lambda x, _: np.minimum(0, (x - 5) * slope), 1.8)
-
-
 def _hall(lidar: float = 0.4, *more: Rectangle) -> Scene:
     found = [*room(-8, 10, -6, 7, 3.0), *more]
     for x, y in ((2, 2), (-3, 3), (4, -3)):
@@ -132,25 +125,9 @@ def _slope(degrees: float) -> Scene:
     return Scene(surfaces, lambda x, _: np.maximum(0, (x - 5) * slope), 1.0)
 
 
-def _waves() -> Scene:
-    """An uneven floor: waves of 12 cm, 3 m long."""
-
-    def height(x: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(0.06 * np.sin(2 * math.pi * x / 3))
-
-    edges = np.arange(-60, 60.5, 0.5)
-    heights = height(edges).tolist()
-    found = [
-        Rectangle((x, -60, z), (0.5, 0, behind - z), (0, 120, 0), "floor")
-        for x, z, behind in zip(edges[:-1].tolist(), heights[:-1], heights[1:], strict=True)
-    ]
-    return Scene(found, lambda x, _: height(x), 1.0)
-
-
 PLACES = {
     "street": _street(),
     "hill": _hill(),
-    "valley": _valley(),
     "hall": _hall(),
     "hall from above": _hall(1.0),
     "ramp": _ramp(),
@@ -160,7 +137,6 @@ PLACES = {
     **{f"kerbs of {kerb} m": _sidewalks(kerb) for kerb in (0.1, 0.15, 0.2)},
     "narrow sidewalks": _sidewalks(0.15, 1.5),
     **{f"slope of {degrees} degrees": _slope(degrees) for degrees in (5, 10, 14)},
-    "waves": _waves(),
 }
 
 
