@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from pathlib import Path
 
-    from .parameters import Direction
-
 #: What gives the parameters of a node that is not read.
 ELSEWHERE = "give its parameters without the launch file: `params_file=FILE` of YAML, or `param=NAME:=VALUE`"
 
@@ -86,7 +84,6 @@ class LaunchNode:
     name: str
     line: int
     doubt: str
-    direction: Direction = "pointcloud_to_laserscan"
     namespace: str = ""
     values: tuple[LaunchValue, ...] = ()
     hint: str | None = None
@@ -137,16 +134,14 @@ class LaunchFile:
         try:
             program = text("program")
             said = program + text("arguments") if "nodelet" in program else program or text("package")
-            if not re.search("pointcloud_?to_?laserscan|laserscan_?to_?pointcloud", said, re.IGNORECASE):
+            if not re.search("pointcloud_?to_?laserscan", said, re.IGNORECASE):
                 return
             words = text("arguments")
             if ":=" in words or "--params-file" in words:
                 values = [LaunchValue("file", "arguments", UnreadError.of(words, line), line)]
-            is_back = re.search("laserscan_?to_?pointcloud", said, re.IGNORECASE)
-            direction: Direction = "laserscan_to_pointcloud" if is_back else "pointcloud_to_laserscan"
             namespace = qualified(above, text("namespace"))
-            name = qualified(namespace, text("name") or direction)
-            self.nodes.append(LaunchNode(name, line, doubt, direction, namespace, tuple(values)))
+            name = qualified(namespace, text("name") or "pointcloud_to_laserscan")
+            self.nodes.append(LaunchNode(name, line, doubt, namespace, tuple(values)))
         except UnreadError as err:
             self.nodes.append(LaunchNode.unclear(err))
 

@@ -30,7 +30,7 @@ _ENTRY = "generate_launch_description"
 _PACKAGES = {"launch", "launch_ros", "ament_index_python", "os"}
 
 _NODES = {"Node", "ComposableNode"}
-_PROGRAMS = ("pointcloud_to_laserscan_node", "laserscan_to_pointcloud_node", "pointcloud_to_laserscan::")
+_PROGRAMS = ("pointcloud_to_laserscan_node", "pointcloud_to_laserscan::")
 
 #: Actions that launch what is among their arguments, once; and the names of such arguments.
 _ACTIONS = {"LaunchDescription", "GroupAction", "TimerAction", "ComposableNodeContainer", "LoadComposableNodes"}

@@ -40,11 +40,8 @@ _EXAMPLE = "name a ROS parameter file or a launch file; each parameter is an opt
 #: node may use them, also for groups of parameters.
 _OF_UPSTREAM = {name for name, parameter in PARAMETERS.items() if parameter.upstreams} | ALIASES.keys()
 
-#: Topics of the two nodes whose remappings are read.
-_REMAPPED: dict[Direction, set[str]] = {
-    "pointcloud_to_laserscan": {"cloud_in", "scan", "tf", "tf_static"},
-    "laserscan_to_pointcloud": {"scan_in", "cloud", "tf", "tf_static"},
-}
+#: Topics of the node whose remappings in launch files are read.
+_REMAPPED = {"cloud_in", "scan", "tf", "tf_static"}
 
 
 def load_params_file(
@@ -106,7 +103,7 @@ def _from_launch(
     ignored, files = file.ignored, list[Path]()
     for param in chosen.values:
         place, name = f"{path}, line {param.line}", param.name.strip("~/")
-        if param.kind == "remap" and name not in _REMAPPED[chosen.direction]:
+        if param.kind == "remap" and name not in _REMAPPED:
             continue
         if isinstance(param.value, UnreadError):
             name = ALIASES.get(name, name)
@@ -124,14 +121,15 @@ def _from_launch(
         else:
             for written, value in _launch_values(param, param.value, place):
                 name, origin = ALIASES.get(written, written), f"{place}, {written}"
-                if name in names_of(chosen.direction):
+                if name in PARAMETERS:
                     settings[name] = Setting(name, _as_bool(name, value), origin, "file")
                 elif written not in TOPICS and nearest(written, PARAMETERS):
-                    raise unknown_parameter(written, origin, chosen.direction)
+                    raise unknown_parameter(written, origin, None)
                 elif not is_every_nodes(written):
                     # The node ignores a parameter that it does not declare.
                     ignored.append(origin)
-    settled = tuple(settings.values()), chosen.direction, chosen.name
+    direction: Direction = "pointcloud_to_laserscan"
+    settled = tuple(settings.values()), direction, chosen.name
     return ParamsFile(*settled, tuple(ignored), tuple(remaps), tuple(files))
 
 
@@ -152,7 +150,7 @@ def _named_file(file: Path, place: str, node: LaunchNode) -> ParamsFile:
                 params = _from_yaml(text, file, node.name)
             except ParameterError:
                 params = _from_yaml(text, file, None)
-            resolve(params.settings, direction=node.direction)
+            resolve(params.settings)
             return params
     raise ParameterError(f"{file}: is a launch file, where parameters are expected (from {place})")
 

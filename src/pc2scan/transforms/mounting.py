@@ -111,12 +111,15 @@ class Mounting(NamedTuple):
         even if nothing is wrong).
     heights
         Heights that suit scans in the frame of these options; None if there was no point.
+    samples
+        The points that were judged.
     """
 
     topic: str
     frame: str
     judged_in: str
     ground: Ground
+    samples: Sequence[NDArray[np.float64]]
     fault: str = ""
     target_frame: str = ""
     static_tf: str = ""
@@ -181,75 +184,55 @@ def mounting(
     clouds = gathered(clouds)[: 1 if are_enough(clouds[:1]) else JUDGED_CLOUDS]
     judged_in, origin_z, stamp_ns = clouds[0].judged_in, clouds[0].origin[2], clouds[0].stamp_ns
     samples = [cloud.points for cloud in clouds]
-    seen = _Observation(topic, frame, judged_in, samples, common_ground([cloud.ground for cloud in clouds]))
+    seen = Mounting(topic, frame, judged_in, common_ground([cloud.ground for cloud in clouds]), samples)
     if judged_in.removeprefix("/") != frame.removeprefix("/"):
         seen = seen._replace(ground=_believed(seen.ground, origin_z))
         ground, fault = seen.ground, _fault(seen.ground)
-        is_known = ground.off and ground.kind != "slanted"
-        if not is_known and (tilted := clouds[0].floor_tilted_by_transform) is not None:
+        if not (ground.off and ground.kind != "slanted") and (tilted := clouds[0].floor_tilted_by_transform):
             ground = Ground("tilted", tilted.up, tilted.height)
             fault = (
                 f"tilted by {math.degrees(ground.tilt):.1f} deg by the transform of {frame!r}, in which the ground is "
                 "level; expected a mount that leaves it level"
             )
-        moved = (
-            None
-            if buffer is None or not fault or ground.kind == "slanted"
-            else _lookup(buffer, judged_in, frame, stamp_ns)
-        )
-        if moved is not None:
-            return seen.correct(judged_in, moved, ground, _IDENTITY)._replace(fault=fault)
+        if buffer and fault and ground.kind != "slanted" and (moved := _lookup(buffer, judged_in, frame, stamp_ns)):
+            return _corrected(seen, judged_in, moved, ground, _IDENTITY)._replace(fault=fault)
         transform = clouds[0].transform
-        if (
-            seen.ground.kind == "unknown"
-            and transform
-            and (lying := _on_its_side(seen, judged_in, transform, _IDENTITY))
-        ):
+        is_unknown = seen.ground.kind == "unknown"
+        if is_unknown and transform and (lying := _on_its_side(seen, judged_in, transform, _IDENTITY)):
             return lying
         heights = suitable_heights(seen.ground, samples, frame=judged_in, origin_z=origin_z)
-        return seen.verdict(fault, heights=heights)
-    if buffer is not None:
-        by_transforms = _by_transforms(seen, buffer, stamp_ns)
-        if by_transforms is not None:
-            return by_transforms
+        return seen._replace(fault=fault, heights=heights)
+    if buffer is not None and (by_transforms := _by_transforms(seen, buffer, stamp_ns)):
+        return by_transforms
     if not seen.ground.off or seen.ground.kind == "slanted":
-        return seen.verdict(_fault(seen.ground), heights=suitable_heights(seen.ground, samples))
+        return seen._replace(fault=_fault(seen.ground), heights=suitable_heights(seen.ground, samples))
     level = Rigid.from_rpy(*seen.ground.level_from_frame, (0.0, 0.0, seen.ground.height))
-    return seen.replace_frame(f"{frame.removeprefix('/')}_level", level, suitable_heights(seen.ground, samples, level))
+    name = f"{frame.removeprefix('/')}_level"
+    return _mounted_on(seen, name, level, suitable_heights(seen.ground, samples, level))
 
 
-class _Observation(NamedTuple):
-    """The ground of a topic's clouds in the frame in which they are judged."""
-
-    topic: str
-    frame: str
-    judged_in: str
-    samples: Sequence[NDArray[np.float64]]
-    ground: Ground
-
-    def verdict(self, fault: str, target: str = "", static: str = "", heights: Heights | None = None) -> Mounting:
-        return Mounting(self.topic, self.frame, self.judged_in, self.ground, fault, target, static, heights)
-
-    def replace_frame(self, parent: str, parent_from_frame: Rigid, heights: Heights | None) -> Mounting:
-        """Return the mounting with another transform of the frame."""
-        static = _static(parent, self.frame, parent_from_frame)
-        return self.verdict(_fault(self.ground), parent if static else "", static, heights)
-
-    def correct(self, target: str, target_from_frame: Rigid, ground: Ground, turn: Rigid) -> Mounting:
-        """Return the mounting with the recorded transform rotated until the ground is level, if there is one.
-
-        ``ground`` is the ground by the recorded transform; ``turn`` rotates the samples to its axes.
-        """
-        level = Rigid.from_rpy(*ground.level_from_frame)
-        turned = level.compose(target_from_frame).quaternion
-        right = Rigid(turned / np.linalg.norm(turned), target_from_frame.translation)
-        moved = [level.apply(turn.apply(points)) for points in self.samples]
-        corrected = common_ground([find_ground(points) for points in moved])
-        heights = suitable_heights(corrected, moved, frame=target, origin_z=_height(right))
-        return self.replace_frame(target, right, heights)
+def _mounted_on(seen: Mounting, parent: str, parent_from_frame: Rigid, heights: Heights | None) -> Mounting:
+    """Return the mounting with another transform of the frame."""
+    static = _static(parent, seen.frame, parent_from_frame)
+    target = parent if static else ""
+    return seen._replace(fault=_fault(seen.ground), target_frame=target, static_tf=static, heights=heights)
 
 
-def _by_transforms(seen: _Observation, buffer: TransformBuffer, stamp_ns: int) -> Mounting | None:
+def _corrected(seen: Mounting, target: str, target_from_frame: Rigid, ground: Ground, turn: Rigid) -> Mounting:
+    """Return the mounting with the recorded transform rotated until the ground is level.
+
+    ``ground`` is the ground by the recorded transform; ``turn`` rotates the samples to its axes.
+    """
+    level = Rigid.from_rpy(*ground.level_from_frame)
+    turned = level.compose(target_from_frame).quaternion
+    right = Rigid(turned / np.linalg.norm(turned), target_from_frame.translation)
+    moved = [level.apply(turn.apply(points)) for points in seen.samples]
+    corrected = common_ground([find_ground(points) for points in moved])
+    heights = suitable_heights(corrected, moved, frame=target, origin_z=_height(right))
+    return _mounted_on(seen, target, right, heights)
+
+
+def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int) -> Mounting | None:
     """Return what the transforms say about the frame; None if they neither help nor contradict."""
     ground = seen.ground
     body = _body(buffer, seen.frame, stamp_ns)
@@ -257,7 +240,8 @@ def _by_transforms(seen: _Observation, buffer: TransformBuffer, stamp_ns: int) -
         # No frame is known to be level, so a new frame that makes the clouds level is used.
         for name, moved in _ancestors(buffer, seen.frame, stamp_ns) if ground.off else ():
             if ground.up is not None and float((moved.matrix @ np.array(ground.up))[2]) > math.cos(LEVEL):
-                return seen.verdict(_fault(ground), name, heights=suitable_heights(ground, seen.samples, moved))
+                heights = suitable_heights(ground, seen.samples, moved)
+                return seen._replace(fault=_fault(ground), target_frame=name, heights=heights)
         return None
     name, body_from_frame = body
     turn = body_from_frame.rotation
@@ -269,7 +253,7 @@ def _by_transforms(seen: _Observation, buffer: TransformBuffer, stamp_ns: int) -
         return None
     if body_ground.off:
         # The frame itself is level and its transform tilts it, so the transform is wrong.
-        return seen.correct(name, body_from_frame, body_ground, turn) if ground.off else None
+        return _corrected(seen, name, body_from_frame, body_ground, turn) if ground.off else None
     if body_ground.kind == "unknown" and ground.kind == "slanted":
         return None
     if body_ground.kind == ground.kind == "unknown" and (lying := _on_its_side(seen, name, body_from_frame, turn)):
@@ -288,14 +272,14 @@ def _by_transforms(seen: _Observation, buffer: TransformBuffer, stamp_ns: int) -
                 x, y, z = (np.array(body_ground.up) @ turn.matrix).tolist()
                 seen = seen._replace(ground=body_ground._replace(kind="upside-down", up=(x, y, z)))
         fault = f"{how} according to its transform to {name!r}; expected z up"
-    return seen.verdict(fault, name, heights=heights)
+    return seen._replace(fault=fault, target_frame=name, heights=heights)
 
 
-def _on_its_side(seen: _Observation, target: str, target_from_frame: Rigid, turn: Rigid) -> Mounting | None:
+def _on_its_side(seen: Mounting, target: str, target_from_frame: Rigid, turn: Rigid) -> Mounting | None:
     """Return the mounting of a sensor that lies on its side, and is level by its transform; None if it does not.
 
     What would be the floor then is as far away as the transform says that the sensor is high. For ``turn``, see
-    `_Observation.correct`.
+    `_corrected`.
     """
     height = _height(target_from_frame)
     if height <= 0 or _tilt(target_from_frame) > LEVEL:
@@ -309,7 +293,8 @@ def _on_its_side(seen: _Observation, target: str, target_from_frame: Rigid, turn
         f"probably on its side, with {_direction(up)} up: no floor is visible below the sensor, and at its side there "
         f"is a plane as far away ({beside:.2f} m) as its transform says that it is high; expected z up"
     )
-    return seen.correct(target, target_from_frame, Ground("tilted", up, beside), turn)._replace(fault=fault)
+    lying = Ground("tilted", up, beside)
+    return _corrected(seen, target, target_from_frame, lying, turn)._replace(fault=fault)
 
 
 def _believed(ground: Ground, height: float) -> Ground:
