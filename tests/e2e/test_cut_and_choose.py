@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pc2scan
-from support import sampled
 from support.builders import CONTENT, POINTS, SECOND, SOURCES, T0
 from support.outputs import opened
 
@@ -59,22 +58,3 @@ def test_a_cut_has_its_messages_and_what_is_latched(
     assert pc2scan.convert(source, made, **asked).exit_status == 0
     found = [(message.topic, message.log_time_ns) for message in opened(made).messages]
     assert sorted(found) == sorted([("/tf_static", first)] * len(latched) + expected)
-
-
-@pytest.mark.parametrize("kind", sampled(["bag-none", "mcap-zstd", "db3", "rosbag2-sqlite3-v8"], 2))
-def test_two_halves_are_the_whole(kind: str, tmp_path: Path) -> None:
-    first, second = CONTENT.halves()
-    places = {}
-    for name, content in (("both", CONTENT), ("later", second), ("earlier", first)):
-        (tmp_path / name).mkdir()
-        places[name] = SOURCES[kind](tmp_path / name, content)
-    suffix = {"bag-none": ".bag", "mcap-zstd": ".mcap"}.get(kind, "")
-    whole, merged = tmp_path / f"whole{suffix}", tmp_path / f"merged{suffix}"
-    # The order in which they are given is no difference.
-    for sources, made in (([places["both"]], whole), ([places["later"], places["earlier"]], merged)):
-        pc2scan.convert(sources, made, min_height=-2, max_height=2)
-    one, two = opened(whole), opened(merged)
-    assert [(m.topic, m.log_time_ns, m.data) for m in one.messages] == [
-        (m.topic, m.log_time_ns, m.data) for m in two.messages
-    ]
-    assert sorted(one.publishers) == sorted(two.publishers)

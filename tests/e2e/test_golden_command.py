@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import signal
 from pathlib import Path
@@ -43,19 +42,6 @@ def test_a_case_does_not_choose_where_anything_is_written(status: int, update: b
         assert f"{case['name']}/case.yaml: arguments: " in case["text"]
         assert named in case["text"]
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
-
-
-def test_the_text_is_the_same_wherever_it_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    shutil.copy(HALL, tmp_path / "input.bag")
-    texts = set()
-    for environment in ({"TZ": "Asia/Tokyo", "PYTHONHASHSEED": "1"}, {"TZ": "UTC", "LANG": "C", "LC_ALL": "C"}):
-        with monkeypatch.context() as patch:
-            for name, value in environment.items():
-                patch.setitem(os.environ, name, value)
-            assert run("golden", tmp_path, "--update").status == 0
-        texts.add((tmp_path / "expected.txt").read_bytes())
-        (tmp_path / "expected.txt").unlink()
-    assert len(texts) == 1
 
 
 def test_a_case_is_made_from_python(tmp_path: Path) -> None:
