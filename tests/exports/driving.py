@@ -90,10 +90,7 @@ _WIRE = ((1, "ros1"), (2, "cdr"))
 
 
 def drive(
-    topics: Mapping[str, Sequence[LaserScan]] | None = None,
-    *,
-    with_tf: bool = True,
-    child: str = "base_link",
+    topics: Mapping[str, Sequence[LaserScan]] | None = None, *, with_tf: bool = True, child: str = "base_link"
 ) -> Recording:
     """A drive of one second with scans on /scan, transforms odom <- base_link <- laser, and /odom."""
     pattern = [

@@ -16,13 +16,7 @@ from pc2scan.errors import Pc2ScanError, UsageError
 from support import ROOT
 from support.builders import T0, Item, Recording, write_mcap
 from support.command import run
-from support.worlds.drives import (
-    distance_to_wall,
-    drive,
-    drive_recording,
-    is_inside,
-    transform_message,
-)
+from support.worlds.drives import distance_to_wall, drive, drive_recording, is_inside, transform_message
 
 if TYPE_CHECKING:
     from pathlib import Path

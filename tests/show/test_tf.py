@@ -6,22 +6,10 @@ import json
 
 import pytest
 
-import pc2scan
 from support import ROOT
 from support.command import run
 
 HALL = ROOT / "fixtures" / "hall.bag"
-
-
-def test_the_tree_of_the_fixture() -> None:
-    tree = pc2scan.tf(HALL)
-    assert [(f.child, f.parents, f.static, f.transforms) for f in tree.frames] == [
-        ("base_link", ("odom",), False, 5),
-        ("lidar", ("base_link",), True, 1),
-    ]
-    (part,) = tree.trees
-    assert (part.roots, part.frames) == (("odom",), ("base_link", "lidar", "odom"))
-    assert tree.frames[0].rate_hz == pytest.approx(10)
 
 
 def test_a_transform_is_looked_up() -> None:

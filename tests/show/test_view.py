@@ -58,16 +58,6 @@ def test_a_page_opens_with_what_info_proposes(tmp_path: Path) -> None:
     assert description(page)["params"]["max_height"] == 3
 
 
-def test_the_cut_is_the_pages_too(tmp_path: Path) -> None:
-    page, scans_made = tmp_path / "page.html", tmp_path / "scans.json"
-    cut = ("--start", "0.15", "--end", "0.35")
-    assert run("view", HALL, "-o", page, *cut).status == 0
-    (topic,) = description(page)["topics"]
-    assert run("convert", HALL, "-o", tmp_path / "scans.mcap", "--report", scans_made, *cut).status == 0
-    converted = next(t for t in json.loads(scans_made.read_text())["topics"] if t["action"] == "converted")
-    assert 0 < len(topic["clouds"]) == converted["messages_out"] < 5
-
-
 def test_a_page_of_scans_says_what_check_says(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "scans.mcap", recording({"/scan": scans(20)}))
     assert run("view", source, "-o", tmp_path / "page.html", "--clouds", "4").status == 0

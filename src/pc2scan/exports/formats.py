@@ -66,8 +66,6 @@ def format_of(name: str | None, destination: Path) -> ExportFormat:
             raise UsageError(f"`format` is {name}, but this is the name of {by_suffix.name}", path=destination)
         return FORMATS[name]
     if by_suffix is None or by_suffix.clouds:
-        hint = f"give `format`: {', '.join(FORMATS)}"
-        if by_suffix is not None:
-            hint = f"a file for each cloud, in a folder: `destination={destination.stem}/`, `format={by_suffix.name}`"
+        hint = f"give `format`: {', '.join(FORMATS)}; clouds are files in a folder"
         raise UsageError("no format has this suffix", path=destination, hint=hint)
     return by_suffix

@@ -68,9 +68,7 @@ class Poses:
         known = sorted(found.buffer.frames)
         for option, name in (("pose_frame", pose_frame), ("base_frame", base_frame)):
             if name and name.removeprefix("/") not in known:
-                hint = f"{did_you_mean(name, known)} frames: {name_list(known)}".strip()
-                if not known:
-                    hint = "the recording has no transforms; `odom_topic` uses the poses of an odometry topic"
+                hint = f"{did_you_mean(name, known)} frames: {name_list(known)}; `odom_topic` adds odometry".strip()
                 raise UsageError(f"`{option}`: no transforms have the frame {name!r}", hint=hint)
         moved = (each for added in found.poses if added.reading for each in added.attachments.values())
         odometry = None if pose_frame else next(moved, None)

@@ -6,6 +6,7 @@ import re
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain, count
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.opening import as_one, open_recordings
@@ -57,16 +58,12 @@ def file_names(topics: Iterable[str]) -> dict[str, str]:
     ['front_scan', 'front_scan_2', 'Front_Scan_3', 'x_y', 'topic']
     """
     names: dict[str, str] = {}
-    taken: set[str] = set()
     for topic in topics:
-        safe = name = re.sub(r"[^A-Za-z0-9_.-]+", "_", topic).strip("_.-")[:_MAX_NAME] or "topic"
-        number = 1
+        safe = re.sub(r"[^A-Za-z0-9_.-]+", "_", topic).strip("_.-")[:_MAX_NAME] or "topic"
         # File systems may ignore case.
-        while name.lower() in taken:
-            number += 1
-            name = f"{safe}_{number}"
-        taken.add(name.lower())
-        names[topic] = name
+        taken = {name.lower() for name in names.values()}
+        numbered = (f"{safe}_{number}" for number in count(2))
+        names[topic] = next(name for name in chain([safe], numbered) if name.lower() not in taken)
     return names
 
 

@@ -121,17 +121,16 @@ class Check(Result):
 
     def _conclusion(self) -> str:
         """Return in one line which consumers would not accept what, the worst first."""
-        refusing: dict[tuple[str, str], list[str]] = {}
+        refusing: dict[str, list[str]] = {}
         for outcome, topic, consumer in sorted(self._refused, key=lambda each: -_WORST.index(each[0])):
             of = f" ({topic})" if len(self.topics) > 1 else ""
-            refusing.setdefault((outcome, of), []).append(consumer)
-        parts = [f"{outcome}{of}: {', '.join(consumers)}" for (outcome, of), consumers in refusing.items()]
+            refusing.setdefault(f"{outcome}{of}: ", []).append(consumer)
+        parts = [outcome + ", ".join(consumers) for outcome, consumers in refusing.items()]
         if defects := len(self._defects):
             parts.append(counted(defects, "defect"))
         if not parts:
             return f"ok: accepted by {', '.join(self.counting)}"
-        verdict = "not ok" if self.exit_status else "accepted" if defects else "ok"
-        return "; ".join((verdict, *parts))
+        return "; ".join(("not ok" if self.exit_status else "accepted" if defects else "ok", *parts))
 
     def __repr__(self) -> str:
         return f"<Check of {', '.join(map(repr, self.sources))}: {self._conclusion()}>"

@@ -131,7 +131,9 @@ def _command_options(asked: Options, options: ConvertOptions) -> dict[str, Any]:
     for name in ("start", "end"):
         if (bound := getattr(asked, name)) is not None:
             given[name] = f"{'@' if bound.absolute else ''}{stamp_text(bound.nanoseconds)}"
-    topics = tuple(each.source + (f":={each.target}" if each.target else "") for each in options.scan.topics)
+    # A scans file names its topics.
+    named = () if "scans" in given else options.scan.topics
+    topics = tuple(each.source + (f":={each.target}" if each.target else "") for each in named)
     static = tuple(
         f"{each.parent} {each.child} {' '.join(map(repr, each.parent_from_child.pose))}"
         for each in options.frames.static

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from pc2scan.advice.survey import TopicFacts
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
-    from pc2scan.model import Connection, Summary
+    from pc2scan.model import Connection
     from pc2scan.options.call import Options
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.imu import UpEstimate
@@ -78,12 +78,6 @@ class FileInfo:
     compression: tuple[str, ...]
     size_bytes: int
 
-    @classmethod
-    def of(cls, path: Path, summary: Summary) -> FileInfo:
-        """Return the description of a source."""
-        names = ("container", "storage", "profile", "compression", "size_bytes")
-        return cls(str(path), *map(summary.__getattribute__, names))
-
 
 @dataclass(frozen=True, slots=True)
 class TopicInfo:
@@ -104,6 +98,14 @@ class TopicInfo:
     rate_hz: float | None
     connections: int
     latched: bool
+
+    @property
+    def row(self) -> tuple[str, ...]:
+        """What the table has of it."""
+        kind = self.msgtype + ("" if self.serialization in ("ros1", "cdr") else f" ({self.serialization})")
+        rate = "-" if self.rate_hz is None else f"{self.rate_hz:.2f}"
+        latched = "latched" if self.latched else ""
+        return (self.topic, kind, count(self.messages), rate, str(self.connections), latched)
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -175,21 +177,8 @@ class Info(Result):
         else:
             yield "no messages"
         yield ""
-        yield Table(
-            ("topic", "type", "messages", "Hz", "publishers", ""),
-            [
-                (
-                    topic.topic,
-                    topic.msgtype + ("" if topic.serialization in ("ros1", "cdr") else f" ({topic.serialization})"),
-                    count(topic.messages),
-                    "-" if topic.rate_hz is None else f"{topic.rate_hz:.2f}",
-                    str(topic.connections),
-                    "latched" if topic.latched else "",
-                )
-                for topic in self.topics
-            ],
-            left=("topic", "type", ""),
-        )
+        columns = ("topic", "type", "messages", "Hz", "publishers", "")
+        yield Table(columns, [topic.row for topic in self.topics], left=("topic", "type", ""))
         for cloud in self.clouds:
             yield ""
             yield from cloud.body()
@@ -328,7 +317,7 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
         )
         periods = {topic.topic: 1e9 / topic.rate_hz if topic.rate_hz else None for topic in shown}
         return Info(
-            tuple(FileInfo.of(each.path, each.summary) for each in readers),
+            tuple(map(_file_info, readers)),
             start_ns,
             end_ns,
             sum(counts.values()),
@@ -490,6 +479,11 @@ class _Surveyed:
             yield moving.of_target(target)
         if source and (moving := find_body_motion(self.buffer, source, own)) is not None:
             yield f"{topic}: {moving.of_source(source, own.removeprefix('/'))}"
+
+
+def _file_info(reader: Reader) -> FileInfo:
+    own = reader.summary
+    return FileInfo(str(reader.path), own.container, own.storage, own.profile, own.compression, own.size_bytes)
 
 
 def _message_counts(reader: Reader) -> tuple[Counter[int], int | None, int | None]:

@@ -112,21 +112,6 @@ _TIMES = times_of(PointTime())
 _SHAPE = shapes_of(step=True, sweep=True, most=_SHAPES)
 
 
-class Directions(NamedTuple):
-    """Which directions clouds have: whole turns, or parts of one.
-
-    Attributes
-    ----------
-    is_part
-        Whether a cloud has a part of the directions that several have.
-    turn
-        The time of a turn, seconds; 0 if the clouds are no parts, or it is not regular.
-    """
-
-    is_part: bool = False
-    turn: float = 0.0
-
-
 class Pattern(NamedTuple):
     """How clouds of a sparse pattern fill a scan.
 
@@ -242,19 +227,19 @@ class Lidar:
         return median([each.bit_count() / DIRECTIONS for each in masks]) if masks else 0.0
 
     @cached_property
-    def directions(self) -> Directions:
-        """Whether a cloud is a part of a turn."""
+    def turn(self) -> float:
+        """The time of a turn, seconds, of clouds that are parts of one; 0 if they are not, or it is not regular."""
         masks = self.facts.found(_DIRECTIONS)
         union = reduce(or_, masks, 0)
         if len(masks) < _SEVERAL or self.covered >= _PART * union.bit_count() / DIRECTIONS:
-            return Directions()
+            return 0.0
         middles = [_middle(each) for each in masks]
         steps = np.remainder(np.diff(middles) + math.pi, math.tau) - math.pi
         step = median(steps)
         # Packets follow each other; a pattern jumps.
         if not abs(step) > _STEP / 4 or (np.abs(steps - step) < max(0.5 * abs(step), _STEP)).mean() < _ENOUGH:
-            return Directions(is_part=True)
-        return Directions(is_part=True, turn=round(math.tau / abs(step)) * self.period)
+            return 0.0
+        return round(math.tau / abs(step)) * self.period
 
     @property
     def world(self) -> str:
@@ -273,7 +258,7 @@ class Lidar:
     def pattern(self) -> Pattern:
         """How clouds of a sparse pattern fill a scan."""
         heights = self.mounting.heights
-        if self.step is not None or self.directions.turn or heights is None:
+        if self.step is not None or self.turn or heights is None:
             return Pattern()
         placed = (self.in_target(each, self.mounting.frame) for each in self.facts.found(_PATTERN))
         filled = [_filled_beams(points, heights.low, heights.high) for points in placed]
@@ -306,7 +291,7 @@ class Lidar:
         most, points
             How many, and how many points of each.
         """
-        if self.directions.turn or self.pattern.clouds:
+        if self.turn or self.pattern.clouds:
             is_own = self.mounting.judged_in == self.mounting.frame
             return self.facts.found(_PATTERN) if is_own else [], True
         chosen = self.clouds[:: max(1, len(self.clouds) // most)][:most]

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from pc2scan.core import kernel
+from pc2scan.core.layout import TURN
 from pc2scan.core.project import Projector
-from pc2scan.core.rule import rule_of
 from pc2scan.errors import NothingToConvertError, UsageError, leading, visible
 from pc2scan.files.outputs import file_output
 from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
@@ -40,6 +39,8 @@ if TYPE_CHECKING:
 
 #: The formats of figures, by the suffix of the file.
 FORMATS = ("png", "svg", "pdf")
+#: What matplotlib writes into a file that differs each time.
+_METADATA = {"png": ("Software",), "svg": ("Date", "Creator"), "pdf": ("CreationDate", "Creator", "Producer")}
 
 #: Maximum number of columns of a figure; more are too small to read.
 _MOST_CLOUDS = 24
@@ -97,12 +98,9 @@ def plot(sources: Sequence[Path], destination: Path, options: Options, *, warn: 
     request = first_output(conversion_of(options, warn), "shown", warn)
     kind = destination.suffix.lower().removeprefix(".")
     if kind not in FORMATS:
-        shown = f"'.{kind}'" if kind else "no suffix"
-        raise UsageError(
-            f"has {shown}, a figure is one of {', '.join(f'.{name}' for name in FORMATS)}",
-            path=destination,
-            hint=f"such as `destination={shlex.quote(f'{destination.stem}.png')}`",
-        )
+        suffix = f"'.{kind}'" if kind else "no suffix"
+        text = f"has {suffix}, a figure is one of .{', .'.join(FORMATS)}"
+        raise UsageError(text, path=destination, hint=f"such as `destination={shlex.quote(destination.stem)}.png`")
     if not 1 <= options.clouds <= _MOST_CLOUDS:
         raise UsageError(f"`clouds` is {options.clouds}, it must be from 1 to {_MOST_CLOUDS}")
     refuse_overlap(inputs_of(sources, options.tf_from, request.files), [OutputPath(destination)])
@@ -118,13 +116,8 @@ def plot(sources: Sequence[Path], destination: Path, options: Options, *, warn: 
             raise
         figure = _figure(taken, title_of(sources), kind)
         deliver(figure)
-        return Plotted(
-            str(destination),
-            len(figure),
-            tuple(taken.notes),
-            (*request.notes, *taken.warnings),
-            recording.damage,
-        )
+        told = (*request.notes, *taken.warnings)
+        return Plotted(str(destination), len(figure), tuple(taken.notes), told, recording.damage)
 
 
 def _figure(taken: Shots, title: str, kind: str) -> bytes:
@@ -149,25 +142,12 @@ def _figure(taken: Shots, title: str, kind: str) -> bytes:
         axes: Any = figure.subplots(2, columns, squeeze=False, height_ratios=inches)
         for column, (shot, points) in enumerate(zip(taken.shots, placed, strict=True)):
             _draw(axes[0, column], axes[1, column], shot, points, taken.params, limits)
-        named = {
-            name: handle for each in axes[0] for handle, name in zip(*each.get_legend_handles_labels(), strict=True)
-        }
-        figure.legend(
-            list(named.values()),
-            list(named),
-            loc="outside lower center",
-            ncols=4 if columns > 1 else 2,
-            fontsize=8,
-            frameon=False,
-            markerscale=3,
-        )
+        legends = [each.get_legend_handles_labels() for each in axes[0]]
+        named = {name: handle for own in legends for handle, name in zip(*own, strict=True)}
+        style: dict[str, Any] = {"loc": "outside lower center", "fontsize": 8, "frameon": False, "markerscale": 3}
+        figure.legend(list(named.values()), list(named), ncols=4 if columns > 1 else 2, **style)
         file = io.BytesIO()
-        metadata: dict[str, dict[str, Any]] = {
-            "png": {"Software": None},
-            "svg": {"Date": None, "Creator": None},
-            "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
-        }
-        figure.savefig(file, format=kind, metadata=metadata[kind])
+        figure.savefig(file, format=kind, metadata=dict.fromkeys(_METADATA[kind]))
     return file.getvalue()
 
 
@@ -180,11 +160,15 @@ def _draw(
     limits: Sequence[tuple[float, float]],
 ) -> None:
     x, y, z = points
-    projection = Projector(params)
-    used, height = _outcomes(x, y, z, shot.filtered, params)
-    kept = slice(None) if shot.filtered is None else shot.filtered == 0
-    ranges = projection(x[kept], y[kept], z[kept]).ranges.astype(np.float64)
+    kept = np.ones(x.size, np.bool_) if shot.filtered is None else shot.filtered == 0
+    ranges = Projector(params)(x[kept], y[kept], z[kept]).ranges.astype(np.float64)
     layout = params.layout
+    with np.errstate(over="ignore", invalid="ignore"):
+        distance = np.hypot(x, y, dtype=np.float64)
+        turned = np.mod(np.arctan2(y, x, dtype=np.float64) - params.angle_min, TURN)
+        height = kept & ((z < params.min_height) | (z > params.max_height))
+        inside = (distance >= params.range_min) & (distance <= params.range_max)
+    used = kept & ~height & inside & (turned <= params.angle_max - params.angle_min)
     angles = layout.angle_min + np.arange(layout.count) * layout.angle_increment
     returns = np.isfinite(ranges) & (ranges != np.float64(params.empty_range))
     ends = ranges[returns] * np.cos(angles[returns]), ranges[returns] * np.sin(angles[returns])
@@ -192,7 +176,7 @@ def _draw(
     step = max(1, math.ceil(len(x) / _MOST_POINTS))
     for name, chosen, label in (
         ("other", ~used & ~height, "rejected: range, sector, filters"),
-        ("height", height & ~used, "rejected: height"),
+        ("height", height, "rejected: height"),
         ("used", used, "used"),
     ):
         some = np.flatnonzero(chosen & known)[::step]
@@ -241,25 +225,3 @@ def _place_points(shot: Shot) -> Sequence[NDArray[np.float32]]:
         return x, y, z
     placed: NDArray[np.float32] = rigid.apply(np.stack((x, y, z), axis=1))
     return placed[:, 0].copy(), placed[:, 1].copy(), placed[:, 2].copy()
-
-
-def _outcomes(
-    x: NDArray[np.float32],
-    y: NDArray[np.float32],
-    z: NDArray[np.float32],
-    filtered: NDArray[np.uint8] | None,
-    params: ProjectionParams,
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return masks of the points that are used, and of those that are rejected by their height."""
-    rule = rule_of(params)
-    bins, ranges = np.empty(x.size, np.int32), np.empty(x.size, np.float32)
-    numbers = np.empty(x.size, np.int64)
-    rejected = kernel.gather(x, y, z, rule, None, params.length, bins, ranges, numbers)
-    used = np.zeros(x.size, np.bool_)
-    used[numbers[: x.size - sum(rejected)]] = True
-    with np.errstate(invalid="ignore"):
-        height = (z < np.float32(rule[0])) | (z > np.float32(rule[1]))
-    if filtered is not None:
-        used &= filtered == 0
-        height &= filtered == 0
-    return used, height

@@ -350,7 +350,7 @@ def _times(group: Sequence[Lidar], ups: Mapping[str, UpEstimate]) -> Iterator[Ch
     """Yield the options about motion, packets and patterns."""
     lidar = group[0]
     is_alone = len(group) == 1
-    turn = lidar.directions.turn if is_alone else 0.0
+    turn = lidar.turn if is_alone else 0.0
     clouds = lidar.pattern.clouds if is_alone and not turn else 0
     within_cloud = lidar.motion(lidar.duration or lidar.period or 0.1)
     gathered = turn or clouds * lidar.period or (0.0 if is_alone else lidar.period)

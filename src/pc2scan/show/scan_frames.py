@@ -112,12 +112,7 @@ class ScanFrames:
     """
 
     def __init__(
-        self,
-        buffer: TransformBuffer,
-        odom_frame: str,
-        base_frame: str,
-        clock: ClockFinding | None,
-        arrivals: Arrivals,
+        self, buffer: TransformBuffer, odom_frame: str, base_frame: str, clock: ClockFinding | None, arrivals: Arrivals
     ) -> None:
         self._buffer, self._clock, self._arrivals = buffer, clock, arrivals
         self._trees = {frame: number for number, tree in enumerate(buffer.trees) for frame in tree.frames}
@@ -217,21 +212,12 @@ class ScanFrames:
         offset = f"`time_offset={self._clock.time_offset}`"
         return f"the clocks differ; pc2scan convert {offset} for scans made from clouds"
 
-    @property
-    def _robot_moves(self) -> bool:
-        """Whether the robot moves in a frame; if its own is not known, whether anything moves."""
-        tree = self._trees.get(self._base)
-        if tree is None:
-            return not all(info.static for info in self._buffer.infos)
-        return any(self._buffer.moving_links(root, self._base) for root in self._buffer.trees[tree].roots)
-
     def _naming(self, option: str, name: str) -> str:
         """Return what to do if there is no frame of this name."""
         if namesake := named_in_namespace(name, self._trees):
             return f"`{option}={namesake}`"
-        if option == "odom_frame" and not self._robot_moves:
-            return "record the robot's odometry on /tf; pc2scan convert `odom_topic` or `trajectory` writes it there"
-        return f"`{option}` names the right one; {_HINT}"
+        more = "; pc2scan convert `odom_topic` or `trajectory` adds odometry" if option == "odom_frame" else ""
+        return f"`{option}` names the right one; {_HINT}{more}"
 
     def findings(self, interval_ns: float | None) -> Iterator[Finding]:
         """Yield the problems, given the median interval between scans."""
@@ -268,14 +254,14 @@ class ScanFrames:
 
     def _name_findings(self) -> Iterator[Finding]:
         roots = ", ".join(root for tree in self._buffer.trees for root in tree.roots)
-        text = "there is no frame {!r} ({}) in the transforms; their roots: {}"
-        if self._odom not in self._trees:
-            still = "" if self._robot_moves else "; the robot does not move in them"
-            text_of_odom = text.format(self._odom, "odometry", roots) + still
-            yield Finding("no-odometry-frame", "defect", text_of_odom, self._naming("odom_frame", self._odom))
-        if self._base not in self._trees:
-            text_of_base = text.format(self._base, "robot", roots)
-            yield Finding("no-robot-frame", "notice", text_of_base, self._naming("base_frame", self._base))
+        named: tuple[tuple[str, str, str, Level], ...] = (
+            (self._odom, "odometry", "odom_frame", "defect"),
+            (self._base, "robot", "base_frame", "notice"),
+        )
+        for name, role, option, level in named:
+            if name not in self._trees:
+                text = f"there is no frame {name!r} ({role}) in the transforms; their roots: {roots}"
+                yield Finding(f"no-{role}-frame", level, text, self._naming(option, name))
 
     def _frame_findings(self, name: str, frame: _Frame, interval_ns: float | None) -> Iterator[Finding]:
         if name not in self._trees:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -77,21 +76,13 @@ _MAX_SHOWN = 5
 #: What is counted scan by scan: a verb that agrees with the count, the problem, and what the user can do.
 _EACH_SCAN: dict[str, tuple[str, str, str]] = {
     "no-frame": ("have", "an empty frame_id", "pc2scan convert `source_frame` names it for scans made from clouds"),
-    "length": ("have", "another number of beams than the first: {low:,} to {high:,}", "pc2scan convert `rebin=True`"),
-    "angles": ("have", "no angles: {angles} for {beams}", "beam i is at angle_min + i * angle_increment"),
-    "full-circle": ("cover", "more than a full circle: {angles} for {beams}", "angles in degrees? A circle is 2 pi"),
+    "length": ("have", "another number of beams than the first", "pc2scan convert `rebin=True`"),
+    "angles": ("have", "no angles", "beam i is at angle_min + i * angle_increment"),
+    "full-circle": ("cover", "more than a full circle", "angles in degrees? A circle is 2 pi"),
     "stamps-back": ("have", "a stamp before that of the scan before", _BACK),
     "stamps-repeated": ("repeat", "the stamp of the scan before", _BACK),
     "stamps-zero": ("have", "no stamp (0)", _BACK),
     "no-returns": ("have", "no return at all", "other heights, for scans made from clouds: pc2scan info proposes them"),
-}
-
-#: What is counted range by range: the counts of `ConsumerScan`, the problem, and what the user can do.
-_EACH_RANGE = {
-    "short": ("are below range_min", "a beam without a return should be +inf"),
-    # Zeros that are not below range_min are returns.
-    "zero": ("are 0, and range_min is 0 m or less", "consumers see obstacles at the sensor: `range_min=0.1`"),
-    "nan": ("are NaN", "NaN means an erroneous measurement; a beam without a return should be +inf"),
 }
 
 
@@ -284,7 +275,8 @@ class ScanTopic:
         self._first_of: dict[str, ConsumerScan] = {}
         self._kept_of: dict[tuple[str, str], ConsumerScan] = {}
         self._tallies = {kind: Counted() for kind in _EACH_SCAN}
-        self._ranges: Counter[str] = Counter()
+        #: Zeros that are returns, because range_min is 0 or less.
+        self._zeros = 0
         self._median = 0.0
         #: The last stamp, the smallest and the largest difference to log times, and the intervals that are positive.
         self._last_ns: int | None = None
@@ -318,8 +310,7 @@ class ScanTopic:
         self.frames[frame] = None
         self.beams.add(scan.beams)
         self._judge(scan, frame, stamp_ns, placed)
-        self._ranges += Counter(beams=scan.beams, short=scan.short, nan=scan.nan)
-        self._ranges += Counter({"zero" if scan.range_min <= 0 else "zero short": scan.zero})
+        self._zeros += scan.zero if scan.range_min <= 0 else 0
         angles = has_angles(scan)
         wrong = {
             "no-frame": not frame,
@@ -408,23 +399,22 @@ class ScanTopic:
             return
         if len(self.frames) > 1:
             yield Finding("frames", "notice", f"{len(self.frames)} frames on one topic", "use a topic for each sensor")
-        increment = f"{first.angle_increment:.6g} rad ({math.degrees(first.angle_increment):.4g} deg)"
-        facts = {
-            "low": min(self.beams),
-            "high": max(self.beams),
-            "beams": counted(first.beams, "beam"),
-            "angles": f"angle_min {first.angle_min:.6g}, angle_max {first.angle_max:.6g}, angle_increment {increment}",
-        }
         for kind, (verb, problem, hint) in _EACH_SCAN.items():
             tally = self._tallies[kind]
             if not tally.count:
                 continue
             of = f"{tally.count:,} of {counted(self.scans, 'scan')} {agreeing(tally.count, verb)}"
             few = kind == "no-returns" and 2 * tally.count <= self.scans
-            yield tally.finding(kind, "notice" if few else "defect", f"{of} {problem.format(**facts)}", hint)
+            yield tally.finding(kind, "notice" if few else "defect", f"{of} {problem}", hint)
         yield from self._time_findings(first)
         yield from self._sectors.findings()
-        yield from self._range_findings()
+        if self._median >= _MILLIMETRES:
+            text = f"the median range of the first scan is {self._median:,.0f} m"
+            hint = "ranges are metres; if the clouds are in millimetres: pc2scan convert `cloud_scale=0.001`"
+            yield Finding("units", "notice", text, hint)
+        if self._zeros:
+            text = f"{self._zeros:,} ranges are 0, and range_min is 0 m or less"
+            yield Finding("ranges-zero", "notice", text, "consumers see obstacles at the sensor: `range_min=0.1`")
 
     def _time_findings(self, first: ConsumerScan) -> Iterator[Finding]:
         if self._offsets and max(map(abs, self._offsets)) > _FAR_NS:
@@ -452,17 +442,6 @@ class ScanTopic:
         if doubt:
             level: Level = "defect" if span > _LONG * period else "notice"
             yield Finding("time-increment", level, doubt, f"{IN_SECONDS}; pc2scan convert `rebin=True` writes 0")
-
-    def _range_findings(self) -> Iterator[Finding]:
-        if self._median >= _MILLIMETRES:
-            text = f"the median range of the first scan is {self._median:,.0f} m"
-            hint = "ranges are metres; if the clouds are in millimetres: pc2scan convert `cloud_scale=0.001`"
-            yield Finding("units", "notice", text, hint)
-        for name, (problem, hint) in _EACH_RANGE.items():
-            if count := self._ranges[name]:
-                zeros = f" ({self._ranges['zero short']:,} are 0)" if name == "short" else ""
-                text = f"{count:,} of {self._ranges['beams']:,} ranges {problem}{zeros}"
-                yield Finding(f"ranges-{name}", "notice", text, hint)
 
 
 class _Sectors:

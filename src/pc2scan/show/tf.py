@@ -17,7 +17,7 @@ from pc2scan.transforms.placing import FrameOptions
 from pc2scan.transforms.reading import read_transforms
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from pc2scan.bags.damage import Damage
@@ -95,41 +95,25 @@ class FrameTree(Result):
         """Yield a drawing of each tree, and the table of frames."""
         if not self.frames:
             yield "no transforms"
-        children: dict[str, list[FrameInfo]] = {}
-        for frame in self.frames:
-            for parent in frame.parents:
-                children.setdefault(parent, []).append(frame)
+            return
         for number, tree in enumerate(self.trees, 1):
             if number > 1:
                 yield ""
             if len(self.trees) > 1:
                 yield f"part {number} of {len(self.trees)}, not connected with the others:"
-            yield from _drawing(tree.roots or tree.frames[:1], children)
-        if self.frames:
-            yield ""
-            yield self._table()
+            yield from _drawing(tree.roots or tree.frames[:1], self.frames)
+        yield ""
+        columns = ("child", "parent", "kind", "transforms", "Hz", "first", "last", "largest gap")
+        yield Table(columns, list(map(_row, self.frames)), left=("child", "parent", "kind", "largest gap"))
 
-    def _table(self) -> Table:
-        """Return a table with a row for each frame that has a parent."""
-        return Table(
-            ("child", "parent", "kind", "transforms", "Hz", "first", "last", "largest gap"),
-            [
-                (
-                    frame.child,
-                    ", ".join(frame.parents),
-                    "static" if frame.static else "dynamic",
-                    count(frame.transforms),
-                    "-" if frame.rate_hz is None else f"{frame.rate_hz:.2f}",
-                    stamp_text(frame.first_ns),
-                    stamp_text(frame.last_ns),
-                    "-"
-                    if frame.largest_gap_ns is None or frame.largest_gap_at_ns is None
-                    else f"{frame.largest_gap_ns / 1e9:.3f} s after {stamp_text(frame.largest_gap_at_ns)}",
-                )
-                for frame in self.frames
-            ],
-            left=("child", "parent", "kind", "largest gap"),
-        )
+
+def _row(frame: FrameInfo) -> tuple[str, ...]:
+    """Return the row of a frame that has a parent."""
+    gap_ns, at_ns = frame.largest_gap_ns, frame.largest_gap_at_ns
+    kind, rate = "static" if frame.static else "dynamic", "-" if frame.rate_hz is None else f"{frame.rate_hz:.2f}"
+    gap = "-" if gap_ns is None or at_ns is None else f"{gap_ns / 1e9:.3f} s after {stamp_text(at_ns)}"
+    times = stamp_text(frame.first_ns), stamp_text(frame.last_ns)
+    return (frame.child, ", ".join(frame.parents), kind, count(frame.transforms), rate, *times, gap)
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,25 +155,26 @@ class Lookup(Result):
         yield f"  rotation     roll {roll:.6f}  pitch {pitch:.6f}  yaw {yaw:.6f} rad"
 
 
-def _drawing(roots: Sequence[str], children: Mapping[str, Sequence[FrameInfo]]) -> list[str]:
-    """Return a tree as indented lines. It uses a stack, because a hostile tree may be very deep, and ends loops."""
-    lines: list[str] = []
+def _drawing(roots: Sequence[str], frames: Sequence[FrameInfo]) -> Iterator[str]:
+    """Yield a tree as indented lines. It uses a stack, because a hostile tree may be very deep, and ends loops."""
+    children: dict[str, list[FrameInfo]] = {}
+    for frame in reversed(frames):
+        for parent in frame.parents:
+            children.setdefault(parent, []).append(frame)
     seen: set[str] = set()
     stack = [(root, 0, "") for root in reversed(roots)]
-    while stack:
+    for _ in range(_MAX_LINES):
+        if not stack:
+            return
         name, depth, kind = stack.pop()
-        if len(lines) >= _MAX_LINES:
-            lines.append("... and more")
-            break
         again = name in seen
-        lines.append(f"{'  ' * min(depth, _MAX_DEPTH)}{leading(name)}{kind}{' (see above)' if again else ''}")
-        if again:
-            continue
-        seen.add(name)
-        stack += [
-            (frame.child, depth + 1, " (static)" if frame.static else "") for frame in reversed(children.get(name, ()))
-        ]
-    return lines
+        yield f"{'  ' * min(depth, _MAX_DEPTH)}{leading(name)}{kind}{' (see above)' if again else ''}"
+        if not again:
+            seen.add(name)
+            below = children.get(name, ())
+            stack += [(frame.child, depth + 1, " (static)" if frame.static else "") for frame in below]
+    if stack:
+        yield "... and more"
 
 
 def frame_tree(sources: Sequence[Path], options: FrameOptions | None = None) -> FrameTree:
@@ -210,15 +195,9 @@ def frame_tree(sources: Sequence[Path], options: FrameOptions | None = None) -> 
         If several namespaces have transforms and none was given.
     """
     options = options or FrameOptions()
-    read = [*sources, *options.tf_from]
     with ExitStack() as stack:
-        readers = open_recordings(read, stack)
+        readers = open_recordings([*sources, *options.tf_from], stack)
         transforms = read_transforms(readers, options)
         damage = tuple(damage for reader in readers for damage in reader.damage)
-    return FrameTree(
-        transforms.buffer.infos,
-        transforms.buffer.trees,
-        transforms.buffer,
-        (*transforms.warnings, *transforms.notes),
-        damage,
-    )
+    buffer, warnings = transforms.buffer, (*transforms.warnings, *transforms.notes)
+    return FrameTree(buffer.infos, buffer.trees, buffer, warnings, damage)

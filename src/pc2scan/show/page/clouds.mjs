@@ -359,12 +359,9 @@ export function showClouds(recording) {
  * @returns {Values}
  */
 function revived(values) {
-  const infinities = new Map(Object.entries({ inf: Infinity, "-inf": -Infinity }));
-  const read = Object.entries(values).map(([name, value]) => [
-    name,
-    name === "no_return" ? value : (infinities.get(String(value)) ?? value),
-  ]);
-  return Object.fromEntries(read);
+  const isInfinite = (/** @type {string} */ name) => name !== "no_return" && /^-?inf$/.test(String(values[name]));
+  const read = (/** @type {string} */ name) => (String(values[name]).startsWith("-") ? -Infinity : Infinity);
+  return Object.fromEntries(Object.keys(values).map((name) => [name, isInfinite(name) ? read(name) : values[name]]));
 }
 
 /**

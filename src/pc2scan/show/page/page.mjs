@@ -35,7 +35,7 @@ const dark = window.matchMedia("(prefers-color-scheme: dark)");
 /** The theme of the browser. */
 export const theme = () => (dark.matches ? "dark" : "light");
 
-/** @param {() => void} changed called when the theme changes */
+/** @param {() => void} changed */
 export const onTheme = (changed) => dark.addEventListener("change", changed);
 
 /**

@@ -25,16 +25,7 @@ import { Unrolled } from "./unrolled.mjs";
  * @property {{heading: string, lines: {text: string, wrong: boolean}[]}[]} findings
  */
 
-/**
- * @typedef {object} Arrays
- * @property {Float32Array} ranges
- * @property {Float32Array | undefined} intensities
- * @property {Float64Array} ends
- * @property {(range: number) => boolean} isReturn
- * @property {string} summary
- */
-
-/** @typedef {Layer & Arrays} Loaded */
+/** @typedef {Awaited<ReturnType<typeof loadLayer>>} Loaded */
 
 /** @param {ScanRecording} recording */
 export function showScans(recording) {
@@ -158,10 +149,7 @@ function seenFrom({ pose: [a, b, x, c, d, y] }, [px, py]) {
   return [Math.atan2(v, u), Math.hypot(u, v)];
 }
 
-/**
- * @param {Layer} layer
- * @returns {Promise<Loaded>}
- */
+/** @param {Layer} layer */
 async function loadLayer(layer) {
   const found = /** @type {Map<string, Float32Array>} */ (await columns(layer.data));
   const ranges = found.get("ranges") ?? new Float32Array();
