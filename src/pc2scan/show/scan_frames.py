@@ -155,7 +155,7 @@ class ScanFrames:
                 frame.pose = frame.pose or (x, y, yaw)
                 turned = math.remainder(yaw - frame.pose[2], TURN)
                 moved = math.hypot(x - frame.pose[0], y - frame.pose[1])
-        known = True if robot is not None else False if self._knows_base else None
+        known = robot is not None if robot is not None or self._knows_base else None
         error = no_odometry or (None if known is None else no_robot)
         missing, cure = ("", "") if error is None else (error.message, self._cure(name, error))
         return ScanTransforms(frame_id, odometry is not None, known, up, turned, moved, missing, cure)
@@ -205,12 +205,10 @@ class ScanFrames:
     @property
     def _gap_cure(self) -> str:
         """What to do if there are no transforms at the time of scans."""
-        if self._clock is None:
-            return (
-                f"record /tf as long as the scans; pc2scan convert `start` and `end` leave out clouds without; {_HINT}"
-            )
-        offset = f"`time_offset={self._clock.time_offset}`"
-        return f"the clocks differ; pc2scan convert {offset} for scans made from clouds"
+        if self._clock is not None:
+            offset = f"`time_offset={self._clock.time_offset}`"
+            return f"the clocks differ; pc2scan convert {offset} for scans made from clouds"
+        return f"record /tf as long as the scans; pc2scan convert `start` and `end` leave out clouds without; {_HINT}"
 
     def _naming(self, option: str, name: str) -> str:
         """Return what to do if there is no frame of this name."""

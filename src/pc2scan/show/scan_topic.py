@@ -63,10 +63,6 @@ _HALF_TURN = 2 / math.pi
 #: Fewer returns than these, as of two posts in a field while the robot turns, are no part of a turn.
 _FEWEST_RETURNS = 4
 
-#: How constant the steps from part to part are: the length of the mean of the steps as directions. It is 1 for a lidar
-#: that turns, and near 0 for single returns in directions by chance, such as of dust.
-_STEADY = 0.5
-
 #: What to do about stamps that are out of order.
 _BACK = "SLAM mixes such scans up; pc2scan convert `stamps=log` takes the log times, with `rebin` for a 2D lidar"
 
@@ -448,11 +444,10 @@ class _Sectors:
     """The directions that scans with returns fill: packets are parts of a turn."""
 
     def __init__(self) -> None:
-        #: The frame of the last scan, which directions have a return, and their mean; None if it is no part.
-        self._last: tuple[str, NDArray[np.bool_], complex] | None = None
+        #: The frame of the last scan, and which directions have a return; None if it is no part.
+        self._last: tuple[str, NDArray[np.bool_]] | None = None
         self._pairs = -1
         self._parts = Counted()
-        self._steps = 0j
 
     def add(self, frame_id: str, scan: ConsumerScan, ranges: NDArray[np.float32], stamp_ns: int) -> None:
         """Add the next scan, and its ranges, float32, shape (beams,), metres."""
@@ -461,21 +456,18 @@ class _Sectors:
         if not _FEWEST_RETURNS <= scan.returns < _PART * scan.beams:
             return
         returns = are_returns(ranges, scan.range_min, scan.range_max)
-        mean = complex(np.exp(1j * TURN / scan.beams * np.flatnonzero(returns)).mean())
-        if abs(mean) < _HALF_TURN:
+        if abs(np.exp(1j * TURN / scan.beams * np.flatnonzero(returns)).mean()) < _HALF_TURN:
             return
-        self._last = frame_id, returns, mean
+        self._last = frame_id, returns
         if last is None or last[0] != frame_id or len(last[1]) != len(returns):
             return
-        _, before, earlier = last
-        if np.count_nonzero(before & returns) < _PART * min(np.count_nonzero(before), np.count_nonzero(returns)):
+        if np.count_nonzero(last[1] & returns) < _PART * min(np.count_nonzero(last[1]), np.count_nonzero(returns)):
             self._parts.add(stamp_ns)
-            self._steps += mean / earlier / abs(mean / earlier)
 
     def findings(self) -> Iterator[Finding]:
         """Yield the problem."""
         parts = self._parts.count
-        if parts > self._pairs / 2 and abs(self._steps) > _STEADY * parts:
+        if parts > max(0, self._pairs) / 2:
             text = f"{parts:,} of {self._pairs:,} scans are parts of a turn: returns are in another sector each time"
             hint = "for scans made from clouds: pc2scan convert `accumulate=0.1`, the time of a turn"
             yield self._parts.finding("parts", "defect", text, hint)
