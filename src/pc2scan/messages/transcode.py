@@ -298,7 +298,8 @@ def _encoder(msgtype: str, types: schema.Types, source: int) -> Callable[[Buffer
         try:
             if source == 2:
                 if bytes(body[:2]) != b"\0\1":
-                    raise ValueError(f"expected a CDR header (0001, then two bytes), got {body[:4].hex() or 'nothing'}")
+                    begin = body[:4].hex() or "nothing"
+                    raise ValueError(f"it begins with {begin}, expected a CDR header (0001, then two bytes)")
                 body = body[4:]
             if len(body) < least:
                 raise ValueError(f"its fields take {len(data) - len(body) + least} or more")
