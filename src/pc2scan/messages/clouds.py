@@ -26,12 +26,7 @@ def _imported(module: str, function: str, serialization: str) -> Decode:
 
 
 _LIVOX = partial(_imported, "livox", "decode_livox")
-
-
-def _compressed(serialization: str) -> Decode:
-    from .compressed_cloud import compressed_cloud_decoder  # noqa: PLC0415  # few recordings have them
-
-    return compressed_cloud_decoder(serialization)
+_COMPRESSED = partial(_imported, "compressed_cloud", "decode_compressed_cloud")
 
 
 #: By ROS type in ROS 2's spelling, the function that makes the decoder of a serialisation (``ros1`` or ``cdr``). A
@@ -40,8 +35,8 @@ CLOUDS: dict[str, Callable[[str], Decode]] = {
     POINTCLOUD2: point_decoder,
     "livox_ros_driver/msg/CustomMsg": _LIVOX,
     "livox_ros_driver2/msg/CustomMsg": _LIVOX,
-    "point_cloud_interfaces/msg/CompressedPointCloud2": _compressed,
-    "draco_point_cloud_transport/msg/CompressedPointCloud2": _compressed,
+    "point_cloud_interfaces/msg/CompressedPointCloud2": _COMPRESSED,
+    "draco_point_cloud_transport/msg/CompressedPointCloud2": _COMPRESSED,
     "sensor_msgs/msg/PointCloud": partial(_imported, "pointcloud", "decode_pointcloud"),
     "velodyne_msgs/msg/VelodyneScan": partial(_imported, "velodyne", "decode_velodyne"),
 }

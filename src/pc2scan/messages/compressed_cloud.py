@@ -21,8 +21,6 @@ from .pointcloud2 import DATATYPES, CloudDecoder, CloudFields, PointCloud2, byte
 from .wire import Cursor
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
     from pc2scan.model import Buffer
@@ -46,29 +44,24 @@ _CLOUDINI = (
 )
 
 
-def compressed_cloud_decoder(serialization: str) -> Callable[[Buffer], Points]:
-    """Return the decoder of messages in a serialisation: ``ros1`` or ``cdr``.
+def decode_compressed_cloud(data: Buffer, serialization: str) -> Points:
+    """Decode a message in a serialisation: ``ros1`` or ``cdr``.
 
     Raises
     ------
     DecodeError
-        From the decoder: if the message ends too early, or the data cannot be decompressed: their format is unknown,
-        they are damaged, or larger than allowed. If a package that is not installed decompresses them.
+        If the message ends too early, or the data cannot be decompressed: their format is unknown, they are damaged, or
+        larger than allowed. If a package that is not installed decompresses them.
     """
-    decode = CloudDecoder(serialization)
-
-    def points(data: Buffer) -> Points:
-        cursor = Cursor(data, serialization)
-        cloud = decode(data, cursor)
-        name = cursor.string() if cursor.position < len(cursor.data) else "draco"
-        try:
-            cloud = _decompressed(cloud, name)
-        except CompressionError as err:
-            raise DecodeError(f"its data cannot be decompressed with {name}: {err}", stamp_ns=cloud.stamp_ns) from err
-        fields = CloudFields(cloud, further={"format": name})
-        return Points(cloud.sequence, cloud.stamp_ns, cloud.frame_id, fields, _LOSSY if name == "draco" else "")
-
-    return points
+    cursor = Cursor(data, serialization)
+    cloud = CloudDecoder(serialization)(data, cursor)
+    name = cursor.string() if cursor.position < len(cursor.data) else "draco"
+    try:
+        cloud = _decompressed(cloud, name)
+    except CompressionError as err:
+        raise DecodeError(f"its data cannot be decompressed with {name}: {err}", stamp_ns=cloud.stamp_ns) from err
+    fields = CloudFields(cloud, further={"format": name})
+    return Points(cloud.sequence, cloud.stamp_ns, cloud.frame_id, fields, _LOSSY if name == "draco" else "")
 
 
 def _decompressed(cloud: PointCloud2, name: str) -> PointCloud2:

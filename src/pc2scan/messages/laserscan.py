@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pc2scan.core.verdicts import ConsumerScan
 
-from .wire import MAX_CACHED_BYTES, Cursor, Packer, seconds_of
+from .wire import Cursor, Packer, seconds_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -98,17 +97,6 @@ def decode_laserscan(data: Buffer, serialization: str) -> LaserScan:
     return LaserScan(*header, *geometry, *arrays)
 
 
-@lru_cache(maxsize=64)
-def _frame_and_geometry(frame_id: str, geometry: bytes, serialization: str) -> bytes:
-    """Encode the fields between a scan's stamp and its ranges: usually the same in all scans of a topic."""
-    # The stamp takes eight bytes in CDR, so that alignment can count from here.
-    packer = Packer(serialization, is_part=True)
-    packer.string(frame_id)
-    packer.align(4)
-    packer.raw(geometry)
-    return packer.finish()
-
-
 def encode_laserscan(scan: LaserScan, serialization: str) -> bytes:
     """Serialise a scan; values beyond float32 become infinite.
 
@@ -117,12 +105,10 @@ def encode_laserscan(scan: LaserScan, serialization: str) -> bytes:
     serialization
         ``ros1`` or ``cdr``.
     """
-    packed = _pack_geometry(scan)
     packer = Packer(serialization)
-    packer.stamp(scan.sequence, scan.stamp_ns)
-    cached = len(scan.frame_id) <= MAX_CACHED_BYTES
-    encode = _frame_and_geometry if cached else _frame_and_geometry.__wrapped__
-    packer.raw(encode(scan.frame_id, packed, serialization))
+    packer.header(scan.sequence, scan.stamp_ns, scan.frame_id)
+    packer.align(4)
+    packer.raw(_pack_geometry(scan))
     # From the geometry on, everything is aligned in both formats.
     for values in (scan.ranges, scan.intensities):
         if not len(values):

@@ -449,9 +449,7 @@ def encode_cloud(cloud: PointCloud2, serialization: str) -> bytes:
     packer.write("III", cloud.height, cloud.width, len(cloud.fields))
     for part in cloud.fields:
         packer.string(part.name)
-        packer.write("I", part.offset)
-        packer.write("B", part.datatype)
-        packer.write("I", part.count)
+        packer.write("IBI" if packer.ros1 else "IB3xI", part.offset, part.datatype, part.count)
     packer.write("B", cloud.is_bigendian)
     packer.write("III", cloud.point_step, cloud.row_step, len(cloud.data))
     packer.raw(cloud.data)

@@ -143,8 +143,6 @@ class Packer:
     ----------
     serialization
         ``ros1`` or ``cdr``.
-    is_part
-        Whether a part of a message is written, which has no encapsulation header.
 
     Attributes
     ----------
@@ -154,9 +152,9 @@ class Packer:
 
     __slots__ = ("_parts", "_size", "ros1")
 
-    def __init__(self, serialization: str, *, is_part: bool = False) -> None:
+    def __init__(self, serialization: str) -> None:
         self.ros1 = serialization == "ros1"
-        self._parts: list[Buffer] = [] if self.ros1 or is_part else [_LITTLE_ENDIAN]
+        self._parts: list[Buffer] = [] if self.ros1 else [_LITTLE_ENDIAN]
         #: Bytes after the encapsulation header.
         self._size = 0
 
