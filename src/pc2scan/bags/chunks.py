@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from abc import abstractmethod
+from bisect import bisect_right
 from dataclasses import dataclass
 from functools import partial
 from operator import attrgetter
@@ -12,18 +13,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pc2scan.errors import DamageError
-from pc2scan.files.source import SourceFile
-from pc2scan.model import StoredChunk, declared_counts
+from pc2scan.files.compression import CompressionError, decompress
+from pc2scan.files.source import SourceFile, lend
+from pc2scan.model import RawMessage, StoredChunk, declared_counts
 
 from .loading import Chunk, check_number
 from .reader import Reader
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from pc2scan.model import Buffer, ChunkRule, Connection, RawMessage
+    from pc2scan.model import ChunkRule, Connection
 
     from .loading import Loaded
 
@@ -90,6 +92,30 @@ class Segment:
         return self.offset + self.length + self.padding
 
 
+def unpacked(stored: memoryview, compression: str, size: int, most: int) -> memoryview:
+    """Decompress the records of a chunk into exactly the declared size, which is at most ``most``.
+
+    Raises
+    ------
+    CompressionError
+        If they cannot be decompressed, or have another size.
+    """
+    if size > most:
+        raise CompressionError(f"it declares {size} bytes uncompressed, in a file of its size at most {most} may be")
+    if compression == "none" or not stored:
+        if len(stored) != size:
+            raise CompressionError(f"it holds {len(stored)} bytes, {size} are declared")
+        return stored
+    try:
+        records = lend(size)
+        decompress(compression, stored, records)
+    except (CompressionError, MemoryError, OverflowError) as err:
+        raise CompressionError(
+            f"its {compression} data cannot be decompressed to the declared {size} bytes: {err}"
+        ) from err
+    return records.toreadonly()
+
+
 class NearbyFile(SourceFile):
     """Reads a file in which small records follow each other: these need no system call each."""
 
@@ -107,13 +133,6 @@ class NearbyFile(SourceFile):
         return ahead[offset - origin : offset - origin + length]
 
 
-class Kind(NamedTuple):
-    """What a segment has in common with many others: its compression and its connections."""
-
-    compression: str
-    connection_ids: frozenset[int] | None
-
-
 #: The numbers of a segment, in the order of its attributes.
 _NUMBERS = (
     "offset", "length", "uncompressed_size", "start_ns", "end_ns", "crc", "record_offset", "index_length", "padding",
@@ -128,21 +147,18 @@ _PACKED = struct.Struct(f"<{len(_NUMBERS) + 2}Q")
 class Segments:
     """The segments of a file, as a table of numbers: a long recording has 200,000. Each `Segment` is made when needed.
 
-    Parameters
+    Attributes
     ----------
-    segments
-        Those to begin with.
+    kinds
+        What segments have in common with many others, compression and connections, in the place that `rows` names.
     """
 
     __slots__ = ("_numbers", "_packed", "kinds")
 
-    def __init__(self, segments: Iterable[Segment] = ()) -> None:
-        #: The kinds there are, each in the place that `rows` names.
-        self.kinds: list[Kind] = []
-        self._numbers: dict[Kind, int] = {}
+    def __init__(self) -> None:
+        self.kinds: list[tuple[str, frozenset[int] | None]] = []
+        self._numbers: dict[tuple[str, frozenset[int] | None], int] = {}
         self._packed = bytearray()
-        for segment in segments:
-            self.append(segment)
 
     @property
     def rows(self) -> NDArray[np.void]:
@@ -151,7 +167,7 @@ class Segments:
 
     def append(self, segment: Segment) -> None:
         """Add a segment."""
-        kind = Kind(segment.compression, segment.connection_ids)
+        kind = segment.compression, segment.connection_ids
         number = self._numbers.setdefault(kind, len(self.kinds))
         if number == len(self.kinds):
             self.kinds.append(kind)
@@ -293,108 +309,95 @@ def segment_chunks(
         )
 
 
-class Salvage(NamedTuple):
-    """How the records of a container's chunk are read, each at its place.
+class Record(NamedTuple):
+    """A record in a damaged chunk.
 
     Attributes
     ----------
-    end_of
-        Returns where the record that begins at a place ends; None if none begins there, or it reaches beyond the data.
-    head_of
-        Returns the connection's id and the log time of the message at a place; None if none is there.
-    message_at
-        Returns the message between two places; None if its connection is unknown.
+    stop
+        Where it ends, by its own length: perhaps behind the data.
+    connection_id
+        Of a message: its connection; else None.
+    log_time_ns, publish_time_ns, sequence
+        Those of a message.
+    start
+        Where its data begin.
     """
 
-    end_of: Callable[[int], int | None]
-    head_of: Callable[[int], tuple[int, int] | None]
-    message_at: Callable[[int, int], RawMessage]
+    stop: int
+    start: int = 0
+    connection_id: int | None = None
+    log_time_ns: int = 0
+    publish_time_ns: int = 0
+    sequence: int = 0
 
-    def records(self, data: Buffer, places: Sequence[int], *, complete: bool) -> Iterator[tuple[int, int]]:
-        """Yield where records begin and end: one behind the other; behind damage, from the next place on.
 
-        A message with a wrong length ends where the next one begins; the last one ends with the data, if these are
-        ``complete``.
+def sound_records(
+    data: memoryview,
+    record_at: Callable[[memoryview, int], Record | None],
+    entries: Iterable[tuple[int, int]] = (),
+    *,
+    is_whole: bool = False,
+) -> Iterator[tuple[int, int, Record]]:
+    """Yield where the records of a damaged chunk begin and end, and what they are.
 
-        Parameters
-        ----------
-        data
-            The records of a chunk.
-        places
-            Where messages begin by the chunk's index, sorted.
-        complete
-            Whether these are all of its bytes.
-        """
-        position = number = 0
-        while position < len(data):
-            while number < len(places) and places[number] <= position:
-                number += 1
-            following = places[number] if number < len(places) else len(data)
-            stop = self.end_of(position)
-            if stop is None or stop > following:
-                stop = following
-                if self.head_of(position) is None or (stop == len(data) and not complete):
-                    position = stop
-                    continue
-            yield position, stop
-            position = stop
+    They are one behind the other; behind damage, the next is where the index has a message. A message with a wrong
+    length ends there; the last one ends with the data, if these ``is_whole``.
 
-    def messages(
-        self, data: Buffer, segment: Segment, known: Container[int], entries: Sequence[tuple[int, int]]
-    ) -> tuple[list[RawMessage], dict[str, int | None]]:
-        """Return the messages of a damaged chunk, and what is lost: bytes, messages, and between which log times.
+    Parameters
+    ----------
+    data
+        Its records, as far as they could be decompressed.
+    record_at
+        Returns the record that begins at a place; None if none does.
+    entries
+        The log times and the places of its messages in its index.
+    is_whole
+        Whether these are all of its bytes.
+    """
+    heads = ((place, record_at(data, place)) for _, place in entries)
+    places = sorted(place for place, record in heads if record is not None and record.connection_id is not None)
+    position = 0
+    while position < len(data):
+        number = bisect_right(places, position)
+        following = places[number] if number < len(places) else len(data)
+        record = record_at(data, position)
+        stop = following if record is None else min(record.stop, following)
+        if record is not None and (
+            stop == record.stop or (record.connection_id is not None and (stop < len(data) or is_whole))
+        ):
+            yield position, stop, record
+        position = stop
 
-        A log time outside of the chunk's is replaced by that in the index, if the index is right about others.
 
-        Parameters
-        ----------
-        data
-            Its records, as far as they could be decompressed.
-        segment
-            The chunk.
-        known
-            The connections by id.
-        entries
-            The log times and the places of its messages in its index, if it has one.
-        """
-        expected = {place: time_ns for time_ns, place in entries}
-        # If the records are sound, their content is right, whatever the index says.
-        places = [] if self._are_sound(data) else sorted(place for place in expected if self.head_of(place))
-        messages: list[RawMessage] = []
-        replaced: dict[int, int] = {}
-        covered = unknown = confirmed = last = 0
-        for start, stop in self.records(data, places, complete=len(data) >= segment.uncompressed_size):
-            covered += stop - start
-            head = self.head_of(start)
-            if head is None:
-                continue
-            if head[0] not in known:
-                unknown += 1
-                continue
-            if start in expected and not segment.start_ns <= head[1] <= segment.end_ns:
-                replaced[len(messages)] = expected[start]
-            confirmed += expected.get(start) == head[1]
-            messages.append(self.message_at(start, stop))
-            last = stop
+def salvage(
+    data: memoryview,
+    record_at: Callable[[memoryview, int], Record | None],
+    segment: Segment,
+    known: Mapping[int, Connection],
+    entries: Sequence[tuple[int, int]],
+) -> tuple[list[RawMessage], dict[str, int | None]]:
+    """Return the messages of a damaged chunk, and what is lost: bytes, messages, and between which log times.
+
+    ``known`` has the connections by id; for the others, see `sound_records`.
+    """
+    messages: list[RawMessage] = []
+    covered = unknown = 0
+    for start, stop, record in sound_records(data, record_at, entries, is_whole=len(data) >= segment.uncompressed_size):
+        covered += stop - start
+        own = None if record.connection_id is None else known.get(record.connection_id)
+        if own is not None:
+            view = data[record.start : stop]
+            messages.append(RawMessage(own, record.log_time_ns, view, record.publish_time_ns, record.sequence))
             check_number(messages)
-        replaced = replaced if len(replaced) <= max(confirmed, 1) else {}
-        for number, time_ns in replaced.items():
-            messages[number] = messages[number]._replace(log_time_ns=time_ns)
-        # Of a chunk that is cut off, what is lost came behind its last message.
-        is_front = len(data) < segment.uncompressed_size and covered == last > 0
-        return messages, {
-            "bytes_lost": max(segment.uncompressed_size, len(data)) - covered,
-            "messages_lost": len(entries) - confirmed - len(replaced) if entries else unknown or None,
-            "first_ns": max(each.log_time_ns for each in messages) if is_front else segment.start_ns,
-            "last_ns": segment.end_ns,
-        }
-
-    def _are_sound(self, data: Buffer) -> bool:
-        """Whether records follow each other up to the end."""
-        position: int | None = 0
-        while position is not None and position < len(data):
-            position = self.end_of(position)
-        return position is not None
+        else:
+            unknown += record.connection_id is not None
+    return messages, {
+        "bytes_lost": max(segment.uncompressed_size, len(data)) - covered,
+        "messages_lost": max(0, len(entries) - len(messages)) if entries else unknown or None,
+        "first_ns": segment.start_ns,
+        "last_ns": segment.end_ns,
+    }
 
 
 class Selection(NamedTuple):
@@ -446,8 +449,8 @@ class ChunkedReader(Reader):
         """Return a damaged segment where it is, its records as far as they can be decompressed, and what is wrong."""
 
     @abstractmethod
-    def _salvage_of(self, data: memoryview) -> Salvage:
-        """Return how the records of a damaged segment are read."""
+    def _record_at(self, data: memoryview, place: int) -> Record | None:
+        """Return the record that begins at a place of a damaged segment; None if none does."""
 
     @abstractmethod
     def _entries(self, segment: Segment) -> Iterator[tuple[int, Iterable[tuple[int, int]]]]:
@@ -494,7 +497,7 @@ class ChunkedReader(Reader):
             raise problem
         actual, data, problem = self._prefix(segment, problem)
         entries = [entry for _, more in self._entries(actual) for entry in more]
-        messages, lost = self._salvage_of(data).messages(data, actual, self._known, entries)
+        messages, lost = salvage(data, self._record_at, actual, self._known, entries)
         self._log.note(problem, offset=segment.record_offset or segment.offset, **lost)
         return [callback(each) for each in self._unpacked(segment, messages) if selection_has(selection, each)]
 

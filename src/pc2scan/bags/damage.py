@@ -166,13 +166,6 @@ class DamageLog:
                 raise error
             self._found[place] = Damage(error.message, file.path, offset, messages_lost=0)
 
-    def note_another(self, file: SourceFile, offset: int) -> None:
-        """Note that another recording begins in a file, and end the first one there: only that is read."""
-        rest = file.size - offset
-        file.size = offset
-        what = f"another recording begins at byte {offset} and is not read: tail -c +{offset + 1} makes a file of it"
-        self.note(DamageError(what, path=file.path, hint=RECOVER), offset=offset, key="another", bytes_lost=rest)
-
     def stand_for(self, path: Path, earlier: DamageLog) -> None:
         """Report what is noted, and what an earlier log has, as damage of this file: it is read from a copy."""
         self._path = path
@@ -184,11 +177,3 @@ class DamageLog:
         ordered = sorted(self._found.values(), key=lambda damage: -1 if damage.offset is None else damage.offset)
         entries = (*ordered, self._further) if self._further else tuple(ordered)
         return tuple(damage._replace(path=self._path or damage.path) for damage in entries)
-
-
-class AnotherRecordingError(Exception):  # readers catch it
-    """Another recording begins at this offset of the file, as ``cat a.bag b.bag`` makes it."""
-
-    def __init__(self, offset: int) -> None:
-        super().__init__(offset)
-        self.offset = offset

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 #: Options of MCAP's library with which there is nothing to count by, at least for a part of the time.
 SILENT = {"unchunked", "unchunked without summary", "no indexes", "only chunk indexes", "no message indexes",
           "no summary"}  # fmt: skip
-UNCOUNTED = {"no statistics", "no summary"}
+UNCOUNTED = {"no statistics", "no summary", "unchunked without summary", "no summary but message indexes"}
 
 
 def content_in(ros_version: int, recording: Recording = CONTENT) -> list[Row]:
@@ -119,7 +119,7 @@ def test_every_shape_of_an_mcap_file_is_read(name: str, tmp_path: Path) -> None:
         assert {c.definition for c in reader.connections} == {Definition("ros2msg", b"uint8[] data")}
         assert list(reader.attachments()) == [Attachment("calibration.yaml", "text/yaml", 8, 7, b"a: 1")]
         assert list(reader.metadata()) == [Metadata("robot", {"name": "r2"})]
-        # Without statistics, only message indexes or a walk over the messages count them.
+        # Only the statistics count them without reading more.
         assert reader.summary.message_count == (None if name in UNCOUNTED else 60)
         assert [c.message_count for c in reader.connections] == ([None] * 2 if name in UNCOUNTED else [30] * 2)
 

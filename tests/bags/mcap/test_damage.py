@@ -41,7 +41,7 @@ UNSIZED = zstd(BODY, size=False)
 #: What stands where a file has its records.
 DAMAGED = [
     (raw_chunk(BODY, compression="bz2"), "compression 'bz2', known are none, lz4 and zstd"),
-    (raw_chunk(BODY, uncompressed_size=len(BODY) + 1), "cannot be decompressed to|declared are"),
+    (raw_chunk(BODY, uncompressed_size=len(BODY) + 1), "cannot be decompressed to|are declared"),
     (raw_chunk(BODY, uncompressed_crc=1), "has CRC .*, recorded is 00000001"),
     (raw_chunk(BODY, compression="zstd", packed=b"nonsense"), "cannot be decompressed"),
     (raw_chunk(BODY, compression="lz4", packed=lz4_packed(BODY)[:-3]), "cannot be decompressed"),

@@ -8,7 +8,7 @@ from contextlib import closing
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
-from mcap.records import DataEnd, MessageIndex
+from mcap.records import MessageIndex
 
 from pc2scan.bags.mcap.read import McapReader
 from pc2scan.bags.mcap.records import MAGIC
@@ -137,9 +137,6 @@ KEPT: dict[str, Kept] = {
         ],
         [5, 7, 8, 9, 10, 11],
         whole=False,
-    ),
-    "messages after the end of the data": Kept(
-        [raw_channel(), *messages(5), encoded(DataEnd(0)), *messages(6)], [5, 6], "the data section ends at byte"
     ),
     "an unknown compression may be none": Kept(
         [raw_chunk(BODY, compression="zstf")], [1], "known are none, lz4 and zstd"

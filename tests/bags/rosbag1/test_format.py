@@ -6,13 +6,10 @@ import itertools
 import struct
 from contextlib import closing
 from typing import TYPE_CHECKING
-from unittest.mock import Mock
 
 import pytest
 
-from pc2scan.bags.rosbag1 import read as rosbag1_reader
 from pc2scan.bags.rosbag1.read import Rosbag1Reader
-from pc2scan.bags.rosbag1.records import record_in
 from support.rosbag1_files import (
     COMPRESSIONS,
     SECOND,
@@ -35,16 +32,10 @@ ORDERS = list(itertools.permutations(("op", "conn", "time")))
 
 
 @pytest.mark.parametrize("order", ORDERS, ids=" ".join)
-def test_fields_of_messages_may_stand_in_any_order(
-    order: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_fields_of_messages_may_stand_in_any_order(order: tuple[str, ...], tmp_path: Path) -> None:
     payload = b"".join(message(stamp, bytes([stamp]) * stamp, order=order) for stamp in range(1, 10))
     path = simple_bag(tmp_path / "a.bag", payload)
-    slowly = Mock(wraps=record_in)
-    monkeypatch.setattr(rosbag1_reader, "record_in", slowly)
     assert read_rows(path) == [(0, stamp, bytes([stamp]) * stamp) for stamp in range(1, 10)]
-    # The usual order is expected from the start, another one after its first message.
-    assert slowly.call_count == (order != ("conn", "op", "time"))
 
 
 @pytest.mark.parametrize("times", [(0, 0), (9, 1), (2**32 * SECOND - 1, 0)])

@@ -27,9 +27,6 @@ ACCEPTED = {
 OTHERS = {"block_linked": True, "store_size": True, "content_checksum": False, "block_checksum": True}
 REFUSED = {
     **{name: lz4.frame.compress(DATA, **{**OPTIONS, name: value}) for name, value in OTHERS.items()},
-    "cut off": OURS[:-1],
-    "with more behind": OURS + b"more",
-    "twice": OURS * 2,
     "no frame": b"data" * 10,
 }
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.chunks import Segment
+from pc2scan.bags.chunks import Segment, unpacked
 from pc2scan.bags.formats import and_list
 from pc2scan.bags.loading import check_number
-from pc2scan.files.compression import ZSTD_MAGIC, CompressionError, allowed_bytes, crc32, decompress
-from pc2scan.files.source import lend
+from pc2scan.files.compression import ZSTD_MAGIC, CompressionError, allowed_bytes, crc32
 from pc2scan.model import StoredChunk
 
 from .records import CHUNK, COMPRESSIONS, MESSAGE, OP_CHUNK, OP_MESSAGE, RECORD, UINT64
@@ -52,9 +51,7 @@ def chunk_at(head: Buffer, record_offset: int, file: RecordFile, *, fits: bool =
     if not length and padding > 0:
         raise file.damage(f"{malformed}: it declares no records in {record_length} bytes")
     if padding < 0 and fits:
-        raise file.damage(
-            f"the chunk at byte {record_offset} declares {length} bytes of records in {record_length} bytes",
-        )
+        raise file.damage(f"{malformed}: it declares {length} bytes of records in {record_length} bytes")
     return Segment(
         offset=record_offset + payload_at,
         length=length,
@@ -68,79 +65,39 @@ def chunk_at(head: Buffer, record_offset: int, file: RecordFile, *, fits: bool =
     )
 
 
-def borrow_payload(file: RecordFile, segment: Segment) -> memoryview:
-    """Read and decompress a segment's records.
+def read_chunk(file: RecordFile, segment: Segment, *, keep: bool = False) -> tuple[Segment, memoryview, memoryview]:
+    """Read a chunk; return it by its own header, its payload, and its decompressed records.
+
+    The payload is in a buffer that is used again, unless it is to ``keep``.
 
     Raises
     ------
-    RecordingError
-        If bytes are missing, do not decompress to the declared size, or fail their CRC.
+    DamageError
+        If bytes are missing, do not decompress to the declared size, or fail their CRC, or if the index contradicts it.
     """
-    if not segment.record_offset:
-        return file.borrow(segment.offset, segment.length)
+    where = f"the chunk at byte {segment.record_offset}"
     head = segment.offset - segment.record_offset
-    record = file.borrow(segment.record_offset, head + segment.length)
-    chunk = _check_header(record, segment, file)
-    return decompress_chunk(file, chunk, record[head:])
-
-
-def _check_header(record: memoryview, segment: Segment, file: RecordFile) -> Segment:
-    """Return the chunk by its own header, which has a CRC, after comparing it with the index."""
+    read = file.read if keep else file.borrow
+    record = memoryview(read(segment.record_offset, head + segment.length))
     chunk = chunk_at(record, segment.record_offset, file)
     if record[0] != OP_CHUNK or form_of(chunk) != form_of(segment):
-        raise file.damage(f"the index and the chunk at byte {segment.record_offset} contradict each other")
-    return chunk
-
-
-def decompress_chunk(file: RecordFile, chunk: Segment, stored: memoryview) -> memoryview:
-    """Decompress a chunk's records into exactly the declared size, and compare their CRC; see `borrow_payload`."""
-    size = chunk.uncompressed_size
-    where = f"the chunk at byte {chunk.record_offset}"
-    if size == 0 == len(stored):
-        return stored
-    if size > (allowed := allowed_bytes(file.size, len(stored))):
-        raise file.damage(
-            f"{where} declares {size} bytes uncompressed, in a file of {file.size} at most {allowed} may be"
-        )
+        raise file.damage(f"the index and {where} contradict each other")
     if chunk.compression not in COMPRESSIONS:
         raise file.damage(f"{where} has compression {chunk.compression!r}, known are {and_list(COMPRESSIONS)}")
-    unpacked = stored
-    if chunk.compression != "none":
-        try:
-            unpacked = lend(size)
-            decompress(chunk.compression, stored, unpacked)
-        except (MemoryError, OverflowError) as err:
-            raise file.damage(f"{where} declares {size} bytes uncompressed, which do not fit into memory") from err
-        except CompressionError as err:
-            raise file.damage(f"{where} cannot be decompressed to the declared {size} bytes: {err}") from err
-    elif len(stored) != size:
-        raise file.damage(f"{where} has {len(stored)} bytes, declared are {size}")
-    if chunk.crc and (actual := crc32(unpacked)) != chunk.crc:
+    stored = record[head:]
+    try:
+        allowed = allowed_bytes(file.size, len(stored))
+        records = unpacked(stored, chunk.compression, chunk.uncompressed_size, allowed)
+    except CompressionError as err:
+        raise file.damage(f"{where}: {err}") from err
+    if chunk.crc and (actual := crc32(records)) != chunk.crc:
         raise file.damage(f"{where} has CRC {actual:08x}, recorded is {chunk.crc:08x}")
-    return unpacked.toreadonly()
-
-
-# --- Chunks that are copied as a whole ---
+    return chunk, stored, records
 
 
 def whole_chunk(file: RecordFile, segment: Segment, rule: ChunkRule) -> StoredChunk | memoryview:
-    """Read a chunk, and decompress it to compare its CRC and to index its messages.
-
-    Returns
-    -------
-    StoredChunk | memoryview
-        Its decompressed records, if ``rule`` does not allow to copy it.
-
-    Raises
-    ------
-    RecordingError
-        As `borrow_payload` does.
-    """
-    head = segment.offset - segment.record_offset
-    record = memoryview(file.read(segment.record_offset, head + segment.length + segment.padding))
-    chunk = _check_header(record, segment, file)
-    stored = record[head : head + segment.length]
-    records = decompress_chunk(file, chunk, stored)
+    """Read a chunk to copy it as a whole; return its decompressed records if ``rule`` does not allow that."""
+    chunk, stored, records = read_chunk(file, segment, keep=True)
     index = _index_of(records, segment, rule.declarations)
     if index is None or not index.keys() <= rule.connection_ids:
         return records

@@ -7,8 +7,7 @@ over the headers of the records; a file without a summary is walked from end to 
 from __future__ import annotations
 
 import struct
-from collections import Counter
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -55,9 +54,8 @@ _INDEX_HEAD = struct.Struct("<BQHI")
 #: Log time and place in the chunk of one message.
 _ENTRY = struct.Struct("<QQ")
 
-#: Records that no summary may have, and records that no data section may have.
+#: Records that no summary may have.
 _DATA = frozenset({OP_MESSAGE, OP_CHUNK, Opcode.ATTACHMENT, Opcode.METADATA})
-_NO_DATA = frozenset(Opcode) - _DATA - DECLARATIONS.keys() - {OP_MESSAGE_INDEX, Opcode.DATA_END}
 
 #: Messages outside chunks are read in segments of about this size, bytes.
 RUN_SIZE = 4 << 20
@@ -83,10 +81,6 @@ class McapIndex:
         Offsets of these records in the file.
     statistics
         The summary's, if it has them.
-    counts
-        Messages by channel, as far as they were counted.
-    all_counted
-        Whether `counts` has every message.
     channels_listed
         Whether the summary repeats the channels.
     data_end
@@ -104,8 +98,6 @@ class McapIndex:
     attachments: list[int] = field(default_factory=list)
     metadata: list[int] = field(default_factory=list)
     statistics: Statistics | None = None
-    counts: Counter[int] = field(default_factory=Counter)
-    all_counted: bool = True
     channels_listed: bool = False
     data_end: tuple[int, int] | None = None
     limit: ConnectionLimit | None = None
@@ -149,8 +141,6 @@ def find_index(file: RecordFile, log: DamageLog) -> McapIndex:
     walk = RecordWalk(file, index, zip(rows["record_offset"].copy().data, behind.data, strict=True))
     del rows
     walk.run(start, end)
-    if walk.stray is not None:
-        raise walk.stray
     return index
 
 
@@ -190,7 +180,6 @@ def read_summary(file: RecordFile, index: McapIndex) -> int:
     for kind, content in _records_between(file, start, footer_offset):
         if kind == Opcode.CHUNK_INDEX:
             index.segments.append(_indexed_chunk(content, start, file))
-            index.all_counted = False
         elif kind == Opcode.STATISTICS:
             index.statistics = parse(Statistics, content, start, file)
         # Attachments and metadata are found by the walk, because it takes little time and the index that @mcap/core
@@ -283,16 +272,12 @@ class RecordWalk:
         self._file = file
         self._index = index
         self._known = iter(known)
-        #: The messages outside chunks that are walked over.
-        self._run: Segment | None = None
-        self._run_ids: set[int] = set()
-        self._chunk: Segment | None = None
-        self._indexed: Counter[int] = Counter()
+        #: The chunk, or the messages outside chunks, that is walked over, and its channels.
+        self._segment: Segment | None = None
+        self._ids: set[int] = set()
         self._is_behind_chunk = False
         #: Offsets of the current record and the one before it, for a walk that failed.
         self.offset = self.previous = 0
-        #: What is wrong with the first record that may not be where it is, though it can be skipped.
-        self.stray: DamageError | None = None
 
     def run(self, offset: int, end: int) -> None:
         """Walk from the record at byte ``offset`` to byte ``end``.
@@ -307,34 +292,57 @@ class RecordWalk:
         try:
             while offset < end:
                 self.previous, self.offset = self.offset, offset
-                if coming == offset:
+                is_known, limit = offset == coming, end if offset == coming else coming
+                if is_known:
                     self._close()
                     self._is_behind_chunk = True
-                    if not offset < behind <= end:
-                        raise self._beyond(offset, behind, end)
-                    offset = behind
+                    following = behind
                     coming, behind = next(self._known, (end, end))
-                    continue
-                head = self._file.nearby(offset, min(MESSAGE.size, self._file.size - offset))
-                if offset + RECORD.size > coming:
-                    raise self._beyond(offset, offset + RECORD.size, coming)
-                opcode, length = RECORD.unpack_from(head)
-                following = offset + RECORD.size + length
-                if following > coming:
-                    raise self._beyond(offset, following, coming)
-                if opcode == OP_MESSAGE:
-                    self._message(head, offset, following)
                 else:
-                    self._other(opcode, offset, following)
+                    head = self._file.nearby(offset, min(MESSAGE.size, self._file.size - offset))
+                    opcode, length = RECORD.unpack_from(head) if offset + RECORD.size <= coming else (0, 0)
+                    following = offset + RECORD.size + length
+                if not offset < following <= limit:
+                    raise self._file.damage(
+                        f"the record at byte {offset} ends at byte {following}, the next chunk or the data at {limit}"
+                    )
+                if not is_known:
+                    self._add(opcode, head, offset, following)
                 offset = following
             complete = True
         finally:
             self._close(complete=complete)
 
-    def _beyond(self, offset: int, following: int, end: int) -> DamageError:
-        return self._file.damage(
-            f"the record at byte {offset} ends at byte {following}, the next chunk or the data at byte {end}"
-        )
+    def _add(self, opcode: int, head: bytes, offset: int, following: int) -> None:
+        """Add a record to the index."""
+        index, size = self._index, following - offset
+        if opcode == OP_MESSAGE:
+            self._message(head, offset, following)
+        elif opcode in DECLARATIONS:
+            # These may be between messages of one segment; loading it skips them.
+            index.declare(opcode, self._file.read(offset + RECORD.size, size - RECORD.size), offset, self._file)
+        elif opcode == OP_MESSAGE_INDEX:
+            if size < _INDEX_HEAD.size:
+                raise self._file.damage(f"the message index at byte {offset} is too short")
+            if not self._is_behind_chunk:
+                raise self._file.damage(f"the message index at byte {offset} follows no chunk")
+            self._ids.add(_INDEX_HEAD.unpack_from(head)[2])
+        elif opcode == 0:
+            raise self._file.damage(f"the record at byte {offset} has opcode 0, which no record may have")
+        elif opcode <= Opcode.DATA_END:
+            # Unknown records end neither a run nor the message indexes after a chunk.
+            self._close()
+            if opcode == OP_CHUNK:
+                self._segment = chunk_at(self._file.nearby(offset, min(CHUNK_HEAD_SIZE, size)), offset, self._file)
+                self._is_behind_chunk = True
+            elif opcode == Opcode.ATTACHMENT:
+                index.attachments.append(offset)
+            elif opcode == Opcode.METADATA:
+                index.metadata.append(offset)
+            elif opcode == Opcode.DATA_END:
+                index.data_end = offset, int.from_bytes(head[RECORD.size : RECORD.size + 4], "little")
+            elif index.data_end is None:
+                raise self._file.damage(f"the record at byte {offset} is of kind {opcode}, which no data may have")
 
     def _message(self, head: bytes, offset: int, following: int) -> None:
         if following - offset < MESSAGE.size:
@@ -342,76 +350,22 @@ class RecordWalk:
                 f"the message at byte {offset} has {following - offset} bytes, at least 31 are needed"
             )
         _, _, channel_id, _, log_time_ns, _ = MESSAGE.unpack(head)
-        run = self._run
-        if run is None or following - run.offset > RUN_SIZE:
+        run = self._segment
+        if run is None or run.record_offset or following - run.offset > RUN_SIZE:
             self._close()
-            self._check_place(offset)
-            run = self._run = Segment(offset, 0, 0, log_time_ns, log_time_ns)
+            run = self._segment = Segment(offset, 0, 0, log_time_ns, log_time_ns)
         run.length = run.uncompressed_size = following - run.offset
         run.start_ns, run.end_ns = min(run.start_ns, log_time_ns), max(run.end_ns, log_time_ns)
-        self._run_ids.add(channel_id)
-        self._index.counts[channel_id] += 1
-
-    def _other(self, opcode: int, offset: int, following: int) -> None:
-        """Add a record that is not a message."""
-        index, size = self._index, following - offset
-        if opcode in DECLARATIONS:
-            # These may be between messages of one segment; loading it skips them.
-            index.declare(opcode, self._file.read(offset + RECORD.size, size - RECORD.size), offset, self._file)
-        elif opcode == OP_MESSAGE_INDEX:
-            self._message_index(offset, size)
-        elif opcode == 0:
-            raise self._file.damage(f"the record at byte {offset} has opcode 0, which no record may have")
-        elif opcode <= Opcode.DATA_END:
-            # Unknown records end neither a run nor the message indexes after a chunk.
-            self._close()
-            if opcode == OP_CHUNK:
-                self._chunk = chunk_at(self._file.nearby(offset, min(CHUNK_HEAD_SIZE, size)), offset, self._file)
-                self._is_behind_chunk = True
-            elif opcode == Opcode.ATTACHMENT:
-                index.attachments.append(offset)
-            elif opcode == Opcode.METADATA:
-                index.metadata.append(offset)
-            elif opcode == Opcode.DATA_END and index.data_end is None and size >= RECORD.size + 4:
-                index.data_end = offset, int.from_bytes(self._file.nearby(offset, 13)[RECORD.size :], "little")
-            if opcode in _DATA:
-                self._check_place(offset)
-            elif opcode in _NO_DATA and index.data_end is None:
-                self._note(f"the record at byte {offset} is of kind {opcode}, which no data may have")
-
-    def _check_place(self, offset: int) -> None:
-        """Note data behind the end of the data section. What a summary without a footer has may be there."""
-        if self._index.data_end is not None:
-            end = self._index.data_end[0]
-            self._note(f"the data section ends at byte {end}, and more data follow at byte {offset}")
-
-    def _note(self, what: str) -> None:
-        self.stray = self.stray or self._file.damage(what)
-
-    def _message_index(self, offset: int, size: int) -> None:
-        if size < _INDEX_HEAD.size:
-            raise self._file.damage(f"the message index at byte {offset} is too short")
-        if not self._is_behind_chunk:
-            self._note(f"the message index at byte {offset} follows no chunk")
-        _, _, channel_id, entries = _INDEX_HEAD.unpack(self._file.nearby(offset, _INDEX_HEAD.size))
-        if channel_id in self._indexed:
-            self._note(f"the message index at byte {offset} is the second of channel {channel_id}")
-        self._indexed[channel_id] += entries // _ENTRY.size
+        self._ids.add(channel_id)
 
     def _close(self, *, complete: bool = True) -> None:
-        """Finish the run or the chunk; its message indexes are ``complete`` if another record follows."""
-        index = self._index
-        if self._run is not None:
-            index.segments.append(replace(self._run, connection_ids=frozenset(self._run_ids)))
-            self._run, self._run_ids = None, set()
-        if self._chunk is not None:
-            ids = frozenset(self._indexed) if complete and self._indexed else None
-            index.segments.append(replace(self._chunk, connection_ids=ids))
-            index.counts.update(self._indexed)
-            index.all_counted = index.all_counted and ids is not None
-            self._chunk = None
-        self._indexed.clear()
-        self._is_behind_chunk = False
+        """Finish the segment; the message indexes of a chunk are ``complete`` if another record follows."""
+        segment, self._segment = self._segment, None
+        if segment is not None:
+            are_known = self._ids and (complete or not segment.record_offset)
+            segment.connection_ids = frozenset(self._ids) if are_known else None
+            self._index.segments.append(segment)
+        self._ids, self._is_behind_chunk = set(), False
 
 
 #: Bytes of message indexes that are read at a time if their number is unknown.
@@ -450,29 +404,17 @@ def find_declarations(
     """Find channels and schemas that only chunks declare; the summary has the others.
 
     ``records_of`` returns the opcodes and contents of a chunk's records; malformed ones are noted. Of chunks with
-    message indexes, only those are read that have messages of unknown channels, and the others if a schema is missing.
+    message indexes, only those are read that have messages of unknown channels; all, while a schema is missing.
     Without a summary, a channel that has no messages may stay unknown.
     """
-    kinds = index.segments.kinds
-    # The channels with messages, as far as message indexes have them; and whether these, or a summary, have all.
-    used = frozenset[int]().union(*(kind.connection_ids for kind in kinds if kind.connection_ids))
-    all_used_known = index.channels_listed or all(kind.connection_ids is not None for kind in kinds)
-    read: set[int] = set()
-    for are_all_due in (False, True):
-        for chunk in index.segments:
-            if (
-                (all_used_known or (index.statistics and len(index.channels) >= index.statistics.channel_count))
-                and used <= index.channels.keys()
-                and all(channel.schema_id in index.schemas for channel in index.channels.values() if channel.schema_id)
-            ):
-                break
-            ids = chunk.connection_ids
-            is_due = not index.channels_listed if ids is None else not ids <= index.channels.keys()
-            if chunk.record_offset and (is_due or are_all_due) and chunk.offset not in read:
-                read.add(chunk.offset)
-                for opcode, content in records_of(chunk):
-                    try:
-                        index.declare(opcode, content, chunk.offset, file)
-                    except DamageError as err:
-                        index.log.note(err, offset=chunk.record_offset, key=opcode, bytes_lost=len(content))
-        declare_listed(file, index)
+    for chunk in index.segments if index.segments.rows["record_offset"].any() else ():
+        ids = chunk.connection_ids
+        is_due = not index.channels_listed if ids is None else not ids <= index.channels.keys()
+        schemas = {channel.schema_id for channel in index.channels.values()} - {0}
+        if chunk.record_offset and (is_due or not schemas <= index.schemas.keys()):
+            for opcode, content in records_of(chunk):
+                try:
+                    index.declare(opcode, content, chunk.offset, file)
+                except DamageError as err:
+                    index.log.note(err, offset=chunk.record_offset, key=opcode, bytes_lost=len(content))
+    declare_listed(file, index)

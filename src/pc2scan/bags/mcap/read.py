@@ -11,24 +11,24 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment as AttachmentRecord
 from mcap.records import Metadata as MetadataRecord
 
-from pc2scan.bags.chunks import ChunkedReader
-from pc2scan.bags.damage import AnotherRecordingError, DamageLog
+from pc2scan.bags.chunks import ChunkedReader, sound_records
+from pc2scan.bags.damage import DamageLog
 from pc2scan.bags.topics import latches
 from pc2scan.bags.zstd import decompress_messages
 from pc2scan.errors import DamageError, stamp_text
 from pc2scan.files.compression import crc32
 from pc2scan.model import Attachment, Connection, Definition, Metadata, StoredChunk, Summary
 
-from .chunks import borrow_payload, whole_chunk
+from .chunks import read_chunk, whole_chunk
 from .index import McapIndex, find_declarations, find_index, indexed_entries
 from .records import ANY_TIME, DECLARATIONS, RECORD, RecordFile, parse, parse_fields, scan_messages
-from .recover import displaced_chunks, is_at_its_place, payload_prefix, recover_index, salvage_of
+from .recover import displaced_chunks, is_at_its_place, payload_prefix, record_at, recover_index
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from pc2scan.bags.chunks import Salvage, Segment, Selection
+    from pc2scan.bags.chunks import Record, Segment, Selection
     from pc2scan.model import RawMessage
 
 
@@ -41,7 +41,7 @@ class McapReader(ChunkedReader):
     Parameters
     ----------
     path
-        The file. If another one follows in it, it is not read, which is damage.
+        The file.
     strict
         Whether damage is an error; otherwise it is in `damage`, and the rest is recovered.
 
@@ -65,10 +65,9 @@ class McapReader(ChunkedReader):
         self._lock = Lock()
         try:
             try:
-                self._index = self._found_index()
-            except AnotherRecordingError as another:
-                self._log.note_another(self._file, another.offset)
-                self._index = self._found_index()
+                self._index = find_index(self._file, self._log)
+            except DamageError as err:
+                self._index = recover_index(self._file, err, self._log)
             find_declarations(self._file, self._index, self._records)
             compare_counts(self._index, self._file, self._log)
             #: In the order of the summary or, without one, of the file.
@@ -78,17 +77,10 @@ class McapReader(ChunkedReader):
             self._segments.sort()
             self._mend_times(self._times_in)
             compare_data_crc(self._index, self._file, self._log)
-            self.summary = summary_of(self._index, self._file, self._log)
+            self.summary = summary_of(self._index, self._file)
         except BaseException:
             self._file.close()
             raise
-
-    def _found_index(self) -> McapIndex:
-        """Index the file, sound or damaged."""
-        try:
-            return find_index(self._file, self._log)
-        except DamageError as err:
-            return recover_index(self._file, err, self._log)
 
     def _read(self, selection: Selection, segment: Segment, *, whole: bool) -> StoredChunk | list[RawMessage]:
         """Return the wanted messages of a segment, or the chunk as a whole."""
@@ -96,8 +88,10 @@ class McapReader(ChunkedReader):
             data = whole_chunk(self._file, segment, selection.rule)
             if isinstance(data, StoredChunk):
                 return data
+        elif segment.record_offset:
+            _, _, data = read_chunk(self._file, segment)
         else:
-            data = borrow_payload(self._file, segment)
+            data = self._file.borrow(segment.offset, segment.length)
         span = (segment.start_ns, segment.end_ns) if segment.record_offset and segment.end_ns else ANY_TIME
         further = partial(self._declare, data, segment) if segment.record_offset else None
         scan = scan_messages(data, selection.wanted, (selection.start_ns, selection.stop_ns), span, further)
@@ -124,18 +118,18 @@ class McapReader(ChunkedReader):
             with self._lock:
                 self._displaced = self._displaced or displaced_chunks(self._file, self._segments)
             segment = self._displaced.get(segment.record_offset, segment)
-        return segment, *payload_prefix(self._file, segment, problem)
+        return segment, payload_prefix(self._file, segment), problem
 
-    def _salvage_of(self, data: memoryview) -> Salvage:
-        return salvage_of(data, self._known, self._file)
+    def _record_at(self, data: memoryview, place: int) -> Record | None:
+        return record_at(data, place)
 
     def _entries(self, segment: Segment) -> Iterator[tuple[int, Iterator[tuple[int, int]]]]:
         return indexed_entries(self._file, segment)
 
     def _records(self, chunk: Segment) -> Iterator[tuple[int, memoryview]]:
         """Yield the opcodes and contents of a chunk's records, as far as they can be read."""
-        data, _ = payload_prefix(self._file, chunk)
-        for start, stop in salvage_of(data, {}, self._file).records(data, (), complete=False):
+        data = payload_prefix(self._file, chunk)
+        for start, stop, _ in sound_records(data, record_at):
             yield data[start], data[start + RECORD.size : stop]
 
     def _declare(self, data: memoryview, chunk: Segment, position: int) -> None:
@@ -154,7 +148,7 @@ class McapReader(ChunkedReader):
 
     def _times_in(self, segment: Segment) -> list[int]:
         """Read a segment for the log times of its messages."""
-        data, _ = payload_prefix(self._file, segment)
+        data = payload_prefix(self._file, segment)
         return [message.log_time_ns for message in scan_messages(data, self._known, (0, 1 << 64)).messages]
 
     def attachments(self) -> Iterator[Attachment]:
@@ -162,7 +156,7 @@ class McapReader(ChunkedReader):
         for offset in sorted(self._index.attachments):
             content = self._file.record(offset, Opcode.ATTACHMENT)
             try:
-                record, size = parse_fields(AttachmentRecord, content, offset, self._file)
+                record, size = parse_fields(AttachmentRecord, content, offset, self.path)
             except DamageError as err:
                 self._log.note(err, offset=offset, bytes_lost=len(content))
                 continue
@@ -210,12 +204,9 @@ def connections_of(index: McapIndex, file: RecordFile, log: DamageLog) -> Iterat
         )
         qos = metadata.get("offered_qos_profiles", "")
         ros1 = serialization == "ros1"
-        if statistics is None:
-            count = index.counts[channel.id] if index.all_counted else None
-        elif statistics.message_count and not statistics.channel_message_counts:
-            # Writers may omit the counts by channel.
-            count = None
-        else:
+        count = None
+        # Writers may omit the counts by channel.
+        if statistics is not None and (statistics.channel_message_counts or not statistics.message_count):
             count = statistics.channel_message_counts.get(channel.id, 0)
         yield Connection(
             id=channel.id,
@@ -233,30 +224,21 @@ def connections_of(index: McapIndex, file: RecordFile, log: DamageLog) -> Iterat
         )
 
 
-def summary_of(index: McapIndex, file: RecordFile, log: DamageLog) -> Summary:
-    """Return the summary; statistics that contradict the messages' log times are noted."""
+def summary_of(index: McapIndex, file: RecordFile) -> Summary:
+    """Return the summary; times are those of the index, or of the statistics if no message is in it."""
     statistics = index.statistics
-    if statistics is not None:
-        count: int | None = statistics.message_count
-        times = (statistics.message_start_time, statistics.message_end_time) if count else None
-    else:
-        count, times = index.counts.total() if index.all_counted else None, None
     # A chunk without messages has both times zero.
     rows, are_known = index.segments.rows, np.array([ids is not None for _, ids in index.segments.kinds], bool)
     held = rows[are_known[rows["kind"]] | (rows["end_ns"] > 0)]
-    span = (int(held["start_ns"].min()), int(held["end_ns"].max())) if len(held) else None
-    covers = times is not None and span is not None and times[0] <= span[0] <= span[1] <= times[1]
-    if times and span and not covers:
-        declared, actual = (f"{stamp_text(first)} to {stamp_text(last)}" for first, last in (times, span))
-        log.note_index(file, 0, f"the statistics have log times {declared}, the messages {actual}")
-    # For a damaged recording, the statistics are more complete.
-    times = times if covers and log.found else span or times
+    times = (int(held["start_ns"].min()), int(held["end_ns"].max())) if len(held) else None
+    if times is None and statistics is not None and statistics.message_count:
+        times = statistics.message_start_time, statistics.message_end_time
     return Summary(
         container="mcap",
         storage="",
-        compression=tuple(sorted({kind.compression for kind in index.segments.kinds})),
+        compression=tuple(sorted({compression for compression, _ in index.segments.kinds})),
         size_bytes=file.size,
-        message_count=count,
+        message_count=None if statistics is None else statistics.message_count,
         start_ns=times[0] if times else None,
         end_ns=times[1] if times else None,
         profile=index.profile,

@@ -24,6 +24,7 @@ from pc2scan.model import RawMessage
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
+    from pathlib import Path
 
     from mcap.records import McapRecord
 
@@ -82,20 +83,19 @@ class _Content(BytesIO):
         return data
 
 
-def parse_fields(kind: type[_Record], content: Buffer, offset: int, file: RecordFile) -> tuple[_Record, int]:
-    """Parse a record's content; return it, and the length of its fields. ``offset`` is its place, for the error."""
+def parse_fields(kind: type[_Record], content: Buffer, offset: int, path: Path | None = None) -> tuple[_Record, int]:
+    """Parse a record's content; return it, and the length of its fields. ``offset`` and ``path`` are for the error."""
     stream = ReadDataStream(_Content(content))
     try:
         return kind.read(stream), stream.count
     except (EndOfFile, OverflowError, UnicodeDecodeError) as err:
-        raise file.damage(
-            f"the {kind.__name__} record at byte {offset} ({len(content)} bytes) contradicts its own lengths"
-        ) from err
+        what = f"the {kind.__name__} record at byte {offset} ({len(content)} bytes) contradicts its own lengths"
+        raise DamageError(what, path=path, hint=RECOVER) from err
 
 
 def parse(kind: type[_Record], content: Buffer, offset: int, file: RecordFile) -> _Record:
     """Parse a record's content; ``offset`` is its place in the file, for the error."""
-    return parse_fields(kind, content, offset, file)[0]
+    return parse_fields(kind, content, offset, file.path)[0]
 
 
 def encode_record(record: McapRecord) -> bytes:
@@ -110,16 +110,6 @@ def encode_record(record: McapRecord) -> bytes:
     record.write(builder)
     packed: bytes = builder.end()  # type: ignore[no-untyped-call]
     return packed
-
-
-def record_end(data: Buffer, position: int) -> int | None:
-    """Return the end of the record that begins here; None if none does, or it does not fit."""
-    if position + RECORD.size > len(data):
-        return None
-    opcode, length = RECORD.unpack_from(data, position)
-    stop = position + RECORD.size + length
-    is_too_short = opcode == OP_MESSAGE and length < MESSAGE.size - RECORD.size
-    return int(stop) if opcode and stop <= len(data) and not is_too_short else None
 
 
 # --- Messages ---

@@ -1,8 +1,8 @@
-"""Recovers the records of a damaged MCAP file, and the messages of a damaged chunk.
+"""Recovers the records of a damaged MCAP file, and the records of a damaged chunk.
 
 The file is walked from the front, record after record. Behind damage the walk goes on at the next opcode with a length
-that leads to another record, at the latest at the next chunk of the index. The beginning of another file
-(``cat a.mcap b.mcap``) ends the first.
+that leads to another record, at the latest at the next chunk of the index. What follows the end of a recording
+(``cat a.mcap b.mcap``) is not read.
 """
 
 from __future__ import annotations
@@ -11,42 +11,27 @@ import re
 from bisect import bisect_left, bisect_right
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from mcap.opcode import Opcode
 
-from pc2scan.bags.chunks import Salvage, Segment, Segments, times_around
-from pc2scan.bags.damage import AnotherRecordingError, DamageLog
+from pc2scan.bags.chunks import Record, Segment, Segments, times_around
+from pc2scan.bags.damage import DamageLog
 from pc2scan.errors import DamageError
 from pc2scan.files.salvage import decompressed_prefix
-from pc2scan.model import RawMessage
 
 from .chunks import CHUNK_HEAD_SIZE, chunk_at, form_of
 from .index import McapIndex, RecordWalk, read_header, read_summary
-from .records import (
-    COMPRESSIONS,
-    DECLARATIONS,
-    MAGIC,
-    MESSAGE,
-    OP_CHUNK,
-    OP_MESSAGE,
-    RECORD,
-    parse_fields,
-    record_end,
-)
+from .records import COMPRESSIONS, DECLARATIONS, MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, RECORD, parse_fields
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from pc2scan.model import Connection
-
     from .records import RecordFile
 
 #: Bytes that are searched at a time.
 WINDOW = 1 << 20
 
-#: The beginning of another file, or of a record: an opcode, and a length below 2^36.
-_BEGINNING = re.compile(rb"(?=" + re.escape(MAGIC) + rb"\x01|[\x03-\x07\x09\x0c\x0f][\s\S]{4}[\0-\x0f]\0\0\0)")
+#: The beginning of a record: an opcode, and a length below 2^36.
+_BEGINNING = re.compile(rb"(?=[\x03-\x07\x09\x0c\x0f][\s\S]{4}[\0-\x0f]\0\0\0)")
 
 #: Records that chunks are made of.
 _INSIDE_CHUNKS = frozenset({OP_MESSAGE, *DECLARATIONS})
@@ -63,96 +48,73 @@ class _Gap(NamedTuple):
 def recover_index(file: RecordFile, problem: DamageError, log: DamageLog) -> McapIndex:
     """Index a damaged file; ``problem`` is the error of indexing it as a sound one.
 
-    Returns
-    -------
-    McapIndex
-        Chunks may be cut off at the end of the file.
-
-    Raises
-    ------
-    AnotherRecordingError
-        If another recording begins behind damage.
+    Chunks may be cut off at the end of the file.
     """
     if log.strict:
         raise problem
-    index, summary = McapIndex(log), McapIndex(log)
+    index, errors = McapIndex(log), list[DamageError]()
     position, end = len(MAGIC), file.size
     if file.read(end - len(MAGIC), len(MAGIC)) == MAGIC:
         end -= len(MAGIC)
-    notes: list[tuple[DamageError, int | None]] = []
     try:
         position = read_header(file, index)
     except DamageError as err:
-        # No message is in it, but what took it may have taken more.
-        notes.append((err, len(MAGIC)))
+        errors.append(err)
+    profile = index.profile
     try:
-        end = read_summary(file, summary)
+        end = read_summary(file, index)
     except DamageError as err:
-        notes.append((err, None))
-        summary = McapIndex(log)
-    index.statistics, index.listed = summary.statistics, summary.listed
-    index.channels_listed = summary.channels_listed
-    index.schemas.update(summary.schemas)
-    index.channels.update(summary.channels)
-    index.limit = summary.limit
-    is_alone = summary.statistics is not None or len(summary.segments) > 0
-    gaps = _walk(file, index, position, end, summary, alone=is_alone)
-    if not notes and not gaps:
-        notes.append((problem, None))
-    # Message indexes may be missing, or be those of another chunk.
-    index.segments = Segments(replace(segment, connection_ids=None) for segment in index.segments)
+        errors.append(err)
+        index = McapIndex(log, profile)
+    gaps = _walk(file, index, position, end)
+    found, index.segments = index.segments, Segments()
+    for segment in found:
+        # Message indexes may be missing, or be those of another chunk.
+        index.segments.append(replace(segment, connection_ids=None))
     index.segments.sort()
     around = times_around(index.segments)
-    for error, offset in notes:
-        lost = 0 if offset and index.statistics else None
-        log.note(error, offset=offset, messages_lost=lost, **({} if offset else around(file.size, file.size)))
+    for error in errors if errors or gaps else [problem]:
+        log.note(error, key=error.message, **around(file.size, file.size))
     for gap in gaps:
         log.note(gap.error, offset=gap.start, bytes_lost=gap.stop - gap.start, **around(gap.start, gap.stop))
     return index
 
 
-def _walk(
-    file: RecordFile, index: McapIndex, position: int, end: int, summary: McapIndex, *, alone: bool
-) -> list[_Gap]:
-    """Walk over all records up to a byte, and return the gaps between them; the summary's chunks help.
-
-    ``alone`` means that no other recording begins here: what looks like one is part of a message.
-    """
+def _walk(file: RecordFile, index: McapIndex, position: int, end: int) -> list[_Gap]:
+    """Walk over all records up to a byte, and return the gaps between them; the chunks in the index help."""
     gaps: list[_Gap] = []
-    indexed = {chunk.record_offset: chunk for chunk in summary.segments}
+    indexed = {chunk.record_offset: chunk for chunk in index.segments}
     heads = [place for place, chunk in sorted(indexed.items()) if is_at_its_place(file, chunk)]
-    index.segments = Segments(indexed[place] for place in heads)
+    index.segments = Segments()
+    for place in heads:
+        index.segments.append(indexed[place])
     while position < end:
         coming = range(bisect_left(heads, position), len(heads))
         walk = RecordWalk(file, index, ((heads[number], indexed[heads[number]].stop) for number in coming))
-        failed, error = end, None
         try:
             walk.run(position, end)
+            break
         except DamageError as err:
             failed, error = walk.offset, err
-        if walk.stray is not None:
-            gaps.append(_Gap(position, position, walk.stray))
-        if error is None:
+        if file.read(failed, min(len(MAGIC), end - failed)) == MAGIC:
+            gaps.append(_Gap(failed, file.size, file.damage(f"the recording ends at byte {failed}, and more follows")))
             break
         following = bisect_right(heads, failed)
-        limit = heads[following] if following < len(heads) else end
-        search = _Search(file, limit, alone=alone)
-        chunk = indexed.get(failed) or _chunk_in_front(file, failed, limit)
+        search = _Search(file, heads[following] if following < len(heads) else end)
+        chunk = indexed.get(failed) or _chunk_in_front(file, failed, search.end)
         stop = _end_of_chunk(search, chunk) if chunk else 0
         if chunk is not None:
             index.segments.append(replace(chunk, length=min(chunk.length, stop - chunk.offset), padding=0))
-            index.all_counted = False
-        position = stop or search.swallowed_record(walk.previous, failed) or 0
-        if 0 < position < failed:
+        position = stop or search.swallowed_record(walk.previous, failed) or search.next_record(failed)
+        if position < failed:
             _forget(index, walk.previous)
-        position = position or search.next_record(failed, since=walk.previous)
         gaps.append(_Gap(failed, failed if stop else max(failed, position), error))
     return gaps
 
 
 def _forget(index: McapIndex, offset: int) -> None:
     """Remove the message that begins here, the last one of the walk, from the index."""
-    run = index.segments[-1] if index.segments else None
+    run = index.segments[-1] if len(index.segments) else None
     if run is not None and not run.record_offset and run.offset <= offset < run.offset + run.length:
         index.segments.pop()
         if size := offset - run.offset:
@@ -164,27 +126,17 @@ class _Search(NamedTuple):
 
     file: RecordFile
     end: int
-    alone: bool
 
-    def next_record(self, failed: int, *, since: int | None = None, after_chunk: bool = False) -> int:
-        """Search behind damage for an opcode with a length that leads to another record; the end if there is none.
-
-        The record before it, from ``since`` on, may have taken the beginning of another recording.
-
-        Raises
-        ------
-        AnotherRecordingError
-            If another recording begins before it.
-        """
-        start, size = since or failed, 1 << 12
+    def next_record(self, failed: int, *, after_chunk: bool = False) -> int:
+        """Search behind damage for an opcode with a length that leads to another record; the end if there is none."""
+        start, size = failed + 1, 1 << 12
         while start < self.end:
             window = self.file.read(start, min(size + RECORD.size, self.end - start))
             for match in _BEGINNING.finditer(window):
-                opcode, position = window[match.start()], start + match.start()
-                if opcode == MAGIC[0]:
-                    if not self.alone:
-                        raise AnotherRecordingError(position)
-                elif position > failed and not (after_chunk and opcode in _INSIDE_CHUNKS) and self.leads_on(position):
+                position = start + match.start()
+                if after_chunk and window[match.start()] in _INSIDE_CHUNKS:
+                    continue
+                if (stop := self.stop_of(position)) is not None and self.is_record(stop):
                     return position
             start, size = start + size, min(2 * size, WINDOW)
         return self.end
@@ -203,11 +155,6 @@ class _Search(NamedTuple):
                 return start
             start = last if position is None else failed
         return None
-
-    def leads_on(self, offset: int) -> bool:
-        """Whether a record begins here that another one, or the end, follows."""
-        stop = self.stop_of(offset)
-        return stop is not None and self.is_record(stop)
 
     def is_record(self, offset: int) -> bool:
         """Whether a record can begin here, or the end is here."""
@@ -256,53 +203,44 @@ def _end_of_chunk(search: _Search, chunk: Segment) -> int:
 def displaced_chunks(file: RecordFile, segments: Segments) -> dict[int, Segment]:
     """Find the chunks that are not where the index of a file places them, by their places in the index."""
     walked = McapIndex(DamageLog())
-    _walk(file, walked, len(MAGIC), file.size - len(MAGIC), McapIndex(DamageLog()), alone=True)
+    _walk(file, walked, len(MAGIC), file.size - len(MAGIC))
     actual = {chunk.record_offset: chunk for chunk in walked.segments if chunk.record_offset}
     listed = {chunk.record_offset for chunk in segments}
     vacant, unlisted = sorted(listed - actual.keys()), sorted(actual.keys() - listed)
     return dict(zip(vacant, map(actual.__getitem__, unlisted), strict=False))
 
 
-def payload_prefix(file: RecordFile, segment: Segment, problem: DamageError | None = None) -> tuple[memoryview, Any]:
-    """Read the records of a damaged segment as far as they can be decompressed, and improve the error."""
+def payload_prefix(file: RecordFile, segment: Segment) -> memoryview:
+    """Read the records of a damaged segment as far as they can be decompressed."""
     chunk = segment
     if segment.record_offset:
         head = _chunk_in_front(file, segment.record_offset, file.size)
         # A consistent header is right, not the index.
         if head is not None and head.stop <= file.size and (not head.padding or form_of(head) == form_of(segment)):
             chunk = head
-        elif head is not None and head.offset + head.length > file.size:
-            problem = file.damage(
-                f"the chunk at byte {segment.record_offset} is cut off: it has {file.size - head.offset} of "
-                f"{head.length} bytes"
-            )
     data = file.read(chunk.offset, min(chunk.length, file.size - chunk.offset))
     # As for the library, an unknown compression is none.
     compression = chunk.compression if chunk.compression in COMPRESSIONS else "none"
-    return memoryview(decompressed_prefix(data, compression, chunk.uncompressed_size)), problem
+    return memoryview(decompressed_prefix(data, compression, chunk.uncompressed_size))
 
 
-def salvage_of(data: memoryview, known: Mapping[int, Connection], file: RecordFile) -> Salvage:
-    """Return how the records of a damaged chunk are read."""
-
-    def end_of(place: int) -> int | None:
-        stop = record_end(data, place)
-        if data[place] in DECLARATIONS and (stop is None or (stop < len(data) and record_end(data, stop) is None)):
-            # The length of a schema or channel is wrong: its fields say where it ends.
-            with suppress(DamageError):
-                kind, content = DECLARATIONS[data[place]], data[place + RECORD.size :]
-                return place + RECORD.size + parse_fields(kind, content, 0, file)[1]
-        # Unknown records are of later specifications, or private.
-        return stop if data[place] in _INSIDE_CHUNKS or data[place] > Opcode.DATA_END else None
-
-    def head_of(place: int) -> tuple[int, int] | None:
-        if place + MESSAGE.size > len(data) or data[place] != OP_MESSAGE:
-            return None
-        _, _, channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(data, place)
-        return channel_id, log_time_ns
-
-    def message_at(place: int, stop: int) -> RawMessage:
+def record_at(data: memoryview, place: int) -> Record | None:
+    """Return the record that begins at a place of a damaged chunk; None if none does."""
+    if place + RECORD.size > len(data):
+        return None
+    opcode, length = RECORD.unpack_from(data, place)
+    stop = place + RECORD.size + length
+    if opcode == OP_MESSAGE and place + MESSAGE.size <= len(data):
         _, _, channel_id, sequence, log_time_ns, publish_time_ns = MESSAGE.unpack_from(data, place)
-        return RawMessage(known[channel_id], log_time_ns, data[place + MESSAGE.size : stop], publish_time_ns, sequence)
-
-    return Salvage(end_of, head_of, message_at)
+        start = place + MESSAGE.size
+        return Record(
+            stop if stop >= start else len(data) + 1, start, channel_id, log_time_ns, publish_time_ns, sequence
+        )
+    if opcode in DECLARATIONS:
+        if stop > len(data) or (stop < len(data) and data[stop] not in _INSIDE_CHUNKS):
+            # Its length is wrong: its fields say where it ends.
+            with suppress(DamageError):
+                stop = place + RECORD.size + parse_fields(DECLARATIONS[opcode], data[place + RECORD.size :], 0)[1]
+        return Record(stop)
+    # Unknown records are of later specifications, or private.
+    return Record(stop) if opcode > Opcode.DATA_END else None

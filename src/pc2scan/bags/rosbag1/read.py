@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pc2scan.bags.chunks import ChunkedReader
-from pc2scan.bags.damage import AnotherRecordingError, DamageLog
+from pc2scan.bags.damage import DamageLog
 from pc2scan.bags.loading import MAX_CHUNK_MESSAGES, check_number
 from pc2scan.errors import stamp_text
-from pc2scan.files.compression import LZ4_MAGIC
 from pc2scan.model import RawMessage, StoredChunk, Summary
 from pc2scan.text import counted
 
@@ -26,29 +25,25 @@ from .records import (
     LAYOUTS,
     MESSAGE,
     SECOND_NS,
-    UINT32,
     USUAL_LAYOUT,
     BagFile,
     FormatError,
-    borrow_payload,
-    decompress_chunk,
-    kind_of,
     number_field,
     parse_connection,
-    record_in,
+    read_chunk,
+    read_record,
+    reading,
     time_field,
 )
-from .recover import payload_prefix, recover_index, refuse_more, salvage_of, times_in
+from .recover import payload_prefix, record_at, recover_index, times_in
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from pc2scan.bags.chunks import Numbers, Salvage, Segment, Segments, Selection
+    from pc2scan.bags.chunks import Numbers, Record, Segment, Segments, Selection
     from pc2scan.errors import DamageError
-    from pc2scan.model import Buffer, ChunkRule
-
-    from .index import BagIndex
+    from pc2scan.model import Buffer, ChunkRule, Connection
 
 
 class Rosbag1Reader(ChunkedReader):
@@ -60,7 +55,7 @@ class Rosbag1Reader(ChunkedReader):
     Parameters
     ----------
     path
-        A bag of format 2.0. If another one follows in the file, it is not read, which is damage.
+        A bag of format 2.0.
     strict
         Whether damage is an error; otherwise it is in `damage`, and the rest is recovered. Without a usable index,
         opening a bag reads the chunks whose own index records are not usable either.
@@ -85,32 +80,17 @@ class Rosbag1Reader(ChunkedReader):
         self._described: dict[int, tuple[bytes | None, bytes, bool]] = {}
         try:
             try:
-                index = self._found_index()
-            except AnotherRecordingError as another:
-                self._log.note_another(self._file, another.offset)
-                index = self._found_index()
-            for identity in sorted(index.unlisted):
-                error = f"connection {identity} has messages, and only chunks describe it"
-                self._log.note(self._file.damage_error(error), key=("unlisted", identity), messages_lost=0)
-            self._known, self._segments = index.connections, index.segments
-            self._mend_times(lambda segment: [time for each in times_in(self._file, segment).values() for time in each])
+                self._known, self._segments = read_index(self._file, self._log)
+            except FormatError as err:
+                problem = self._file.damage_error(f"its index cannot be read: {err}")
+                self._known, self._segments = recover_index(self._file, problem, self._log)
+            self._mend_times(lambda segment: [time for own in times_in(self._file, segment).values() for time in own])
         except BaseException:
             self.close()
             raise
         #: In the order of the index; those that only chunks describe come last.
         self.connections = tuple(self._known.values())
-        self.summary = summary_of(index, self._file.size)
-
-    def _found_index(self) -> BagIndex:
-        """Index the bag, by its own index or without it."""
-        try:
-            index = read_index(self._file)
-            if index.stop < self._file.size:
-                refuse_more(self._file, index.stop)
-        except FormatError as err:
-            problem = self._file.damage_error(f"its index cannot be read: {err}")
-            return recover_index(self._file, problem, self._log)
-        return index
+        self.summary = summary_of(self.connections, self._segments, self._file.size)
 
     def _needed(self, segments: Segments, due: Numbers, start_ns: int | None) -> dict[int, frozenset[int]]:
         return first_uses(segments, due, start_ns)
@@ -119,9 +99,8 @@ class Rosbag1Reader(ChunkedReader):
         """Return the wanted messages of a chunk, or the chunk as a whole, decompressed to be checked."""
         try:
             if not (whole and selection.rule):
-                return self._scan(selection, segment, borrow_payload(self._file, segment), {})
-            stored = self._file.read(segment.offset, segment.length)
-            records = decompress_chunk(self._file, segment, memoryview(stored))
+                return self._scan(selection, segment, read_chunk(self._file, segment)[1], {})
+            stored, records = read_chunk(self._file, segment, keep=True)
             described: dict[int, bool] = {}
             places: list[int] = []
             messages = self._scan(selection, segment, records, described, places)
@@ -191,23 +170,23 @@ class Rosbag1Reader(ChunkedReader):
             self._log.note_index(self._file, segment.offset, what)
 
     def _prefix(self, segment: Segment, problem: DamageError) -> tuple[Segment, memoryview, DamageError]:
-        return segment, memoryview(payload_prefix(self._file, segment)), problem
+        return segment, payload_prefix(self._file, segment), problem
 
-    def _salvage_of(self, data: memoryview) -> Salvage:
-        return salvage_of(data, self._known)
+    def _record_at(self, data: memoryview, place: int) -> Record | None:
+        return record_at(data, place)
 
     def _entries(self, segment: Segment) -> Iterator[tuple[int, list[tuple[int, int]]]]:
         return indexed_entries(self._file, segment)
 
 
-def summary_of(index: BagIndex, size: int) -> Summary:
+def summary_of(connections: Sequence[Connection], segments: Segments, size: int) -> Summary:
     """Return the summary of a bag of this size, bytes."""
-    rows = index.segments.rows[index.segments.rows["end_ns"] > 0]
-    counts = [connection.message_count for connection in index.connections.values()]
+    rows = segments.rows[segments.rows["end_ns"] > 0]
+    counts = [connection.message_count for connection in connections]
     return Summary(
         container="rosbag1",
         storage="",
-        compression=tuple(sorted({kind.compression for kind in index.segments.kinds})),
+        compression=tuple(sorted({compression for compression, _ in segments.kinds})),
         size_bytes=size,
         message_count=None if None in counts else sum(filter(None, counts)),
         start_ns=int(rows["start_ns"].min()) if len(rows) else None,
@@ -338,18 +317,20 @@ def scan_messages(
                 if position > end:
                     raise FormatError(f"a message reaches to byte {position} of a chunk of {end} bytes")
             else:
-                fields, start, following = record_in(data, position)
+                kind, fields, start, following = read_record(reading(data), position, end)
                 # Writers use one order of fields: use it from now on, and read this record again.
                 other = LAYOUTS.get(tuple(fields), current)
-                if other is not current and kind_of(fields) == MESSAGE:
+                if other is not current and kind == MESSAGE:
                     layout, literals, expected, at_connection, at_seconds = current = other
                     continue
                 position = following
-                if kind_of(fields) == CONNECTION:
+                if position > end:
+                    raise FormatError(f"a record reaches to byte {position} of a chunk of {end} bytes")
+                if kind == CONNECTION:
                     describe(fields, data[start:position])
                     continue
-                if kind_of(fields) != MESSAGE:
-                    raise FormatError(f"a record of kind {kind_of(fields)} is in it, not a message or connection")
+                if kind != MESSAGE:
+                    raise FormatError(f"a record of kind {kind} is in it, not a message or connection")
                 identity = number_field(fields, "conn")
                 stamp = time_field(fields, "time")
             count += 1
@@ -369,33 +350,10 @@ def scan_messages(
     return messages, others, count
 
 
-# --- LZ4 frames ---
-#
-# ROS 1's own reader accepts only frames with independent blocks, no content size, and a checksum.
-# Source: ``roslz4/src/lz4s.c`` in ros_comm, and https://github.com/lz4/lz4/blob/dev/doc/lz4_Frame_format.md.
-
-#: Version 1, independent blocks, content checksum; no block checksums, content size or dictionary.
-_FLAGS = 0b0110_0100
-#: Blocks of at most 64 KiB, 256 KiB, 1 MiB, 4 MiB.
-_BLOCK_SIZES = {0x40: 1 << 16, 0x50: 1 << 18, 0x60: 1 << 20, 0x70: 1 << 22}
-_STORED = 0x8000_0000
-_HEADER_SIZE = 7
-
-
 def is_readable_lz4(data: Buffer) -> bool:
-    """Whether these bytes are exactly one LZ4 frame that ROS 1's own reader accepts."""
-    if len(data) < _HEADER_SIZE or data[:4] != LZ4_MAGIC or data[4] != _FLAGS or data[5] not in _BLOCK_SIZES:
-        return False
-    limit = _BLOCK_SIZES[data[5]]
-    position = _HEADER_SIZE
-    while position + 4 <= len(data):
-        (size,) = UINT32.unpack_from(data, position)
-        position += 4
-        if size == 0:
-            # The checksum, and the end.
-            return position + 4 == len(data)
-        size &= ~_STORED
-        if size > limit:
-            return False
-        position += size
-    return False
+    """Whether ROS 1's own reader accepts this LZ4 frame: with independent blocks, a checksum, and no content size.
+
+    Source: ``roslz4/src/lz4s.c`` in ros_comm, and https://github.com/lz4/lz4/blob/dev/doc/lz4_Frame_format.md.
+    """
+    # The largest block has 64 KiB, 256 KiB, 1 MiB or 4 MiB.
+    return len(data) > 5 and data[4] == 0b0110_0100 and data[5] in (0x40, 0x50, 0x60, 0x70)

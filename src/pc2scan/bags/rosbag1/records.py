@@ -23,16 +23,15 @@ from itertools import permutations
 from operator import itemgetter
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.chunks import NearbyFile
+from pc2scan.bags.chunks import NearbyFile, unpacked
 from pc2scan.bags.damage import RECOVER
 from pc2scan.bags.formats import FORMATS
 from pc2scan.errors import DamageError
-from pc2scan.files.compression import CompressionError, allowed_bytes, decompress
-from pc2scan.files.source import lend
+from pc2scan.files.compression import CompressionError, allowed_bytes
 from pc2scan.model import Connection, Definition
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from pc2scan.bags.chunks import Segment
     from pc2scan.model import Buffer
@@ -111,11 +110,6 @@ def time_field(fields: Mapping[bytes, bytes], name: str) -> int:
     return int(seconds) * SECOND_NS + int(nanoseconds)
 
 
-def kind_of(fields: Mapping[bytes, bytes]) -> int:
-    """Return the kind of a record with these fields."""
-    return field_of(fields, "op", 1)[0]
-
-
 def text_of(value: bytes) -> str:
     """Decode UTF-8; other bytes become surrogates, which are written as the same bytes."""
     return value.decode("utf-8", "surrogateescape")
@@ -157,72 +151,70 @@ class BagFile(NearbyFile):
         """Return the error that the reader raises."""
         return DamageError(message, path=self.path, hint=RECOVER)
 
-    def record(self, offset: int, kind: int) -> tuple[dict[bytes, bytes], int, int]:
-        """Return a record of a required kind: its fields, and start and stop of its body."""
-        (length,) = UINT32.unpack(self.nearby(offset, 4))
-        body = offset + 4 + length + 4
-        fields = parse_fields(self.nearby(offset + 4, length))
-        (length,) = UINT32.unpack(self.nearby(body - 4, 4))
-        if kind_of(fields) != kind:
+    def record(self, offset: int, kind: int) -> BagRecord:
+        """Return a record of a required kind."""
+        record = read_record(self.nearby, offset, self.size)
+        if record.kind != kind:
             raise FormatError(
-                f"the record at byte {offset} is a {_KINDS.get(kind_of(fields), kind_of(fields))}, "
+                f"the record at byte {offset} is a {_KINDS.get(record.kind, record.kind)}, "
                 f"a {_KINDS[kind]} should be there"
             )
-        if body + length > self.size:
+        if record.stop > self.size:
             raise FormatError(
-                f"the {_KINDS[kind]} at byte {offset} reaches to byte {body + length}, the file has {self.size} bytes"
+                f"the {_KINDS[kind]} at byte {offset} reaches to byte {record.stop}, the file has {self.size} bytes"
             )
-        return fields, body, body + length
+        return record
+
+
+class BagRecord(NamedTuple):
+    """A record: its kind, its fields, and start and stop of its body, which may be behind the data."""
+
+    kind: int
+    fields: dict[bytes, bytes]
+    start: int
+    stop: int
+
+
+def read_record(read: Callable[[int, int], Buffer], position: int, size: int) -> BagRecord:
+    """Return the record at a place of a file or a chunk of ``size`` bytes; ``read`` returns bytes of it."""
+    header = body = position
+    for _ in range(2):
+        if body + 4 > size:
+            raise FormatError(f"a record's length does not fit into {size} bytes")
+        header, (length,) = body, UINT32.unpack(read(body, 4))
+        body += 4 + length
+        if body > size and header == position:
+            raise FormatError(f"a record's header reaches to byte {body} of {size}")
+    fields = parse_fields(read(position + 4, header - position - 4))
+    return BagRecord(field_of(fields, "op", 1)[0], fields, header + 4, body)
 
 
 # --- Inside chunks ---
 
 
-def borrow_payload(file: BagFile, segment: Segment) -> memoryview:
-    """Read and decompress a chunk; see `SourceFile.borrow`."""
-    return decompress_chunk(file, segment, file.borrow(segment.offset, segment.length))
+def reading(data: memoryview) -> Callable[[int, int], memoryview]:
+    """Return the function that reads bytes of a chunk."""
+    return lambda offset, length: data[offset : offset + length]
 
 
-def decompress_chunk(file: BagFile, segment: Segment, stored: memoryview) -> memoryview:
-    """Decompress a chunk to its declared size."""
-    compression, size = segment.compression, segment.uncompressed_size
-    if size > (allowed := allowed_bytes(file.size, len(stored))):
-        raise FormatError(f"it declares {size} bytes, in a bag of {file.size} at most {allowed} may be")
-    if compression == "none":
-        if len(stored) != size:
-            raise FormatError(f"it holds {len(stored)} bytes, {size} are declared")
-        return stored
+def read_chunk(file: BagFile, segment: Segment, *, keep: bool = False) -> tuple[memoryview, memoryview]:
+    """Read a chunk; return its payload, in a buffer that is used again unless it is to ``keep``, and its records."""
+    stored = memoryview((file.read if keep else file.borrow)(segment.offset, segment.length))
     try:
-        unpacked = lend(size)
-        decompress(compression, stored, unpacked)
-    except (CompressionError, MemoryError) as err:
-        raise FormatError(f"its {compression} data cannot be decompressed to the declared {size} bytes: {err}") from err
-    return unpacked.toreadonly()
+        allowed = allowed_bytes(file.size, len(stored))
+        return stored, unpacked(stored, segment.compression, segment.uncompressed_size, allowed)
+    except CompressionError as err:
+        raise FormatError(str(err)) from err
 
 
-def record_in(data: memoryview, position: int) -> tuple[dict[bytes, bytes], int, int]:
-    """Return a record of a chunk: its fields, and start and stop of its body."""
-    lengths = []
-    for _ in range(2):
-        if position + 4 > len(data):
-            raise FormatError(f"a record's length does not fit into the {len(data)} bytes of its chunk")
-        (length,) = UINT32.unpack_from(data, position)
-        lengths.append(position + 4)
-        position += 4 + length
-        lengths.append(position)
-        if position > len(data):
-            raise FormatError(f"a record reaches to byte {position} of a chunk of {len(data)} bytes")
-    header, header_stop, body, body_stop = lengths
-    return parse_fields(data[header:header_stop]), body, body_stop
-
-
-def records_of(file: BagFile, segment: Segment) -> Iterator[tuple[dict[bytes, bytes], memoryview]]:
-    """Read a chunk, and yield all of its records as fields and body."""
-    data = borrow_payload(file, segment)
+def records_of(file: BagFile, segment: Segment) -> Iterator[tuple[BagRecord, memoryview]]:
+    """Read a chunk, and yield all of its records and their bodies."""
+    _, data = read_chunk(file, segment)
     position = 0
     while position < len(data):
-        fields, start, position = record_in(data, position)
-        yield fields, data[start:position]
+        record = read_record(reading(data), position, len(data))
+        yield record, data[record.start : record.stop]
+        position = record.stop
 
 
 class MessageLayout(NamedTuple):
