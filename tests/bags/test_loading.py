@@ -79,8 +79,8 @@ def test_an_index_finds_the_order_of_the_source_in_whole_chunks(
 ) -> None:
     """A stable sort of what is written is one of what is read; outside of chunks it is written sorted."""
     segments = Segments()
-    for number, (times, copied) in enumerate(zip(chunks, may, strict=False)):
-        ids = frozenset({int(copied)})
+    for number, (times, may_be_copied) in enumerate(zip(chunks, may, strict=False)):
+        ids = frozenset({int(may_be_copied)})
         segments.append(Segment(number, 1, MIN_WHOLE_BYTES, min(times), max(times), connection_ids=ids))
     whole, due = whole_chunks(segments, ChunkRule("mcap", frozenset(), frozenset({1})), None, None)
     file: Any = None

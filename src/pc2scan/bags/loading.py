@@ -52,11 +52,8 @@ _MAX_AGAIN = 4
 #: Maximum number of messages in a recording, whatever its size; one more is allowed for each stored byte.
 _MAX_FREE_MESSAGES = 1_000_000
 
-#: Bytes that are announced to the system before they are read: it reads them while others are decompressed.
-_ANNOUNCED_BYTES = 32 << 20
-
-#: Chunks that wait for their turn, each of which takes half a kilobyte.
-_ANNOUNCED_CHUNKS = 1_000
+#: Chunks that are announced to the system before they are read: it reads them while others are decompressed.
+_ANNOUNCED_CHUNKS = 16
 
 #: Smaller chunks are not announced: the system reads some way ahead itself.
 _ANNOUNCED_FROM = 64 << 10
@@ -326,14 +323,11 @@ def _load_together(threads: Threads, chunk: Chunk, callback: Callable[[RawMessag
 def _announce(chunks: Iterable[Chunk]) -> Iterator[Chunk]:
     """Yield the chunks, and announce the places of large ones to the system some way ahead of their turn."""
     coming: deque[Chunk] = deque()
-    announced = 0
     for chunk in chunks:
         coming.append(chunk)
-        announced += chunk.length
         if chunk.file is not None and chunk.length >= _ANNOUNCED_FROM:
             chunk.file.expect(chunk.offset, chunk.length)
         # Rows of a database are in memory already.
-        while coming and (chunk.file is None or announced > _ANNOUNCED_BYTES or len(coming) > _ANNOUNCED_CHUNKS):
-            announced -= coming[0].length
+        while coming and (chunk.file is None or len(coming) > _ANNOUNCED_CHUNKS):
             yield coming.popleft()
     yield from coming

@@ -167,6 +167,49 @@ class MergedReader(Reader):
             reader.close()
 
 
+class ChangedReader(MergedReader):
+    """Reads an open recording, and changes the messages of some connections: whoever reads it gets the changed ones.
+
+    Parameters
+    ----------
+    reader
+        The recording; `close` closes it.
+    changes
+        What returns a message instead of another one of the same connection and log time, by the id of the connection.
+        Called on any thread, and again. Chunks with such messages are never copied.
+    notices
+        What changes notice about the messages that were read.
+    """
+
+    def __init__(
+        self, reader: Reader, changes: Mapping[int, Callable[[RawMessage], RawMessage]], notices: Sequence[str] = ()
+    ) -> None:
+        super().__init__([reader])
+        self._changes = changes
+        self._notices = notices
+
+    @property
+    def remarks(self) -> Sequence[str]:
+        """What the other reader and the changes noticed."""
+        return [*super().remarks, *self._notices]
+
+    def chunks(
+        self,
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+        rule: ChunkRule | None = None,
+    ) -> Iterable[Chunk]:
+        """Return the chunks of the recording, with changed messages."""
+        if rule is not None:
+            rule = rule._replace(connection_ids=rule.connection_ids - self._changes.keys())
+        return (chunk.changed(self._changed) for chunk in super().chunks(connections, start_ns, stop_ns, rule))
+
+    def _changed(self, message: RawMessage) -> RawMessage:
+        change = self._changes.get(message.connection.id)
+        return message if change is None else change(message)
+
+
 def _merged_chunks(chunks: Iterable[Chunk], number: int, known: Mapping[int, Connection]) -> Iterator[Chunk]:
     """Yield the chunks of a source, with messages of the merged connections."""
 

@@ -11,7 +11,7 @@ from pc2scan.files.compression import allowed_bytes
 from .loading import merge_by_time
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Collection, Generator, Iterable, Iterator, Sequence
     from pathlib import Path
     from tempfile import TemporaryDirectory
 
@@ -165,74 +165,6 @@ class Reader(ABC):
     def metadata(self) -> Iterator[Metadata]:
         """Yield MCAP metadata records; other containers have none."""
         return iter(())
-
-
-class ChangedReader(Reader):
-    """Reads an open recording, and changes the messages of some connections: whoever reads it gets the changed ones.
-
-    Parameters
-    ----------
-    reader
-        The recording; `close` closes it.
-    changes
-        What returns a message instead of another one of the same connection and log time, by the id of the connection.
-        Called on any thread, and again. Chunks with such messages are never copied.
-    remarks
-        What changes notice about the messages that were read.
-    """
-
-    def __init__(
-        self, reader: Reader, changes: Mapping[int, Callable[[RawMessage], RawMessage]], remarks: Sequence[str] = ()
-    ) -> None:
-        self._inner = reader
-        self._changes = changes
-        self._remarks = remarks
-        self.path, self.connections, self.summary = reader.path, reader.connections, reader.summary
-        self.has_chunks = reader.has_chunks
-
-    @property
-    def damage(self) -> tuple[Damage, ...]:
-        """The damage of the other reader."""
-        return self._inner.damage
-
-    @property
-    def remarks(self) -> Sequence[str]:
-        """What the other reader and the changes noticed."""
-        return [*self._inner.remarks, *self._remarks]
-
-    def chunks(
-        self,
-        connections: Collection[Connection] | None = None,
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
-        rule: ChunkRule | None = None,
-    ) -> Iterable[Chunk]:
-        """Return the chunks of the recording, with changed messages."""
-        if rule is not None:
-            rule = rule._replace(connection_ids=rule.connection_ids - self._changes.keys())
-        return (chunk.changed(self._changed) for chunk in self._inner.chunks(connections, start_ns, stop_ns, rule))
-
-    def counts(
-        self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
-    ) -> dict[int, int]:
-        """Return the counts of the other reader."""
-        return self._inner.counts(connections, start_ns, stop_ns)
-
-    def close(self) -> None:
-        """Close the other reader."""
-        self._inner.close()
-
-    def attachments(self) -> Iterator[Attachment]:
-        """Return those of the other reader."""
-        return self._inner.attachments()
-
-    def metadata(self) -> Iterator[Metadata]:
-        """Return those of the other reader."""
-        return self._inner.metadata()
-
-    def _changed(self, message: RawMessage) -> RawMessage:
-        change = self._changes.get(message.connection.id)
-        return message if change is None else change(message)
 
 
 class ConnectionLimit:

@@ -15,8 +15,8 @@ import numpy as np
 
 from pc2scan.advice.clocks import measure_offsets
 from pc2scan.advice.survey import Span
+from pc2scan.bags.merged import ChangedReader
 from pc2scan.bags.opening import open_recordings
-from pc2scan.bags.reader import ChangedReader
 from pc2scan.bags.topics import by_topic, find_topic, types_by_topic
 from pc2scan.errors import DecodeError, UsageError
 from pc2scan.messages.clouds import CLOUDS

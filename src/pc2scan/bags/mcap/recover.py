@@ -97,7 +97,8 @@ def _walk(file: RecordFile, index: McapIndex, position: int, end: int) -> list[_
         except DamageError as err:
             failed, error = walk.offset, err
         if file.read(failed, min(len(MAGIC), end - failed)) == MAGIC:
-            gaps.append(_Gap(failed, file.size, file.damage(f"the recording ends at byte {failed}, and more follows")))
+            stop = failed + len(MAGIC)
+            gaps.append(_Gap(stop, file.size, file.damage("the recording ends here: what follows is not read")))
             break
         following = bisect_right(heads, failed)
         search = _Search(file, heads[following] if following < len(heads) else end)

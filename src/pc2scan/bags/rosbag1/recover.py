@@ -96,9 +96,10 @@ def _records(file: BagFile, gaps: list[tuple[int, int, str]]) -> Iterator[tuple[
     while position < file.size:
         record = _plausible_record(file.nearby, position, file.size)
         if record is None or record.kind == MESSAGE:
-            is_another = file.read(position, min(len(FIRST_LINE), file.size - position)) == FIRST_LINE
-            stop = file.size if is_another else _next_record(file, position)
-            gaps.append((position, stop, "another bag begins here" if is_another else "no record begins here"))
+            stop, what = _next_record(file, position), "no record begins here"
+            if file.read(position, min(len(FIRST_LINE), file.size - position)) == FIRST_LINE:
+                stop, what = file.size, "the recording ends here: what follows is not read"
+            gaps.append((position, stop, what))
         else:
             stop = record.stop
             if stop != file.size and _plausible_record(file.nearby, stop, file.size) is None:

@@ -78,7 +78,6 @@ class Rosbag2Reader(MergedReader):
             if self._info.is_guessed:
                 refuse_unrelated(path, opened)
             super().__init__(opened, path)
-            self._compare_types()
             self._compare_counts()
             undo.pop_all()
         amended, added = _complete_connections(self.connections, self._info.topics)
@@ -115,16 +114,6 @@ class Rosbag2Reader(MergedReader):
         if is_packed:
             return zstd.open_packed(file, storage, strict=self._log.strict, **packing)
         return storage.open_reader(file, strict=self._log.strict, **packing)
-
-    def _compare_types(self) -> None:
-        """Note a topic that is of another type in a file than in metadata.yaml: a flipped byte may be in either."""
-        listed = {each.topic: each.msgtype for each in self._info.topics}
-        known = {(each.topic, each.msgtype) for each in self._info.topics}
-        for topic, msgtype in sorted({(each.topic, each.msgtype) for each in self.connections} - known):
-            if topic in listed:
-                problem = f"{METADATA_NAME} says that {topic} is {listed[topic]}, a file says {msgtype}"
-                error = DamageError(problem, path=self.path, hint=RECOVER)
-                self._log.note(error, key=("type", topic, msgtype), messages_lost=0)
 
     def _compare_counts(self) -> None:
         """Note if the files have fewer messages than metadata.yaml counts."""
