@@ -525,7 +525,7 @@ def scans(
     Returns
     -------
     Scans
-        An iterable; each loop begins at the start. ``to_dataframe`` makes one table of all scans.
+        An iterable; each loop begins at the start.
 
     Raises
     ------
@@ -583,7 +583,7 @@ def clouds(
     Returns
     -------
     Clouds
-        An iterable; each loop begins at the start. ``to_dataframe`` makes one table of all clouds.
+        An iterable; each loop begins at the start.
 
     Raises
     ------

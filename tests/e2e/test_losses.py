@@ -193,7 +193,6 @@ def first_chatter_is_imu_in_mcap(path: Path) -> None:
 
 TYPE = (b"type=std_msgs/String", b"type=std_msgs/Strinh")
 BAG, MCAP = partial(uncovered, kind="bag"), partial(uncovered, kind="mcap")
-#: The log times of the first message and the last one.
 CONNECTION = "the index and the content disagree: connection"
 
 OTHERWISE = {

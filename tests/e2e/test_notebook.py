@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 @pytest.mark.slow
 def test_the_cells_of_the_notebook_run(tmp_path: Path) -> None:
-    pytest.importorskip("pandas")
     cells = json.loads((ROOT / "docs" / "python.ipynb").read_text("utf-8"))["cells"]
     code = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
     (tmp_path / "fixtures").symlink_to(ROOT / "fixtures")

@@ -308,34 +308,3 @@ def test_messages_and_streams_go_to_other_processes(container: str) -> None:
         for other in (pickle.loads(pickle.dumps(stream)), copy.copy(stream)):
             assert type(other) is type(stream)
             assert [item.stamp_ns for item in other] == [item.stamp_ns for item in stream]
-
-
-@pytest.mark.slow
-def test_tables(recording: Path) -> None:
-    pytest.importorskip("pandas")
-    stream = pc2scan.scans(recording)
-    scans = list(stream)
-    table = stream.to_dataframe()
-    assert list(table.columns) == ["stamp", "beam", "angle", "range", "intensity"]
-    assert len(table) == 5 * 360
-    assert table["range"].dtype == np.float32
-    assert np.array_equal(table["range"].to_numpy()[:360], scans[0].ranges)
-    assert scans[0].to_dataframe()["angle"].to_list() == scans[0].angles.tolist()
-    clouds = pc2scan.clouds(recording)
-    cloud = next(iter(clouds))
-    assert list(cloud.to_dataframe().columns) == list(cloud.fields)
-    points = clouds.to_dataframe()
-    assert len(points) == 5 * 3840
-    assert list(points.columns) == ["stamp", *cloud.fields]
-    assert points["stamp"].nunique() == 5
-
-
-def test_scans_that_differ_make_one_table(tmp_path: Path) -> None:
-    pytest.importorskip("pandas")
-    pc2scan.convert(HALL, tmp_path / "a.mcap", topics="/points:=/a", only_scans=True)
-    pc2scan.convert(HALL, tmp_path / "b.mcap", topics="/points:=/b", only_scans=True, beams=90)
-    stream = pc2scan.scans([tmp_path / "a.mcap", tmp_path / "b.mcap"], topics=["/a", "/b"])
-    table = stream.to_dataframe()
-    assert table["topic"].value_counts().to_dict() == {"/a": 1800, "/b": 450}
-    empty = pc2scan.scans(tmp_path / "a.mcap", start=0.31, end=0.38)
-    assert len(empty.to_dataframe()) == 0

@@ -382,7 +382,7 @@ def salvage(
     ``known`` has the connections by id; for the others, see `sound_records`.
     """
     messages: list[RawMessage] = []
-    covered = unknown = 0
+    covered = unknown = last = 0
     for start, stop, record in sound_records(data, record_at, entries, is_whole=len(data) >= segment.uncompressed_size):
         covered += stop - start
         own = None if record.connection_id is None else known.get(record.connection_id)
@@ -390,12 +390,15 @@ def salvage(
             view = data[record.start : stop]
             messages.append(RawMessage(own, record.log_time_ns, view, record.publish_time_ns, record.sequence))
             check_number(messages)
+            last = stop
         else:
             unknown += record.connection_id is not None
+    # Of a chunk that is cut off, what is lost came behind its last message.
+    is_front = len(data) < segment.uncompressed_size and covered == last > 0
     return messages, {
         "bytes_lost": max(segment.uncompressed_size, len(data)) - covered,
         "messages_lost": max(0, len(entries) - len(messages)) if entries else unknown or None,
-        "first_ns": segment.start_ns,
+        "first_ns": max(each.log_time_ns for each in messages) if is_front else segment.start_ns,
         "last_ns": segment.end_ns,
     }
 
@@ -499,7 +502,12 @@ class ChunkedReader(Reader):
         entries = [entry for _, more in self._entries(actual) for entry in more]
         messages, lost = salvage(data, self._record_at, actual, self._known, entries)
         self._log.note(problem, offset=segment.record_offset or segment.offset, **lost)
-        return [callback(each) for each in self._unpacked(segment, messages) if selection_has(selection, each)]
+        wanted, start_ns, stop_ns, *_ = selection
+        return [
+            callback(each)
+            for each in self._unpacked(segment, messages)
+            if each.connection.id in wanted and start_ns <= each.log_time_ns < stop_ns
+        ]
 
     def _unpacked(self, segment: Segment, messages: list[RawMessage]) -> list[RawMessage]:  # noqa: ARG002
         """Return messages decompressed, where a container has them compressed one by one."""
@@ -552,8 +560,3 @@ class ChunkedReader(Reader):
         """Release the file."""
         self._file.close()
         super().close()
-
-
-def selection_has(selection: Selection, message: RawMessage) -> bool:
-    """Whether a message is wanted."""
-    return message.connection.id in selection.wanted and selection.start_ns <= message.log_time_ns < selection.stop_ns

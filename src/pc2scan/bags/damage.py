@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 #: The hint for damage that ended a run.
 RECOVER = "copy the recording again; without `strict` everything readable in it is recovered"
 
-#: Places that are reported one by one; further damage is summed up in one more.
+#: Places that are reported one by one.
 MAX_PLACES = 10_000
 
 #: Topics that are listed with wrong counts.
@@ -113,7 +113,6 @@ class DamageLog:
     def __init__(self, *, strict: bool = False) -> None:
         self.strict = strict
         self._found: dict[object, Damage] = {}
-        self._further: Damage | None = None
         self._path: Path | None = None
 
     def note(self, error: DamageError, *, key: object = None, **details: Any) -> None:
@@ -140,13 +139,8 @@ class DamageLog:
         place = (damage.path, damage.offset, key)
         if place in self._found or len(self._found) < MAX_PLACES:
             self._found[place] = damage
-            return
-        known = self._further
-        self._further = Damage(
-            f"there is more damage than the {MAX_PLACES} places above",
-            damage.path,
-            bytes_lost=damage.bytes_lost + (known.bytes_lost if known else 0),
-        )
+        else:
+            self._found[None] = Damage(f"there is more damage than {MAX_PLACES} places", damage.path)
 
     def note_index(self, file: SourceFile, offset: int, what: str) -> None:
         """Note, once a file, that its index and its content disagree: the content is right.
@@ -175,5 +169,4 @@ class DamageLog:
     def found(self) -> tuple[Damage, ...]:
         """All damage in the order of the file, that of the file as a whole first."""
         ordered = sorted(self._found.values(), key=lambda damage: -1 if damage.offset is None else damage.offset)
-        entries = (*ordered, self._further) if self._further else tuple(ordered)
-        return tuple(damage._replace(path=self._path or damage.path) for damage in entries)
+        return tuple(damage._replace(path=self._path or damage.path) for damage in ordered)

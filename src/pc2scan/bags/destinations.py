@@ -198,7 +198,7 @@ def default_destination(
     if not entry.is_directory:
         for suffix in _source_suffixes():
             stem = stem[: -len(suffix)] if stem.lower().endswith(suffix) and len(stem) > len(suffix) else stem
-    written = FORMATS[entry.written_as or entry.name] if to is None else _to_text(to)
+    written = FORMATS[entry.written_as or entry.name] if to is None else destinations()[to]
     return (source.parent if folder is None else folder) / f"{stem}{mark}{written.suffix}"
 
 
@@ -208,21 +208,14 @@ def check_to(path: Path, to: str) -> None:
     Raises
     ------
     DestinationError
-        If it does, or there is no such format.
+        If it does.
     """
-    if (wanted := _to_text(to)) is not _format_of(path):
+    if (wanted := destinations()[to]) is not _format_of(path):
         raise DestinationError(
             f"`to={to}` asks for another format than this name does",
             path=path,
             hint=f"call it {path.with_suffix(wanted.suffix).name}, or leave `to` out",
         )
-
-
-def _to_text(name: str) -> Format:
-    known = destinations()
-    if name not in known:
-        raise DestinationError(f"`to={name}` is not a format; allowed: {', '.join(known)}")
-    return known[name]
 
 
 def _source_suffixes() -> tuple[str, ...]:

@@ -30,7 +30,7 @@ class Format(NamedTuple):
         The name of such a recording in errors.
     open_reader
         Opens a recording: takes its path, and ``strict``, whether damage is an error, which otherwise is in `damage` of
-        the reader. With `packs_messages`, it takes ``message_compression``, too: that of each message by metadata.yaml.
+        the reader.
     open_writer
         Starts a recording: takes its path and ``compression``, with `storages` also ``name`` and ``storage``, with
         `profiles` also ``profile``. None if it cannot be a destination by itself.

@@ -14,10 +14,10 @@ from contextlib import closing
 from functools import partial
 from itertools import islice
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, cast
 
 from pc2scan.errors import RecordingError
-from pc2scan.model import RawMessage, StoredChunk, own_message
+from pc2scan.model import RawMessage, StoredChunk
 from pc2scan.threads import InOrder
 
 if TYPE_CHECKING:
@@ -31,12 +31,10 @@ if TYPE_CHECKING:
 #: Limit of loaded chunks; beyond it, those needed last are dropped and later loaded again.
 MAX_OPEN_BYTES = 96 << 20
 
-#: Bytes that are loaded ahead for every thread. Of chunks up to the second size, always one for each thread.
+#: Bytes that are loaded ahead for every thread. Of chunks up to the second size, always one for each thread; larger
+#: ones are loaded one by one.
 AHEAD_BYTES = 6 << 20
 LARGEST_AHEAD = 20 << 20
-
-#: Bytes of messages that are passed to another thread together: for fewer, passing them takes longer than the work.
-_PIECE_BYTES = 1 << 20
 
 #: The start of a chunk with an unknown first log time: it is due at once.
 UNKNOWN_START_NS = -1 << 63
@@ -69,23 +67,6 @@ def check_number(messages: Sized) -> None:
     """Raise if a chunk has more messages than `MAX_CHUNK_MESSAGES`."""
     if len(messages) > MAX_CHUNK_MESSAGES:
         raise RecordingError(f"a chunk has more than {MAX_CHUNK_MESSAGES:,} messages")
-
-
-class TimedItem(Protocol):
-    """Anything with a log time and a size: a message, or a callback's result."""
-
-    @property
-    def log_time_ns(self) -> int:
-        """When the message was recorded."""
-        ...
-
-    @property
-    def size(self) -> int:
-        """Bytes that it takes."""
-        ...
-
-
-Item = TypeVar("Item", bound=TimedItem)
 
 
 #: What a chunk is loaded as: items in the order of the file, or the chunk as a whole.
@@ -166,13 +147,9 @@ class _OpenChunk:
         return self.key < other.key
 
 
-def _as_it_is(message: RawMessage) -> RawMessage:
-    return message
-
-
 def merge_by_time(
     chunks: Iterable[Chunk],
-    callback: Callable[[RawMessage], Item] = _as_it_is,  # type: ignore[assignment]  # the default makes messages of messages
+    callback: Callable[[RawMessage], Any] = lambda message: message,
     threads: Threads | None = None,
     *,
     window: int | None = None,
@@ -180,7 +157,7 @@ def merge_by_time(
     holds_chunks: bool = True,
     path: Path | None = None,
     meter: Meter | None = None,
-) -> Generator[Item | StoredChunk]:
+) -> Generator[Any]:
     """Load chunks, and merge the messages of those that overlap in time.
 
     Parameters
@@ -205,9 +182,9 @@ def merge_by_time(
 
     Yields
     ------
-    Item | StoredChunk
-        By log time; equal log times in the order of places. Whole chunks when they are due. An exception of the
-        callback is raised in the place of its item.
+    object
+        What the callback returned, with ``log_time_ns`` and ``size``, or a `StoredChunk` when it is due. By log time;
+        equal log times in the order of places. An exception of the callback is raised in the place of its item.
 
     Raises
     ------
@@ -299,7 +276,7 @@ def _load_ahead(
             while waiting and (too_large or not results.has_room(chunk.size)):
                 yield waiting.popleft(), results.take
             if too_large:
-                yield chunk, partial(_load_together, threads, chunk, callback)
+                yield chunk, partial(chunk.load, callback)
             else:
                 results.put(partial(chunk.load, callback), chunk.size, at_its_turn=chunk.is_quick)
                 waiting.append(chunk)
@@ -307,17 +284,6 @@ def _load_ahead(
             yield waiting.popleft(), results.take
     finally:
         results.cancel()
-
-
-def _load_together(threads: Threads, chunk: Chunk, callback: Callable[[RawMessage], Any]) -> Loaded:
-    """Load a chunk on this thread, and call back for its messages on all threads."""
-    loaded = chunk.load(own_message)
-    if isinstance(loaded, StoredChunk):
-        return loaded
-    step = max(1, len(loaded) * _PIECE_BYTES // chunk.size)
-    pieces = (loaded[start : start + step] for start in range(0, len(loaded), step))
-    tasks = [threads.submit(list[Any], map(callback, piece)) for piece in pieces]
-    return [item for task in tasks for item in task.result()]
 
 
 def _announce(chunks: Iterable[Chunk]) -> Iterator[Chunk]:

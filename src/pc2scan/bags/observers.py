@@ -6,7 +6,6 @@ while the message is in memory; nothing else of it is kept.
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
@@ -105,8 +104,6 @@ class Observer(Generic[_Value]):
     filled: set[int] = field(default_factory=set)
     has_ended: bool = False
     _count: int = 0
-    #: The earliest log times so far, of as many messages as are wanted.
-    _first_ns: list[int] = field(default_factory=list)
     _earliest: dict[int, int] = field(default_factory=dict)
 
     @property
@@ -156,16 +153,8 @@ class Observer(Generic[_Value]):
             if part in self.filled or time_ns > self._earliest.setdefault(part, time_ns):
                 return None
             self._earliest[part] = time_ns
-        if self.most is not None:
-            if self.is_done:
-                return None
-            # A chunk may have later messages before earlier ones, and may be loaded again.
-            place = bisect_left(self._first_ns, time_ns)
-            if place == self.most:
-                return None
-            if time_ns not in self._first_ns[place : place + 1]:
-                self._first_ns.insert(place, time_ns)
-                del self._first_ns[self.most :]
+        if self.most is not None and self.is_done:
+            return None
         try:
             return self, self.take(message)
         except MessageError:

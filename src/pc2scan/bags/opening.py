@@ -8,7 +8,7 @@ import stat
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import MissingError, RecordingError
-from pc2scan.files.compression import ZSTD_MAGIC
+from pc2scan.files.compression import ZSTD_MAGIC, CompressionError, zstd_head
 from pc2scan.files.places import missing_hint, working_names
 from pc2scan.files.source import LFS_HINT, LFS_POINTER, open_bytes
 from pc2scan.files.transfers import fetched
@@ -63,15 +63,18 @@ def sniff(path: Path) -> str:
         if not stat.S_ISREG(mode):
             raise RecordingError("is neither a file nor a directory", path=path, hint="save it as a file first")
         with open_bytes(path) as file:
-            head = file.read(64)
+            head, packed = file.read(64), ""
+            if head.startswith(ZSTD_MAGIC):
+                file.seek(0)
+                head, packed = zstd_head(file, 64), "+zstd"
     except FileNotFoundError as err:
         hint = _interruption_hint(path) or missing_hint(path)
         raise MissingError("does not exist", path=path, hint=hint) from err
     except OSError as err:
         raise RecordingError(f"cannot be read: {err.strerror}", path=path) from err
-    if head.startswith(ZSTD_MAGIC):
-        return f"{_content_hint(zstd.decompress_head(path), path, ' (after zstd decompression)')}+zstd"
-    return _content_hint(head, path)
+    except CompressionError as err:
+        raise RecordingError(f"cannot be decompressed: {err}", path=path) from err
+    return _content_hint(head, path, " (after zstd decompression)" if packed else "") + packed
 
 
 def open_recording(path: Path, *, strict: bool = False) -> Reader:

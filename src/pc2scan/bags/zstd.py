@@ -29,21 +29,6 @@ _MAX_TOGETHER = 128 << 20
 SUFFIXES = (".zstd", ".zst")
 
 
-def decompress_head(path: Path) -> bytes:
-    """Decompress the first bytes of a zstd file, enough to detect its format.
-
-    Raises
-    ------
-    RecordingError
-        If they cannot be decompressed.
-    """
-    try:
-        with open_bytes(path) as file:
-            return compression.zstd_head(file, 64)
-    except (OSError, CompressionError) as err:
-        raise RecordingError(f"cannot be decompressed: {err}", path=path) from err
-
-
 def decompress_file(path: Path, folder: Path, log: DamageLog) -> Path:
     """Decompress a zstd file into a directory, in pieces; returns the new file.
 
@@ -177,7 +162,7 @@ def without_suffix(name: str) -> str:
     return name
 
 
-def open_packed(path: Path, inner: Format, *, strict: bool, **options: str) -> Reader:
+def open_packed(path: Path, inner: Format, *, strict: bool) -> Reader:
     """Open a file that is compressed as a whole: its reader reads a temporary copy.
 
     Parameters
@@ -186,13 +171,13 @@ def open_packed(path: Path, inner: Format, *, strict: bool, **options: str) -> R
         The compressed file.
     inner
         The format of the decompressed file.
-    strict, **options
-        Options for reading that.
+    strict
+        Whether damage is an error.
     """
     damage = DamageLog(strict=strict)
     temporary = private_folder(path)
     try:
-        reader = inner.open_reader(decompress_file(path, Path(temporary.name), damage), strict=strict, **options)
+        reader = inner.open_reader(decompress_file(path, Path(temporary.name), damage), strict=strict)
     except BaseException as err:
         temporary.cleanup()
         if isinstance(err, RecordingError):

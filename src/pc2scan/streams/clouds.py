@@ -11,10 +11,10 @@ import numpy as np
 from pc2scan.errors import stamp_text, visible
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.messages.pointcloud2 import DATATYPES, PointCloud2, recorded_cloud
+from pc2scan.messages.pointcloud2 import PointCloud2, recorded_cloud
 from pc2scan.model import own_data
 
-from .stream import Hint, Message, Stream, StreamSource
+from .stream import Message, Stream, StreamSource
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -144,14 +144,6 @@ class Cloud(Message):
         """
         return self._message.structured_points()
 
-    def columns(self) -> dict[str, NDArray[Any]]:
-        """Copies of the fields that can be read, in the machine's byte order."""
-        columns = {}
-        for field in self._message.fields:
-            if field.datatype in DATATYPES:
-                columns[field.name] = self[field.name]
-        return columns
-
     def __reduce__(self) -> tuple[Any, ...]:
         # Pickles the bytes, because a view cannot be pickled.
         message = self._message
@@ -190,7 +182,7 @@ class Clouds(Stream[Cloud]):
 
     def _source(self, stack: ExitStack, reader: Reader) -> StreamSource:
         return self._recorded(
-            stack, reader, CLOUDS, Hint((LASERSCAN,), "it has LaserScan topics: pc2scan.scans() reads these"), _decoder
+            stack, reader, CLOUDS, ((LASERSCAN,), "it has LaserScan topics: pc2scan.scans() reads these"), _decoder
         )
 
     def _object(self, topic: str, log_time_ns: int, message: PointCloud2) -> Cloud:

@@ -22,7 +22,7 @@ from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, as_message, decode_laserscan
 from pc2scan.result import tell_early
 
-from .stream import Hint, Message, Stream, StreamSource
+from .stream import Message, Stream, StreamSource
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -38,11 +38,11 @@ if TYPE_CHECKING:
     from pc2scan.request.options import ConvertOptions
     from pc2scan.transforms.buffer import TransformBuffer
 
-_HINT_CLOUDS = Hint(
+_HINT_CLOUDS = (
     CLOUDS,
     "its clouds become scans with parameters: `preset`, `params_file`, or any of them by name, `min_height=-0.3`",
 )
-_HINT_SCANS = Hint((LASERSCAN,), "it has LaserScan topics, which are read as they are without any parameters")
+_HINT_SCANS = ((LASERSCAN,), "it has LaserScan topics, which are read as they are without any parameters")
 
 #: What a scan has of its message, in the order of `Scan`.
 _DECODED = (
@@ -133,15 +133,6 @@ class Scan(Message):
             params=UnprojectParams(index=False),
         )
         return points.xyz[np.isfinite(self.ranges[points.beams]), :2].copy()
-
-    def columns(self) -> dict[str, NDArray[Any]]:
-        """Return what tables have of a scan: the number, angle and range of each beam, and its intensity."""
-        columns: dict[str, NDArray[Any]] = {
-            "beam": np.arange(len(self.ranges)),
-            "angle": self.angles,
-            "range": self.ranges,
-        }
-        return columns | ({"intensity": self.intensities} if len(self.intensities) == len(self.ranges) else {})
 
     def __repr__(self) -> str:
         returns = np.count_nonzero(self.valid)

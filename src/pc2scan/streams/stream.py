@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from abc import ABC, abstractmethod
 from contextlib import ExitStack, closing, suppress
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 from weakref import WeakSet, finalize
 
@@ -56,23 +55,13 @@ _SHOWN = 3
 Item = TypeVar("Item")
 
 
-def _package(name: str) -> Any:
-    """Return a package that tables need; raise an ImportError with what to install if it is missing."""
-    try:
-        return import_module(name)
-    except ModuleNotFoundError as err:
-        if err.name != name:
-            raise
-        raise ImportError(f"to_dataframe() needs the package {name}: pip install {name}", name=name) from err
-
-
 def datetime64(nanoseconds: int) -> np.datetime64:
     """Return nanoseconds since 1970 as ``numpy.datetime64``; ``NaT`` for values beyond 64 bits."""
     return np.datetime64(nanoseconds, "ns") if abs(nanoseconds) <= _MAX_INT64 else np.datetime64("NaT", "ns")
 
 
 class Message:
-    """A message whose times are also NumPy's, and which becomes a table."""
+    """A message whose times are also NumPy's."""
 
     __slots__ = ()
 
@@ -85,23 +74,6 @@ class Message:
     def log_time(self: Any) -> np.datetime64:
         """The time of recording as ``numpy.datetime64`` in nanoseconds; ``NaT`` if that cannot represent it."""
         return datetime64(self.log_time_ns)
-
-    def to_dataframe(self: Any) -> Any:
-        """Return a ``pandas.DataFrame``: of a scan a row for each beam, of a cloud one for each point.
-
-        Raises
-        ------
-        ImportError
-            If pandas is not installed.
-        """
-        return _package("pandas").DataFrame(self.columns())
-
-
-class Hint(NamedTuple):
-    """Types of messages that are read otherwise, and how."""
-
-    kinds: Collection[str]
-    text: str
 
 
 class StreamSource(NamedTuple):
@@ -215,7 +187,9 @@ class Stream(ABC, Generic[Item]):
     def _object(self, topic: str, log_time_ns: int, message: Any) -> Item:
         """Return the object of a message, as a route of the source has made it."""
 
-    def _choose(self, reader: Reader, kinds: Collection[str], hint: Hint) -> dict[str, list[Connection]]:
+    def _choose(
+        self, reader: Reader, kinds: Collection[str], hint: tuple[Collection[str], str]
+    ) -> dict[str, list[Connection]]:
         """Return the connections of the topics to read, by topic.
 
         Parameters
@@ -232,7 +206,7 @@ class Stream(ABC, Generic[Item]):
         """
         types = types_by_topic(reader.connections)
         chosen = by_topic(own for own in reader.connections if own.ros_type in kinds and own.ros_version is not None)
-        instead = hint.text if any(each.ros_type in hint.kinds for each in reader.connections) else None
+        instead = hint[1] if any(each.ros_type in hint[0] for each in reader.connections) else None
         if not chosen:
             message, other = without(short_types(kinds), reader.connections)
             raise NothingToConvertError(message, path=reader.path, hint=instead or other or None)
@@ -257,7 +231,7 @@ class Stream(ABC, Generic[Item]):
         stack: ExitStack,
         reader: Reader,
         kinds: Collection[str],
-        hint: Hint,
+        hint: tuple[Collection[str], str],
         decoder: Callable[[Connection], Callable[[Buffer], Any]],
     ) -> StreamSource:
         """Return the messages of some types as they are; see `_choose`. ``decoder`` returns that of a connection."""
@@ -401,33 +375,12 @@ class Stream(ABC, Generic[Item]):
     def _warn_of_damage(self, warned: int) -> int:
         """Warn of damage that has not been reported yet; return how many places there are now."""
         if self.listener is None and len(self.damage) > warned:
-            first = self.damage[0]
-            place = f"{first.path}" + ("" if first.offset is None else f", byte {first.offset}")
             more = f" and {len(self.damage) - 1} more places" if len(self.damage) > 1 else ""
-            text = f"damaged: {place}: {first.what}{more}; see .damage. The rest is read"
-            self._warn([f"{text}; strict=True refuses such recordings"], depth=5)
+            text = (
+                f"damaged: {self.damage[0]}{more}; see .damage. The rest is read; strict=True refuses such recordings"
+            )
+            self._warn([text], depth=5)
         return len(self.damage)
-
-    def to_dataframe(self) -> Any:
-        """Return a ``pandas.DataFrame`` with the rows of all messages. Reads them into memory.
-
-        Columns: ``stamp``, those that all messages have, and ``topic`` if there are several.
-
-        Raises
-        ------
-        ImportError
-            If pandas is not installed.
-        """
-        pandas = _package("pandas")
-        items: list[Any] = list(self)
-        parts = [item.columns() for item in items]
-        sizes = [len(next(iter(part.values()), ())) for part in parts]
-        table: dict[str, Any] = {"stamp": np.repeat(np.array([item.stamp for item in items], "datetime64[ns]"), sizes)}
-        names = [name for name in (parts[0] if parts else ()) if all(name in part for part in parts)]
-        table.update({name: np.concatenate([part[name] for part in parts]) for name in names})
-        if len(self.topics) > 1:
-            table["topic"] = pandas.Categorical(np.repeat([item.topic for item in items], sizes))
-        return pandas.DataFrame(table)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Return how to open the recording anew, for copies, and for processes that read it, too."""

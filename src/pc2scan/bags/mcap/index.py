@@ -368,30 +368,17 @@ class RecordWalk:
         self._ids, self._is_behind_chunk = set(), False
 
 
-#: Bytes of message indexes that are read at a time if their number is unknown.
-_AHEAD = 4096
-
-
 def indexed_entries(file: RecordFile, segment: Segment) -> Iterator[tuple[int, Iterator[tuple[int, int]]]]:
     """Yield the channels, and the log times and places of their messages, of the message indexes after a chunk."""
-    if not segment.record_offset:
-        return
-    position = segment.stop
-    # Usually, one call reads all of them.
-    origin, ahead = position, b""
+    position = segment.stop if segment.record_offset else file.size
     while position + _INDEX_HEAD.size <= file.size:
-        if position + _INDEX_HEAD.size > origin + len(ahead):
-            length = max(0 if ahead else segment.index_length, _AHEAD)
-            origin, ahead = position, file.read(position, min(length, file.size - position))
-        opcode, length, channel_id, size = _INDEX_HEAD.unpack_from(ahead, position - origin)
+        opcode, length, channel_id, size = _INDEX_HEAD.unpack(file.nearby(position, _INDEX_HEAD.size))
         start = position + _INDEX_HEAD.size
         position += RECORD.size + length
         if opcode == OP_MESSAGE_INDEX:
-            if size % _ENTRY.size or start + size > position or start + size > file.size:
+            if size % _ENTRY.size or start + size > min(position, file.size):
                 return
-            inside = start + size <= origin + len(ahead)
-            data = ahead[start - origin : start - origin + size] if inside else file.read(start, size)
-            yield channel_id, _ENTRY.iter_unpack(data)
+            yield channel_id, _ENTRY.iter_unpack(file.nearby(start, size))
         elif opcode <= Opcode.DATA_END:
             return
 

@@ -15,7 +15,7 @@ from pc2scan.bags.chunks import ChunkedReader, sound_records
 from pc2scan.bags.damage import DamageLog
 from pc2scan.bags.topics import latches
 from pc2scan.bags.zstd import decompress_messages
-from pc2scan.errors import DamageError, stamp_text
+from pc2scan.errors import DamageError
 from pc2scan.files.compression import crc32
 from pc2scan.model import Attachment, Connection, Definition, Metadata, StoredChunk, Summary
 
@@ -69,14 +69,13 @@ class McapReader(ChunkedReader):
             except DamageError as err:
                 self._index = recover_index(self._file, err, self._log)
             find_declarations(self._file, self._index, self._records)
-            compare_counts(self._index, self._file, self._log)
             #: In the order of the summary or, without one, of the file.
             self.connections = tuple(connections_of(self._index, self._file, self._log))
             self._known = {item.id: item for item in self.connections}
             self._segments = self._index.segments
             self._segments.sort()
             self._mend_times(self._times_in)
-            compare_data_crc(self._index, self._file, self._log)
+            compare_content(self._index, self._file, self._log)
             self.summary = summary_of(self._index, self._file)
         except BaseException:
             self._file.close()
@@ -94,21 +93,16 @@ class McapReader(ChunkedReader):
             data = self._file.borrow(segment.offset, segment.length)
         span = (segment.start_ns, segment.end_ns) if segment.record_offset and segment.end_ns else ANY_TIME
         further = partial(self._declare, data, segment) if segment.record_offset else None
-        scan = scan_messages(data, selection.wanted, (selection.start_ns, selection.stop_ns), span, further)
-        if scan.astray is not None:
-            raise self._file.damage(
-                f"the chunk at byte {segment.offset} has a message of log time {stamp_text(scan.astray)}, "
-                f"declared are {stamp_text(span[0])} to {stamp_text(span[1])}"
-            )
-        if scan.size != len(data):
-            raise self._file.damage(
-                f"the records from byte {segment.offset} on are sound for {scan.size} of {len(data)} bytes"
-            )
-        if unknown := scan.others - self._known.keys():
+        try:
+            cut = selection.start_ns, selection.stop_ns
+            messages, others = scan_messages(data, selection.wanted, cut, span, further)
+        except ValueError as err:
+            raise self._file.damage(f"the chunk at byte {segment.offset}: {err}") from err
+        if unknown := others - self._known.keys():
             raise self._file.damage(
                 f"channel {min(unknown)} has messages near byte {segment.offset}, but is not declared"
             )
-        return self._unpacked(segment, scan.messages)
+        return self._unpacked(segment, messages)
 
     def _unpacked(self, segment: Segment, messages: list[RawMessage]) -> list[RawMessage]:
         return decompress_messages(messages, self._log, segment.offset, self._file.path)
@@ -148,8 +142,8 @@ class McapReader(ChunkedReader):
 
     def _times_in(self, segment: Segment) -> list[int]:
         """Read a segment for the log times of its messages."""
-        data = payload_prefix(self._file, segment)
-        return [message.log_time_ns for message in scan_messages(data, self._known, (0, 1 << 64)).messages]
+        records = sound_records(payload_prefix(self._file, segment), record_at)
+        return [record.log_time_ns for _, _, record in records if record.connection_id in self._known]
 
     def attachments(self) -> Iterator[Attachment]:
         """Yield attachments in the order of the file; each is read when it is needed."""
@@ -245,32 +239,28 @@ def summary_of(index: McapIndex, file: RecordFile) -> Summary:
     )
 
 
-def compare_counts(index: McapIndex, file: RecordFile, log: DamageLog) -> None:
-    """Note attachments, metadata records and chunks that the summary counts and the file does not have."""
-    statistics = index.statistics
-    if statistics is None or log.found:
+def compare_content(index: McapIndex, file: RecordFile, log: DamageLog) -> None:
+    """Note what a sound file lacks of what its summary counts, and a data section that fails its CRC.
+
+    Messages are counted by chunk; chunks have CRCs of their own, and are not read for that of the data section.
+    """
+    if log.found:
         return
     chunks = int(np.count_nonzero(index.segments.rows["record_offset"]))
-    # Messages are counted, too.
+    counts = index.statistics
     for kind, declared, stored, lost in (
-        ("attachments", statistics.attachment_count, len(index.attachments), None),
-        ("metadata records", statistics.metadata_count, len(index.metadata), None),
-        ("chunks", statistics.chunk_count, chunks, 0),
+        (
+            ("attachments", counts.attachment_count, len(index.attachments), None),
+            ("metadata records", counts.metadata_count, len(index.metadata), None),
+            ("chunks", counts.chunk_count, chunks, 0),
+        )
+        if counts
+        else ()
     ):
         if stored < declared:
             error = file.damage(f"the statistics count {declared} {kind}, {stored} were found")
             log.note(error, key=kind, messages_lost=lost)
-
-
-def compare_data_crc(index: McapIndex, file: RecordFile, log: DamageLog) -> None:
-    """Note a data section that fails its CRC; chunks have their own, and are not read for it."""
-    if index.data_end is None or log.found:
-        return
-    stop, recorded = index.data_end
-    if not recorded or index.segments.rows["record_offset"].any():
-        return
-    value = file.crc(0, stop)
-    if value != recorded:
-        lost = None if index.statistics is None else 0
+    stop, recorded = index.data_end or (0, 0)
+    if recorded and not chunks and (value := file.crc(0, stop)) != recorded:
         error = file.damage(f"the data section has CRC {value:08x}, recorded is {recorded:08x}")
-        log.note(error, key="data", messages_lost=lost)
+        log.note(error, key="data", messages_lost=0 if counts else None)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import struct
 from io import BytesIO
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.exceptions import EndOfFile
@@ -18,12 +18,12 @@ from pc2scan.bags.chunks import NearbyFile
 from pc2scan.bags.damage import RECOVER
 from pc2scan.bags.formats import FORMATS
 from pc2scan.bags.loading import MAX_CHUNK_MESSAGES, check_number
-from pc2scan.errors import DamageError
+from pc2scan.errors import DamageError, stamp_text
 from pc2scan.files.compression import crc32
 from pc2scan.model import RawMessage
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     from mcap.records import McapRecord
@@ -118,40 +118,23 @@ def encode_record(record: McapRecord) -> bytes:
 ANY_TIME = (0, (1 << 64) - 1)
 
 
-class MessageScan(NamedTuple):
-    """The result of scanning records for messages.
-
-    Attributes
-    ----------
-    messages
-        The wanted messages, in the order of the file.
-    others
-        Other channels with messages.
-    size
-        Number of sound bytes.
-    astray
-        Log time of a wanted message outside of the declared times.
-    """
-
-    messages: list[RawMessage]
-    others: set[int]
-    size: int
-    astray: int | None
-
-
 def scan_messages(
     data: memoryview,
     wanted: Mapping[int, Connection],
     cut: tuple[int, int],
     span: tuple[int, int] = ANY_TIME,
     further: Callable[[int], None] | None = None,
-) -> MessageScan:
-    """Scan records for messages; those outside of ``span``, the declared log times, are skipped.
+) -> tuple[list[RawMessage], set[int]]:
+    """Scan records for messages; return the wanted ones in the order of the file, and the other channels.
 
-    ``cut`` is the first log time that is wanted, and the first one behind it. ``further`` is called with the offset of
-    every other record.
+    ``cut`` is the first log time that is wanted, and the first one behind it; ``span`` has the declared log times.
+    ``further`` is called with the offset of every other record.
+
+    Raises
+    ------
+    ValueError
+        If the records are not sound up to the end, or a wanted message is outside of ``span``.
     """
-    astray: int | None = None
     first_ns, last_ns = span
     # One comparison for cut and span; only if it fails, the two are distinguished.
     start_ns, stop_ns = max(cut[0], first_ns), min(cut[1], last_ns + 1)
@@ -162,13 +145,13 @@ def scan_messages(
     new: Callable[[type[RawMessage], tuple[object, ...]], RawMessage] = tuple.__new__
     position, size = 0, len(data)
     last = size - MESSAGE.size
-    while position <= last:
+    while position < size:
         pause = min(last, position + MAX_CHUNK_MESSAGES * MESSAGE.size)
         while position <= pause:
             opcode, length, channel_id, sequence, log_time_ns, publish_time_ns = unpack(data, position)
             following = position + 9 + length
             if following > size or (opcode == OP_MESSAGE and length < 22):
-                return MessageScan(messages, others, position, astray)
+                raise ValueError(f"the records are sound for {position} of {size} bytes")
             if opcode == OP_MESSAGE:
                 connection = wanted.get(channel_id)
                 if connection is None:
@@ -177,27 +160,18 @@ def scan_messages(
                     data_view = data[position + 31 : following]
                     append(new(RawMessage, (connection, log_time_ns, data_view, publish_time_ns, sequence)))
                 elif not first_ns <= log_time_ns <= last_ns:
-                    astray = log_time_ns
+                    times = " to ".join(map(stamp_text, span))
+                    raise ValueError(f"it has a message of log time {stamp_text(log_time_ns)}, declared are {times}")
             elif further is not None:
                 further(position)
             position = following
         check_number(messages)
-    # The rest is too short for a message, but may be another record.
-    for place, opcode, content in split(data, position):
-        if opcode == OP_MESSAGE:
-            break
-        if further is not None:
-            further(place)
-        position = place + RECORD.size + len(content)
-    return MessageScan(messages, others, position, astray)
-
-
-def split(data: memoryview, position: int = 0) -> Iterator[tuple[int, int, memoryview]]:
-    """Yield the places, opcodes and contents of consecutive records, as far as they fit."""
-    while position + RECORD.size <= len(data):
-        opcode, length = RECORD.unpack_from(data, position)
-        start = position + RECORD.size
-        if start + length > len(data):
-            return
-        yield position, opcode, data[start : start + length]
-        position = start + length
+        if last < position < size:
+            # The rest is too short for a message, but may be another record.
+            opcode, length = RECORD.unpack_from(data, position) if size - position >= RECORD.size else (OP_MESSAGE, 0)
+            if opcode == OP_MESSAGE or length > size - position - RECORD.size:
+                raise ValueError(f"the records are sound for {position} of {size} bytes")
+            if further is not None:
+                further(position)
+            position += RECORD.size + length
+    return messages, others

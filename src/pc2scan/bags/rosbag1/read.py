@@ -163,10 +163,7 @@ class Rosbag1Reader(ChunkedReader):
             return
         self._described[identity] = topic, header, described[identity]
         if not described[identity]:
-            index, content = (f"{item.topic!r:.80} ({item.msgtype:.80})" for item in (known, copy))
-            what = f"connection {identity} is {index} in the one, and {content} in the other"
-            if index == content:
-                what = f"connection {identity}, {index}, has another definition or header in a chunk"
+            what = f"connection {identity} is {known.topic!r:.80} ({known.msgtype:.80}), and otherwise in a chunk"
             self._log.note_index(self._file, segment.offset, what)
 
     def _prefix(self, segment: Segment, problem: DamageError) -> tuple[Segment, memoryview, DamageError]:

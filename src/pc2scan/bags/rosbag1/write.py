@@ -12,7 +12,7 @@ import lz4.frame
 from pc2scan.errors import OutputError, UnwritableError
 from pc2scan.files.compression import compress
 from pc2scan.files.new_file import FreeIds, NewFile, WriteAhead
-from pc2scan.model import StoredChunk, ros1_type
+from pc2scan.model import StoredChunk, Writer, ros1_type
 
 from .records import (
     BAG_HEADER,
@@ -34,13 +34,13 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
     from pathlib import Path
 
-    from pc2scan.model import Attachment, Buffer, Connection, Metadata
+    from pc2scan.model import Buffer, Connection
     from pc2scan.threads import Threads
 
 _TRIPLE = struct.Struct("<III")
 
 
-class Rosbag1Writer:
+class Rosbag1Writer(Writer):
     """Writes a ROS 1 bag; see `pc2scan.model.Writer`.
 
     One chunk is held in memory, and a small record for each that was written. The same calls make the
@@ -107,10 +107,6 @@ class Rosbag1Writer:
         self._prefixes[handle] = b"%b%b%b" % (literals[0], UINT32.pack(handle), literals[1])
         return handle
 
-    def declarations(self) -> frozenset[bytes]:
-        """Return none: connections in chunks are not compared."""
-        return frozenset()
-
     def write(self, handle: int, log_time_ns: int, data: Buffer, publish_time_ns: int, sequence: int = 0) -> None:
         """Append a message; ``data`` is copied.
 
@@ -139,8 +135,6 @@ class Rosbag1Writer:
                 f"log time {log_time_ns} ns is outside the 0 to {UINT32_MAX} s that a ROS 1 bag can hold",
                 path=self.path,
             )
-        if isinstance(data, memoryview) and data.itemsize != 1:
-            data = data.cast("B")
         declaration = b"" if handle in self._declared else self._connections[handle]
         needed = len(declaration) + USUAL_LAYOUT.layout.size + len(data)
         if self._chunk.size + needed > self._chunk_size:
@@ -166,12 +160,6 @@ class Rosbag1Writer:
             self._ahead.put_ready(partial(self._put_chunk, chunk), len(chunk.stored))
         else:
             self._ahead.put(partial(self._compress_chunk, chunk), self._put_chunk, chunk.size)
-
-    def add_attachment(self, attachment: Attachment) -> None:
-        """Do nothing: a ROS 1 bag has no attachments."""
-
-    def add_metadata(self, metadata: Metadata) -> None:
-        """Do nothing: a ROS 1 bag has no metadata records."""
 
     def finish(self) -> None:
         """Write the open chunk and the index, complete the header, and put everything on the disk."""
@@ -204,7 +192,9 @@ class Rosbag1Writer:
 
     def _compress_chunk(self, chunk: StoredChunk) -> StoredChunk:
         """Compress a chunk; runs on any thread."""
-        return replace(chunk, compression=self._compression, stored=_compress(chunk.stored, self._compression))
+        # LZ4 as ROS 1's own reader accepts it.
+        pack = compress_lz4 if self._compression == "lz4" else partial(compress, self._compression)
+        return replace(chunk, compression=self._compression, stored=pack(chunk.stored))
 
     def _put_chunk(self, chunk: StoredChunk, parts: Sequence[Buffer] = ()) -> None:
         """Write a chunk, whose records are in ``parts`` if there are any, and its index."""
@@ -228,11 +218,6 @@ class _OpenChunk:
     def append(self, part: Buffer) -> None:
         self.parts.append(part)
         self.size += len(part)
-
-
-def _compress(data: Buffer, compression: str) -> Buffer:
-    """Compress a chunk so that ROS 1's own reader accepts it."""
-    return compress_lz4(data) if compression == "lz4" else compress(compression, data)
 
 
 def _pack_fields(fields: Mapping[str, bytes]) -> bytes:

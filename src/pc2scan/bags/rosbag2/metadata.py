@@ -51,10 +51,6 @@ _LOGS = ("-wal", "-shm", "-journal")
 _WITHOUT_METADATA = f"move {METADATA_NAME} away to have the files beside it read without it"
 
 
-class UnsupportedError(ValueError):
-    """metadata.yaml is sound, but the recording is of an unsupported kind."""
-
-
 @dataclass(frozen=True, slots=True)
 class BagInfo:
     """The used contents of metadata.yaml.
@@ -98,8 +94,10 @@ def read_info(folder: Path, log: DamageLog) -> BagInfo:
         log.note(DamageError(f"is not UTF-8: {err.reason}", path=path, hint=_WITHOUT_METADATA))
     except OSError as err:
         raise RecordingError(f"cannot be read: {err.strerror}", path=Path(err.filename or path)) from err
-    except UnsupportedError as err:
-        raise RecordingError(str(err), path=path, hint=_WITHOUT_METADATA) from err
+    except RecordingError as err:
+        # It is sound, but the recording is of an unsupported kind.
+        err.path, err.hint = path, _WITHOUT_METADATA
+        raise
     except ValueError as err:
         log.note(DamageError(str(err), path=path, hint=_WITHOUT_METADATA))
     return _guess_info(folder)
@@ -180,7 +178,7 @@ def _parse_info(document: Any) -> BagInfo:
     root = _get(document, ROOT, dict, "the file")
     version = _get(root, "version", int, ROOT)
     if not 1 <= version <= NEWEST_VERSION:
-        raise UnsupportedError(f"has version {version}; 1 to {NEWEST_VERSION} are known")
+        raise RecordingError(f"has version {version}; 1 to {NEWEST_VERSION} are known")
     files = [_file_name(path) for path in _get(root, "relative_file_paths", list, ROOT)]
     if not files:
         raise ValueError("names no files")
@@ -221,10 +219,10 @@ def _message_compression(root: Any) -> str:
     if mode in {"", "none", "storage"}:
         return "none"
     if mode not in {"file", "message"}:
-        raise UnsupportedError(f"has compression_mode {mode!r}, expected none, file or message")
+        raise RecordingError(f"has compression_mode {mode!r}, expected none, file or message")
     name = _get(root, "compression_format", str, ROOT, "").lower()
     if name != "zstd":
-        raise UnsupportedError(f"has compression_format {name!r}; only zstd can be read")
+        raise RecordingError(f"has compression_format {name!r}; only zstd can be read")
     # Compressed files are detected by their content.
     return "zstd" if mode == "message" else "none"
 

@@ -6,12 +6,11 @@ from contextlib import ExitStack
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from pc2scan.bags import zstd
 from pc2scan.bags.damage import RECOVER, DamageLog
 from pc2scan.bags.folders import METADATA_NAME, refuse_unrelated
 from pc2scan.bags.formats import and_list, storages
 from pc2scan.bags.merged import MergedReader
-from pc2scan.bags.opening import sniff
+from pc2scan.bags.opening import open_recording, sniff
 from pc2scan.bags.reader import ConnectionLimit
 from pc2scan.errors import DamageError, RecordingError
 
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.bags.damage import Damage
-    from pc2scan.bags.formats import Format
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, Metadata
 
@@ -109,11 +107,15 @@ class Rosbag2Reader(MergedReader):
         return (record for record in super().metadata() if record.name != RECORD_NAME)
 
     def _open(self, file: Path) -> Reader:
-        storage, is_packed = _storage_of(file)
-        packing = {"message_compression": self._info.message_compression} if storage.packs_messages else {}
-        if is_packed:
-            return zstd.open_packed(file, storage, strict=self._log.strict, **packing)
-        return storage.open_reader(file, strict=self._log.strict, **packing)
+        try:
+            name = sniff(file).partition("+")[0]
+        except RecordingError as err:
+            if isinstance(err.__cause__, OSError):
+                raise
+            raise DamageError(err.message, path=file, hint=err.hint) from err
+        if name not in storages():
+            raise DamageError(f"is {name}; the files of a directory are {and_list(sorted(storages()))}", path=file)
+        return open_recording(file, strict=self._log.strict)
 
     def _compare_counts(self) -> None:
         """Note if the files have fewer messages than metadata.yaml counts."""
@@ -126,19 +128,6 @@ class Rosbag2Reader(MergedReader):
         if missing > 0:
             problem = f"{METADATA_NAME} counts {declared} messages, its files have {stored}"
             self._log.note(DamageError(problem, path=self.path, hint=RECOVER), key="count", messages_lost=missing)
-
-
-def _storage_of(file: Path) -> tuple[Format, bool]:
-    """Return the format of a file of a directory, by its content, and whether it is compressed as a whole."""
-    try:
-        name, _, packed = sniff(file).partition("+")
-    except RecordingError as err:
-        if isinstance(err.__cause__, OSError):
-            raise
-        raise DamageError(err.message, path=file, hint=err.hint) from err
-    if name not in storages():
-        raise DamageError(f"is {name}; the files of a directory are {and_list(sorted(storages()))}", path=file)
-    return storages()[name], bool(packed)
 
 
 def _complete_connections(

@@ -49,8 +49,8 @@ _CHUNK_BYTES = 1 << 19
 _CHUNK_ROWS = 256
 _WORTH_A_THREAD = 1 << 20
 
-#: Messages among which one in CDR is searched, to detect whether they are compressed one by one.
-_LOOKED_AT = 1000
+#: rosbag2's index of messages by time.
+_INDEX = "timestamp_idx"
 
 #: The condition for rows of ``messages`` that have a place in the recording.
 _SOUND = " AND ".join(f"typeof({column}) = 'integer'" for column in ("id", "topic_id", "timestamp"))
@@ -71,9 +71,6 @@ class Sqlite3Reader(Reader):
     ----------
     path
         The file. No file is written. A write-ahead log or a rollback journal that a recorder left beside it is read.
-    message_compression
-        ``zstd`` if every message is compressed by itself. With ``none`` the first message in CDR is checked, because
-        only metadata.yaml, which may be missing, declares the compression.
     strict
         Whether damage is an error; otherwise it is in `damage`, and reading goes on behind what SQLite cannot read.
 
@@ -85,17 +82,17 @@ class Sqlite3Reader(Reader):
         With ``strict``, if it is damaged; without, if nothing of it can be recovered.
     """
 
-    def __init__(self, path: Path, *, message_compression: str = "none", strict: bool = False) -> None:
+    def __init__(self, path: Path, *, strict: bool = False) -> None:
         self.path = path
         self._log = DamageLog(strict=strict)
         self._database = Database(path, self._log)
         try:
             try:
                 self._database.open()
-                self._read_tables(message_compression)
+                self._read_tables()
             except (*SQLITE_ERRORS, DamageError) as err:
                 self._database.recover(err)
-                self._read_tables(message_compression)
+                self._read_tables()
         except OSError as err:
             self.close()
             raise RecordingError(f"cannot be read: {err.strerror}", path=path) from err
@@ -103,16 +100,16 @@ class Sqlite3Reader(Reader):
             self.close()
             raise
 
-    def _read_tables(self, message_compression: str) -> None:
+    def _read_tables(self) -> None:
         """Check and read what the tables have without the messages."""
         database = self._database
         _check_tables(database)
-        #: The quoted name of an index by time of all messages; None if there is none.
-        self._index = _timestamp_index(database)
+        columns = [column[2] for column in database.query(f"PRAGMA index_info({_INDEX})")]
+        self._is_indexed = columns == ["timestamp"]
         with database.ending():
-            self.connections, span = _read_connections(database, self._log, self._index)
+            self.connections, span = _read_connections(database, self._log, is_indexed=self._is_indexed)
         #: The topics whose messages are compressed one by one.
-        self._packed_topics = _find_compressed(database, self.connections, declared=message_compression == "zstd")
+        self._packed_topics = _find_compressed(database, self.connections)
         self.summary = Summary(
             container="sqlite3",
             storage="",
@@ -173,7 +170,7 @@ class Sqlite3Reader(Reader):
                 # What was read meanwhile may have rebuilt it.
                 if is_rebuilt or not self._database.is_rebuilt:
                     self._database.recover(err)
-                    self._index = None
+                    self._is_indexed = False
             else:
                 return
 
@@ -224,9 +221,9 @@ class Sqlite3Reader(Reader):
         if after is not None:
             conditions.append("(timestamp, id) > (?, ?)")
         tail = f"WHERE {' AND '.join(conditions)} ORDER BY timestamp, id"
-        if self._index is not None:
+        if self._is_indexed:
             # Without INDEXED BY, SQLite may sort whole messages instead of using the index.
-            sql = f"SELECT topic_id, timestamp, id, data FROM messages INDEXED BY {self._index} {tail}"  # noqa: S608
+            sql = f"SELECT topic_id, timestamp, id, data FROM messages INDEXED BY {_INDEX} {tail}"  # noqa: S608
             return self._database.query(sql, values)
         # Without an index SQLite has to sort; only ids are sorted, not messages.
         rows = self._database.query(f"SELECT topic_id, timestamp, id FROM messages {tail}", values)  # noqa: S608
@@ -290,19 +287,8 @@ def _check_tables(database: Database) -> None:
         database.refuse_made_up(table)
 
 
-def _timestamp_index(database: Database) -> str | None:
-    """Return the quoted name of an index by time of all messages."""
-    for row in database.query("PRAGMA index_list(messages)"):
-        name = '"' + str(row[1]).replace('"', '""') + '"'
-        columns = [column[2] for column in database.query(f"PRAGMA index_info({name})")]
-        # An index with a WHERE clause (the fifth column) does not have every row.
-        if columns == ["timestamp"] and not row[4]:
-            return name
-    return None
-
-
 def _read_connections(
-    database: Database, noted: DamageLog, index: str | None
+    database: Database, noted: DamageLog, *, is_indexed: bool
 ) -> tuple[tuple[Connection, ...], list[int]]:
     """Return the connections, and the first and the last log time of each; messages without a topic are noted."""
     topics = _read_topics(database, noted)
@@ -314,9 +300,9 @@ def _read_connections(
             (MAX_CONNECTIONS + 2,),
         )
     }
-    if index is not None:
+    if is_indexed:
         total = sum(numbers[0] for numbers in counts.values())
-        (indexed,) = database.query(f"SELECT count(*) FROM messages INDEXED BY {index}").fetchone()  # noqa: S608
+        (indexed,) = database.query(f"SELECT count(*) FROM messages INDEXED BY {_INDEX}").fetchone()  # noqa: S608
         if indexed != total:
             raise database.damage(f"the index of timestamps has {indexed} messages, the table {total}")
     if unsound := counts.pop(None, None):
@@ -384,20 +370,17 @@ def _read_definitions(database: Database) -> dict[tuple[str, str | None], Defini
     return definitions
 
 
-def _find_compressed(database: Database, connections: Iterable[Connection], *, declared: bool) -> frozenset[int]:
+def _find_compressed(database: Database, connections: Iterable[Connection]) -> frozenset[int]:
     """Return the topics whose messages are compressed one by one.
 
-    Without a declaration the first CDR message decides: CDR begins with a zero byte, and never looks like a zstd
-    frame. Messages in other serialisations may begin with any bytes, and stay as they are.
+    The first CDR message decides: CDR begins with a zero byte, and never looks like a zstd frame. Messages in other
+    serialisations may begin with any bytes, and stay as they are.
     """
-    if declared:
-        return frozenset(connection.id for connection in connections)
-    cdr = frozenset(connection.id for connection in connections if connection.serialization == "cdr")
-    rows = database.query("SELECT topic_id, substr(data, 1, 4) FROM messages LIMIT ?", (_LOOKED_AT,))
-    for topic_id, head in rows:
-        if topic_id in cdr and isinstance(head, bytes):
-            return cdr if head == ZSTD_MAGIC else frozenset()
-    return frozenset()
+    cdr = [
+        connection.id for connection in connections if connection.serialization == "cdr" and connection.message_count
+    ]
+    sql = f"SELECT substr(data, 1, 4) FROM messages WHERE topic_id IN ({', '.join(map(str, cdr))}) LIMIT 1"  # noqa: S608
+    return frozenset(cdr) if cdr and database.query(sql).fetchone() == (ZSTD_MAGIC,) else frozenset()
 
 
 def _column_as_text(column: str) -> str:
