@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from contextlib import nullcontext
 from operator import attrgetter, itemgetter
-from threading import get_ident
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -126,7 +125,7 @@ def test_an_error_is_raised_in_its_turn(jobs: int | None) -> None:
 
     with threads_of(jobs) as threads:
         items = merge_by_time(map(chunk, range(10)), work, threads)
-        assert [next(items).log_time_ns for _ in range(5)] == [0, 10, 20, 30, 40]  # type: ignore[union-attr]
+        assert [next(items).log_time_ns for _ in range(5)] == [0, 10, 20, 30, 40]
         with pytest.raises(ValueError, match="five"):
             next(items)
 
@@ -138,19 +137,3 @@ def test_leaving_early_gives_up_what_has_not_begun() -> None:
         next(items)
         items.close()
     assert sum(each.load.calls for each in chunks) < 6  # type: ignore[attr-defined]
-
-
-@pytest.mark.parametrize("jobs", [None, 2])
-def test_messages_of_a_large_chunk_are_the_work_of_all_threads(jobs: int | None) -> None:
-    workers = set()
-
-    def work(message: RawMessage) -> RawMessage:
-        if len(message.data) > 1:
-            workers.add(get_ident())
-            time.sleep(0.01)
-        return message._replace(data=b"")
-
-    with threads_of(jobs) as threads:
-        items = merge_by_time([chunk(2), chunk(3, range(30, 38), size=LARGEST_AHEAD + 8), chunk(4)], work, threads)
-        assert [item.log_time_ns for item in items] == [20, *range(30, 38), 40]  # type: ignore[union-attr]
-    assert len(workers) == (jobs or 1)

@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-@pytest.mark.parametrize(("told", "cut_off"), [(True, "it ends after"), (False, "the data are cut off")])
-def test_messages_are_unpacked(told: bool, cut_off: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("told", [True, False])
+def test_messages_are_unpacked(told: bool, tmp_path: Path) -> None:
     data = random.Random(1).randbytes(20_000)
     frame = zstandard.ZstdCompressor(write_content_size=told).compress(data)
     assert zstd.decompress_message(memoryview(frame), tmp_path, "/a") == data
-    for wrong, why in ((frame[:-1], cut_off), (b"nonsense", "a message cannot be decompressed")):
-        with pytest.raises(RecordingError, match=why) as caught:
+    for wrong in (frame[:-1], b"nonsense"):
+        with pytest.raises(RecordingError, match="a message cannot be decompressed") as caught:
             zstd.decompress_message(wrong, tmp_path, "/a")
         assert (caught.value.path, caught.value.topic) == (tmp_path, "/a")
 

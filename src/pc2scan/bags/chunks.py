@@ -432,6 +432,8 @@ class ChunkedReader(Reader):
     #: The container whose chunks are copied as a whole.
     _container: str
     _file: SourceFile
+    #: Returns the record that begins at a place of a damaged segment; None if none does.
+    _record_at: Callable[[memoryview, int], Record | None]
     #: The segments of the index, in the order of the file.
     _segments: Segments
     #: The connections by id.
@@ -450,10 +452,6 @@ class ChunkedReader(Reader):
     @abstractmethod
     def _prefix(self, segment: Segment, problem: DamageError) -> tuple[Segment, memoryview, DamageError]:
         """Return a damaged segment where it is, its records as far as they can be decompressed, and what is wrong."""
-
-    @abstractmethod
-    def _record_at(self, data: memoryview, place: int) -> Record | None:
-        """Return the record that begins at a place of a damaged segment; None if none does."""
 
     @abstractmethod
     def _entries(self, segment: Segment) -> Iterator[tuple[int, Iterable[tuple[int, int]]]]:

@@ -142,6 +142,10 @@ class DamageLog:
         else:
             self._found[None] = Damage(f"there is more damage than {MAX_PLACES} places", damage.path)
 
+    def note_message(self, error: DamageError, key: object, time_ns: int, **details: Any) -> None:
+        """Note a message that is lost."""
+        self.note(error, key=key, messages_lost=1, first_ns=time_ns, last_ns=time_ns, **details)
+
     def note_index(self, file: SourceFile, offset: int, what: str) -> None:
         """Note, once a file, that its index and its content disagree: the content is right.
 

@@ -17,16 +17,13 @@ from pc2scan.model import RawMessage, copied_message
 from .loading import merge_by_time
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from pc2scan.model import Connection
     from pc2scan.progress import Meter
 
     from .loading import Chunk, Loaded
     from .reader import Reader
-
-#: Rows are listed for each part, to skip those between; of more parts, all are listed.
-_MOST_PARTS = 1_000
 
 _Value = TypeVar("_Value")
 
@@ -107,11 +104,6 @@ class Observer(Generic[_Value]):
     _earliest: dict[int, int] = field(default_factory=dict)
 
     @property
-    def selection(self) -> tuple[frozenset[int], int | None, int | None, Spread | None]:
-        """The ids of the connections, the limits of the log time, and its parts."""
-        return frozenset(each.id for each in self.connections), self.start_ns, self.stop_ns, self.spread
-
-    @property
     def is_done(self) -> bool:
         """Whether no more messages are wanted."""
         return (
@@ -190,16 +182,15 @@ class _Seen(NamedTuple):
 def _bytes_for(reader: Reader, observers: Iterable[Observer[Any]]) -> int:
     """Return how many bytes are read for those observers that want all messages; the others want few."""
     lasting = [each for each in observers if each.most is None and each.spread is None and each.is_needless is None]
-    starts, stops = ([getattr(each, name) for each in lasting] for name in ("start_ns", "stop_ns"))
     connections = {connection.id: connection for each in lasting for connection in each.connections}
-    if not connections:
-        return 0
-    start_ns, stop_ns = None if None in starts else min(starts), None if None in stops else max(stops)
-    return reader.stored_bytes(list(connections.values()), start_ns, stop_ns)
+    return reader.stored_bytes(list(connections.values())) if connections else 0
 
 
 def observe(*asked: tuple[Reader, Sequence[Observer[Any]]], meter: Meter | None = None) -> None:
-    """Show the messages of recordings to observers; see `observing`.
+    """Show the messages of recordings to observers.
+
+    A recording with chunks is read once for all of them. Of one with rows, which are read topic by topic without
+    reading others, only those observers share a reading that want the same connections.
 
     Parameters
     ----------
@@ -207,45 +198,30 @@ def observe(*asked: tuple[Reader, Sequence[Observer[Any]]], meter: Meter | None 
         Each recording, and what takes its messages.
     meter
         Counts the bytes; None: nothing is reported.
-    """
-    if meter is not None:
-        meter.expect(sum(_bytes_for(*each) for each in asked) + meter.following)
-    for reader, observers in asked:
-        for _ in observing(reader, observers, meter):
-            pass
-
-
-def observing(reader: Reader, observers: Iterable[Observer[Any]], meter: Meter | None = None) -> Generator[None]:
-    """Show the messages of a recording to observers, and yield after each.
-
-    A recording with chunks is read once for all of them. Of one with rows, which are read topic by topic without
-    reading others, only those observers share a reading that want the same connections.
-
-    Parameters
-    ----------
-    reader, observers
-        The recording, and what takes its messages.
-    meter
-        Gets the bytes of each chunk that was read; None: nothing is reported.
 
     Raises
     ------
     RecordingError
-        If the file cannot be read.
+        If a file cannot be read.
     DamageError
-        If the file is damaged, and damage is an error.
+        If a file is damaged, and damage is an error.
     """
-    groups: dict[object, list[Observer[Any]]] = {}
-    for observer in observers:
-        groups.setdefault(reader.has_chunks or observer.selection, []).append(observer)
-    for group in groups.values():
-        if not all(observer.is_done for observer in group):
-            yield from _observe_together(reader, group, meter)
-        for observer in group:
-            observer.has_ended = True
+    if meter is not None:
+        meter.expect(sum(_bytes_for(*each) for each in asked) + meter.following)
+    for reader, observers in asked:
+        groups: dict[object, list[Observer[Any]]] = {}
+        for observer in observers:
+            ids = frozenset(each.id for each in observer.connections)
+            limits = ids, observer.start_ns, observer.stop_ns, observer.spread
+            groups.setdefault(reader.has_chunks or limits, []).append(observer)
+        for group in groups.values():
+            if not all(observer.is_done for observer in group):
+                _observe_together(reader, group, meter)
+            for observer in group:
+                observer.has_ended = True
 
 
-def _observe_together(reader: Reader, observers: Sequence[Observer[Any]], meter: Meter | None) -> Generator[None]:
+def _observe_together(reader: Reader, observers: Sequence[Observer[Any]], meter: Meter | None) -> None:
     """Read a recording once."""
     connections = {each.id: each for observer in observers for each in observer.connections}
     by_connection: dict[int, list[Observer[Any]]] = {}
@@ -298,13 +274,11 @@ def _observe_together(reader: Reader, observers: Sequence[Observer[Any]], meter:
         for seen in messages:
             if isinstance(seen, RawMessage):
                 lone[seen.connection.id](seen)
-                yield
                 continue
             assert isinstance(seen, _Seen)
             has_enough = True in [observer.add(value, seen.log_time_ns) for observer, value in seen.values]
             # What was handed out is not kept while the next chunk is loaded.
             del seen
-            yield
             if has_enough:
                 sort_out()
                 if not any(by_connection.values()):
@@ -315,9 +289,6 @@ def _chunks_of_parts(reader: Reader, observer: Observer[Any]) -> Iterator[Chunk]
     """Yield the chunks of the parts of a recording with rows, up to the first message of each."""
     spread = observer.spread
     assert spread is not None
-    if spread.parts > _MOST_PARTS:
-        yield from reader.chunks(observer.connections, observer.start_ns, observer.stop_ns)
-        return
     for part in range(spread.parts):
         for chunk in reader.chunks(observer.connections, spread.begin_ns(part), spread.begin_ns(part + 1)):
             if part in observer.filled or observer.is_done:

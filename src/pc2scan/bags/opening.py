@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 import stat
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import MissingError, RecordingError
 from pc2scan.files.compression import ZSTD_MAGIC, CompressionError, zstd_head
-from pc2scan.files.places import missing_hint, working_names
+from pc2scan.files.places import missing_hint
 from pc2scan.files.source import LFS_HINT, LFS_POINTER, open_bytes
 from pc2scan.files.transfers import fetched
 from pc2scan.files.urls import UrlPath
@@ -68,8 +67,7 @@ def sniff(path: Path) -> str:
                 file.seek(0)
                 head, packed = zstd_head(file, 64), "+zstd"
     except FileNotFoundError as err:
-        hint = _interruption_hint(path) or missing_hint(path)
-        raise MissingError("does not exist", path=path, hint=hint) from err
+        raise MissingError("does not exist", path=path, hint=missing_hint(path)) from err
     except OSError as err:
         raise RecordingError(f"cannot be read: {err.strerror}", path=path) from err
     except CompressionError as err:
@@ -111,17 +109,6 @@ def open_recordings(paths: Iterable[Path], stack: ExitStack, *, strict: bool = F
         stack.callback(reader.close)
         readers.append(reader)
     return readers
-
-
-def _interruption_hint(path: Path) -> str | None:
-    """Return the hint for a recording that is missing because the run that wrote it was killed."""
-    partial, old, _ = working_names(path) or (path, path, path)
-    # Not Path.exists: with the ending, the name may be too long.
-    if os.path.lexists(old):
-        return f"an interrupted run has renamed it: mv {shlex.quote(str(old))} {shlex.quote(str(path))}"
-    if os.path.lexists(partial):
-        return f"an interrupted run left a part of it: pc2scan repair {shlex.quote(str(partial))}"
-    return None
 
 
 def _sniff_directory(path: Path) -> str:

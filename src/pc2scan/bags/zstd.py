@@ -121,33 +121,19 @@ def decompress_messages(messages: list[RawMessage], log: DamageLog, place: int, 
         return messages
     decompressed, total = [], 0
     for message in messages:
-        unpacked = _decompress_or_note(log, place, path, message)
-        if unpacked is not None:
-            decompressed.append(unpacked)
-            total += unpacked.size
+        unpacked = message
+        if message.connection.serialization == "cdr":
+            try:
+                unpacked = message._replace(data=decompress_message(message.data, path, message.connection.topic))
+            except DamageError as err:
+                key = message.connection.id, message.log_time_ns, message.sequence
+                log.note_message(err, key, message.log_time_ns, offset=place, bytes_lost=message.size)
+                continue
+        decompressed.append(unpacked)
+        total += unpacked.size
         if total > _MAX_TOGETHER:
             raise RecordingError(f"a chunk's messages unpack to more than {_MAX_TOGETHER:,} bytes", path=path)
     return decompressed
-
-
-def _decompress_or_note(log: DamageLog, place: int, path: Path, message: RawMessage) -> RawMessage | None:
-    """Unpack a message; None, and a note, if that is not possible."""
-    if message.connection.serialization != "cdr":
-        return message
-    try:
-        return message._replace(data=decompress_message(message.data, path, message.connection.topic))
-    except DamageError as err:
-        when = message.log_time_ns
-        log.note(
-            err,
-            key=(message.connection.id, when, message.sequence),
-            offset=place,
-            bytes_lost=len(message.data),
-            messages_lost=1,
-            first_ns=when,
-            last_ns=when,
-        )
-        return None
 
 
 def is_frame(message: RawMessage) -> bool:

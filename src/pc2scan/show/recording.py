@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections import deque
+import heapq
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from functools import partial
 from itertools import islice
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.damage import mention
-from pc2scan.bags.observers import Observer, Spread, observing
+from pc2scan.bags.observers import Spread
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.conversion.corrections import corrected_transforms, scaled
 from pc2scan.conversion.preparation import prepare, span_of
 from pc2scan.conversion.source_checks import refuse_outside
 from pc2scan.errors import TopicError, UsageError, stamp_text
-from pc2scan.model import RawMessage, copied_message
 from pc2scan.result import tell_early
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.conversion.plan import Plan
     from pc2scan.conversion.preparation import Preparation
-    from pc2scan.model import Connection
+    from pc2scan.model import Connection, RawMessage
     from pc2scan.options.moment import TimeBound
     from pc2scan.progress import Meter
     from pc2scan.request.options import ConvertOptions
@@ -178,14 +178,16 @@ def chosen_messages(
         stop_ns = min(stop_ns, span.stop_ns)
     if start_ns >= stop_ns:
         return
-    messages: deque[RawMessage] = deque()
-    observers = []
-    for own in topics.values():
+
+    def first_messages(own: Sequence[Connection]) -> Iterator[RawMessage]:
         spread = spread_over(own, count, start_ns, stop_ns)
-        observers.append(Observer(own, copied_message, None, start_ns, stop_ns, spread, messages.append))
-    for _ in observing(reader, observers):
-        while messages:
-            yield messages.popleft()
+        if spread is None:
+            yield from reader.messages(own, start_ns, stop_ns)
+            return
+        for part in range(spread.parts):
+            yield from islice(reader.messages(own, spread.begin_ns(part), spread.begin_ns(part + 1)), 1)
+
+    yield from heapq.merge(*map(first_messages, topics.values()), key=attrgetter("log_time_ns"))
 
 
 def spread_over(connections: Sequence[Connection], samples: int, start_ns: int, stop_ns: int) -> Spread | None:

@@ -267,5 +267,5 @@ def test_a_packed_message_that_is_broken_is_left_out(tmp_path: Path) -> None:
     rows, (damage,) = recovered(path)
     assert len(rows) == len(MESSAGES) - 1
     assert (damage.messages_lost, damage.first_ns) == (1, packed[5][1])
-    with closing(McapReader(path, strict=True)) as reader, pytest.raises(DamageError, match="it ends after"):
+    with closing(McapReader(path, strict=True)) as reader, pytest.raises(DamageError, match="decompressed"):
         content(reader)

@@ -27,10 +27,6 @@ if TYPE_CHECKING:
 
 
 HEADS = [
-    *[(first, "a ROS 1 bag begins with b'#ROSBAG V2.0\\n'", "")
-      for first in (b"", b"#ROS", b"#ROSBAG V3.0\n", b"SQLite format 3\0", b"#ROSBAG V2.0 ")],
-    *[(first + bytes(99), "only bags of format 2.0", "rosbag fix")
-      for first in (b"#ROSBAG V1.2\n", b"#ROSRECORD V1.1\n", b"#ROSBAG V1.1\n")],
     (bag_header(9999, 1, 1, encryptor=b"rosbag/AesCbcEncryptor"), "encrypted (rosbag/AesCbcEncryptor)",
      "rosbag decrypt"),
     (bag_header(0, 0, 0) + chunk(b""), "index_pos is 0", "`strict`"),

@@ -145,12 +145,7 @@ def find_index(file: RecordFile, log: DamageLog) -> McapIndex:
 
 
 def read_header(file: RecordFile, index: McapIndex) -> int:
-    """Check the magic, read the profile, and return the offset of the first record after the header."""
-    magic = file.read(0, min(len(MAGIC), file.size))
-    if magic != MAGIC:
-        raise file.error(
-            f"is not an MCAP file: it begins with {magic.hex(' ') or 'nothing'}, expected {MAGIC.hex(' ')}"
-        )
+    """Read the profile, and return the offset of the first record after the header."""
     content = file.record(len(MAGIC), Opcode.HEADER)
     index.profile = parse(Header, content, len(MAGIC), file).profile
     return len(MAGIC) + RECORD.size + len(content)
@@ -251,7 +246,6 @@ def _indexed_chunk(content: memoryview, origin: int, file: RecordFile) -> Segmen
         record_offset=offset,
         index_length=message_index_size,
         padding=padding,
-        message_count=max(0, message_index_size - len(ids) * _INDEX_HEAD.size) // _ENTRY.size,
     )
 
 

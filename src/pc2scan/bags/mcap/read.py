@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from pc2scan.bags.chunks import Record, Segment, Selection
+    from pc2scan.bags.chunks import Segment, Selection
     from pc2scan.model import RawMessage
 
 
@@ -55,6 +55,7 @@ class McapReader(ChunkedReader):
 
     _file: RecordFile
     _container = "mcap"
+    _record_at = staticmethod(record_at)
 
     def __init__(self, path: Path, *, strict: bool = False) -> None:
         self.path = path
@@ -113,9 +114,6 @@ class McapReader(ChunkedReader):
                 self._displaced = self._displaced or displaced_chunks(self._file, self._segments)
             segment = self._displaced.get(segment.record_offset, segment)
         return segment, payload_prefix(self._file, segment), problem
-
-    def _record_at(self, data: memoryview, place: int) -> Record | None:
-        return record_at(data, place)
 
     def _entries(self, segment: Segment) -> Iterator[tuple[int, Iterator[tuple[int, int]]]]:
         return indexed_entries(self._file, segment)

@@ -109,15 +109,6 @@ def read_index(file: BagFile, log: DamageLog) -> tuple[dict[int, Connection], Se
 
 def _read_bag_header(file: BagFile) -> tuple[int, int, int]:
     """Read the offset of the index, and its numbers of connections and chunks."""
-    first = file.read(0, min(len(FIRST_LINE), file.size))
-    if first != FIRST_LINE:
-        if first.startswith((b"#ROSBAG V1", b"#ROSRECORD")):
-            raise RecordingError(
-                f"begins with {first!r}, only bags of format 2.0 can be read",
-                path=file.path,
-                hint="rewrite it with ROS 1: rosbag fix OLD.bag NEW.bag",
-            )
-        raise RecordingError(f"begins with {first!r}, a ROS 1 bag begins with {FIRST_LINE!r}", path=file.path)
     fields = file.record(len(FIRST_LINE), BAG_HEADER).fields
     if encryptor := text_of(fields.get(b"encryptor", b"")):
         raise RecordingError(

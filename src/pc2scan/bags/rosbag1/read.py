@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from pc2scan.bags.chunks import Numbers, Record, Segment, Segments, Selection
+    from pc2scan.bags.chunks import Numbers, Segment, Segments, Selection
     from pc2scan.errors import DamageError
     from pc2scan.model import Buffer, ChunkRule, Connection
 
@@ -70,6 +70,7 @@ class Rosbag1Reader(ChunkedReader):
 
     _file: BagFile
     _container = "rosbag1"
+    _record_at = staticmethod(record_at)
 
     def __init__(self, path: Path, *, strict: bool = False) -> None:
         self.path = path
@@ -168,9 +169,6 @@ class Rosbag1Reader(ChunkedReader):
 
     def _prefix(self, segment: Segment, problem: DamageError) -> tuple[Segment, memoryview, DamageError]:
         return segment, payload_prefix(self._file, segment), problem
-
-    def _record_at(self, data: memoryview, place: int) -> Record | None:
-        return record_at(data, place)
 
     def _entries(self, segment: Segment) -> Iterator[tuple[int, list[tuple[int, int]]]]:
         return indexed_entries(self._file, segment)

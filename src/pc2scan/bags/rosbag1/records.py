@@ -231,27 +231,25 @@ class MessageLayout(NamedTuple):
     seconds: int
 
 
+_PIECES = {
+    b"conn": (b"\x09\0\0\0conn=", "I"),
+    b"op": (b"\x04\0\0\0op=\x02", ""),
+    b"time": (b"\x0d\0\0\0time=", "II"),
+}
+
+
 def _layout_of(order: Sequence[bytes]) -> MessageLayout:
-    pieces = {
-        b"conn": (b"\x09\0\0\0conn=", "I"),
-        b"op": (b"\x04\0\0\0op=\x02", ""),
-        b"time": (b"\x0d\0\0\0time=", "II"),
-    }
-    code = "<"
-    literal = b"\x26\0\0\0"  # the length of the header: 38 bytes in any order
-    expected = []
+    code, literals = "<", [b"\x26\0\0\0"]  # the length of the header: 38 bytes in any order
     for name in order:
-        more, values = pieces[name]
-        literal += more
+        literal, values = _PIECES[name]
+        literals[-1] += literal
         if values:
-            expected.append(literal)
-            code += f"{len(literal)}s{values}"
-            literal = b""
-    expected.append(literal)
-    code += f"{len(literal)}sI"
+            code += f"{len(literals[-1])}s{values}"
+            literals.append(b"")
+    layout = struct.Struct(f"{code}{len(literals[-1])}sI")
     if order.index(b"conn") < order.index(b"time"):
-        return MessageLayout(struct.Struct(code), itemgetter(0, 2, 5), tuple(expected), 1, 3)
-    return MessageLayout(struct.Struct(code), itemgetter(0, 3, 5), tuple(expected), 4, 1)
+        return MessageLayout(layout, itemgetter(0, 2, 5), tuple(literals), 1, 3)
+    return MessageLayout(layout, itemgetter(0, 3, 5), tuple(literals), 4, 1)
 
 
 LAYOUTS = {order: _layout_of(order) for order in permutations((b"conn", b"op", b"time"))}

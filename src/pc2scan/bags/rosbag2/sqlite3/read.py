@@ -185,7 +185,7 @@ class Sqlite3Reader(Reader):
                 unpacked = bytes(zstd.decompress_message(data, self.path, topic)) if packed else data
                 yield topic_id, time_ns, row_id, unpacked
             except DamageError as err:
-                self._log.note(err, key=row_id, messages_lost=1, first_ns=time_ns, last_ns=time_ns)
+                self._log.note_message(err, row_id, time_ns)
 
     def counts(
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
