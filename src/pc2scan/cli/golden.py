@@ -10,9 +10,10 @@ from pc2scan.compare.golden.init import make_case
 from pc2scan.errors import UsageError
 from pc2scan.options.call import Options
 from pc2scan.options.effects import refuse_idle
+from pc2scan.text import counted
 
 from .in_process import run_command
-from .render import progress_bar, say, show, show_parts
+from .render import as_typed, progress_bar, say, show, show_parts
 
 if TYPE_CHECKING:
     from pc2scan.compare.golden.check import CaseResult
@@ -40,8 +41,10 @@ def golden(folder: Path, pattern: str | None, *, options: Options) -> int:
 def _init(folder: Path, options: Options) -> int:
     """Make a case, and list its files."""
     with progress_bar(options) as progress:
-        case = make_case(folder, run_command, options, progress=progress)
+        report = make_case(folder, run_command, options, progress=progress)
+    for remark in report.usual_remarks():
+        say(as_typed(str(remark)), err=True)
     if not options.quiet:
-        show(case, options)
-        say(f"next: look at {case.folder}/expected.txt, commit the folder, and: pc2scan golden {folder}")
+        show_parts(f"{file}  {counted(file.stat().st_size, 'byte')}" for file in sorted(folder.iterdir()))
+        say(f"next: look at {folder}/expected.txt, commit the folder, and: pc2scan golden {folder}")
     return 0

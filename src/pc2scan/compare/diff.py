@@ -61,7 +61,9 @@ def diff(a: Path, b: Path | None, options: Options, *, progress: Progress | None
         result = Difference(str(sources[0].path), str(sources[1].path))
         compared, result.left_aside = _streams(sources, topics, all_topics=options.all_topics)
         if meter is not None:
-            meter.expect(sum(max(map(_messages_of, pair)) for pair in compared))
+            # Those of a recording that does not count them are 0.
+            counts = [[sum(c.message_count or 0 for c in stream.connections) for stream in pair] for pair in compared]
+            meter.expect(sum(map(max, counts)))
         for pair in compared:
             result.topics.append(_compare(pair[0], pair[1], rules, meter))
         if meter is not None:
@@ -118,11 +120,6 @@ def _streams(
         elif not stamped and (all_topics or not topics):
             others.append(streams)
     return (named + others, 0) if all_topics else (named, len(others))
-
-
-def _messages_of(stream: TopicStream) -> int:
-    """Return how many messages a topic has; those are 0 that its recording does not count."""
-    return sum(connection.message_count or 0 for connection in stream.connections)
 
 
 def _compare(one: TopicStream, other: TopicStream, rules: Rules, meter: Meter | None) -> TopicDifference:

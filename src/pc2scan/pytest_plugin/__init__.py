@@ -43,8 +43,6 @@ def pytest_configure(config: pytest.Config) -> None:
     """Store the folders; those of the command line are always collected."""
     asked = [(config.invocation_params.dir / folder).resolve() for folder in config.getoption("--pc2scan-golden")]
     folders = frozenset((*asked, *(folder.resolve() for folder in config.getini("pc2scan_golden"))))
-    if folders and not hasattr(pytest, "Directory"):
-        raise pytest.UsageError(f"golden cases of pc2scan need pytest 8 or newer, this is {pytest.__version__}")
     config.stash[_FOLDERS] = folders
     # Workers of pytest-xdist get arguments that include the folders already.
     config.args += [str(folder) for folder in asked if str(folder) not in config.args]

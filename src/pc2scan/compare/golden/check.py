@@ -28,9 +28,6 @@ if TYPE_CHECKING:
 
     from .case import Case
 
-#: The names of the two sides.
-NAMES = ("expected", "actual")
-
 
 @dataclass(frozen=True, slots=True)
 class CaseResult:
@@ -189,7 +186,7 @@ def _run_case(case: Case, command: Command, *, update: bool) -> tuple[str, list[
             else:
                 if difference.same:
                     return "passed", [], difference
-                lines = difference.text(NAMES).split("\n")
+                lines = difference.text(("expected", "actual")).split("\n")
         if update:
             _write_expected(case, actual, command)
         return "updated" if update else "failed", lines, difference

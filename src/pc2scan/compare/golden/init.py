@@ -5,8 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 from contextlib import ExitStack
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from pc2scan.bags.opening import open_recordings
 from pc2scan.bags.topics import find_topics, types_by_topic
@@ -16,16 +15,15 @@ from pc2scan.files.places import output_folder
 from pc2scan.files.staging import staged_output
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.request.options import ConvertOptions
-from pc2scan.result import Part, Result
-from pc2scan.text import counted
 
 from .check import check_case
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     from pc2scan.bags.reader import Reader
+    from pc2scan.conversion.report import Report
     from pc2scan.options.call import Options
     from pc2scan.progress import Progress
 
@@ -35,22 +33,7 @@ if TYPE_CHECKING:
 _ALSO_READ = {"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage", "sensor_msgs/msg/Imu"}
 
 
-@dataclass(frozen=True, slots=True)
-class NewCase(Result):
-    """A case that was made: its folder, its files with their sizes, and warnings."""
-
-    kind: ClassVar[str] = "case"
-
-    folder: Path
-    files: tuple[tuple[str, int], ...]
-    warnings: tuple[str, ...] = ()
-
-    def body(self, *, verbose: bool = False) -> Iterator[Part]:
-        """Yield the files and their sizes."""
-        yield from (f"{self.folder / name}  {counted(size, 'byte')}" for name, size in self.files)
-
-
-def make_case(folder: Path, command: Command, options: Options, *, progress: Progress | None = None) -> NewCase:
+def make_case(folder: Path, command: Command, options: Options, *, progress: Progress | None = None) -> Report:
     """Make a case, by ``init``, ``start``, ``end``, ``topics`` and ``params_file`` of a call.
 
     Clouds, scans, transforms and IMU messages of the recording are kept, byte for byte.
@@ -61,6 +44,11 @@ def make_case(folder: Path, command: Command, options: Options, *, progress: Pro
         The case; it must not exist. The folder above it is made, if it does not exist.
     command
         Runs ``pc2scan``.
+
+    Returns
+    -------
+    Report
+        That of the cut.
 
     Raises
     ------
@@ -91,8 +79,7 @@ def make_case(folder: Path, command: Command, options: Options, *, progress: Pro
                 path=folder,
                 hint="the conversion must succeed: cut out a part with transforms for each cloud (`start`, `end`)",
             )
-        files = tuple((file.name, file.stat().st_size) for file in sorted(partial.iterdir()))
-    return NewCase(folder, files, (*report.warnings, *(str(place) for place in report.damage)))
+    return report
 
 
 def _needed_topics(reader: Reader, topics: Sequence[str]) -> list[str]:
