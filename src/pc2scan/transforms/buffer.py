@@ -62,6 +62,9 @@ if TYPE_CHECKING:
     from .lookup_errors import RejectedTransforms
     from .summary import FrameInfo, Tree
 
+#: The most frames above one that are of interest; robots have a dozen.
+_MOST_ABOVE = 100
+
 
 @dataclass(frozen=True, eq=False)  # not slotted: `infos` and `trees` are computed when first asked for
 class TransformBuffer:
@@ -96,6 +99,16 @@ class TransformBuffer:
         """Return the transforms of a child frame; None for a frame that is never a child, or unknown."""
         number = self._numbers.get(frame.removeprefix("/"))
         return None if number is None else self._histories[number]
+
+    def above(self, frame: str) -> list[str]:
+        """Return the frames above a frame, by their latest parents, the nearest first."""
+        names: list[str] = []
+        while (history := self.history(frame)) is not None:
+            frame = self.frames[history.parent_at(None)]
+            if frame in names or len(names) == _MOST_ABOVE:
+                break
+            names.append(frame)
+        return names
 
     def lookup(self, target: str, source: str, stamp_ns: int, tolerance_ns: int = 0) -> Rigid:
         """Return ``target_from_source`` at a stamp.

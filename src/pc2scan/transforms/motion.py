@@ -25,9 +25,6 @@ _LONGEST_GAP_NS = 500_000_000
 #: The share of all times with less motion, which leaves out jumps.
 _MOST = 90
 
-#: The most frames between the sensor and the fixed frame.
-_MOST_LINKS = 100
-
 
 class SensorMotion(NamedTuple):
     """The motion of a sensor in a fixed frame.
@@ -60,7 +57,7 @@ def sensor_motion(buffer: TransformBuffer, frame: str, seconds: float) -> Sensor
     seconds
         The time of a cloud.
     """
-    above = _above(buffer, frame.removeprefix("/"))
+    above = buffer.above(frame)
     # Localisation makes the robot jump in map, so odom comes first.
     for fixed in (*(name for name in WORLDS if name in above), *above[-1:]):
         motion = _motion_in(buffer, fixed, frame.removeprefix("/"), seconds)
@@ -69,19 +66,10 @@ def sensor_motion(buffer: TransformBuffer, frame: str, seconds: float) -> Sensor
     return None
 
 
-def _above(buffer: TransformBuffer, frame: str) -> list[str]:
-    """Return the frames above a frame, the nearest first."""
-    frames: list[str] = []
-    while (history := buffer.history(frame)) is not None and len(frames) < _MOST_LINKS:
-        frame = buffer.frames[history.parent_at(None)]
-        frames.append(frame)
-    return frames
-
-
 def _motion_in(buffer: TransformBuffer, fixed: str, frame: str, seconds: float) -> SensorMotion | None:
     if buffer.is_rigid(fixed, frame):
         return None
-    links = [buffer.history(name) for name in (frame, *_above(buffer, frame))]
+    links = [buffer.history(name) for name in (frame, *buffer.above(frame))]
     moving = [link for link in links if link is not None and not link.static]
     stamps = max(moving, key=attrgetter("size")).stamps_ns if moving else np.empty(0, np.int64)
     if len(stamps) < 3:

@@ -350,14 +350,8 @@ def _tilt(rigid: Rigid) -> float:
 def _ancestors(buffer: TransformBuffer, frame: str, stamp_ns: int) -> list[tuple[str, Rigid]]:
     """Return the frames above a frame that move with it, the nearest first."""
     ancestors: list[tuple[str, Rigid]] = []
-    name = frame.removeprefix("/")
-    while len(ancestors) < 20:
-        history = buffer.history(name)
-        if history is None:
-            break
-        name = buffer.frames[history.parent_at(None)]
-        moved = _lookup(buffer, name, frame, stamp_ns)
-        if moved is None or name in WORLDS or name in {other for other, _ in ancestors}:
+    for name in buffer.above(frame):
+        if name in WORLDS or (moved := _lookup(buffer, name, frame, stamp_ns)) is None:
             break
         ancestors.append((name, moved))
     return ancestors

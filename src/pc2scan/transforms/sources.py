@@ -8,7 +8,7 @@ top, because a frame has only one parent in tf2. They replace the recording's ow
 from __future__ import annotations
 
 from array import array
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -99,14 +99,6 @@ class PoseTopic(NamedTuple):
         return [connection for connection in own if connection.ros_version is not None]
 
 
-@dataclass(slots=True)
-class _Poses:
-    """The poses of one pair of frames, while they are read."""
-
-    stamps: array[int] = field(default_factory=lambda: array("q"))
-    poses: array[float] = field(default_factory=lambda: array("d"))
-
-
 class PoseReading:
     """The poses of a topic, while it is read.
 
@@ -127,7 +119,8 @@ class PoseReading:
         self.topic = connections[0].topic if connections else asked.topic
         self.connections = connections
         self._asked = asked
-        self._found: dict[tuple[str, str], _Poses] = {}
+        #: By the frames: stamps, and seven numbers a pose.
+        self._found: dict[tuple[str, str], tuple[array[int], array[float]]] = {}
         self._wrong = 0
 
     def frames_of(self, parent: str, child: str) -> tuple[str, str]:
@@ -146,26 +139,18 @@ class PoseReading:
             self._wrong += 1
             return
         parent, child, stamp_ns, *pose = row
-        frames = self.frames_of(parent, child)
-        if frames not in self._found:
-            self._found[frames] = _Poses()
-        series = self._found[frames]
-        series.stamps.append(stamp_ns)
-        series.poses.extend(pose)
+        stamps, poses = self._found.setdefault(self.frames_of(parent, child), (array("q"), array("d")))
+        stamps.append(stamp_ns)
+        poses.extend(pose)
 
     def finish(self) -> tuple[list[Trajectory], list[str]]:
         """Return the poses by their frames, and warnings."""
         texts = [f"{self.topic}: {counted(self._wrong, 'message')} cannot be decoded"] if self._wrong else []
-        return [
-            Trajectory(
-                self.topic,
-                parent,
-                child,
-                np.frombuffer(found.stamps, np.int64),
-                np.frombuffer(found.poses, np.float64).reshape(-1, 7),
-            )
-            for (parent, child), found in self._found.items()
-        ], texts
+        trajectories = [
+            Trajectory(self.topic, *frames, np.frombuffer(stamps, np.int64), np.frombuffer(poses).reshape(-1, 7))
+            for frames, (stamps, poses) in self._found.items()
+        ]
+        return trajectories, texts
 
 
 class Attachment(NamedTuple):
@@ -225,16 +210,12 @@ def attach(buffer: TransformBuffer, parent: str, child: str) -> Attachment:
     parent, child
         The frames of the poses.
     """
-    frame, met = child, {child}
-    while (history := buffer.history(frame)) is not None and history.static:
-        above = buffer.frames[history.parent_at(None)]
-        if above == parent or above in met:
+    frame = child
+    for above in buffer.above(child):
+        if above == parent or not buffer.is_rigid(above, child):
             break
-        met.add(above)
         frame = above
-    replaced: tuple[str, ...] = (frame,)
-    if (history := buffer.history(parent)) is not None and buffer.frames[history.parent_at(None)] == frame:
-        replaced = (frame, parent)
+    replaced: tuple[str, ...] = (frame, parent) if buffer.above(parent)[:1] == [frame] else (frame,)
     return Attachment(parent, frame, None if frame == child else buffer.lookup(child, frame, 0).pose, replaced)
 
 

@@ -49,7 +49,8 @@ class StaticTransform:
         Raises
         ------
         UsageError
-            If it is neither, the quaternion is not of unit length, or an angle is more than a full turn.
+            If it is neither, both frames are the same, the quaternion is not of unit length, or an angle is more than
+            a full turn.
         """
         words = text.replace(",", " ").split()
         usage = "write 'parent child x y z qx qy qz qw' or 'parent child x y z roll pitch yaw' (metres, radians)"
@@ -62,18 +63,7 @@ class StaticTransform:
             if number is None:
                 raise UsageError(f"{' '.join(words)!r} is not a static transform: {word!r} is not a number")
             numbers.append(number)
-        return cls.of(words[0], words[1], numbers[:3], numbers[3:])
-
-    @classmethod
-    def of(cls, parent: str, child: str, translation: Sequence[float], rotation: Sequence[float]) -> StaticTransform:
-        """Take a translation, and a rotation as x, y, z, w or as roll, pitch, yaw.
-
-        Raises
-        ------
-        UsageError
-            If a name is empty, both are the same, or the numbers are not a rotation: the quaternion is not of unit
-            length, or an angle is more than a full turn.
-        """
+        parent, child, translation, rotation = words[0], words[1], numbers[:3], numbers[3:]
         if not parent or not child or parent.removeprefix("/") == child.removeprefix("/"):
             raise UsageError(f"a static transform needs two frames, not {parent!r} and {child!r}")
         _refuse_degrees(parent, child, translation, rotation)

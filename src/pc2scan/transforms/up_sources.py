@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, TypeAlias
 
 from pc2scan.core.gravity import LONGEST_GAP_NS, Up, up_in
 from pc2scan.errors import TransformError, stamp_text
@@ -18,18 +19,8 @@ if TYPE_CHECKING:
 _ANOTHER_CLOCK = 3600
 
 
-class UpSource(Protocol):
-    """A source of the direction of up."""
-
-    def __call__(self, frame: str, stamp_ns: int) -> Up:
-        """Return the direction of up in a frame at a stamp.
-
-        Raises
-        ------
-        TransformError
-            If the direction is unknown.
-        """
-        ...
+#: Returns the direction of up in a frame at a stamp; a TransformError if it is unknown.
+UpSource: TypeAlias = Callable[[str, int], Up]
 
 
 @dataclass(frozen=True, slots=True)
