@@ -185,14 +185,14 @@ def measure_turn(topic: str, asked: Turn, clouds: Sequence[TurnSample]) -> tuple
     ParameterError
         If the turn cannot be measured in the first clouds; the hint is what to type.
     """
-    period, how = _period(topic, asked, clouds)
-    turn, said = replace(asked, period=period), [how]
+    turn, how = _with_period(topic, asked, clouds)
+    said = [how]
     if not turn.direction:
-        turn, words = _with_direction(topic, turn, clouds)
-        said.append(words)
+        turn, how = _with_direction(topic, turn, clouds)
+        said.append(how)
     if turn.ended is None:
-        turn, words = _with_stamp(topic, turn, clouds)
-        said.append(words)
+        turn, how = _with_stamp(topic, turn, clouds)
+        said.append(how)
     return turn, f"{topic}: the times of points are computed from their azimuth: {turn}; measured: {', '.join(said)}"
 
 
@@ -204,13 +204,12 @@ def _error(topic: str, why: str, typed: str) -> ParameterError:
 def _typed(turn: Turn, *more: str) -> str:
     """Return the option for what is known of a turn, and for ``more``."""
     period = f"{turn.period:.4g}" if turn.period else "0.1"
-    ways = {value: name for name, value in _WAYS.items()}
-    ends = {value: name for name, value in _ENDS.items()}
-    words = [AZIMUTH, period, ways.get(turn.direction, ""), "" if turn.ended is None else ends[turn.ended], *more]
-    return f"`point_time={':'.join(word for word in words if word)}`"
+    way = {-1: "cw", 1: "ccw"}.get(turn.direction)
+    end = None if turn.ended is None else "end" if turn.ended else "start"
+    return f"`point_time={':'.join(filter(None, (AZIMUTH, period, way, end, *more)))}`"
 
 
-def _period(topic: str, asked: Turn, clouds: Sequence[TurnSample]) -> tuple[float, str]:
+def _with_period(topic: str, asked: Turn, clouds: Sequence[TurnSample]) -> tuple[Turn, str]:
     give = f"if a turn takes 0.1 s (10 Hz): {_typed(asked)}"
     stamps = sorted({cloud.stamp_ns for cloud in clouds})
     if len(stamps) < _FEWEST:
@@ -236,7 +235,7 @@ def _period(topic: str, asked: Turn, clouds: Sequence[TurnSample]) -> tuple[floa
     turns = median([abs(cloud.turns) for cloud in clouds])
     if _TWO_OR_THREE[0] <= turns < _TWO_OR_THREE[1]:
         raise _error(topic, f"the points of its clouds go round {turns:.1f} times", give)
-    return turn.period, f"the period (median interval of the first {len(stamps)} stamps)"
+    return turn, f"the period (median interval of the first {len(stamps)} stamps)"
 
 
 def _with_direction(topic: str, turn: Turn, clouds: Sequence[TurnSample]) -> tuple[Turn, str]:

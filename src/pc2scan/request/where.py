@@ -79,8 +79,7 @@ class Where:
     """
 
     condition: str
-    _names: tuple[str, ...] = field(init=False, repr=False, compare=False)
-    _holds: Callable[[Points], NDArray[np.bool_]] = field(init=False, repr=False, compare=False)
+    _read: _Condition = field(init=False, repr=False, compare=False)
 
     name = "where"
     explanation = "rejected by `where`"
@@ -97,18 +96,16 @@ class Where:
         return self.condition
 
     def __post_init__(self) -> None:
-        read = _Condition(self.condition)
-        object.__setattr__(self, "_holds", read.holds)
-        object.__setattr__(self, "_names", tuple(read.fields))
+        object.__setattr__(self, "_read", _Condition(self.condition))
 
     @property
     def fields(self) -> tuple[str, ...]:
         """The fields in the condition, in its order."""
-        return self._names
+        return tuple(self._read.fields)
 
     def __call__(self, points: Points) -> NDArray[np.bool_]:
         """Return for which points the condition holds; see `pc2scan.request.filters.Filter`."""
-        return np.asarray(self._holds(points))
+        return np.asarray(self._read.holds(points))
 
 
 class _Condition:
