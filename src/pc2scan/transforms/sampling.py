@@ -5,7 +5,7 @@ The rules are those of `pc2scan.transforms.buffer`; results differ from its in t
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,17 +20,10 @@ if TYPE_CHECKING:
     from .history import FrameHistory
 
     Needed = Callable[[NDArray[np.int64], NDArray[np.float64]], int]
+    _Side = tuple[FrameHistory, ...]
 
 #: The stamps of a static link.
 _ALWAYS = np.empty(0, np.int64)
-
-
-class _Links(NamedTuple):
-    """What of a chain an interval needs: the links from both frames up to the common ancestor, and those above it."""
-
-    source: tuple[FrameHistory, ...]
-    target: tuple[FrameHistory, ...]
-    above: tuple[FrameHistory, ...]
 
 
 def sample_chain(
@@ -38,27 +31,21 @@ def sample_chain(
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], int]:
     """Look up a chain, whose parents do not change in the interval, at many times; see `TransformBuffer.rows`."""
     sides = (chain.source_side.links, chain.target_side.links, chain.above)
-    links = _Links(*(tuple([link.during(begin_ns, end_ns) for link in side]) for side in sides))
-    times, gap_ns = _node_times(links, begin_ns, end_ns, step_ns)
-    rows = rows_of(links, times)
-    needed = needed_ns(times[::2], rows)
-    if needed < step_ns:
-        times, gap_ns = _node_times(links, begin_ns, end_ns, needed)
-        rows = rows_of(links, times)
-    return times[::2], rows, gap_ns
+    source, target, above = (tuple([link.during(begin_ns, end_ns) for link in side]) for side in sides)
+    # Samples of each link are among the times: there the motion may change.
+    stamps = tuple([link.stamps_ns for link in (*source, *target) if not link.static])
+
+    def looked_up(step_ns: int) -> tuple[NDArray[np.int64], NDArray[np.float64], int]:
+        nodes, gap_ns = kernel.nodes(stamps, begin_ns, end_ns, step_ns)
+        times = np.frombuffer(nodes, np.int64)
+        return times[::2], _rows_of(source, target, above, times), gap_ns
+
+    rows = looked_up(step_ns)
+    needed = needed_ns(*rows[:2])
+    return rows if needed >= step_ns else looked_up(needed)
 
 
-def _node_times(links: _Links, begin_ns: int, end_ns: int, step_ns: int) -> tuple[NDArray[np.int64], int]:
-    """Return the times at which a chain is looked up, nanoseconds, and its longest gap; see `kernel.nodes`.
-
-    Samples of each link are among them: there the motion may change.
-    """
-    stamps = tuple([link.stamps_ns for link in (*links.source, *links.target) if not link.static])
-    times, gap_ns = kernel.nodes(stamps, begin_ns, end_ns, step_ns)
-    return np.frombuffer(times, np.int64), gap_ns
-
-
-def rows_of(links: _Links, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+def _rows_of(source: _Side, target: _Side, above: _Side, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return ``target_from_source`` at (N,) stamps.
 
     Returns
@@ -66,18 +53,18 @@ def rows_of(links: _Links, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
     (N, 12) float64
         The rows of the rotation, then the translation; NaN where a frame is not known.
     """
-    rows = _rows_to_ancestor(links.source, stamps_ns)
-    if not links.target:
+    rows = _rows_to_ancestor(source, stamps_ns)
+    if not target:
         return rows
-    target = _rows_to_ancestor(links.target, stamps_ns)
-    back = target[:, :9].reshape(-1, 3, 3).transpose(0, 2, 1)
-    origin = np.einsum("nij,nj->ni", back, rows[:, 9:] - target[:, 9:])
+    down = _rows_to_ancestor(target, stamps_ns)
+    back = down[:, :9].reshape(-1, 3, 3).transpose(0, 2, 1)
+    origin = np.einsum("nij,nj->ni", back, rows[:, 9:] - down[:, 9:])
     # As in `follow`. The inverse of the target's walk scales, and what both walks have in common scales before.
-    for link in links.target:
+    for link in target:
         origin *= _squared_lengths(link, stamps_ns)[:, np.newaxis]
-    if links.source:
+    if source:
         known = np.ones(stamps_ns.size, np.bool_)
-        for link in links.above:
+        for link in above:
             squared = _squared_lengths(link, stamps_ns)
             known &= ~np.isnan(squared)
             origin[known] *= np.square(squared[known])[:, np.newaxis]
