@@ -23,7 +23,7 @@ from pc2scan.text import did_you_mean
 from .survey import Fact
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Iterable, Sequence
+    from collections.abc import Iterable, Sequence
 
     from pc2scan.core.layout import BeamLayout
     from pc2scan.core.params import ProjectionParams
@@ -174,9 +174,7 @@ def measure(topics: Iterable[TopicFacts], spec: ScanSpec, placer: Placer) -> tup
     return measurements, notes
 
 
-def require_fields(
-    spec: ScanSpec, fields: Container[str], what: str, hint: Callable[[str], str], point_time: str = ""
-) -> None:
+def require_fields(spec: ScanSpec, fields: Sequence[str], what: str, hint: str, point_time: str = "") -> None:
     """Raise if a field that an output needs is missing.
 
     Parameters
@@ -188,7 +186,7 @@ def require_fields(
     what
         What has them, in the plural.
     hint
-        Returns the hint for a missing field.
+        What to do.
     point_time
         The field with the times of points; empty: none is requested by its name.
     """
@@ -199,7 +197,8 @@ def require_fields(
         requests.append(("point_time", f"`point_time` is {spec.point_time!r}", point_time))
     for option, request, field in requests:
         if field not in fields:
-            raise ParameterError(f"{request}, which {what} do not have", name=option, hint=hint(field))
+            text = f"{request}, which {what} do not have"
+            raise ParameterError(text, name=option, hint=f"{did_you_mean(field, fields)} {hint}".strip())
 
 
 def unknown_step(why: str) -> ParameterError:
@@ -216,13 +215,7 @@ def _require_fields(facts: TopicFacts, spec: ScanSpec) -> None:
     fields = list(dict.fromkeys(name for each in facts.headers for name in each.fields))
     listed = f"their fields are: {', '.join(fields) or 'none'}"
     time = spec.point_time.partition(":")[0]
-    require_fields(
-        spec,
-        fields,
-        f"the clouds on {topic}",
-        lambda field: f"{did_you_mean(field, fields)} {listed}".strip(),
-        "" if time == "azimuth" else time,
-    )
+    require_fields(spec, fields, f"the clouds on {topic}", listed, "" if time == "azimuth" else time)
     if spec.deskew and not spec.point_time and not time_field(fields):
         raise ParameterError(
             f"the clouds on {topic} have no times of their points: no field {', '.join(TIME_FIELDS)}",

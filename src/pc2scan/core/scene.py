@@ -115,8 +115,8 @@ _FARTHEST_MEDIAN = 400.0
 GOLDEN = 0.6180339887498949
 
 #: A level plane of this share of the cells is the floor, whatever else there is; floors are so far below the sensor,
-#: metres.
-_LEAST_SHARE, _LEAST_HEIGHT = 0.15, 0.03
+#: metres, with at most so much of a cloud below them.
+_LEAST_SHARE, _LEAST_HEIGHT, _MOST_BELOW = 0.15, 0.03, 0.05
 
 
 @dataclass(frozen=True)
@@ -187,7 +187,7 @@ class CloudSample:
     @property
     def floor(self) -> Ground | None:
         """The ground, if it is level, and visible."""
-        return self.ground if self.ground.kind == "level" else None
+        return self.ground if self.ground.kind == "level" and self.ground.up is not None else None
 
     @cached_property
     def floor_tilted_by_transform(self) -> Ground | None:
@@ -203,7 +203,7 @@ class CloudSample:
         if turned <= _LEAST_TILT or (here is not None and here.tilt < _LEVEL_BESIDE * turned):
             return None
         own = find_ground(self.points @ matrix)
-        if own.kind != "level" or own.tilt > _LEVEL_BESIDE * turned:
+        if own.kind != "level" or own.up is None or own.tilt > _LEVEL_BESIDE * turned:
             return None
         x, y, z = (matrix @ np.array(own.up)).tolist()
         tilted = Ground("tilted", (x, y, z), own.height)
@@ -437,7 +437,7 @@ def find_ground(points: _Points) -> Ground:
         low = outermost(cells, -1)
         is_large = low is not None and low.share >= _LEAST_SHARE and low.nearest <= _FARTHEST * low.height
         ground = Ground("unknown") if is_large else _choose_ground(points)
-        if ground.kind == "unknown" and low is not None:
+        if ground.kind in {"level", "unknown"} and ground.up is None and low is not None:
             ground = Ground("level", low.up, low.height)
         high = outermost(cells, 1) if ground.kind in {"level", "unknown"} else None
         if ground.up is not None:
@@ -652,10 +652,11 @@ def _choose_ground(points: _Points, *, level_needs_proof: bool = False) -> Groun
         and plane.beyond < (0.35 if plane.height > 0.3 else 0.05)
     ]
     if level:
-        floor = max(level, key=lambda plane: plane.share * (plane.beyond < 0.05))
+        floor = max(level, key=lambda plane: plane.share * (plane.beyond < _MOST_BELOW))
         if level_needs_proof and _doubt(floor, planes, view, upside_down=False):
             return Ground("unknown")
-        return _ground_of("level", floor, planes)
+        # Something level with much behind it shows how the frame is mounted, but is no floor.
+        return _ground_of("level", floor, planes) if floor.beyond < _MOST_BELOW else Ground("level")
     for plane in planes:
         upside_down = plane.tilt >= math.pi - _STEEPEST
         if (upside_down or plane.tilt <= _STEEPEST) and not _doubt(plane, planes, view, upside_down=upside_down):

@@ -166,16 +166,10 @@ class CloudFacts:
     @cached_property
     def nearest(self) -> NDArray[np.bool_]:
         """Which points of the first cloud's sample are the closest of their beam, of one degree."""
-        placed, params = self.samples[0].placed, self.spec.params
-        ranges, angles = np.hypot(placed[:, 0], placed[:, 1]), np.arctan2(placed[:, 1], placed[:, 0])
-        used = (
-            (placed[:, 2] >= params.min_height)
-            & (placed[:, 2] <= params.max_height)
-            & (ranges >= params.range_min)
-            & (ranges <= params.range_max)
-            & (angles >= params.angle_min)
-            & (angles <= params.angle_max)
-        )
+        placed = self.samples[0].placed
+        limited = _limited(placed, self.spec.params)
+        used = np.logical_and.reduce([(values >= low) & (values <= high) for values, low, high in limited.values()])
+        ranges, angles = (limited[each][0] for each in ("range", "angle"))
         order = np.flatnonzero(used)[np.argsort(ranges[used])]
         _, first = np.unique(np.degrees(angles[order]).astype(int), return_index=True)
         mask = np.zeros(len(placed), np.bool_)
@@ -196,12 +190,6 @@ class CloudFacts:
         inside = (at > params.min_height - _NOISE) & (at < params.max_height + _NOISE)
         on_plane = (np.abs(distances) < tolerances(sample.points)) & inside
         return float(on_plane[self.nearest].mean()) if self.nearest.sum() >= _FEWEST_BEAMS else 0.0
-
-    @cached_property
-    def floor_share(self) -> float:
-        """The share of beams that end on the floor; see `share_on`."""
-        floor = self.samples[0].floor
-        return 0.0 if floor is None else self.share_on(floor.normal, floor.height)
 
     @cached_property
     def ceiling(self) -> Plane | None:
@@ -338,8 +326,7 @@ def returns_at_sensor(clouds: CloudFacts) -> Iterator[str]:
 
 def frame_not_level(clouds: CloudFacts) -> Iterator[str]:
     """Yield a warning if the frame of the scans is tilted, upside down or optical, whatever the output is."""
-    if clouds.mounting.warning:
-        yield clouds.mounting.warning
+    yield from filter(None, [clouds.mounting.warning])
 
 
 def swapped_transform(clouds: CloudFacts) -> Iterator[str]:
@@ -370,8 +357,7 @@ def lossy_clouds(clouds: CloudFacts) -> Iterator[str]:
 
 def clouds_in_another_unit(clouds: CloudFacts) -> Iterator[str]:
     """Yield a warning if the points are so far away that they are in another unit."""
-    if text := unit_warning(clouds.topic, clouds.samples[0]):
-        yield text
+    yield from filter(None, [unit_warning(clouds.topic, clouds.samples[0])])
 
 
 def nearly_empty_scans(clouds: CloudFacts) -> Iterator[str]:
@@ -380,17 +366,13 @@ def nearly_empty_scans(clouds: CloudFacts) -> Iterator[str]:
     if not counts.total or counts.used >= _NEARLY_EMPTY * len(clouds.samples) * params.length:
         return
     placed = np.concatenate([sample.placed for sample in clouds.samples])
-    observed = (
-        ("height", placed[:, 2], f"z in {clouds.samples[0].judged_in!r}", "m"),
-        ("range", np.hypot(placed[:, 0], placed[:, 1]), "the range", "m"),
-        ("angle", np.arctan2(placed[:, 1], placed[:, 0]), "the angle", "rad"),
-    )
     descriptions, alone = {}, []
-    for reason, values, name, unit in observed if len(placed) else ():
+    for reason, (values, low, high) in _limited(placed, params).items() if len(placed) else ():
         names = ("min_height", "max_height") if reason == "height" else (f"{reason}_min", f"{reason}_max")
-        low, high = (getattr(params, each) for each in names)
+        what = f"z in {clouds.samples[0].judged_in!r}" if reason == "height" else f"the {reason}"
+        unit = "rad" if reason == "angle" else "m"
         descriptions[reason] = (
-            f"{names[0]} is {_limit(low, unit)} and {names[1]} {_limit(high, unit)}, but {name} is "
+            f"{names[0]} is {_limit(low, unit)} and {names[1]} {_limit(high, unit)}, but {what} is "
             f"{_percentiles(values, unit)}"
         )
         if not ((values >= low) & (values <= high)).any():
@@ -411,13 +393,14 @@ def floor_within_heights(clouds: CloudFacts) -> Iterator[str]:
     """Yield a warning if many beams end on the floor, with its own height."""
     sample, params = clouds.samples[0], clouds.spec.params
     floor = sample.floor
-    if floor is None or clouds.floor_share < _MOST_FLOOR or any(nearly_empty_scans(clouds)):
+    share = 0.0 if floor is None else clouds.share_on(floor.normal, floor.height)
+    if floor is None or share < _MOST_FLOOR or any(nearly_empty_scans(clouds)):
         return
     below = f"min_height is {_limit(params.min_height, 'm')}"
     at = height_text(sample.origin[2] - floor.height)
     yield (
         f"{clouds.topic}: the floor is within the heights: it is at z = {at} m in {sample.judged_in!r}, and {below}; "
-        f"{clouds.floor_share:.0%} of the beams with a return end on it"
+        f"{share:.0%} of the beams with a return end on it"
         + (f"; without it: {clouds.advice}" if clouds.advice else "")
     )
 
@@ -443,6 +426,18 @@ def heights_left_to_user(clouds: CloudFacts) -> Iterator[str]:
             f"{clouds.topic}: no heights are given, presets leave them to you, and the default "
             f"min_height drops everything at z <= 0; these suit the clouds: {clouds.advice}"
         )
+
+
+def _limited(
+    placed: NDArray[np.float64], params: ProjectionParams
+) -> dict[str, tuple[NDArray[np.float64], float, float]]:
+    """Return what is limited of points, (N,) each, with its limits."""
+    x, y, z = placed.T
+    return {
+        "height": (z, params.min_height, params.max_height),
+        "range": (np.hypot(x, y), params.range_min, params.range_max),
+        "angle": (np.arctan2(y, x), params.angle_min, params.angle_max),
+    }
 
 
 def _without_sensor(frame: str, target: str) -> str:

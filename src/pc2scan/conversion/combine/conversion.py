@@ -433,7 +433,7 @@ def measure_sources(
         notes = [note for note in notes if note.startswith(f"{lead}: ")]
     if sources.flat:
         hint = "the beams of a LaserScan have intensity, index, x and y"
-        require_fields(spec, _BEAM_FIELDS, f"the scans on {name_list(sources.flat)}", lambda _: hint)
+        require_fields(spec, _BEAM_FIELDS, f"the scans on {name_list(sources.flat)}", hint)
     measurements = timing.get(lead) or _of_scans(sources, notes)
     is_default = spec.origins.get("scan_time", "default") == "default"
     if combining.every_ns and (spec.params.scan_time == "auto" or is_default):
