@@ -68,8 +68,8 @@ _TRIPLETS = 250
 _TOGETHER = 32
 _SMALLEST = 0.03
 
-#: Points that are farther below the ground, metres, are not of it.
-_ROUGHEST = 0.3
+#: Points that are farther below the ground, metres, are not of it; those of a floor are less far below it.
+_ROUGHEST, _SMOOTH = 0.3, 0.08
 
 #: The lowest and the highest level plane: the fewest cells on it and their least share, the largest share behind it,
 #: its least width, metres, and the share of its places from where on it is a line on walls. What is overhead is so far
@@ -187,7 +187,7 @@ class CloudSample:
     @property
     def floor(self) -> Ground | None:
         """The ground, if it is level, and visible."""
-        return self.ground if self.ground.kind == "level" and self.ground.up is not None else None
+        return self.ground if self.ground.kind == "level" and self.ground.height else None
 
     @cached_property
     def floor_tilted_by_transform(self) -> Ground | None:
@@ -200,7 +200,7 @@ class CloudSample:
             return None
         matrix = self.transform.matrix
         turned, here = _angle(matrix[2, 2]), self.floor
-        if turned <= _LEAST_TILT or (here is not None and here.tilt < _LEVEL_BESIDE * turned):
+        if turned <= _LEAST_TILT or (here and here.up and here.tilt < _LEVEL_BESIDE * turned):
             return None
         own = find_ground(self.points @ matrix)
         if own.kind != "level" or own.up is None or own.tilt > _LEVEL_BESIDE * turned:
@@ -339,7 +339,7 @@ class Ground(NamedTuple):
         ``level``; ``tilted``; ``upside-down``; ``optical`` (z is forward, as in a camera's optical frame); ``slanted``:
         z is not up, but which plane is the ground is not known; ``unknown``: there is not enough evidence.
     up
-        The direction of up in the frame, a unit vector; None if no ground is visible.
+        The direction of up in the frame, a unit vector; None if so little ground is visible that it is not known.
     height
         Height of the frame's origin above the floor, metres; 0 if no ground is visible.
     ceiling
@@ -365,7 +365,7 @@ class Ground(NamedTuple):
 
     @property
     def normal(self) -> _Direction:
-        """The direction of up; z if no ground is visible."""
+        """The direction of up; z if it is not known."""
         return self.up or (0.0, 0.0, 1.0)
 
     @property
@@ -405,7 +405,7 @@ def common_ground(looks: Sequence[Ground]) -> Ground:
     contradict = any(look.kind not in {kind, "unknown"} for look in looks)
     if kind == "unknown" or contradict or 2 * len(same) < len(looks):
         return unknown
-    seen = [look for look in same if look.up is not None]
+    seen = [look for look in same if look.height]
     if 2 * len(seen) < len(same):
         return Ground(kind, clouds=len(same), sampled=len(looks))
     middle = np.array([median(axis) for axis in zip(*(look.normal for look in seen), strict=True)])
@@ -434,16 +434,16 @@ def find_ground(points: _Points) -> Ground:
         return Ground("unknown")
     if not _is_optical(points):
         cells = cells_of(points)
-        low = outermost(cells, -1)
-        is_large = low is not None and low.share >= _LEAST_SHARE and low.nearest <= _FARTHEST * low.height
-        ground = Ground("unknown") if is_large else _choose_ground(points)
-        if ground.kind in {"level", "unknown"} and ground.up is None and low is not None:
-            ground = Ground("level", low.up, low.height)
+        low, ground = outermost(cells, -1), Ground("unknown")
+        is_sure = low is not None and low.share >= _LEAST_SHARE and low.nearest <= _FARTHEST * low.height
+        # Parts of a ramp and of the floor before it are a plane with much just below it.
+        if low is None or not is_sure or _roughness(cells, low.up, low.height) > _SMOOTH:
+            ground = _choose_ground(points)
+        if ground.kind in {"level", "unknown"} and not ground.height and low is not None:
+            ground = Ground("level", low.up if low.share >= _LEAST_SHARE else None, low.height)
         high = outermost(cells, 1) if ground.kind in {"level", "unknown"} else None
-        if ground.up is not None:
-            off = cells @ np.array(ground.up) + ground.height
-            below = -off[(off < 0) & (off > -_ROUGHEST)]
-            ground = ground._replace(rough=percentiles(below, 95)[0] if len(below) else 0.0)
+        if ground.height:
+            ground = ground._replace(rough=_roughness(cells, ground.normal, ground.height))
         return ground._replace(ceiling=None if high is None else high.height) if not ground.off else ground
     turned = points @ _BODY_FROM_OPTICAL.T
     ground = _choose_ground(turned, level_needs_proof=True)
@@ -451,6 +451,13 @@ def find_ground(points: _Points) -> Ground:
         return Ground("optical")
     up = _BODY_FROM_OPTICAL.T @ np.array(ground.up)
     return Ground("optical", (float(up[0]), float(up[1]), float(up[2])), ground.height, ground.ceiling)
+
+
+def _roughness(cells: _Points, up: _Direction, height: float) -> float:
+    """Return how far the ground's points are below it, metres (95 %)."""
+    off = cells @ np.array(up) + height
+    below = -off[(off < 0) & (off > -_ROUGHEST)]
+    return percentiles(below, 95)[0] if len(below) else 0.0
 
 
 def _is_optical(points: _Points) -> bool:

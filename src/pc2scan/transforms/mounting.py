@@ -435,8 +435,8 @@ def suitable_heights(
     sensor = float(moved.translation[2])
     floor = ceiling = None
     question, least = "", _LOW
-    if ground.up is not None:
-        floor = _along(ground.up, -ground.height, moved)
+    if ground.height:
+        floor = _along(ground.normal, -ground.height, moved)
         least = min(_ROUGHEST, max(_LOW, 1.5 * ground.rough))
     if ground.ceiling is not None:
         ceiling = sensor + ground.ceiling
@@ -468,7 +468,7 @@ def suitable_heights(
 
 def _is_large(ground: Ground, points: NDArray[np.float64]) -> bool:
     """Whether the ground is so large, and seen from so near, that it contradicts what is recorded."""
-    on_it = np.abs(points @ np.array(ground.up) + ground.height) < tolerances(points)
+    on_it = np.abs(points @ np.array(ground.normal) + ground.height) < tolerances(points)
     near = np.linalg.norm(points[on_it], axis=1)
     return bool(on_it.mean() > _LARGE and percentiles(near, 10)[0] < _SEEN_FROM * ground.height)
 
