@@ -298,7 +298,7 @@ def test_memory_that_runs_out_is_an_error(tmp_path: Path, monkeypatch: pytest.Mo
             pass
 
         def compress(self, _: bytes) -> bytes:
-            raise zstandard.ZstdError("cannot compress: Allocation error : not enough memory")
+            raise MemoryError
 
     monkeypatch.setattr(zstandard, "ZstdCompressor", Compressor)
     done = run("convert", ROOT / "fixtures" / "hall.mcap", "-o", tmp_path / "out.mcap", "--min-height", "0.1")
