@@ -81,28 +81,6 @@ def test_a_node_that_may_not_be_launched_once_is_read_if_it_is_named(body: str, 
     assert load_params_file(path, node="a").node == "/a"
 
 
-def test_what_is_given_is_not_needed_from_the_file(tmp_path: Path) -> None:
-    body = (
-        "return LaunchDescription([N(parameters=[{'min_height': lowest(), 'range_max': 30.0}], "
-        "remappings=[('cloud_in', topic()), ('scan', '/flat')])])"
-    )
-    path = described(tmp_path, body)
-    found = resolve_sources((), assignments=["min_height:=-0.5"], file=path, remapped=["cloud_in"])
-    assert (found.params.min_height, found.params.range_max) == (-0.5, 30.0)
-
-
-def test_arguments_are_given(tmp_path: Path) -> None:
-    body = (
-        "return LaunchDescription([DeclareLaunchArgument('low'), N(name=LaunchConfiguration('who', default='a'), "
-        "parameters=[{'min_height': LaunchConfiguration('low')}])])"
-    )
-    path = described(tmp_path, body)
-    found = load_params_file(path, arguments={"low": "-0.5", "who": "b"})
-    assert (found.node, [setting.value for setting in found.settings]) == ("/b", [-0.5])
-    with pytest.raises(ParameterError, match="it has no argument 'lwo'"):
-        load_params_file(path, arguments={"low": "1", "lwo": "2"})
-
-
 @pytest.mark.parametrize(("pieces", "said"), rows(TABLE, "hostile"))
 def test_files_made_to_harm(pieces: tuple[str, str, str, int], said: str, tmp_path: Path) -> None:
     first, repeated, last, count = pieces
