@@ -108,7 +108,8 @@ def test_each_call_may_fail(kind: str, library: Path, source: Path, tmp_path: Pa
     assert any(outcome["status"] == 1 for outcome in others)
 
 
-@pytest.mark.parametrize("kind", sampled(_KINDS, 1))
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", _KINDS)
 def test_each_call_may_be_the_last(kind: str, library: Path, source: Path, tmp_path: Path) -> None:
     sound, others = outcomes(library, source, tmp_path, kind, ["SIGKILL"])
     assert_sound(sound, kind)

@@ -94,7 +94,7 @@ def pytest_run(folder: Path, *arguments: str) -> tuple[int, dict[str, str], str]
             # What is not asked for is not collected, and nothing is loaded for it.
             ("unasked golden", 0, {"unasked/test_own.py::test_nothing_is_loaded": "PASSED"}, ()),
         ],
-        2,
+        1,
     ),
 )
 def test_cases_and_fixtures(
