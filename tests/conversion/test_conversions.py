@@ -13,7 +13,6 @@ from pc2scan.conversion.scan_to_cloud import ScanToCloud
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import DecodeError
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan, encode_laserscan
-from pc2scan.messages.pointcloud2 import PointCloud2, decode_pointcloud2
 from pc2scan.request.options import ScanSpec
 from pc2scan.transforms.builder import TransformBuilder
 from pc2scan.transforms.placing import Placer
@@ -69,10 +68,6 @@ def once(
     return made
 
 
-def points_of(message: PointCloud2) -> Any:
-    return np.stack(message.xyz(), axis=1)
-
-
 @pytest.mark.parametrize(
     ("stamp_ns", "first_beam_ns", "expected"),
     [(5 * SECOND, -7, 5 * SECOND - 7), (5 * SECOND, 7, 5 * SECOND + 7), (5, -7, 0), (-SECOND, 0, -SECOND)],
@@ -86,19 +81,6 @@ def test_a_timed_topic_has_its_own_stamps(stamp_ns: int, first_beam_ns: int, exp
     assert (read.stamp_ns, read.scan_time, read.time_increment) == (expected, 0.125, -0.25)
     other = decode_laserscan(once(conversion, message, serialization, serialization, "/rear").message, serialization)
     assert (other.stamp_ns, other.scan_time, other.time_increment) == (stamp_ns, 0, 0)
-
-
-def test_deskewing_takes_each_beam_from_where_the_sensor_was() -> None:
-    # 1 m/s and a quarter turn a second; five beams, a quarter of a second apart.
-    rows = [("odom", "laser", (5 + k) * SECOND, float(k), k * math.pi / 2) for k in range(2)]
-    message = scan([2.0] * 5, angle_min=0.0, angle_increment=0.0, time_increment=0.25)
-    made = once(ScanToCloud(None, frames("odom", *rows), deskewed=True), message)
-    expected = [[t + 2 * math.cos(t * math.pi / 2), 2 * math.sin(t * math.pi / 2), 0] for t in np.linspace(0, 1, 5)]
-    np.testing.assert_allclose(points_of(decode_pointcloud2(made.message, "ros1")), expected, atol=2e-6)
-    none = once(ScanToCloud(None, frames("odom", *rows), deskewed=True), scan([], time_increment=0.1))
-    assert decode_pointcloud2(none.message, "ros1").points == 0
-    plain = once(ScanToCloud(None, frames("odom", *rows)), message)
-    np.testing.assert_allclose(points_of(decode_pointcloud2(plain.message, "ros1")), [[2, 0, 0]] * 5, atol=2e-6)
 
 
 @pytest.mark.parametrize(("stamp_ns", "increment", "message"), rows(TABLES, "last beams"))
