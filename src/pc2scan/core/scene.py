@@ -379,11 +379,8 @@ class Ground(NamedTuple):
         ahead = forward - (forward @ up) * up
         ahead /= np.linalg.norm(ahead)
         left = np.cross(up, ahead)
-        return (
-            math.atan2(up[1], up[2]),
-            math.asin(max(-1.0, min(1.0, -float(up[0])))),
-            math.atan2(left[0], ahead[0]),
-        )
+        pitch = math.pi / 2 - _angle(-up[0])
+        return math.atan2(up[1], up[2]), pitch, math.atan2(left[0], ahead[0])
 
     @property
     def tilt(self) -> float:

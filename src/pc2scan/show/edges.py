@@ -43,28 +43,10 @@ class EdgeClouds(NamedTuple):
     after: float = _TOLERANCE
 
 
-class EdgeCut(NamedTuple):
-    """A cut that leaves out clouds without transforms.
-
-    Attributes
-    ----------
-    option
-        ``start`` or ``end``.
-    seconds
-        Its value, seconds from the beginning of the recording.
-    reason
-        Why.
-    """
-
-    option: str
-    seconds: float
-    reason: str
-
-
 def edge_cuts(
     topics: Sequence[EdgeClouds], buffer: TransformBuffer, fixed: str, start_ns: int, end_ns: int | None
-) -> Iterator[EdgeCut]:
-    """Yield where to cut a recording so that its first and last clouds have transforms; nothing if they have.
+) -> Iterator[tuple[str, float, str]]:
+    """Yield ``start`` or ``end``, seconds, and why, so that the first and last clouds have transforms; or nothing.
 
     Parameters
     ----------
@@ -105,13 +87,13 @@ def edge_cuts(
         later = [time_ns for time_ns in kept[0] if time_ns > last_ns]
         if later and last_ns < start_ns + EDGE_NS:
             seconds = _between(last_ns - start_ns, min(later) - start_ns)
-            yield EdgeCut("start", seconds, f"transforms to {fixed} begin {_seconds(by_ns)} after the first cloud")
+            yield "start", seconds, f"transforms to {fixed} begin {_seconds(by_ns)} after the first cloud"
     if lost[1] and end_ns is not None:
         first_ns, by_ns = min(lost[1])[0], max(by for _, by in lost[1])
         earlier = [time_ns for time_ns in kept[1] if time_ns < first_ns]
         if earlier and first_ns > end_ns - EDGE_NS:
             seconds = _between(max(earlier) - start_ns, first_ns - start_ns)
-            yield EdgeCut("end", seconds, f"transforms to {fixed} end {_seconds(by_ns)} before the last cloud")
+            yield "end", seconds, f"transforms to {fixed} end {_seconds(by_ns)} before the last cloud"
 
 
 def _point_ns(header: Header, seconds: float) -> int:

@@ -386,7 +386,7 @@ def _edges(group: Sequence[Lidar], fixed: str) -> Iterator[Choice]:
     if not fixed or buffer is None:
         return
     for cut in edge_cuts([each.edges for each in group], buffer, fixed, *group[0].span_ns):
-        yield Choice(cut.option, cut.seconds, cut.reason)
+        yield Choice(*cut)
 
 
 def _moves(motion: SensorMotion | None) -> bool:
