@@ -77,7 +77,7 @@ def _decompress_pieces(path: Path, target: Path) -> tuple[int, str] | None:
                     raise RecordingError(
                         f"unpacks to more than {MAX_RATIO} times its size, which no recording does", path=path
                     )
-                complete, piece = decoder.eof, decoder.unused_data
+                complete, piece = decoder.codec.eof, decoder.codec.unused_data
                 if complete:
                     # Another frame may follow: pzstd writes many.
                     decoder = compression.Decoder("zstd")

@@ -120,22 +120,12 @@ def compress(compression: str, data: Buffer, level: int | None = None) -> Buffer
 class Decoder:
     """Decompresses ``bz2`` or ``zstd`` piece by piece.
 
-    A piece that fails is lost as a whole, so small pieces lose less.
+    A piece that fails is lost as a whole, so small pieces lose less. The ``codec`` is the library's: it knows the end.
     """
 
     def __init__(self, compression: str) -> None:
         self._takes_limit = compression == "bz2"
-        self._codec: Any = bz2.BZ2Decompressor() if self._takes_limit else zstandard.ZstdDecompressor().decompressobj()
-
-    @property
-    def eof(self) -> bool:
-        """Whether the end of the compressed data was reached."""
-        return bool(self._codec.eof)
-
-    @property
-    def unused_data(self) -> bytes:
-        """The input after that end."""
-        return bytes(self._codec.unused_data or b"")
+        self.codec: Any = bz2.BZ2Decompressor() if self._takes_limit else zstandard.ZstdDecompressor().decompressobj()
 
     def feed(self, piece: Buffer, limit: int = -1) -> bytes:
         """Decompress a piece.
@@ -149,23 +139,9 @@ class Decoder:
             If it cannot be decompressed.
         """
         try:
-            return bytes(self._codec.decompress(piece, limit) if self._takes_limit else self._codec.decompress(piece))
+            return bytes(self.codec.decompress(piece, limit) if self._takes_limit else self.codec.decompress(piece))
         except (OSError, EOFError, zstandard.ZstdError) as err:
             raise CompressionError(str(err)) from err
-
-
-def zstd_content_size(data: Buffer) -> int:
-    """Return the size that a zstd frame declares, bytes; -1 if it declares none.
-
-    Raises
-    ------
-    CompressionError
-        If it is not a zstd frame.
-    """
-    try:
-        return zstandard.frame_content_size(data)
-    except zstandard.ZstdError as err:
-        raise CompressionError(str(err)) from err
 
 
 def zstd_head(file: IO[bytes], size: int) -> bytes:
@@ -221,9 +197,9 @@ def _zlib_within(data: Buffer, limit: int) -> Buffer:
 
 
 def _zstd_within(data: Buffer, limit: int) -> Buffer:
-    if (size := zstd_content_size(data)) > limit:
-        raise CompressionError(f"the compressed data declare {size:,} bytes, at most {limit:,} are allowed")
     try:
+        if (size := zstandard.frame_content_size(data)) > limit:
+            raise CompressionError(f"the compressed data declare {size:,} bytes, at most {limit:,} are allowed")
         # Streaming compressors write frames without their size: memory is used as far as it is filled.
         return zstandard.ZstdDecompressor().decompress(data, max_output_size=limit)
     except zstandard.ZstdError as err:

@@ -41,7 +41,7 @@ def decompressed_prefix(data: Buffer, compression: str, declared: int) -> bytes:
         with suppress(CompressionError, MemoryError):
             for start in range(0, len(data), _PIECE):
                 out += decoder.feed(data[start : start + _PIECE], limit - len(out))
-                if decoder.eof or len(out) >= limit:
+                if decoder.codec.eof or len(out) >= limit:
                     break
     return bytes(out[:limit])
 
