@@ -10,10 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.core.layout import (
-    TURN,
-    centered_layout,
-)
+from pc2scan.core.layout import TURN, centered_layout
 from support.tables import rows
 
 TABLES = Path(__file__).with_name("layouts.txt")

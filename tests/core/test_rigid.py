@@ -11,11 +11,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from core.reference import reference_rotation
-from pc2scan.core.rigid import (
-    Rigid,
-    interpolate_poses,
-    slerp,
-)
+from pc2scan.core.rigid import Rigid, interpolate_poses, slerp
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

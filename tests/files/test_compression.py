@@ -5,11 +5,7 @@ from __future__ import annotations
 import pytest
 import zstandard
 
-from pc2scan.files.compression import (
-    CompressionError,
-    compress,
-    decompress,
-)
+from pc2scan.files.compression import CompressionError, compress, decompress
 from pc2scan.options.table import options_of
 
 DATA = bytes(range(256)) * 400 + bytes(50_000)

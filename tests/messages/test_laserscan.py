@@ -10,13 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from rosbags.typesys import Stores, get_typestore
 
-from pc2scan.messages.laserscan import (
-    LASERSCAN,
-    LaserScan,
-    as_message,
-    decode_laserscan,
-    encode_laserscan,
-)
+from pc2scan.messages.laserscan import LASERSCAN, LaserScan, as_message, decode_laserscan, encode_laserscan
 
 ROS1 = get_typestore(Stores.ROS1_NOETIC)
 ROS2 = get_typestore(Stores.ROS2_JAZZY)

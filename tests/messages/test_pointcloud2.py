@@ -10,13 +10,7 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
 from pc2scan.errors import DecodeError
-from pc2scan.messages.pointcloud2 import (
-    DATATYPES,
-    POINTCLOUD2,
-    PointCloud2,
-    PointField,
-    decode_pointcloud2,
-)
+from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, PointCloud2, PointField, decode_pointcloud2
 from support.encoded import encode_pointcloud2
 
 ROS1 = get_typestore(Stores.ROS1_NOETIC)

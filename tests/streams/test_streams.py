@@ -16,14 +16,7 @@ import pytest
 
 import pc2scan
 from benchmarks.clouds import FORMS, write_recording
-from pc2scan.errors import (
-    DamageError,
-    DecodeError,
-    MessageError,
-    RecordingError,
-    TopicError,
-    UsageError,
-)
+from pc2scan.errors import DamageError, DecodeError, MessageError, RecordingError, TopicError, UsageError
 from pc2scan.messages.laserscan import encode_laserscan
 from support import ROOT, sampled
 from support.builders import SCAN, Item, Recording, Stream, write_mcap

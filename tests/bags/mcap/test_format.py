@@ -11,14 +11,7 @@ from mcap.writer import Writer as LibraryWriter
 
 from pc2scan.bags.mcap.read import McapReader
 from pc2scan.bags.mcap.records import MAGIC
-from support.mcap_files import (
-    encoded,
-    raw_channel,
-    raw_chunk,
-    raw_message,
-    read,
-    record,
-)
+from support.mcap_files import encoded, raw_channel, raw_chunk, raw_message, read, record
 
 if TYPE_CHECKING:
     from pathlib import Path

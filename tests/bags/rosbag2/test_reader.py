@@ -12,15 +12,7 @@ from ruamel.yaml import YAML
 from pc2scan.bags.folders import storage_files
 from pc2scan.bags.rosbag2.read import Rosbag2Reader
 from pc2scan.errors import DamageError, RecordingError
-from support.rosbag2_files import (
-    DEFINITION,
-    QOS_NAMES,
-    QOS_NUMBERS,
-    listed,
-    read,
-    write_metadata,
-    write_storage,
-)
+from support.rosbag2_files import DEFINITION, QOS_NAMES, QOS_NUMBERS, listed, read, write_metadata, write_storage
 from support.tables import rows
 
 if TYPE_CHECKING:
