@@ -229,10 +229,11 @@ def gathered(samples: Sequence[CloudSample]) -> list[CloudSample]:
 
 
 def are_enough(samples: Sequence[CloudSample]) -> bool:
-    """Return whether the first clouds show how a sensor is mounted: one with a level floor, or `JUDGED_CLOUDS`."""
+    """Return whether the first clouds show how a sensor is mounted: one with a smooth level floor, or several."""
     if not samples or len(samples[0].points) < WHOLE_POINTS:
         return len(samples) >= PARTS
-    return len(samples) >= JUDGED_CLOUDS or samples[0].floor is not None
+    floor = samples[0].floor
+    return len(samples) >= JUDGED_CLOUDS or (floor is not None and floor.rough <= _SMOOTH)
 
 
 def thin_points(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], most: int = MOST_POINTS) -> _Points:
