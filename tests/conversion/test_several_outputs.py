@@ -74,7 +74,7 @@ def test_a_message_is_decoded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         return counted
 
     monkeypatch.setitem(CLOUDS, POINTCLOUD2, counting)
-    near = {f"/{n}": {**BASE, "range_min": n, "where": "intensity > 20"} for n in range(3)}
+    near = {f"/near_{n}": {**BASE, "range_min": n, "where": "intensity > 20"} for n in range(3)}
     report = converted(tmp_path / "all.mcap", {**near, "/own": BAND, "/own_near": {**BAND, "range_max": 5.0}})
     # The first cloud is looked at beforehand, once for the fields of all outputs, and once to be judged.
     assert calls["decode"] == made(report)[0].messages_out + 3

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pc2scan.bags.topics import fill_glob, find_topic, find_topics, matches, short_types
+from pc2scan.bags.topics import by_topic, fill_glob, find_topic, find_topics, matches, short_types
 from pc2scan.errors import NothingToConvertError, TopicError, leading, name_list
 from pc2scan.messages.clouds import CLOUDS, SCANS, usual_topics
 from pc2scan.messages.other_clouds import instead_of_topic, without
@@ -196,26 +196,23 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
         already exists in the source.
     """
     specs = () if options.repair or options.no_scans else options.scans
-    kinds = [connection.kind for connection in connections]
-    types: dict[str, set[str]] = {}
-    for connection, kind in zip(connections, kinds, strict=True):
-        types.setdefault(connection.topic, set()).add(kind)
+    types = {topic: {each.kind for each in own} for topic, own in by_topic(connections).items()}
     targets: dict[ScanSpec, Mapping[str, Sequence[str]]] = {}
     together: dict[ScanSpec, Mapping[str, Sequence[str]]] = {}
     for spec in specs:
         with spec.naming_errors(f"{spec.place}, " if spec.place else ""):
-            if not spec.topics and not any(kind in spec.source_types for kind in kinds):
+            if not spec.topics and all(kinds.isdisjoint(spec.source_types) for kinds in types.values()):
                 message, hint = without(short_types(spec.source_types), connections)
                 raise NothingToConvertError(message, hint=_other_direction(types, spec) or hint or None)
             targets[spec] = _targets(types, spec, options)
             together[spec] = _combined(spec, targets[spec], types, options)
     routes = []
-    for connection, kind in zip(connections, kinds, strict=True):
+    for connection in connections:
         topic = connection.topic
         outputs: list[Output] = []
         for spec in specs:
             begin = outputs[-1].index + 1 if outputs else 0
-            outputs += _outputs(spec, kind, targets[spec].get(topic, ()), together[spec], begin)
+            outputs += _outputs(spec, connection.kind, targets[spec].get(topic, ()), together[spec], begin)
         wanted = (not options.keep or matches(topic, options.keep)) and not matches(topic, options.drop)
         passes = not options.only_scans and (options.keep_clouds if outputs else wanted)
         routes.append(Route(connection, outputs, passes))

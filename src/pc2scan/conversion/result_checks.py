@@ -223,9 +223,8 @@ def _removed(topic: TopicReport, kind: str, number: int, total: int, why: str) -
 def _surprises(spec: ScanSpec, rejection: Rejection) -> bool:
     """Whether a parameter that was not given rejects more points by its default than users expect."""
     name, _ = rejection.by_default
-    if not name or spec.origins.get(name, "default") != "default":
-        return False
-    return bool(getattr(spec.params, name) == getattr(ProjectionParams(), name))
+    is_given = not name or spec.origins.get(name, "default") != "default"
+    return not is_given and bool(getattr(spec.params, name) == getattr(ProjectionParams(), name))
 
 
 def _blame(topic: TopicReport, spec: ScanSpec, rejections: Mapping[str, Rejection]) -> str:
