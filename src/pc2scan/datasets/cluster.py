@@ -52,7 +52,7 @@ def run_jobs_on_dask(
         _check_versions(client)
         # Dask does again what a lost worker had done; its output may be there, and is replaced.
         again = [replace(job.retried(), threads=threads) for job in jobs]
-        tasks = dict(zip(client.map(convert_one, again, pure=False), again, strict=True))
+        tasks = {client.submit(convert_one, job, pure=False): job for job in again}
         for task in as_completed(list(tasks), raise_errors=False):
             job = tasks.pop(task)
             if task.status == "cancelled":
