@@ -8,8 +8,8 @@ level floor, the most frequent case, is found without RANSAC in a millisecond.
 
 A plane alone is no proof of the ground: a wall beside a level lidar looks like the ground under a lidar that lies on
 its side, and a ceiling like the ground under one that hangs upside down. So a frame is called tilted or upside down
-only if no other explanation fits the points; `_doubt` has the conditions, and if one fails, the kind is ``unknown``.
-They were tuned on simulated clouds: 16 to 128 rings, scattering lidars and depth cameras, in halls, offices, corridors,
+only if no other explanation fits the points; `_is_doubtful` has the conditions, and if one fails, the kind is
+``unknown``. They were tuned on simulated clouds: 16 to 128 rings, scattering lidars and depth cameras, in halls, offices, corridors,
 warehouses, garages, streets, fields, woods, yards and on ramps, with and without floor and ceiling, mounted at any roll
 and pitch from -90 to 180 degrees. For each, the result is right to within 3 degrees or unknown, and no level one is
 called anything else (``tests/core/test_ground.py`` repeats a part).
@@ -658,13 +658,13 @@ def _choose_ground(points: _Points, *, level_needs_proof: bool = False) -> Groun
     ]
     if level:
         floor = max(level, key=lambda plane: plane.share * (plane.beyond < _MOST_BELOW))
-        if level_needs_proof and _doubt(floor, planes, view, upside_down=False):
+        if level_needs_proof and _is_doubtful(floor, planes, view, upside_down=False):
             return Ground("unknown")
         # Something level with much behind it shows how the frame is mounted, but is no floor.
         return _ground_of("level", floor, planes) if floor.beyond < _MOST_BELOW else Ground("level")
     for plane in planes:
         upside_down = plane.tilt >= math.pi - _STEEPEST
-        if (upside_down or plane.tilt <= _STEEPEST) and not _doubt(plane, planes, view, upside_down=upside_down):
+        if (upside_down or plane.tilt <= _STEEPEST) and not _is_doubtful(plane, planes, view, upside_down=upside_down):
             return _ground_of("upside-down" if upside_down else "tilted", plane, planes)
     return Ground("slanted" if _are_slanted(planes) else "unknown")
 
@@ -676,7 +676,7 @@ def floor_at_side(points: _Points) -> Plane | None:
     """
     planes, view = planes_of(cells_of(points)), _FieldOfView(points)
     steep = (plane for plane in planes if _STEEPEST < plane.tilt < math.pi - _STEEPEST)
-    return next((plane for plane in steep if not _doubt(plane, planes, view, upside_down=False)), None)
+    return next((plane for plane in steep if not _is_doubtful(plane, planes, view, upside_down=False)), None)
 
 
 def _are_slanted(planes: Sequence[Plane]) -> bool:
@@ -704,30 +704,26 @@ def _opposite_plane(plane: Plane, planes: Sequence[Plane]) -> Plane | None:
     return next((other for other in planes if _angle_between(plane, other) > 172 and other.beyond < 0.05), None)
 
 
-def _doubt(plane: Plane, planes: Sequence[Plane], view: _FieldOfView, *, upside_down: bool) -> str:
-    """Return why a plane may be something other than the ground; empty if no other explanation fits."""
-    if plane.share < (0.15 if upside_down else 0.08):
-        return "it is small"
-    if plane.beyond > 0.04:
-        return "something is behind it"
-    if plane.width < max(0.4, plane.height * (1.6 if plane.height > 1.2 else 0.8)):
-        return "it is narrow"
+def _is_doubtful(plane: Plane, planes: Sequence[Plane], view: _FieldOfView, *, upside_down: bool) -> bool:
+    """Return whether a plane may be something other than the ground: whether another explanation fits."""
+    # It is small or narrow, or something is behind it.
+    narrow = max(0.4, plane.height * (1.6 if plane.height > 1.2 else 0.8))
+    if plane.share < (0.15 if upside_down else 0.08) or plane.beyond > 0.04 or plane.width < narrow:
+        return True
+    # Directions that would meet the ground have no return, as beside a wall.
     holes = view.missing(plane.up, -1.0, -0.2)
     if holes is None or holes > 0.12:
-        return "directions that would meet the ground have no return, as beside a wall"
+        return True
     for other in planes:
         between = _angle_between(plane, other)
         nearer = other.nearest < plane.nearest or other.height < 0.9 * plane.height
-        if 4 <= between < 20 and nearer and other.share > _SMALLEST and other.beyond < 0.3:
-            return "there is ground of another slope nearer by"
-        if 70 < between < 110 and other.height < 1.1 * plane.height:
-            return "it may be a wall: a plane at right angles to it is as near"
-    ceiling = _opposite_plane(plane, planes)
-    if ceiling is None:
-        sky, horizon = view.missing(plane.up, 0.2, 1.0), view.missing(plane.up, -0.03, 0.1)
-        is_open = (sky is None or sky > 0.6) and horizon is not None and horizon > 0.3
-        nearest_ceiling = 0.7 if upside_down else 1.2
-        return "" if is_open or plane.height < nearest_ceiling else "it may be the ceiling of a closed room"
-    if upside_down or ceiling.height < 1.75 * plane.height:
-        return "it may be the ceiling"
-    return ""
+        # There is ground of another slope nearer by; or a plane at right angles to it is as near, and it may be a wall.
+        sloped = 4 <= between < 20 and nearer and other.share > _SMALLEST and other.beyond < 0.3
+        if sloped or (70 < between < 110 and other.height < 1.1 * plane.height):
+            return True
+    # It may be the ceiling.
+    if (ceiling := _opposite_plane(plane, planes)) is not None:
+        return upside_down or ceiling.height < 1.75 * plane.height
+    sky, horizon = view.missing(plane.up, 0.2, 1.0), view.missing(plane.up, -0.03, 0.1)
+    is_open = (sky is None or sky > 0.6) and horizon is not None and horizon > 0.3
+    return not is_open and plane.height >= (0.7 if upside_down else 1.2)
