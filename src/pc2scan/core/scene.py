@@ -9,10 +9,10 @@ level floor, the most frequent case, is found without RANSAC in a millisecond.
 A plane alone is no proof of the ground: a wall beside a level lidar looks like the ground under a lidar that lies on
 its side, and a ceiling like the ground under one that hangs upside down. So a frame is called tilted or upside down
 only if no other explanation fits the points; `_is_doubtful` has the conditions, and if one fails, the kind is
-``unknown``. They were tuned on simulated clouds: 16 to 128 rings, scattering lidars and depth cameras, in halls, offices, corridors,
-warehouses, garages, streets, fields, woods, yards and on ramps, with and without floor and ceiling, mounted at any roll
-and pitch from -90 to 180 degrees. For each, the result is right to within 3 degrees or unknown, and no level one is
-called anything else (``tests/core/test_ground.py`` repeats a part).
+``unknown``. They were tuned on simulated clouds: 16 to 128 rings, scattering lidars and depth cameras, in halls,
+offices, corridors, warehouses, garages, streets, fields, woods, yards and on ramps, with and without floor and ceiling,
+mounted at any roll and pitch from -90 to 180 degrees. For each, the result is right to within 3 degrees or unknown, and
+no level one is called anything else (``tests/core/test_ground.py`` repeats a part).
 
 Two cases cannot be distinguished by a cloud: a low ceiling of a hall whose floor is not visible is the mirror image of
 open ground, and a lidar that hangs upside down just below a ceiling is that of a lidar just above the floor. Transforms
