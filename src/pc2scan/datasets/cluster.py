@@ -27,6 +27,16 @@ _CONNECT_SECONDS = 10
 _SILENT = logging.CRITICAL + 1
 
 
+def _check_dask() -> None:
+    """Raise UsageError where Dask is not installed."""
+    try:
+        import distributed  # noqa: F401, PLC0415  # an extra
+    except ImportError as err:
+        raise UsageError(
+            "`dask` needs distributed, which is not installed", hint='pip install "pc2scan[dask]"'
+        ) from err
+
+
 def dask_setup(_worker: Any) -> None:
     """Ignore Ctrl-C in a Dask worker on this machine: the parent process handles it. Dask calls this as one starts."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -39,12 +49,10 @@ def run_jobs_on_dask(
 
     With an empty address, a cluster is started on this machine, and closed at the end.
     """
+    _check_dask()
+    from distributed import as_completed  # noqa: PLC0415  # an extra
+
     del lock  # It is for processes on this machine.
-    try:
-        from distributed import KilledWorker, as_completed  # noqa: PLC0415  # an extra
-    except ImportError as err:
-        hint = 'pip install "pc2scan[dask]"'
-        raise UsageError("`dask` needs distributed, which is not installed", hint=hint) from err
     threads = 1 if address else max(1, cores() // workers)
     with ExitStack() as stack:
         client = _connect(address, workers, stack)
@@ -54,17 +62,27 @@ def run_jobs_on_dask(
         again = [replace(job.retried(), threads=threads) for job in jobs]
         tasks = {client.submit(convert_one, job, pure=False): job for job in again}
         for task in as_completed(list(tasks), raise_errors=False):
-            job = tasks.pop(task)
-            if task.status == "cancelled":
-                hint = "run the same batch again to continue it"
-                raise Pc2ScanError("the connection to Dask's scheduler was lost", hint=hint)
-            try:
-                yield task.result()
-            except KilledWorker as err:
-                yield job.death(f"its Dask worker died: {err}")
-            except Exception as err:
-                hint = "every worker needs the same version of pc2scan, and the modules of your own filters"
-                raise Pc2ScanError(f"a Dask worker cannot convert: {type(err).__name__}: {err}", hint=hint) from err
+            yield _record_of(task, tasks.pop(task))
+
+
+def _record_of(task: Any, job: Job) -> ManifestRecord:
+    """Return the line of a task that has ended; raises if the cluster cannot convert anything of this batch."""
+    from distributed import KilledWorker  # noqa: PLC0415  # an extra
+
+    if task.status == "cancelled":
+        raise Pc2ScanError(
+            "the connection to Dask's scheduler was lost", hint="run the same batch again to continue it"
+        )
+    try:
+        record: ManifestRecord = task.result()
+    except KilledWorker as err:
+        return job.death(f"its Dask worker died: {err}")
+    except Exception as err:
+        raise Pc2ScanError(
+            f"a Dask worker cannot convert: {type(err).__name__}: {err}",
+            hint="every worker needs the same version of pc2scan, and the modules of your own filters",
+        ) from err
+    return record
 
 
 def _check_versions(client: Any) -> None:
