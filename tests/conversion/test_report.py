@@ -26,7 +26,8 @@ TABLES = Path(__file__).with_name("reports.txt")
 
 def report(params: ProjectionParams | None = None, /, **counts: Any) -> Report:
     """A checked report of one topic with these counts of points and scans."""
-    own = {name: counts.pop(name) for name in ("messages_out", "empty_scans", "advice", "motions") if name in counts}
+    names = ("messages_out", "empty_scans", "advice", "motions", "removed_beams")
+    own = {name: counts.pop(name) for name in names if name in counts}
     moved: dict[str, Any] = (
         {"deskew": True, "fixed_frame": "odom"} if {"no_time", "no_transform"} & counts.keys() else {}
     )

@@ -9,13 +9,11 @@ from zlib import crc32
 import pytest
 
 import pc2scan
-from pc2scan.bags.mcap import chunks as mcap_chunks
-from pc2scan.bags.rosbag1 import records as rosbag1_records
+from pc2scan.bags import chunks
 from pc2scan.core.rigid import Rigid
 from support.worlds.moving import Drive, Lidar, write_imu, write_world
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
 TILTING = Drive(speed=0.5, turn=0.2, tilt=0.05)
@@ -60,15 +58,13 @@ def decompressed(monkeypatch: pytest.MonkeyPatch) -> Counter[int]:
     """How often each chunk is decompressed, by the CRC-32 of what is stored."""
     counts: Counter[int] = Counter()
 
-    def counted(decompress: Callable[..., Any]) -> Callable[..., Any]:
-        def counting(name: str, data: Any, size: int) -> Any:
-            counts[crc32(data)] += 1
-            return decompress(name, data, size)
+    decompress = chunks.decompress
 
-        return counting
+    def counting(compression: str, stored: Any, records: Any) -> None:
+        counts[crc32(stored)] += 1
+        decompress(compression, stored, records)
 
-    for module in (mcap_chunks, rosbag1_records):
-        monkeypatch.setattr(module, "decompress", counted(module.decompress))
+    monkeypatch.setattr(chunks, "decompress", counting)
     return counts
 
 

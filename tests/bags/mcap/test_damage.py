@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import lz4.frame
 import pytest
+from mcap.records import Footer
 
 from pc2scan.bags.mcap.read import McapReader
 from pc2scan.bags.mcap.write import McapWriter
@@ -16,6 +17,7 @@ from pc2scan.model import Attachment
 from support.mcap_files import (
     BODY,
     SAMPLE,
+    encoded,
     failing,
     library_file,
     raw_channel,
@@ -85,6 +87,13 @@ def test_a_damaged_attachment_is_refused(tmp_path: Path) -> None:
 
 
 # --- Summaries ---
+
+
+@pytest.mark.parametrize("start", [1, 1 << 60])
+def test_a_summary_outside_of_the_file_is_refused(start: int, tmp_path: Path) -> None:
+    path = raw_file(tmp_path / "a.mcap", BODY)
+    path.write_bytes(path.read_bytes().replace(encoded(Footer(0, 0, 0)), encoded(Footer(start, 0, 0))))
+    failing(path, f"the footer places the summary at byte {start}, allowed is up to")
 
 
 def test_the_summary_has_a_crc(tmp_path: Path) -> None:
