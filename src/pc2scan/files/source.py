@@ -87,24 +87,10 @@ def open_bytes(path: Path) -> BufferedReader:
 def open_text(path: Path) -> TextIOWrapper:
     """Open a file of UTF-8 text as `open_bytes` does; an error for what Git LFS has in place of it."""
     file = open_bytes(path)
-    try:
-        refuse_pointer(file.peek(len(LFS_POINTER)), path)
-    except UsageError:
+    if file.peek(len(LFS_POINTER)).startswith(LFS_POINTER):
         file.close()
-        raise
-    return TextIOWrapper(file, encoding="utf-8")
-
-
-def refuse_pointer(data: bytes, path: Path) -> None:
-    """Raise if these first bytes of a text file are those of a Git LFS pointer.
-
-    Raises
-    ------
-    UsageError
-        If they are.
-    """
-    if data.startswith(LFS_POINTER):
         raise UsageError("is a Git LFS pointer, not the file itself", path=path, hint=LFS_HINT)
+    return TextIOWrapper(file, encoding="utf-8")
 
 
 def _open_regular(path: str, flags: int) -> int:

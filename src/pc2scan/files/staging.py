@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import DestinationError, OutputError
 
 from .ownership import check_existing
-from .places import LOCK, OLD, PARTIAL, check_new_folder, check_place, private_folder, working_names
+from .places import LOCK, OLD, PARTIAL, check_new_folder, check_place, private_folder
 from .records import files_below
 from .system import lock_descriptor, remove, sync_directory
 from .transfers import upload
@@ -94,13 +94,6 @@ def check_destination(
     else:
         check_place(dst)
         check_existing(dst, overwrite=overwrite, record_in=record_in)
-
-
-def clean_up(dst: Path) -> None:
-    """Remove what a killed run left beside a destination that nobody writes, and restore what it had set aside."""
-    if any(map(os.path.lexists, working_names(dst))):
-        with suppress(DestinationError), only_run(dst):
-            _recover(dst)
 
 
 def _recover(dst: Path) -> None:

@@ -1,13 +1,12 @@
-"""What is at URLs, with fsspec: listings, downloads, uploads, and errors in one line.
+"""What `pc2scan.files.urls` needs of fsspec: its file systems, calls that do not hang, and errors in one line.
 
 The stores' libraries only notice silence, so each download must also keep a pace.
 """
 
 from __future__ import annotations
 
-import os
 from concurrent.futures import wait
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import cache
 from time import monotonic
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -18,7 +17,9 @@ from .system import is_full
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from pathlib import Path
+
+#: The library that fsspec needs for a scheme; empty if it needs none.
+LIBRARIES = {"s3": "s3fs", "gs": "gcsfs", "az": "adlfs", "https": "aiohttp", "http": "aiohttp", "memory": ""}
 
 #: The slowest transfer: so many bytes, or all that are left, arrive in so many seconds.
 LEAST_BYTES = 1 << 16
@@ -32,7 +33,7 @@ _DENIED, _NOT_FOUND = (401, 403), 404
 _NO_RIGHTS = (
     "check the permissions, and the credentials that the store's own tools use (environment, configuration files)"
 )
-_AGAIN = "try again; if it fails again, check the network and the store"
+AGAIN = "try again; if it fails again, check the network and the store"
 NO_SPACE = "set the environment variable TMPDIR to a folder with enough space, or give one as `scratch`"
 
 
@@ -58,120 +59,67 @@ class StoredObject(NamedTuple):
     is_folder: bool = False
 
 
-class RemotePath:
-    """The place of a file or a folder in a store.
+def open_store(url: str, shown: str) -> tuple[Any, str]:
+    """Return the file system of fsspec for a URL, and what it calls the file there.
 
     Parameters
     ----------
     url, shown
         The URL, and the URL without secrets.
-    library
-        The library that fsspec needs for its scheme.
 
     Raises
     ------
     UsageError
         If a library is not installed.
     """
+    scheme = url.partition(":")[0]
+    try:
+        import fsspec  # noqa: PLC0415  # only an extra
 
-    def __init__(self, url: str, shown: str, library: str) -> None:
-        self.shown = shown
-        scheme = url.partition(":")[0]
-        try:
-            import fsspec  # noqa: PLC0415  # only an extra
-
-            with self._translated_errors():
-                # A listing that is cached by one thread lacks what another one writes meanwhile.
-                options = _patience(scheme, fsspec.config.conf.get(scheme, {}))
-                self._fs, self.key = fsspec.url_to_fs(url, use_listings_cache=False, **options)
-        except ImportError as err:
-            raise UsageError(
-                f"{scheme}:// needs a library that is not installed",
-                path=shown,
-                hint=f'pip install "pc2scan[remote]" {library}'.rstrip(),
-            ) from err
-
-    def entry(self) -> StoredObject:
-        """Return what is there now; raises MissingError if nothing is."""
-        stored = _object(self._call("info"))
-        if stored.size < 0:
-            hint = "download it, and convert the copy"
-            raise RecordingError("the server does not report its size", path=self.shown, hint=hint)
-        return stored
-
-    def listed(self, method: str, folder: str) -> dict[str, StoredObject]:
-        """Return what ``ls`` or ``glob`` of fsspec lists, by paths relative to a folder, in order.
-
-        Long listings take long: only silence ends them.
-        """
-        with self._translated_errors():
-            listing = getattr(self._fs, method)(self.key, detail=True)
-        objects = {
-            str(each["name"]).strip("/").removeprefix(folder.strip("/")).lstrip("/"): _object(each)
-            for each in (listing.values() if isinstance(listing, dict) else listing)
-        }
-        # Some stores list the folder itself, as an empty file.
-        return {name: objects[name] for name in sorted(objects) if name}
-
-    def delete(self) -> None:
-        """Remove a file if it exists."""
-        with self._translated_errors(OutputError), suppress(FileNotFoundError):
-            self._fs.rm_file(self.key)
-
-    def upload(self, source: Path) -> None:
-        """Upload a file. It is visible when it is complete."""
-        with self._translated_errors(OutputError):
-            self._fs.put_file(os.fspath(source), self.key)
-
-    def download(self, target: Path, size: int) -> None:
-        """Write the whole file to a local one; an error if it does not have ``size`` bytes."""
-
-        def arrived() -> int:
-            received = target.stat().st_size if target.exists() else 0
-            if received > size:
-                message = f"the server sends more than the {size:,} bytes that it declares"
-                raise RecordingError(message, path=self.shown, hint=_AGAIN)
-            return received
-
-        self._call("get_file", os.fspath(target), arrived=arrived)
-        if arrived() < size:
-            message = f"the download was cut off: {arrived():,} of {size:,} bytes arrived"
-            raise RecordingError(message, path=self.shown, hint=_AGAIN)
-
-    def _call(self, name: str, *args: object, arrived: Callable[[], int] = int) -> Any:
-        """Call a method of the file system; it ends if fewer than `LEAST_BYTES` arrive in `SLOWEST_SECONDS`."""
-        with self._translated_errors():
-            if not self._fs.async_impl:
-                return getattr(self._fs, name)(self.key, *args)
-            # fsspec has loaded it; all that reads no URL would take 5 MB for it.
-            from asyncio import run_coroutine_threadsafe  # noqa: PLC0415
-
-            work = getattr(self._fs, f"_{name}")(self.key, *args)
-            future = run_coroutine_threadsafe(work, self._fs.loop)
-            try:
-                wanted = deadline = 0.0
-                while not wait([future], 1).done:
-                    if (done := arrived()) >= wanted:
-                        wanted, deadline = done + LEAST_BYTES, monotonic() + SLOWEST_SECONDS
-                    elif monotonic() > deadline:
-                        least = f"fewer than {LEAST_BYTES:,} bytes arrived in {SLOWEST_SECONDS:g} seconds"
-                        raise TransferError(f"the transfer is too slow to finish: {least}")
-                return future.result()
-            finally:
-                future.cancel()
-
-    @contextmanager
-    def _translated_errors(self, kind: type[Pc2ScanError] = RecordingError) -> Iterator[None]:
-        """Turn errors of fsspec and the stores' libraries into our own: one line, without secrets."""
-        try:
-            yield
-        except (Pc2ScanError, ImportError):
-            raise
-        except Exception as err:  # noqa: BLE001  # each store's library has errors of its own
-            raise _translated(err, self.shown, kind) from None
+        with translated_errors(shown):
+            # A listing that is cached by one thread lacks what another one writes meanwhile.
+            options = _patience(scheme, fsspec.config.conf.get(scheme, {}))
+            file_system, key = fsspec.url_to_fs(url, use_listings_cache=False, **options)
+    except ImportError as err:
+        hint = f'pip install "pc2scan[remote]" {LIBRARIES[scheme]}'.rstrip()
+        raise UsageError(f"{scheme}:// needs a library that is not installed", path=shown, hint=hint) from err
+    return file_system, key
 
 
-def _object(found: dict[str, Any]) -> StoredObject:
+def call(file_system: Any, name: str, *args: str, arrived: Callable[[], int] = int) -> Any:
+    """Call a method of a file system; it ends if fewer than `LEAST_BYTES` arrive in `SLOWEST_SECONDS`."""
+    if not file_system.async_impl:
+        return getattr(file_system, name)(*args)
+    # fsspec has loaded it; all that reads no URL would take 5 MB for it.
+    from asyncio import run_coroutine_threadsafe  # noqa: PLC0415
+
+    future = run_coroutine_threadsafe(getattr(file_system, f"_{name}")(*args), file_system.loop)
+    try:
+        wanted = deadline = 0.0
+        while not wait([future], 1).done:
+            if (done := arrived()) >= wanted:
+                wanted, deadline = done + LEAST_BYTES, monotonic() + SLOWEST_SECONDS
+            elif monotonic() > deadline:
+                least = f"fewer than {LEAST_BYTES:,} bytes arrived in {SLOWEST_SECONDS:g} seconds"
+                raise TransferError(f"the transfer is too slow to finish: {least}")
+        return future.result()
+    finally:
+        future.cancel()
+
+
+@contextmanager
+def translated_errors(shown: object, kind: type[Pc2ScanError] = RecordingError) -> Iterator[None]:
+    """Turn errors of fsspec and the stores' libraries into our own: one line, without secrets."""
+    try:
+        yield
+    except (Pc2ScanError, ImportError):
+        raise
+    except Exception as err:  # noqa: BLE001  # each store's library has errors of its own
+        raise _translated(err, str(shown), kind) from None
+
+
+def stored_object(found: dict[str, Any]) -> StoredObject:
+    """Return what fsspec says of a file or a folder."""
     version = next((str(found[name]) for name in _VERSION if found.get(name) is not None), "")
     is_folder = found.get("type") == "directory"
     size = 0 if is_folder else -1 if found.get("size") is None else int(found["size"])
@@ -185,7 +133,7 @@ def _patience(scheme: str, configured: dict[str, Any]) -> dict[str, Any]:
     """
     if scheme in {"http", "https"}:
         name, ours = "client_kwargs", _web_client()
-    elif scheme in {"s3", "s3a"}:
+    elif scheme == "s3":
         # No retries of the S3 library: s3fs itself tries five times.
         name, ours = "config_kwargs", {"connect_timeout": 10, "read_timeout": 20, "retries": {"max_attempts": 0}}
     else:
@@ -225,10 +173,10 @@ def _translated(err: BaseException, shown: str, kind: type[Pc2ScanError]) -> Pc2
         hint = "check its spelling (case matters), and the bucket's; some stores answer this if permissions are missing"
         return MissingError("does not exist", path=shown, hint=hint)
     if isinstance(err, TransferError):
-        return kind(str(err), path=shown, hint=_AGAIN)
+        return kind(str(err), path=shown, hint=AGAIN)
     if isinstance(err, PermissionError) or status in _DENIED or "Credential" in name:
         return kind(f"access is refused ({status or 403}, or no credentials)", path=shown, hint=_NO_RIGHTS)
     if is_full(err):
         return kind("no space for its local copy", path=shown, hint=NO_SPACE)
     what = f"status {status}" if status else "no answer in time" if "Timeout" in name else name
-    return kind(f"the {'upload' if kind is OutputError else 'download'} failed ({what})", path=shown, hint=_AGAIN)
+    return kind(f"the {'upload' if kind is OutputError else 'download'} failed ({what})", path=shown, hint=AGAIN)

@@ -45,7 +45,7 @@ def fetched(paths: Iterable[Path]) -> Iterator[list[Path]]:
                 place /= path.name
                 place.mkdir()
             for file in files:
-                file.remote.download(place / file.name, file.entry.size)
+                file.download(place / file.name)
         yield [copies.get(path, path) for path in paths]
 
 
@@ -79,16 +79,16 @@ def upload(local: Path, dst: UrlPath, *, overwrite: bool) -> None:
     """
     check_existing(UrlPath(dst.url), overwrite=overwrite)
     if not local.is_dir():
-        dst.remote.upload(local)
+        dst.upload(local)
         return
     begun: list[UrlPath] = []
     try:
         # A recording is complete when its metadata.yaml is there.
         for name in sorted(files_below(local), key=lambda name: name.endswith("metadata.yaml")):
             begun.append(dst / name)
-            begun[-1].remote.upload(local / name)
+            begun[-1].upload(local / name)
     except BaseException:
         for place in begun:
             with suppress(Exception):
-                place.remote.delete()
+                place.delete()
         raise

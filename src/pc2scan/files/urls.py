@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import posixpath
 from collections.abc import Iterable
+from contextlib import suppress
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -18,9 +19,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from urllib.parse import unquote, urlsplit
 
 from pc2scan.arguments import value_and_type
-from pc2scan.errors import MissingError, UsageError
+from pc2scan.errors import MissingError, OutputError, RecordingError, UsageError
 
-from .store import RemotePath
+from .store import AGAIN, LIBRARIES, call, open_store, stored_object, translated_errors
 
 if TYPE_CHECKING:
     from collections.abc import Generator
@@ -31,20 +32,6 @@ if TYPE_CHECKING:
     from .store import StoredObject
 
     PathText: TypeAlias = str | PathLike[str]
-
-#: The library that fsspec needs for a scheme; empty if it needs none.
-LIBRARIES = {
-    "s3": "s3fs",
-    "s3a": "s3fs",
-    "gs": "gcsfs",
-    "gcs": "gcsfs",
-    "az": "adlfs",
-    "abfs": "adlfs",
-    "abfss": "adlfs",
-    "https": "aiohttp",
-    "http": "aiohttp",
-    "memory": "",
-}
 
 
 def is_url(path: str | PathLike[str] | None) -> bool:
@@ -230,11 +217,6 @@ class UrlPath(_LocalPath):
         return self.url.partition(":")[0]
 
     @property
-    def remote(self) -> RemotePath:
-        """The place in the store."""
-        return RemotePath(self.url, str(self), LIBRARIES[self.scheme])
-
-    @property
     def is_read_only(self) -> bool:
         """Whether files there can only be read."""
         return self.scheme in {"http", "https"}
@@ -242,17 +224,26 @@ class UrlPath(_LocalPath):
     @property
     def identity(self) -> UrlPath:
         """A path that is equal for URLs of one object, however they are written."""
-        scheme = {"s3a": "s3", "gcs": "gs", "abfs": "az", "abfss": "az"}.get(self.scheme, self.scheme)
-        return UrlPath(f"{scheme}:{posixpath.normpath(str(self).partition('://')[2])}".replace(":", ":/", 1))
+        return UrlPath(f"{self.scheme}:/{posixpath.normpath(str(self).partition('://')[2])}")
 
     def absolute(self) -> Self:
         """Return the path itself."""
         return self
 
     @cached_property
+    def _store(self) -> tuple[Any, str]:
+        return open_store(self.url, str(self))
+
+    @cached_property
     def entry(self) -> StoredObject:
         """What is there: from a listing, or else from the store; raises MissingError if nothing is."""
-        return self.remote.entry()
+        file_system, key = self._store
+        with translated_errors(self):
+            stored = stored_object(call(file_system, "info", key))
+        if stored.size < 0:
+            hint = "download it, and convert the copy"
+            raise RecordingError("the server does not report its size", path=self, hint=hint)
+        return stored
 
     def exists(self, *, follow_symlinks: bool = True) -> bool:  # noqa: ARG002  # the signature of Path
         """Return whether anything is there."""
@@ -274,12 +265,49 @@ class UrlPath(_LocalPath):
         yield from self.listed("ls", self)
 
     def listed(self, method: str, place: UrlPath) -> Generator[Self]:
-        """Yield what ``ls`` or ``glob`` of fsspec lists of a place in this folder, without hidden files."""
-        for name, entry in place.remote.listed(method, self.remote.key).items():
-            if "/." not in f"/{name}":
+        """Yield what ``ls`` or ``glob`` of fsspec lists of a place in this folder, in order, without hidden files.
+
+        Long listings take long: only silence ends them.
+        """
+        (file_system, key), folder = place._store, self._store[1].strip("/")
+        with translated_errors(self):
+            listing = getattr(file_system, method)(key, detail=True)
+        objects = listing.values() if isinstance(listing, dict) else listing
+        named = {str(each["name"]).strip("/").removeprefix(folder).lstrip("/"): each for each in objects}
+        for name in sorted(named):
+            # Some stores list the folder itself, as an empty file.
+            if name and "/." not in f"/{name}":
                 child = self / name
-                child.entry = entry
+                child.entry = stored_object(named[name])
                 yield child
+
+    def download(self, target: Path) -> None:
+        """Write the whole file to a local one; an error if it does not have the size that the store says."""
+        file_system, key = self._store
+        size = self.entry.size
+
+        def arrived(*, is_all: bool = False) -> int:
+            received = target.stat().st_size if target.exists() else 0
+            if received > size or (is_all and received < size):
+                message = f"the download failed: the server declares {size:,} bytes, and {received:,} arrived"
+                raise RecordingError(message, path=self, hint=AGAIN)
+            return received
+
+        with translated_errors(self):
+            call(file_system, "get_file", key, os.fspath(target), arrived=arrived)
+            arrived(is_all=True)
+
+    def upload(self, source: Path) -> None:
+        """Upload a file. It is visible when it is complete."""
+        file_system, key = self._store
+        with translated_errors(self, OutputError):
+            file_system.put_file(os.fspath(source), key)
+
+    def delete(self) -> None:
+        """Remove a file if it exists."""
+        file_system, key = self._store
+        with translated_errors(self, OutputError), suppress(FileNotFoundError):
+            file_system.rm_file(key)
 
 
 class CopyPath(_LocalPath):
