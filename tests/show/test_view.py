@@ -53,7 +53,6 @@ def test_a_page_opens_with_what_info_proposes(tmp_path: Path) -> None:
     names = ("min_height", "max_height")
     assert {name: options[name] for name in names} == {name: held["params"][name] for name in names}
     assert held["targetFrame"] == options["target_frame"] == "base_link"
-    assert held["topics"][0]["heights"] == {name: options[name] for name in names}
     assert run("view", HALL, "-o", page, "--max-height", "3").status == 0
     assert description(page)["params"]["max_height"] == 3
 

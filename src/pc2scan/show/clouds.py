@@ -19,7 +19,7 @@ from .html import compressed
 from .shots import take_shots
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from pc2scan.options.call import Options
@@ -52,7 +52,6 @@ def clouds_page(
     recording: ShownRecording,
     asked: Options,
     options: ConvertOptions,
-    heights: Mapping[str, Mapping[str, float]],
 ) -> tuple[dict[str, Any], dict[str, bytes]]:
     """Describe a page of clouds.
 
@@ -66,8 +65,6 @@ def clouds_page(
         The options of the call.
     options
         The options of the conversion.
-    heights
-        Those that are proposed for each topic; empty for none.
 
     Returns
     -------
@@ -92,10 +89,6 @@ def clouds_page(
         "Beams that `remove` removes from the scans are still shown here.": scan.remove,
     }
     told = [*taken.notes, *(text for text, applies in notes.items() if applies)]
-    if heights:
-        where = f"in frame {scan.params.target_frame!r}" if scan.params.target_frame else "in the frame of the clouds"
-        low, high = scan.params.min_height, scan.params.max_height
-        told.insert(0, f"The page opens with the heights that pc2scan info proposes: {low:g} to {high:g} m {where}.")
     return {
         "kind": "clouds",
         "notes": told,
@@ -111,9 +104,7 @@ def clouds_page(
         },
         "command": call_words(Call("convert", tuple(map(str, sources)), _command_options(asked, options))),
         "targetFrame": scan.params.target_frame,
-        "topics": [
-            {"topic": topic, "heights": heights.get(topic, {}), "clouds": clouds} for topic, clouds in topics.items()
-        ],
+        "topics": [{"topic": topic, "clouds": clouds} for topic, clouds in topics.items()],
     }, blobs
 
 

@@ -393,8 +393,6 @@ class ScanTopic:
         first = self.first
         if first is None:
             return
-        if len(self.frames) > 1:
-            yield Finding("frames", "notice", f"{len(self.frames)} frames on one topic", "use a topic for each sensor")
         for kind, (verb, problem, hint) in _EACH_SCAN.items():
             tally = self._tallies[kind]
             if not tally.count:

@@ -128,8 +128,13 @@ def _page(sources: Sequence[Path], options: ConvertOptions, asked: Options, warn
         if any(connection.ros_type in CLOUDS for connection in reader.connections) and not options.scan.reverse:
             # The node's heights are part of its parameters, also where a file of these does not have them.
             is_given = bool(asked.given.keys() & {"params", "params_file", "param", "scans"})
-            shown, heights = (options, {}) if is_given else _as_proposed(reader, options)
-            described, blobs = clouds_page(sources, recording, asked, shown, heights)
+            shown = options if is_given else _as_proposed(reader, options)
+            described, blobs = clouds_page(sources, recording, asked, shown)
+            if shown is not options:
+                params = shown.scan.params
+                where = f"in frame {params.target_frame!r}" if params.target_frame else "in the frame of the clouds"
+                heights = f"{params.min_height:g} to {params.max_height:g} m {where}"
+                described["notes"].insert(0, f"The page opens with the heights that pc2scan info proposes: {heights}.")
         else:
             names = [each.source for each in options.scan.topics]
             topics, buffer = scan_connections(reader, names), recording.transforms().buffer
@@ -146,14 +151,14 @@ def _page(sources: Sequence[Path], options: ConvertOptions, asked: Options, warn
         return Page(html(described, blobs), tuple(notes), tuple(warnings), recording.damage)
 
 
-def _as_proposed(reader: Reader, options: ConvertOptions) -> tuple[ConvertOptions, dict[str, dict[str, float]]]:
-    """Return options with the frame and the heights that info proposes, and the heights of each topic in this frame.
+def _as_proposed(reader: Reader, options: ConvertOptions) -> ConvertOptions:
+    """Return options with the frame and the heights that info proposes first.
 
-    They are as they were, without heights, if heights are given, or if nothing can be proposed in the given frame.
+    They are as they were if heights are given, or if nothing can be proposed in the given frame.
     """
     params, defaults = options.scan.params, ProjectionParams()
     if (params.min_height, params.max_height) != (defaults.min_height, defaults.max_height):
-        return options, {}
+        return options
     try:
         # Heights are of the first clouds, however many are sampled.
         topics = [request.source for request in options.scan.topics]
@@ -162,25 +167,15 @@ def _as_proposed(reader: Reader, options: ConvertOptions) -> tuple[ConvertOption
         calls = [call.options for call in info.proposals]
         first = next((call for call in calls if params.target_frame in ("", call.get("target_frame", ""))), {})
         if "min_height" not in first:
-            return options, {}
-        static = added_transforms(_texts(first.get("static_tf", ())))
+            return options
+        static = first.get("static_tf", ())
+        added = added_transforms((static,) if isinstance(static, str) else static)
     except Pc2ScanError:
         # What is wrong may matter for the page, too, which says so then.
-        return options, {}
-    heights: dict[str, dict[str, float]] = {}
-    for call in calls:
-        if all(call.get(name) == first.get(name) for name in ("target_frame", "static_tf")):
-            topics = [text.partition(":=")[0] for text in _texts(call.get("topics", ()))]
-            own = {name: call[name] for name in ("min_height", "max_height") if name in call}
-            heights |= dict.fromkeys(topics or [cloud.topic for cloud in info.clouds], own)
+        return options
     chosen = {name: first[name] for name in ("target_frame", "min_height", "max_height") if name in first}
-    frames = replace(options.frames, static=(*options.frames.static, *static))
-    return replace(options.with_scan(params=replace(params, **chosen)), frames=frames), heights
-
-
-def _texts(value: str | tuple[str, ...]) -> tuple[str, ...]:
-    """Return the values of an option that may be given once or several times."""
-    return (value,) if isinstance(value, str) else tuple(value)
+    frames = replace(options.frames, static=(*options.frames.static, *added))
+    return replace(options.with_scan(params=replace(params, **chosen)), frames=frames)
 
 
 def _subtitle(reader: Reader) -> str:

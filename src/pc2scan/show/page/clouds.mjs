@@ -35,7 +35,6 @@ import { Unrolled } from "./unrolled.mjs";
 /**
  * @typedef {object} TopicEntry
  * @property {string} topic
- * @property {Partial<Params>} heights that suit its clouds, `min_height` and `max_height`; empty: those of `params`
  * @property {CloudEntry[]} clouds
  */
 
@@ -70,7 +69,7 @@ export function showClouds(recording) {
   const shown = { x: 0, y: 0, z: 0, scale: 20, stretch: 1 };
   const defaults = revived(recording.defaults);
   let topic = recording.topics[0];
-  let params = given();
+  let params = /** @type {Params} */ (revived(recording.params));
   let base = revived(recording.base);
   let preset = recording.preset;
   let entry = topic.clouds[0];
@@ -111,12 +110,7 @@ export function showClouds(recording) {
   colourBy.addEventListener("change", paint);
   topics.append(...recording.topics.map(({ topic: name }) => new Option(name, name)));
   topics.addEventListener("change", () => {
-    const before = given();
     topic = recording.topics[topics.selectedIndex];
-    // Heights that the user has set are kept.
-    const { min_height, max_height } = given();
-    if (params.min_height === before.min_height && params.max_height === before.max_height)
-      params = { ...params, min_height, max_height };
     fitted = false;
     void go(0);
   });
@@ -141,11 +135,6 @@ export function showClouds(recording) {
     (step) => topic.clouds[step].moment,
   );
   onTheme(paint);
-
-  /** The parameters that the page opens a topic with. */
-  function given() {
-    return /** @type {Params} */ ({ ...revived(recording.params), ...topic.heights });
-  }
 
   /** @param {number} step */
   async function load(step) {
@@ -298,7 +287,7 @@ export function showClouds(recording) {
   }
 
   function reset() {
-    params = given();
+    params = /** @type {Params} */ (revived(recording.params));
     base = revived(recording.base);
     preset = recording.preset;
     mount = null;
