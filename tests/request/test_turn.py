@@ -41,12 +41,7 @@ def test_options_are_parsed(text: str, expected: tuple[Any, ...]) -> None:
 def test_period_direction_and_stamp_are_measured() -> None:
     turn, note = measure_turn("/points", Turn(), clouds())
     assert turn == Turn(0.1, -1, True)
-    assert note == (
-        "/points: the times of points are computed from their azimuth: one turn takes 0.1 s, clockwise, and the stamp "
-        "is that of the last point; measured: the period (median interval of the first 11 stamps), the direction "
-        "(order of the points of 11 clouds), which point is stamped (clouds are logged 0.004 s after their "
-        "stamps, so the last one)"
-    )
+    assert note.endswith("one turn takes 0.1 s, clockwise, and the stamp is that of the last point")
     assert measure_turn("/points", Turn(), clouds(turns=64.0))[0] == Turn(0.1, 1, True)
     # One that is logged at its stamp is not logged before it.
     assert measure_turn("/points", Turn(), clouds(late_ms=0)[:1] + clouds()[1:])[0] == Turn(0.1, -1, True)

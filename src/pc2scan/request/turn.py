@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
     from pc2scan.core.points import Points
 
-#: A turn is measured in this many clouds, and in at least so many.
+#: A turn is measured in this many clouds, and at least so many intervals between them.
 TURN_CLOUDS = 11
-_FEWEST = 4
+_FEWEST = 3
 
 #: The longest time of a turn, seconds.
 _LONGEST = 60.0
@@ -178,89 +178,48 @@ def _directions(azimuths: NDArray[np.float64]) -> int:
 
 
 def measure_turn(topic: str, asked: Turn, clouds: Sequence[TurnSample]) -> tuple[Turn, str]:
-    """Return how a lidar turns, as given or measured, and a note about what was measured.
+    """Return how a lidar turns, as given or measured, and a note about it.
 
     Raises
     ------
     ParameterError
         If the turn cannot be measured in the first clouds; the hint is what to type.
     """
-    turn, how = _with_period(topic, asked, clouds)
-    said = [how]
-    if not turn.direction:
-        turn, how = _with_direction(topic, turn, clouds)
-        said.append(how)
-    if turn.ended is None:
-        turn, how = _with_stamp(topic, turn, clouds)
-        said.append(how)
-    return turn, f"{topic}: the times of points are computed from their azimuth: {turn}; measured: {', '.join(said)}"
-
-
-def _error(topic: str, why: str, typed: str) -> ParameterError:
-    message = f"the turn of the lidar cannot be measured in the clouds on {topic}: {why}"
-    return ParameterError(message, name="point_time", hint=typed)
-
-
-def _typed(turn: Turn, *more: str) -> str:
-    """Return the option for what is known of a turn, and for ``more``."""
-    period = f"{turn.period:.4g}" if turn.period else "0.1"
-    way = {-1: "cw", 1: "ccw"}.get(turn.direction)
-    end = None if turn.ended is None else "end" if turn.ended else "start"
-    return f"`point_time={':'.join(filter(None, (AZIMUTH, period, way, end, *more)))}`"
-
-
-def _with_period(topic: str, asked: Turn, clouds: Sequence[TurnSample]) -> tuple[Turn, str]:
-    give = f"if a turn takes 0.1 s (10 Hz): {_typed(asked)}"
+    turn, why = asked, ""
     stamps = sorted({cloud.stamp_ns for cloud in clouds})
-    if len(stamps) < _FEWEST:
-        few = f"there are {len(stamps)} different stamps in the first {len(clouds)} clouds"
-        raise _error(topic, f"{few}, at least {_FEWEST} are needed", give)
-    median_ns = median_interval_ns(stamps) or 0
-    intervals = [later - earlier for earlier, later in pairwise(stamps)]
+    intervals = [(later - earlier) / 1e9 for earlier, later in pairwise(stamps)]
+    period = (median_interval_ns(stamps) or 1) / 1e9
     # If a cloud is missing, an interval is twice as long.
-    regular = sum(abs(each / median_ns - max(1, round(each / median_ns))) <= _JITTER for each in intervals)
-    if regular < _REGULAR * len(intervals):
-        spread = f"{min(intervals) / 1e9:.4g} to {max(intervals) / 1e9:.4g} s"
-        raise _error(topic, f"the intervals between its first {len(stamps)} stamps are not regular: {spread}", give)
-    if median_ns > _LONGEST * 1e9:
-        raise _error(topic, f"the clouds come every {median_ns / 1e9:.4g} s, a turn takes at most {_LONGEST:g} s", give)
-    # Rounded to the digits that are shown, so that typing the shown period gives the same scans.
-    turn = replace(asked, period=float(f"{median_ns / 1e9:.4g}"))
-    give = f"if a turn takes as long as from cloud to cloud: {_typed(turn)}"
+    regular = sum(abs(each / period - max(1, round(each / period))) <= _JITTER for each in intervals)
     covered = median([cloud.directions.bit_count() for cloud in clouds]) / DIRECTIONS
     union = reduce(or_, (cloud.directions for cloud in clouds)).bit_count() / DIRECTIONS
-    if covered < max(_SEEN, _OF_ALL * union):
-        seen = f"a cloud has points in {covered:.0%} of all directions, several clouds together in {union:.0%}"
-        raise _error(topic, f"{seen}; whole turns have at least {_SEEN:.0%}, and the same ones each time", give)
     turns = median([abs(cloud.turns) for cloud in clouds])
-    if _TWO_OR_THREE[0] <= turns < _TWO_OR_THREE[1]:
-        raise _error(topic, f"the points of its clouds go round {turns:.1f} times", give)
-    return turn, f"the period (median interval of the first {len(stamps)} stamps)"
-
-
-def _with_direction(topic: str, turn: Turn, clouds: Sequence[TurnSample]) -> tuple[Turn, str]:
-    ways = [1 if cloud.turns > 0 else -1 for cloud in clouds if cloud.turns]
-    if 2 * len(ways) <= len(clouds) or len(set(ways)) > 1:
-        counts = f"{ways.count(-1)} are clockwise, {ways.count(1)} counter-clockwise, {len(clouds) - len(ways)} neither"
-        why = f"the order of the points does not show the direction: of {len(clouds)} clouds, {counts}"
-        give = f"clockwise, seen from above: {_typed(replace(turn, ended=None), 'cw')}, or else ccw"
-        raise _error(topic, why, give)
-    return replace(turn, direction=ways[0]), f"the direction (order of the points of {len(ways)} clouds)"
-
-
-def _with_stamp(topic: str, turn: Turn, clouds: Sequence[TurnSample]) -> tuple[Turn, str]:
-    delays = [cloud.log_time_ns - cloud.stamp_ns for cloud in clouds]
-    seconds = median([delay / 1e9 for delay in delays])
-    if not any(delays):
-        why = "the stamps are the log times"
-    elif min(delays) < 0:
-        why = f"stamps are up to {-min(delays) / 1e9:.4g} s after the log times"
+    if regular < max(_FEWEST, _REGULAR * len(intervals)) or period > _LONGEST:
+        spread = f"{min(intervals, default=0):.4g} to {max(intervals, default=0):.4g} s"
+        why = f"{len(stamps)} different stamps with intervals of {spread}, {_FEWEST} regular ones are needed"
+    elif covered < max(_SEEN, _OF_ALL * union) or _TWO_OR_THREE[0] <= turns < _TWO_OR_THREE[1]:
+        why = f"they have {covered:.0%} of all directions, together {union:.0%}, and go round {turns:.1f} times"
     else:
-        why = f"clouds are logged {seconds:.4g} s after their stamps"
-        if seconds < _OF_LAST * turn.period:
-            return replace(turn, ended=True), f"which point is stamped ({why}, so the last one)"
-    raise _error(
-        topic,
-        f"{why}, so the stamp may be the time of the first or of the last point",
-        f"if it is the first: {_typed(turn, 'start')}; the last (velodyne_driver's default): {_typed(turn, 'end')}",
-    )
+        # Rounded to the digits that are shown, so that typing the shown period gives the same scans.
+        turn = replace(asked, period=float(f"{period:.4g}"))
+        ways = [1 if cloud.turns > 0 else -1 for cloud in clouds if cloud.turns]
+        delays = [(cloud.log_time_ns - cloud.stamp_ns) / 1e9 for cloud in clouds]
+        if not turn.direction:
+            if 2 * len(ways) <= len(clouds) or len(set(ways)) > 1:
+                why = f"the points of {ways.count(-1)} are in clockwise order, of {ways.count(1)} counter-clockwise"
+            else:
+                turn = replace(turn, direction=ways[0])
+        if turn.ended is None:
+            if min(delays) < 0 or not any(delays) or median(delays) >= _OF_LAST * turn.period:
+                why = why or f"they are logged {min(delays):.4g} to {max(delays):.4g} s after their stamps"
+            else:
+                turn = replace(turn, ended=True)
+    if why:
+        way, end = "ccw" if turn.direction > 0 else "cw", "start" if turn.ended is False else "end"
+        raise ParameterError(
+            f"the turn of the lidar cannot be measured in the first {len(clouds)} clouds on {topic}: {why}",
+            name="point_time",
+            hint=f"give it, such as `point_time={AZIMUTH}:{turn.period or 0.1:g}:{way}:{end}`: the time of a turn, cw or "
+            "ccw as seen from above, and start or end: whether the first point is stamped or the last one",
+        )
+    return turn, f"{topic}: the times of points are computed from their azimuth, as its first clouds are: {turn}"

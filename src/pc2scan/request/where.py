@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import ast
 import operator
-import re
 import warnings
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import reduce
-from keyword import iskeyword
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -32,15 +30,10 @@ if TYPE_CHECKING:
 #: Returns the value of a part of a condition for every point: float64, or bool for a condition.
 _Part: TypeAlias = "Callable[[Points], Any]"
 
-_EXAMPLE = "such as `where='ring in (3, 4, 5) and intensity > 10'`"
+_HINT = "write fields, numbers, == != < <= > >= in and or not, such as `where='ring in (3, 4, 5) and intensity > 10'`"
 
-#: The longest condition, and the deepest nesting: deeper ones could overflow the stack.
+#: The longest condition.
 _LONGEST = 2_000
-_DEEPEST = 100
-
-#: Operators of other languages, and what to write instead.
-_FOREIGN = re.compile(r"(?<![<>=!])=(?!=)|&+|\|+|!(?!=)")
-_INSTEAD = {"=": "for equality write ==", "&": "write and", "|": "write or", "!": "write not"}
 
 _COMPARISONS: Mapping[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.Lt: operator.lt,
@@ -75,7 +68,7 @@ class Where:
     Raises
     ------
     UsageError
-        If the condition cannot be read, with the column.
+        If the condition cannot be read.
     """
 
     condition: str
@@ -122,63 +115,42 @@ class _Condition:
     def __init__(self, text: str) -> None:
         self._text = text
         self.fields: dict[str, None] = {}
-        self.holds = self._part(self._parse(), 0, is_condition=True)
-        if not self.fields:
-            raise self._error(1, "it names no field")
-
-    def _parse(self) -> ast.expr:
-        text = self._text
         if len(text) > _LONGEST:
             raise UsageError(f"`where` has {len(text):,} characters, at most {_LONGEST:,} are allowed")
-        if match := _FOREIGN.search(text):
-            raise self._error(match.start() + 1, f"unexpected {match[0]!r}", _INSTEAD[match[0][0]])
         try:
             # Python warns of some expressions that it accepts, such as `3and 4`.
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 # A condition in a file may have several lines.
-                return ast.parse(re.sub(r"\s", " ", text.strip()), mode="eval").body
-        except SyntaxError as err:
-            column = min(err.offset + self._indent, len(text) + 1) if err.offset else len(text.rstrip()) + 1
-            rest = text[column - 1 :].split()
-            hint = "a word of Python is no field" if rest and iskeyword(rest[0]) else None
-            raise self._error(column, f"unexpected {rest[0]!r}" if rest else "it ends too early", hint) from None
-        except (ValueError, RecursionError, MemoryError):
-            raise self._error(1, "it cannot be read") from None
+                self.holds = self._part(ast.parse(" ".join(text.split()), mode="eval").body, is_condition=True)
+        except (SyntaxError, ValueError, RecursionError, MemoryError) as err:
+            raise self._error(getattr(err, "msg", "nested too deeply")) from None
+        if not self.fields:
+            raise self._error("no field is named")
 
-    @property
-    def _indent(self) -> int:
-        """How many blanks precede the condition."""
-        return len(self._text) - len(self._text.lstrip())
+    def _error(self, problem: str, part: ast.expr | None = None) -> UsageError:
+        got = f", got {ast.unparse(part)!r}" if part else ""
+        return UsageError(f"`where`: {self._text!r} cannot be read: {problem}{got}", hint=_HINT)
 
-    def _error(self, place: int | ast.AST, what: str, hint: str | None = None) -> UsageError:
-        column = place if isinstance(place, int) else getattr(place, "col_offset", 0) + self._indent + 1
-        return UsageError(f"`where`: column {column} of {self._text!r}: {what}", hint=hint or _EXAMPLE)
-
-    def _part(self, node: ast.expr, depth: int, *, is_condition: bool = False) -> _Part:
+    def _part(self, node: ast.expr, *, is_condition: bool = False) -> _Part:
         """Return what computes a number for each point, or a condition."""
-        if depth >= _DEEPEST:
-            raise self._error(node, f"more than {_DEEPEST} levels of operators and nots")
-        holds, part = self._read(node, depth + 1)
-        if is_condition and not holds:
-            raise self._error(node, "expected a comparison; this is a number", "compare it: ring == 3")
-        if holds and not is_condition:
-            raise self._error(node, "expected a number; this is a condition")
+        holds, part = self._read(node)
+        if holds != is_condition:
+            raise self._error("expected a comparison" if is_condition else "expected a number", node)
         return part
 
-    def _read(self, node: ast.expr, depth: int) -> tuple[bool, _Part]:
+    def _read(self, node: ast.expr) -> tuple[bool, _Part]:
         """Return whether a node is a condition, and what computes it."""
         match node:
             case ast.BoolOp(sign, values):
                 join = np.logical_and if isinstance(sign, ast.And) else np.logical_or
-                parts = [self._part(each, depth, is_condition=True) for each in values]
+                parts = [self._part(each, is_condition=True) for each in values]
                 return True, lambda points: reduce(join, (part(points) for part in parts))
             case ast.UnaryOp(ast.Not(), operand):
-                part = self._part(operand, depth, is_condition=True)
+                part = self._part(operand, is_condition=True)
                 return True, lambda points: np.logical_not(part(points))
             case ast.Compare(left, signs, rights):
-                pairs = zip([left, *rights], signs, rights, strict=False)
-                checks = [self._comparison(*each, depth) for each in pairs]
+                checks = [self._comparison(*each) for each in zip([left, *rights], signs, rights, strict=False)]
                 return True, lambda points: reduce(np.logical_and, (check(points) for check in checks))
             case ast.expr() if (number := _number_of(node)) is not None:
                 return False, lambda _: np.float64(number)
@@ -186,32 +158,29 @@ class _Condition:
                 self.fields[name] = None
                 return False, lambda points: points.field(name).astype(np.float64)
             case ast.UnaryOp(ast.USub(), operand):
-                part = self._part(operand, depth)
+                part = self._part(operand)
                 return False, lambda points: -part(points)
             case ast.BinOp(left, operation, right) if (compute := _ARITHMETIC.get(type(operation))) is not None:
-                first, second = self._part(left, depth), self._part(right, depth)
+                first, second = self._part(left), self._part(right)
                 return False, lambda points: compute(first(points), second(points))
             case ast.Call(ast.Name("abs"), [value], []):
-                part = self._part(value, depth)
+                part = self._part(value)
                 return False, lambda points: np.abs(part(points))
-        raise self._error(node, f"unexpected {ast.get_source_segment(self._text.strip(), node)!r}")
+        raise self._error("expected fields, numbers and operators", node)
 
-    def _comparison(self, left: ast.expr, sign: ast.cmpop, right: ast.expr, depth: int) -> _Part:
+    def _comparison(self, left: ast.expr, sign: ast.cmpop, right: ast.expr) -> _Part:
         """Return what compares two values, or a value with several numbers."""
         if isinstance(sign, ast.In | ast.NotIn):
             numbers = right.elts if isinstance(right, ast.Tuple | ast.List | ast.Set) else [right]
-            for element in numbers:
-                if _number_of(element) is None:
-                    raise self._error(element, "expected a number")
-            if not numbers:
-                raise self._error(right, "expected a number in the parentheses")
-            equal = [self._comparison(left, ast.Eq(), element, depth) for element in numbers]
+            if not numbers or any(_number_of(element) is None for element in numbers):
+                raise self._error("expected numbers", right)
+            equal = [self._comparison(left, ast.Eq(), element) for element in numbers]
             is_in = isinstance(sign, ast.In)
             return lambda points: reduce(np.logical_or, (check(points) for check in equal)) == is_in
         compare = _COMPARISONS.get(type(sign))
         if compare is None:
-            raise self._error(right, "expected one of < <= > >= == != in")
-        values = self._part(left, depth), self._part(right, depth)
+            raise self._error("expected one of < <= > >= == != in before what follows", right)
+        values = self._part(left), self._part(right)
         named, number = (left, _number_of(right)) if isinstance(left, ast.Name) else (right, _number_of(left))
         if not isinstance(named, ast.Name) or number is None:
             return lambda points: compare(values[0](points), values[1](points))
