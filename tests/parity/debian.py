@@ -68,7 +68,7 @@ def hexadecimal(values: NDArray[np.float32]) -> str:
 
 def transforms(rows: Rows) -> list[str]:
     return [
-        f"T {parent} {child} {time_of(stamp_ns)} {' '.join(float(value).hex() for value in pose)} {static:d}"
+        f"T {parent or '-'} {child or '-'} {time_of(stamp_ns)} {' '.join(map(float.hex, pose))} {static:d}"
         for (parent, child, stamp_ns, *pose), static in rows
     ]
 

@@ -1,7 +1,7 @@
 // What tf2, tf2_sensor_msgs and laser_geometry themselves return. Reads commands from standard input, one a line, and
 // answers each with a line; numbers are C99's hexadecimal ones, so that every bit survives.
 //
-//   T parent child sec nsec tx ty tz qx qy qz qw static              -> nothing
+//   T parent child sec nsec tx ty tz qx qy qz qw static              -> nothing; - is a name without letters
 //   L target source sec nsec                                         -> sec nsec tx ty tz qx qy qz qw, or ! and the error
 //   F target sec nsec source sec nsec fixed                          -> the same, of the lookup with two times
 //   C target source sec nsec x y z x y z ...                         -> the points as tf2_sensor_msgs transforms them
@@ -43,7 +43,8 @@ void print_bytes(const std::vector<uint8_t> &bytes) {
 void set_transform(std::istream &from, tf2::BufferCore &buffer) {
     geometry_msgs::TransformStamped given;
     int is_static;
-    from >> given.header.frame_id >> given.child_frame_id;
+    for (std::string *name : {&given.header.frame_id, &given.child_frame_id})
+        if (from >> *name; *name == "-") name->clear();
     given.header.stamp = stamp(from);
     auto &translation = given.transform.translation;
     auto &rotation = given.transform.rotation;
@@ -135,7 +136,8 @@ int main() {
             if (command == "C") transform_cloud(words, buffer);
             if (command == "S") project_scan(words, buffer);
         } catch (const std::exception &error) {
-            std::printf("! %s", error.what());
+            const std::string what = error.what();
+            std::printf("! %s", what.substr(0, what.find('\n')).c_str());
         }
         std::printf("\n");
     }

@@ -39,6 +39,15 @@ if TYPE_CHECKING:
     from transforms.trees import Question, Rows
 
 
+#: What tf2 says of a refusal, and what our message then says.
+REFUSALS = {
+    "contains a loop": "contains a loop",
+    "does not exist": "no transform has the",
+    "not part of the same tree": "no transforms connect",
+    "extrapolation": "is not known at",
+}
+
+
 class Row(NamedTuple):
     """A line of the table: what was compared, with what, how many values, and how many of them differ."""
 
@@ -73,8 +82,9 @@ def lookups(oracle: Path, rows: Rows, questions: list[Question]) -> tuple[int, i
         pose = debian.pose_in(theirs)
         try:
             ours = buffer.lookup(target, source, stamp_ns).pose
-        except TransformError:
-            differing += pose is not None
+        except TransformError as err:
+            told = next((ours for tf2s, ours in REFUSALS.items() if tf2s in theirs), "unknown")
+            differing += pose is not None or told not in err.message
             continue
         known += 1
         stamp = [*divmod(stamp_ns or buffer.latest_common_ns(target, source), SECOND)]

@@ -1,4 +1,4 @@
-"""The transform buffer's rules, against a lookup in a dict; test_tf2_agreement.py holds them to tf2 itself."""
+"""The transform buffer's rules, against a lookup in a dict; tests/parity holds them to tf2 itself."""
 
 from __future__ import annotations
 
