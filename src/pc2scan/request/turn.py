@@ -219,7 +219,7 @@ def measure_turn(topic: str, asked: Turn, clouds: Sequence[TurnSample]) -> tuple
         raise ParameterError(
             f"the turn of the lidar cannot be measured in the first {len(clouds)} clouds on {topic}: {why}",
             name="point_time",
-            hint=f"give it, such as `point_time={AZIMUTH}:{turn.period or 0.1:g}:{way}:{end}`: the time of a turn, cw or "
-            "ccw as seen from above, and start or end: whether the first point is stamped or the last one",
+            hint=f"give it, such as `point_time={AZIMUTH}:{turn.period or 0.1:g}:{way}:{end}`: the time of a turn, cw "
+            "or ccw as seen from above, and start or end: whether the first point is stamped or the last one",
         )
     return turn, f"{topic}: the times of points are computed from their azimuth, as its first clouds are: {turn}"
