@@ -296,7 +296,7 @@ def scan_messages(
     # The class's constructor takes twice as long, which matters for small messages.
     new: Callable[[type[RawMessage], tuple[object, ...]], RawMessage] = tuple.__new__
     append = messages.append
-    layout, literals, expected, at_connection, at_seconds = current = USUAL_LAYOUT
+    layout, front, middle = current = USUAL_LAYOUT
     prefix, end = layout.size, len(data)
     position = count = 0
     while position < end:
@@ -304,11 +304,11 @@ def scan_messages(
         while position < pause:
             origin = position
             values = layout.unpack_from(data, position) if position + prefix <= end else None
-            if values and literals(values) == expected:
-                identity = values[at_connection]
-                stamp = values[at_seconds] * SECOND_NS + values[at_seconds + 1]
+            if values and values[0] == front and values[2] == middle:
+                identity = values[1]
+                stamp = values[3] * SECOND_NS + values[4]
                 start = position + prefix
-                position = start + values[6]
+                position = start + values[5]
                 if position > end:
                     raise FormatError(f"a message reaches to byte {position} of a chunk of {end} bytes")
             else:
@@ -316,7 +316,7 @@ def scan_messages(
                 # Writers use one order of fields: use it from now on, and read this record again.
                 other = LAYOUTS.get(tuple(fields), current)
                 if other is not current and kind == MESSAGE:
-                    layout, literals, expected, at_connection, at_seconds = current = other
+                    layout, front, middle = current = other
                     continue
                 position = following
                 if position > end:

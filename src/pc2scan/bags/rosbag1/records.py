@@ -19,8 +19,6 @@ Source: http://wiki.ros.org/Bags/Format/2.0, and for details missing there, ROS 
 from __future__ import annotations
 
 import struct
-from itertools import permutations
-from operator import itemgetter
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.chunks import NearbyFile, unpacked
@@ -31,7 +29,7 @@ from pc2scan.files.compression import CompressionError, allowed_bytes
 from pc2scan.model import Connection, Definition
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping
 
     from pc2scan.bags.chunks import Segment
     from pc2scan.model import Buffer
@@ -217,41 +215,12 @@ def records_of(file: BagFile, segment: Segment) -> Iterator[tuple[BagRecord, mem
         position = record.stop
 
 
-class MessageLayout(NamedTuple):
-    """A message record up to its body, its three fields in one of six orders.
+_CONN, _OP, _TIME = b"\x09\0\0\0conn=", b"\x04\0\0\0op=\x02", b"\x0d\0\0\0time="
 
-    Everything but the values is literal: one `struct` call splits the record, and the literals show whether the record
-    has this layout.
-    """
-
-    layout: struct.Struct
-    literals: itemgetter[tuple[object, ...]]
-    expected: tuple[bytes, ...]
-    connection: int
-    seconds: int
-
-
-_PIECES = {
-    b"conn": (b"\x09\0\0\0conn=", "I"),
-    b"op": (b"\x04\0\0\0op=\x02", ""),
-    b"time": (b"\x0d\0\0\0time=", "II"),
+#: A message record up to its body, and its literals before and behind the connection, by the order of its fields: that
+#: of ROS 1's recorder, and that of its Python library and of rosbags. Other orders are read field by field.
+LAYOUTS: Mapping[tuple[bytes, ...], tuple[struct.Struct, bytes, bytes]] = {
+    (b"conn", b"op", b"time"): (struct.Struct("<13sI17sIII"), b"\x26\0\0\0" + _CONN, _OP + _TIME),
+    (b"op", b"conn", b"time"): (struct.Struct("<21sI9sIII"), b"\x26\0\0\0" + _OP + _CONN, _TIME),
 }
-
-
-def _layout_of(order: Sequence[bytes]) -> MessageLayout:
-    code, literals = "<", [b"\x26\0\0\0"]  # the length of the header: 38 bytes in any order
-    for name in order:
-        literal, values = _PIECES[name]
-        literals[-1] += literal
-        if values:
-            code += f"{len(literals[-1])}s{values}"
-            literals.append(b"")
-    layout = struct.Struct(f"{code}{len(literals[-1])}sI")
-    if order.index(b"conn") < order.index(b"time"):
-        return MessageLayout(layout, itemgetter(0, 2, 5), tuple(literals), 1, 3)
-    return MessageLayout(layout, itemgetter(0, 3, 5), tuple(literals), 4, 1)
-
-
-LAYOUTS = {order: _layout_of(order) for order in permutations((b"conn", b"op", b"time"))}
-
 USUAL_LAYOUT = LAYOUTS[b"conn", b"op", b"time"]

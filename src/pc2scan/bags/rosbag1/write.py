@@ -103,8 +103,7 @@ class Rosbag1Writer(Writer):
         """
         handle = self._ids.take(connection.id)
         self._connections[handle] = _pack_connection(handle, connection)
-        literals = USUAL_LAYOUT.expected
-        self._prefixes[handle] = b"%b%b%b" % (literals[0], UINT32.pack(handle), literals[1])
+        self._prefixes[handle] = UINT32.pack(handle).join(USUAL_LAYOUT[1:])
         return handle
 
     def write(self, handle: int, log_time_ns: int, data: Buffer, publish_time_ns: int, sequence: int = 0) -> None:
@@ -136,7 +135,7 @@ class Rosbag1Writer(Writer):
                 path=self.path,
             )
         declaration = b"" if handle in self._declared else self._connections[handle]
-        needed = len(declaration) + USUAL_LAYOUT.layout.size + len(data)
+        needed = len(declaration) + USUAL_LAYOUT[0].size + len(data)
         if self._chunk.size + needed > self._chunk_size:
             self._flush()
         chunk = self._chunk
