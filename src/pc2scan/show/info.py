@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shlex
 from collections import Counter
 from contextlib import ExitStack, suppress
@@ -14,7 +13,6 @@ from pc2scan.advice.checks.request import log_times_of_centuries
 from pc2scan.advice.clocks import Clocks
 from pc2scan.advice.point_times import increment_warning, time_warnings
 from pc2scan.advice.survey import Span, Survey
-from pc2scan.bags.destinations import default_destination
 from pc2scan.bags.observers import Observer
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics
@@ -272,6 +270,7 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
     with ExitStack() as stack:
         reader = scaled(as_one(readers), options.cloud_scale)
         counts, start_ns, end_ns = _message_counts(reader)
+        recorded = reader.summary._replace(start_ns=start_ns, end_ns=end_ns)
         topics = _topic_infos(reader.connections, counts, start_ns, end_ns)
         frames, given = _with_odometry(reader, counts, frames, options.among({*OF_FRAMES, "cloud_scale"}))
         survey = Survey(reader, open_recordings(frames.tf_from, stack), frames, Span(None, None, start_ns or 0))
@@ -287,9 +286,9 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
             if clouds[-1].mounting is None or mounting is None:
                 continue
             # Where the robot moves in the frame of these points, its own body is not at one place.
-            parts, times = look.parts if is_own else [], (start_ns or 0, end_ns if surveyed.knows_end else None)
-            seconds, has_zeros = ((end_ns or 0) - (start_ns or 0)) / 1e9, bool(clouds[-1].zero_share)
-            lidars.append(Lidar(surveyed.facts[topic], mounting, surveyed.buffer, parts, has_zeros, seconds, times))
+            parts, has_zeros = look.parts if is_own else [], bool(clouds[-1].zero_share)
+            of_robot = recorded, surveyed.knows_end, surveyed.clocks.get(topic), surveyed.ups
+            lidars.append(Lidar(surveyed.facts[topic], mounting, surveyed.buffer, parts, has_zeros, *of_robot))
         if not any(topic.msgtype in {*CLOUDS, *SCANS} for topic in topics) and (
             instead := instead_of_clouds(reader.connections)
         ):
@@ -303,18 +302,7 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
         # Landmarks and the like are no lidar's, if there is one.
         types = {topic.topic: [topic.msgtype] for topic in topics if topic.messages}
         usual = {each.topic for each in lidars} if options.topics else set(usual_topics(types, (*CLOUDS, *SCANS)))
-        calls = proposals(
-            [each for each in lidars if each.topic in usual],
-            [str(each.path) for each in readers],
-            given,
-            surveyed.ups,
-            surveyed.clocks,
-            lambda topic: str(default_destination(readers[0].path, readers[0].summary.container, _mark(topic))),
-            reader.summary,
-            warnings,
-            names_topics=len({topic.topic for topic in topics if topic.msgtype in CLOUDS and topic.messages}) > 1,
-            has_scans=any(topic.topic == "/scan" for topic in topics),
-        )
+        calls = proposals([each for each in lidars if each.topic in usual], readers, topics, given, warnings)
         periods = {topic.topic: 1e9 / topic.rate_hz if topic.rate_hz else None for topic in shown}
         return Info(
             tuple(map(_file_info, readers)),
@@ -516,11 +504,6 @@ def _topic_infos(
             TopicInfo(topic, msgtype, serialization, messages, rate, len(group), any(c.latching for c in group))
         )
     return topics
-
-
-def _mark(topic: str) -> str:
-    """Return what the name of a topic's scans ends with."""
-    return "_" + re.sub(r"\W+", "_", topic.strip("/")) + "_scan"
 
 
 def _moments(start_ns: int, end_ns: int | None) -> list[int]:

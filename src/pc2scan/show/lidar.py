@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, reduce
 from operator import or_
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -26,14 +26,16 @@ from pc2scan.transforms.summary import WORLDS
 from .edges import EDGE_NS, EdgeClouds
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
+    from pc2scan.advice.clocks import ClockFinding
     from pc2scan.advice.survey import TopicFacts
     from pc2scan.core.points import Points
-    from pc2scan.model import RawMessage
+    from pc2scan.model import RawMessage, Summary
     from pc2scan.transforms.buffer import TransformBuffer
+    from pc2scan.transforms.imu import UpEstimate
     from pc2scan.transforms.motion import SensorMotion
     from pc2scan.transforms.mounting import Mounting
 
@@ -144,11 +146,16 @@ class Lidar:
         judged; registered ones in their own.
     has_zeros
         Whether points at (0, 0, 0) stand for no return.
-    seconds
-        How long it measured.
-    span_ns
-        The log times of the recording's first and last message; the last one is None if not all transforms there are
-        known.
+    recorded
+        The recording's extent.
+    knows_end
+        Whether all transforms at its end are known.
+    clock
+        What is wrong with its clock; None if nothing is.
+    ups
+        The direction of up by each IMU that shows it.
+    ground
+        Which points of the clouds that a command is tried on are ground, once it is known.
     """
 
     facts: TopicFacts
@@ -156,13 +163,21 @@ class Lidar:
     buffer: TransformBuffer | None
     clouds: Sequence[tuple[int, NDArray[np.floating[Any]]]]
     has_zeros: bool
-    seconds: float
-    span_ns: tuple[int, int | None]
+    recorded: Summary
+    knows_end: bool
+    clock: ClockFinding | None
+    ups: Mapping[str, UpEstimate]
+    ground: list[NDArray[np.bool_]] = field(default_factory=list)
 
     @property
     def topic(self) -> str:
         """Its topic."""
         return self.facts.topic
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """The log times of the recording's first and last message."""
+        return self.recorded.start_ns or 0, self.recorded.end_ns or 0
 
     @property
     def target(self) -> str:

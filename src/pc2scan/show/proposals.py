@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -10,9 +11,11 @@ import numpy as np
 
 from pc2scan.advice.clocks import are_doubtful
 from pc2scan.advice.odometry import odometry_of
+from pc2scan.bags.destinations import default_destination
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import median_low
 from pc2scan.errors import TransformError
+from pc2scan.messages.clouds import CLOUDS
 from pc2scan.result import Call
 from pc2scan.text import height_text
 from pc2scan.transforms.motion import spread_of_up
@@ -24,16 +27,15 @@ from .lidar import Lidar, stamp_faults
 from .trial import tried
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from pc2scan.advice.clocks import ClockFinding
     from pc2scan.advice.survey import TopicFacts
-    from pc2scan.model import Summary
-    from pc2scan.transforms.imu import UpEstimate
+    from pc2scan.bags.reader import Reader
     from pc2scan.transforms.motion import SensorMotion
 
+    from .info import TopicInfo
     from .trial import Trial
 
 #: The preset whose scans all consumers accept.
@@ -68,13 +70,13 @@ _REACH = 3.0
 _FEWEST_CLOUDS = 5
 _PERSIST = 0.9
 #: The robot moves if at most this share of larger cells beyond, up to this distance, have returns in as many clouds,
-#: in this time at least, seconds.
+#: in this time at least, nanoseconds.
 _STAYS = 0.05
 _LARGE = 0.5
 _BEYOND = 15.0
 #: How many cells, small or large, are between the origin and the farthest one.
 _CELLS = 30
-_LONG = 5.0
+_LONG_NS = 5_000_000_000
 
 
 class Box(NamedTuple):
@@ -143,16 +145,10 @@ class Choice(NamedTuple):
 
 def proposals(
     lidars: Sequence[Lidar],
-    sources: Sequence[str],
+    sources: Sequence[Reader],
+    topics: Sequence[TopicInfo],
     given: Mapping[str, Any],
-    ups: Mapping[str, UpEstimate],
-    clocks: Mapping[str, ClockFinding],
-    destination: Callable[[str], str],
-    summary: Summary,
     warnings: list[str],
-    *,
-    names_topics: bool,
-    has_scans: bool,
 ) -> Iterator[Call]:
     """Yield the commands that suit a recording: one for all lidars that make one scan, one for each other.
 
@@ -162,42 +158,33 @@ def proposals(
         The topics with clouds.
     sources
         The recordings.
+    topics
+        All topics of the recordings.
     given
         Options about frames that were given; the conversion needs them, too.
-    ups
-        The direction of up by each IMU that shows it.
-    clocks
-        What is wrong with the clocks of topics.
-    destination
-        Names the destination of a topic, if there are several commands.
-    summary
-        The recording's extent.
     warnings
         What the commands would be told is added.
-    names_topics
-        Whether a command must say which topic it converts.
-    has_scans
-        Whether the recording has a topic /scan.
     """
     lidars = [each for each in lidars if each.mounting.heights is not None and each.mounting.heights.suit]
     groups = list(_groups([_with_common_heights(each, lidars) for each in lidars]))
     for group in groups:
-        choices = list(_choices(group, given, ups, clocks, names_topics=names_topics, has_scans=has_scans))
+        choices = [*_topics(group, topics), *_choices(group, given)]
         options: dict[str, Any] = {}
         if len(groups) > 1:
-            options["destination"] = destination(group[0].topic)
+            mark = "_" + re.sub(r"\W+", "_", group[0].topic.strip("/")) + "_scan"
+            options["destination"] = str(default_destination(sources[0].path, sources[0].summary.container, mark))
         options |= {each.name: each.value for each in choices}
-        added, findings = _tried(options, group, summary)
+        added, findings = _tried(options, group)
         warnings += (f"the proposed command: {text}" for text in findings if text not in warnings)
         choices += added
         options |= {each.name: each.value for each in added}
-        yield Call("convert", tuple(sources), options, {each.name: each.reason for each in choices if each.reason})
+        reasons = {each.name: each.reason for each in choices if each.reason}
+        yield Call("convert", tuple(str(each.path) for each in sources), options, reasons)
 
 
-def _tried(options: Mapping[str, Any], group: Sequence[Lidar], summary: Summary) -> tuple[list[Choice], Sequence[str]]:
+def _tried(options: Mapping[str, Any], group: Sequence[Lidar]) -> tuple[list[Choice], Sequence[str]]:
     """Return options that a command lacks by a trial of it, and what it would be told with them."""
-    grounds: dict[str, list[NDArray[np.bool_]]] = {}
-    trial = _worst([tried(options, each, summary, grounds) for each in group])
+    trial = _worst([tried(options, each) for each in group])
     # Wide beams read several surfaces.
     if trial.on_ground <= (_STILL_ON if any(each.pattern.degrees for each in group) else _MOST_GROUND):
         return [], trial.findings
@@ -210,7 +197,7 @@ def _tried(options: Mapping[str, Any], group: Sequence[Lidar], summary: Summary)
     ends = f"scans end {reach:.0f} m away, where `min_height_slope` reaches max_height"
     for way, lost in (([remove], ()), ([remove, above], ()), ([steep], (ends,) if reach < _REACHES else ())):
         more = {each.name: each.value for each in way}
-        outcome = _worst([tried({**options, **more}, lidar, summary, grounds) for lidar in group])
+        outcome = _worst([tried({**options, **more}, lidar) for lidar in group])
         if outcome.on_ground <= most and outcome.seen > _STILL_SEEN:
             return way, (*outcome.findings, *lost)
     said = f"{trial.on_ground:.0%} of the returns are on the ground, which rises; `pc2scan view` shows it"
@@ -269,24 +256,21 @@ def _has_one_clock(one: TopicFacts, other: TopicFacts) -> bool:
     return not are_doubtful(*delays)
 
 
-def _choices(
-    group: Sequence[Lidar],
-    given: Mapping[str, Any],
-    ups: Mapping[str, UpEstimate],
-    clocks: Mapping[str, ClockFinding],
-    *,
-    names_topics: bool,
-    has_scans: bool,
-) -> Iterator[Choice]:
-    lidar = group[0]
+def _topics(group: Sequence[Lidar], topics: Sequence[TopicInfo]) -> Iterator[Choice]:
+    """Yield what a command converts, and the name of its scans, if they are not those of the only topic with clouds."""
+    topic = group[0].topic
+    has_scans = any(each.topic == "/scan" for each in topics)
     if len(group) > 1:
-        name = "/scan_all" if has_scans else "/scan"
-        topics = tuple(f"{each.topic}:={name}" for each in group)
-        yield Choice("topics", topics, f"{len(group)} lidars measure at the same time, so they make one scan")
+        named = tuple(f"{each.topic}:={'/scan_all' if has_scans else '/scan'}" for each in group)
+        yield Choice("topics", named, f"{len(group)} lidars measure at the same time, so they make one scan")
     elif has_scans:
-        yield Choice("topics", f"{lidar.topic}:={lidar.topic.rstrip('/')}/scan", "the recording has a topic /scan")
-    elif names_topics:
-        yield Choice("topics", lidar.topic, "each topic has a command of its own")
+        yield Choice("topics", f"{topic}:={topic.rstrip('/')}/scan", "the recording has a topic /scan")
+    elif len({each.topic for each in topics if each.msgtype in CLOUDS and each.messages}) > 1:
+        yield Choice("topics", topic, "each topic has a command of its own")
+
+
+def _choices(group: Sequence[Lidar], given: Mapping[str, Any]) -> Iterator[Choice]:
+    lidar = group[0]
     yield Choice("preset", _PRESET, "beams, limits and times that SLAM and navigation accept")
     given = dict(given)
     static = [each.mounting.static_tf for each in group if each.mounting.static_tf]
@@ -297,12 +281,12 @@ def _choices(
         yield Choice(option, value[0] if isinstance(value, tuple) and len(value) == 1 else value, reason)
     if lidar.target:
         yield Choice("target_frame", lidar.target, "the robot's frame" if lidar.target in BODIES else "its z points up")
-    if (clock := clocks.get(lidar.topic)) is not None:
+    if (clock := lidar.clock) is not None:
         yield Choice("time_offset", clock.time_offset, clock.text)
     elif any(stamp_faults(each.facts) for each in group):
         yield Choice("stamps", "log", "its stamps go back, or are 0")
     yield from _heights(group)
-    times = list(_times(group, ups))
+    times = list(_times(group))
     yield from times
     if clock is None:
         yield from _edges(group, next((each.value for each in times if each.name == "fixed_frame"), ""))
@@ -346,7 +330,7 @@ def _heights(group: Sequence[Lidar]) -> Iterator[Choice]:
         yield Choice("max_height", float(f"{high:g}"), "")
 
 
-def _times(group: Sequence[Lidar], ups: Mapping[str, UpEstimate]) -> Iterator[Choice]:
+def _times(group: Sequence[Lidar]) -> Iterator[Choice]:
     """Yield the options about motion, packets and patterns."""
     lidar = group[0]
     is_alone = len(group) == 1
@@ -377,7 +361,7 @@ def _times(group: Sequence[Lidar], ups: Mapping[str, UpEstimate]) -> Iterator[Ch
     if (deskews or tilts or turn or clouds or (gathered and _moves(within_scan))) and fixed:
         yield Choice("fixed_frame", fixed, "the frame that does not move with the robot")
     if not tilts:
-        yield from _level_by_imu(lidar, ups)
+        yield from _level_by_imu(lidar)
 
 
 def _edges(group: Sequence[Lidar], fixed: str) -> Iterator[Choice]:
@@ -385,8 +369,9 @@ def _edges(group: Sequence[Lidar], fixed: str) -> Iterator[Choice]:
     buffer = group[0].buffer
     if not fixed or buffer is None:
         return
-    for cut in edge_cuts([each.edges for each in group], buffer, fixed, *group[0].span_ns):
-        yield Choice(*cut)
+    start_ns, end_ns = group[0].span_ns
+    known_ns = end_ns if group[0].knows_end else None
+    yield from (Choice(*cut) for cut in edge_cuts([each.edges for each in group], buffer, fixed, start_ns, known_ns))
 
 
 def _moves(motion: SensorMotion | None) -> bool:
@@ -394,8 +379,8 @@ def _moves(motion: SensorMotion | None) -> bool:
     return motion is not None and (motion.metres > _METRES or motion.radians > ProjectionParams().angle_increment)
 
 
-def _level_by_imu(lidar: Lidar, ups: Mapping[str, UpEstimate]) -> Iterator[Choice]:
-    for topic, up in ups.items():
+def _level_by_imu(lidar: Lidar) -> Iterator[Choice]:
+    for topic, up in lidar.ups.items():
         angle = spread_of_up(up.directions)
         if angle > _TILTS and _is_connected(lidar, up.frame):
             yield Choice("level", True, f"roll and pitch vary by {math.degrees(angle):.1f} deg, by the IMU")
@@ -418,7 +403,7 @@ def _exclusions(group: Sequence[Lidar]) -> Iterator[Choice]:
     heights = lidar.mounting.heights
     for member in group:
         body = None
-        if heights is not None and member.seconds >= _LONG:
+        if heights is not None and member.span_ns[1] - member.span_ns[0] >= _LONG_NS:
             body = body_of(member.placed, heights.low, heights.high)
         if body is not None:
             boxes.append(body.text(lidar.target or lidar.mounting.frame))

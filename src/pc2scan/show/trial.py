@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pc2scan.model import Summary
     from pc2scan.request.options import ScanSpec
 
     from .lidar import Lidar
@@ -72,22 +71,18 @@ class Trial(NamedTuple):
     findings: tuple[str, ...] = ()
 
 
-def tried(
-    options: Mapping[str, Any], lidar: Lidar, summary: Summary, grounds: dict[str, list[NDArray[np.bool_]]]
-) -> Trial:
+def tried(options: Mapping[str, Any], lidar: Lidar) -> Trial:
     """Return what the options of a proposed command make of a topic's clouds.
 
     Parameters
     ----------
-    options, lidar, summary
-        The command, the topic, and the recording's extent.
-    grounds
-        Which points of a topic's clouds are on the ground: remembered from trial to trial.
+    options, lidar
+        The command and the topic, which keeps from trial to trial which points are on the ground.
     """
     given = {name: value for name, value in options.items() if name != "destination"}
     try:
         request = conversion_of(Options("convert", given))
-        spec, findings = request.scan, request_warnings(request, summary)
+        spec, findings = request.scan, request_warnings(request, lidar.recorded)
         clouds, merges = lidar.tried_clouds(_CLOUDS, _POINTS)
         is_placed = bool(lidar.mounting.static_tf) or spec.level or lidar.is_registered
         if is_placed and not lidar.is_registered:
@@ -111,9 +106,7 @@ def tried(
         clouds = [np.concatenate(clouds, axis=1)]
     placed = clouds if is_placed else [lidar.in_target(points).T for points in clouds]
     floor = lidar.mounting.heights.floor if lidar.mounting.heights is not None else None
-    if lidar.topic not in grounds:
-        grounds[lidar.topic] = [_on_ground(points, floor) for points in placed]
-    low = grounds[lidar.topic]
+    low = lidar.ground = lidar.ground or [_on_ground(points, floor) for points in placed]
     above = [points[:, ~ground] for points, ground in zip(clouds, low, strict=True)]
     standing, _ = _scans(replace(spec, filters=()), lidar, above, is_placed=is_placed, merges=merges)
     scan, stand = np.concatenate(scans), np.concatenate(standing)
