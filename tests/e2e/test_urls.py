@@ -13,7 +13,7 @@ import pc2scan
 from pc2scan.errors import Pc2ScanError
 from pc2scan.files import store
 from support import ROOT
-from support.command import run
+from support.command import run, run_process
 from support.stores import memory_store, s3_server, web_server
 from support.tables import rows
 
@@ -129,6 +129,11 @@ def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     done = run("info", "s3://bucket/a.mcap")
     assert done.status == 2
     assert 'pip install "pc2scan[remote]" s3fs' in done.stderr
+
+
+def test_the_memory_of_a_command_is_no_destination() -> None:
+    done = run_process("convert", str(FIXTURES / "hall.bag"), "-o", "memory://x.bag", "--min-height", "0.1")
+    assert (done.status, "gone when it ends" in done.stderr) == (2, True), done
 
 
 @pytest.fixture(scope="module")

@@ -23,8 +23,10 @@ def main() -> None:
     # No threads for NumPy's linear algebra: nothing here uses them, and to start them takes longer than to convert
     # a small recording.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from pc2scan.errors import UsageError
+
     from .app import run
-    from .failures import end_without_output
+    from .failures import end_without_output, show_failure
     from .render import StdoutError
 
     # A daemon may start a process without these. An output, and what workers inherit, must not get their numbers.
@@ -33,6 +35,9 @@ def main() -> None:
             stream = open(os.devnull, "r" if name == "stdin" else "w", encoding="utf-8")  # noqa: PTH123, SIM115
             os.set_inheritable(stream.fileno(), True)
             setattr(sys, name, stream)
+    if lost := next((word for word in sys.argv if word.startswith("memory:")), None):
+        error = UsageError("is in the memory of this process, and gone when it ends", path=lost)
+        sys.exit(show_failure(error, sys.argv[1:]))
     try:
         sys.exit(run(sys.argv[1:]))
     except StdoutError as err:

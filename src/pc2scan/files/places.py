@@ -151,5 +151,6 @@ def missing_hint(path: Path) -> str | None:
             names = sorted(entry.name for entry in islice(entries, _MOST) if not entry.name.startswith("."))
     except OSError:
         return None
-    similar = nearest(path.name, names)
+    # An ending that was left out, or what an interrupted run left.
+    similar = next((name for name in names if name.startswith(f"{path.name}.")), None) or nearest(path.name, names)
     return None if similar is None else f"did you mean {path.parent / similar}?"
