@@ -52,28 +52,25 @@ def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str |
     for unused in sorted(arguments.keys() - file.arguments):
         known = f"{did_you_mean(unused, file.arguments)} its arguments are {name_list(sorted(file.arguments))}"
         raise ParameterError(f"{path}: it has no argument {unused!r}", hint=known.strip())
-    names = [candidate.name or f"one without a readable name (line {candidate.line})" for candidate in file.nodes]
-    if not names:
+    if not file.nodes and (file.ignored or not file.unread):
         hint = f"not followed: {name_list(file.ignored)}; name the file that has the node" if file.ignored else None
         raise ParameterError(f"{path}: no node of pointcloud_to_laserscan in it", hint=hint)
-    for unread in file.changing:
-        message = f"what changes nodes: {unread.problem} (from {path}, line {unread.line})"
-        raise ParameterError(message, hint=ELSEWHERE)
-    chosen = file.nodes
-    if node is not None:
-        chosen = [candidate for candidate in chosen if f"{candidate.name}/".endswith(f"/{node.strip('/')}/")]
-        if not chosen:
-            message = f"{path}: no node {node!r} (from `node`); found {name_list(names)}"
-            raise ParameterError(message, hint=did_you_mean(node, names) or None)
+    for unread in file.unread:
+        message = f"what may be the node or change it: {unread.problem} (from {path}, line {unread.line})"
+        raise ParameterError(message, hint=unread.hint or ELSEWHERE)
+    names = [candidate.name for candidate in file.nodes]
+    chosen = [each for each in file.nodes if node is None or f"{each.name}/".endswith(f"/{node.strip('/')}/")]
+    if not chosen:
+        message = f"{path}: no node {node!r} (from `node`); found {name_list(names)}"
+        raise ParameterError(message, hint=did_you_mean(str(node), names) or None)
     for candidate in chosen if node is None else ():
         if candidate.doubt:
-            message = f"{path}, line {candidate.line}: {candidate.name or 'a node'} is {candidate.doubt}"
-            hint = candidate.hint or (f"`node={candidate.name}`" if names.count(candidate.name) == 1 else ELSEWHERE)
-            raise ParameterError(f"{message}, and read only if `node` names it", hint=hint)
+            message = (
+                f"{path}, line {candidate.line}: {candidate.name} is {candidate.doubt}, and read only if `node` names"
+            )
+            raise ParameterError(f"{message} it", hint=f"`node={candidate.name}`")
     if len(chosen) > 1:
         nodes = tuple(candidate.name for candidate in chosen)
-        message = f"{path}: several nodes match: {name_list(nodes)}"
-        if len({*nodes}) < len(nodes):
-            raise ParameterError(message, hint=ELSEWHERE)
-        raise ParameterError(message, hint=f"choose one, for example `node={nodes[0]}`")
+        hint = f"choose one, for example `node={nodes[0]}`" if len({*nodes}) == len(nodes) else ELSEWHERE
+        raise ParameterError(f"{path}: several nodes match: {name_list(nodes)}", hint=hint)
     return chosen[0], file

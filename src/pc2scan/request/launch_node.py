@@ -70,15 +70,13 @@ class LaunchNode:
     Attributes
     ----------
     name
-        The fully qualified name; empty if it is not read.
+        The fully qualified name.
     line
         Where it is.
     doubt
         Why it is not known whether the node is launched once: "under a condition"; empty if it is.
     values
         In the order of the file.
-    hint
-        What to type if it is in doubt; None: its name.
     """
 
     name: str
@@ -86,12 +84,6 @@ class LaunchNode:
     doubt: str
     namespace: str = ""
     values: tuple[LaunchValue, ...] = ()
-    hint: str | None = None
-
-    @classmethod
-    def unclear(cls, err: UnreadError) -> LaunchNode:
-        """Return what may be a node of pointcloud_to_laserscan."""
-        return cls("", err.line, f"unclear: {err.problem}", hint=err.hint)
 
 
 @dataclass(slots=True)
@@ -106,14 +98,14 @@ class LaunchFile:
         The names of its arguments.
     ignored
         What may set parameters or launch nodes, and is not followed, with its place.
-    changing
-        What changes nodes from outside of them.
+    unread
+        What may be such a node, or changes nodes from outside of them.
     """
 
     nodes: list[LaunchNode] = field(default_factory=list)
     arguments: set[str] = field(default_factory=set)
     ignored: list[str] = field(default_factory=list)
-    changing: list[UnreadError] = field(default_factory=list)
+    unread: list[UnreadError] = field(default_factory=list)
 
     def add_node(
         self, text: Callable[[str], str], values: Iterable[LaunchValue], line: int, doubt: str, above: str = ""
@@ -143,7 +135,7 @@ class LaunchFile:
             name = qualified(namespace, text("name") or "pointcloud_to_laserscan")
             self.nodes.append(LaunchNode(name, line, doubt, namespace, tuple(values)))
         except UnreadError as err:
-            self.nodes.append(LaunchNode.unclear(err))
+            self.unread.append(err)
 
 
 def qualified(above: str, name: str) -> str:

@@ -11,11 +11,12 @@ import ast
 import posixpath
 import warnings
 from collections import Counter
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import ParameterError
 
-from .launch_node import LaunchFile, LaunchNode, LaunchValue, UnreadError, package_folder, shortened
+from .launch_node import LaunchFile, LaunchValue, UnreadError, package_folder, shortened
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -37,10 +38,9 @@ _ACTIONS = {"LaunchDescription", "GroupAction", "TimerAction", "ComposableNodeCo
 _LAUNCHED = {"actions", "initial_entities", "composable_node_descriptions"}
 _READ = _NODES | _ACTIONS
 
-#: What changes nodes or arguments beside it, and what may change names unseen.
+#: What changes nodes or arguments beside it.
 _CHANGING = {"PushRosNamespace", "PushROSNamespace", "SetRemap", "SetParameter", "SetParametersFromFile"}
 _CHANGING |= {"SetLaunchConfiguration", "UnsetLaunchConfiguration", "launch_configurations", "forwarding"}
-_CHANGING |= {"exec", "eval", "globals", "locals", "vars", "setattr"}
 
 #: What may be changed in place.
 _CHANGEABLE = ast.List | ast.Tuple | ast.Dict
@@ -117,11 +117,11 @@ class _PythonReader:
         for node in self._tree:
             match node:
                 case ast.Constant(str() as text) if text.startswith(_PROGRAMS) and self._user(node) not in _NODES:
-                    file.nodes.append(LaunchNode.unclear(_unread(node)))
+                    file.unread.append(_unread(node))
                 case ast.Name(word) | ast.Attribute(_, word) | ast.keyword(str() as word) | ast.alias(word, str()):
                     if word in _CHANGING and "'use_sim_time'" not in (code := ast.unparse(self._parents[node])):
-                        file.changing.append(UnreadError.of(code, node.lineno))
-        file.nodes.sort(key=lambda node: node.line)
+                        file.unread.append(UnreadError.of(code, node.lineno))
+        file.nodes.sort(key=attrgetter("line"))
         return file
 
     def _add_node(self, call: ast.Call, file: LaunchFile) -> None:

@@ -61,7 +61,7 @@ class _XmlReader:
         try:
             namespace = qualified(namespace, self._expanded(parent.attributes.get("ns", ""), parent))
         except UnreadError as err:
-            self.file.changing.append(err)
+            self.file.unread.append(err)
         for element in parent.children:
             get, unsure, place = element.attributes.get, doubt, f"{self._path}, line {element.line}, <{element.tag}"
             try:
@@ -81,7 +81,7 @@ class _XmlReader:
                 case "param" | "rosparam" if get("name", "").rpartition("/")[2] in {"", *PARAMETERS}:
                     self.file.ignored.append(f"{place}> outside of a node")
                 case tag if tag in _CHANGING and get("name") != "use_sim_time":
-                    self.file.changing.append(UnreadError(f"<{tag}> is not read", element.line))
+                    self.file.unread.append(UnreadError(f"<{tag}> is not read", element.line))
                 case _:
                     self.read(element, namespace, unsure, remaps)
 

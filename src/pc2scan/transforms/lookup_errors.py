@@ -80,11 +80,8 @@ def reasons_of(poses: NDArray[np.float64], reasons: NDArray[np.int32]) -> NDArra
 #: Maximum number of frames that an error message names.
 MAX_NAMES = 20
 
-#: A gap up to the first is usual, up to the second it may be bridged; from the third on it is a difference between
-#: clocks.
-_SMALL_NS = 100_000_000
+#: A gap up to this may be bridged.
 _BRIDGED_NS = 1_000_000_000
-_OTHER_CLOCK_NS = 3_600_000_000_000
 
 _SEE_TF = "`pc2scan tf` shows the frames of a recording and their times"
 
@@ -141,15 +138,11 @@ def unknown_frame_error(
         known += f"; [{rejected.child}] in [{rejected.parent}] was rejected: {rejected.reason}"
     namesake = named_in_namespace(name, frames)
     near = f"did you mean {namesake}?" if namesake else did_you_mean(name, sorted(frames))
+    advice = "`static_tf`, `urdf` or `tf_from` adds a transform, `odom_topic` poses; `source_frame` corrects a frame_id"
     if offered:
         advice = f"`odom_topic={offered}` uses the poses of this topic, which have it"
     elif target and frames and not near:
         advice = f"{mount_text(name, frames, target)}, `urdf` or `tf_from` reads that from elsewhere"
-    else:
-        advice = (
-            "`static_tf`, `urdf` or `tf_from` adds a transform, `odom_topic` or `trajectory` poses; `source_frame` "
-        )
-        advice += "corrects a wrong frame_id"
     message = f"no transform has the {'source ' if target else ''}frame {name!r}; {known}"
     return UnconnectedError(message, stamp_ns=stamp_ns, hint=f"{near} {advice}".strip())
 
@@ -177,11 +170,8 @@ def _tolerance_hint(gap_ns: int) -> str:
     """Return what helps if the nearest transform is this far away."""
     seconds = stamp_text(gap_ns).rstrip("0").rstrip(".")
     if gap_ns <= _BRIDGED_NS:
-        clocks = "" if gap_ns <= _SMALL_NS else ", unless the clocks differ, which `time_offset=auto` corrects"
-        return f"pc2scan convert `transform_tolerance={seconds}` uses the nearest transform{clocks}"
-    if gap_ns >= _OTHER_CLOCK_NS:
-        hours = f"{gap_ns / 3.6e12:,.0f} hours"
-        return f"the clocks differ by {hours}, which `time_offset=auto` corrects, or it is of another recording"
+        nearest = f"pc2scan convert `transform_tolerance={seconds}` uses the nearest transform"
+        return f"{nearest}, unless the clocks differ, which `time_offset=auto` corrects"
     return f"the nearest transform is {seconds} s away: `time_offset=auto` measures whether the clocks differ"
 
 

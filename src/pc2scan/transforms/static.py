@@ -66,14 +66,15 @@ class StaticTransform:
         parent, child, translation, rotation = words[0], words[1], numbers[:3], numbers[3:]
         if not parent or not child or parent.removeprefix("/") == child.removeprefix("/"):
             raise UsageError(f"a static transform needs two frames, not {parent!r} and {child!r}")
-        _refuse_degrees(parent, child, translation, rotation)
+        where = f"static transform from {parent} to {child}"
+        _refuse_degrees(where, rotation)
         try:
             if len(rotation) == 3:
                 rigid = Rigid.from_rpy(rotation[0], rotation[1], rotation[2], translation)
             else:
                 rigid = Rigid(rotation, translation)  # type: ignore[arg-type]
         except ParameterError as err:
-            raise UsageError(f"static transform from {parent} to {child}: {err.message}") from err
+            raise UsageError(f"{where}: {err.message}") from err
         return cls(parent, child, rigid)
 
     def row(self, stamp_ns: int) -> TransformRow:
@@ -89,23 +90,16 @@ def number_in(word: str, unit: str) -> float | None:
         return quantity(word, unit) if unit else None
 
 
-def _refuse_degrees(parent: str, child: str, translation: Sequence[float], rotation: Sequence[float]) -> None:
+def _refuse_degrees(where: str, rotation: Sequence[float]) -> None:
     """Raise for rotations that are mistakes: angles of more than a full turn, quaternions far from unit length."""
-    where = f"static transform from {parent} to {child}"
-    write = f"`static_tf='{parent} {child} {_numbers(translation)}"
     length = math.hypot(*rotation)
     if len(rotation) == 3 and FULL_TURN < max(map(abs, rotation)) < math.inf:
-        numbers = " ".join(f"{angle:g}deg" if angle else "0" for angle in rotation)
-        raise UsageError(
-            f"{where}: {_numbers(rotation)} rad are more than a full turn (2 pi is 6.28319 rad)",
-            hint=f"for degrees write {write} {numbers}'`, which is {_numbers(map(math.radians, rotation))} rad",
-        )
+        degrees = " ".join(f"{angle:g}deg" if angle else "0" for angle in rotation)
+        message = f"{where}: {_numbers(rotation)} rad are more than a full turn (2 pi is 6.28319 rad)"
+        raise UsageError(message, hint=f"degrees are written {degrees}")
     if len(rotation) == 4 and length and _QUATERNION_SLACK < abs(length - 1) < math.inf:
-        raise UsageError(
-            f"{where}: the quaternion {_numbers(rotation)} has the length {length:.4g}, it must be 1",
-            hint="for roll, pitch and yaw give three numbers, not four; a quaternion of unit length is "
-            f"{write} {_numbers(x / length for x in rotation)}'`",
-        )
+        message = f"{where}: the quaternion {_numbers(rotation)} has the length {length:.4g}, it must be 1"
+        raise UsageError(message, hint="roll, pitch and yaw are three numbers, not four")
 
 
 def static_text(parent: str, child: str, static: StaticTransform, factor: float = 1.0) -> str:
