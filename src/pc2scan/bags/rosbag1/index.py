@@ -82,7 +82,8 @@ def read_index(file: BagFile, log: DamageLog) -> tuple[dict[int, Connection], Se
             count = sum(numbers[1::2])
             located.append(Segment(place, 0, 0, start_ns, end_ns, connection_ids=ids, message_count=count))
         position = stop
-    if position < file.size:
+    # Zeros are no records: a file that was preallocated, or copied in blocks, may end with them.
+    if file.read(position, min(file.size - position, 1 << 20)).strip(b"\0"):
         raise FormatError(f"the file continues at byte {position}, after the records that the bag header counts")
 
     segments = Segments()
