@@ -78,7 +78,7 @@ class _Frame:
     scans
         How many there are.
     missing
-        Those without a transform to the odometry, although there are some.
+        Those without a transform to the odometry, although there is one.
     error
         Why the first of these has none.
     pose
@@ -115,11 +115,11 @@ class ScanFrames:
         self, buffer: TransformBuffer, odom_frame: str, base_frame: str, clock: ClockFinding | None, arrivals: Arrivals
     ) -> None:
         self._buffer, self._clock, self._arrivals = buffer, clock, arrivals
-        self._trees = {frame: number for number, tree in enumerate(buffer.trees) for frame in tree.frames}
+        self._known = {frame for tree in buffer.trees for frame in tree.frames}
         self._odom = odom_frame.removeprefix("/")
-        self._base = base_frame.removeprefix("/") or next((f for f in BODIES if f in self._trees), BODIES[0])
+        self._base = base_frame.removeprefix("/") or next((f for f in BODIES if f in self._known), BODIES[0])
         #: Without transforms of the robot, its frame may have another name.
-        self._knows_base = bool(base_frame) or not self._trees or self._base in self._trees
+        self._knows_base = bool(base_frame) or not self._known or self._base in self._known
         self._frames: dict[str, _Frame] = {}
         self._looked = 0
         self._tilted, self._sideways, self._late = Counted(), Counted(), Counted()
@@ -137,7 +137,7 @@ class ScanFrames:
             self._late.add(earlier_ns)
         odometry, no_odometry = self._lookup(name, self._odom, stamp_ns)
         robot, no_robot = self._lookup(name, self._base, stamp_ns)
-        if no_odometry is not None and self._joined(name, self._odom):
+        if no_odometry is not None and self._odom in self._known:
             frame.missing.add(stamp_ns)
             frame.error = frame.error or no_odometry
         known_ns = 0
@@ -164,7 +164,7 @@ class ScanFrames:
         """Return the transform to a frame at a stamp, or why there is none."""
         if frame == target:
             return Rigid.identity(), None
-        if not self._trees:
+        if not self._known:
             return None, TransformError("the recording has no transforms")
         try:
             return self._buffer.lookup(target, frame, stamp_ns), None
@@ -189,18 +189,15 @@ class ScanFrames:
         x, y, _ = base_from_scan.translation.tolist()
         return float(up - x * ahead - y * left)
 
-    def _joined(self, one: str, other: str) -> bool:
-        return one in self._trees and self._trees[one] == self._trees.get(other)
-
     def _cure(self, frame: str, error: TransformError) -> str:
         """Return what gives scans the transforms that they lack; empty if only recording transforms does."""
-        if not frame or not self._trees:
+        if not frame or not self._known:
             return ""
-        if frame not in self._trees:
-            if near := nearest(frame, self._trees):
+        if frame not in self._known:
+            if near := nearest(frame, self._known):
                 return f"did you mean {near}? For scans made from clouds: pc2scan convert `source_frame={near}`"
-            return f"for scans made from clouds: pc2scan convert {mount_text(frame, self._trees)}"
-        return self._naming("odom_frame", self._odom) if self._odom not in self._trees else error.hint or ""
+            return f"for scans made from clouds: pc2scan convert {mount_text(frame, self._known)}"
+        return self._naming("odom_frame", self._odom) if self._odom not in self._known else error.hint or ""
 
     @property
     def _gap_cure(self) -> str:
@@ -212,14 +209,14 @@ class ScanFrames:
 
     def _naming(self, option: str, name: str) -> str:
         """Return what to do if there is no frame of this name."""
-        if namesake := named_in_namespace(name, self._trees):
+        if namesake := named_in_namespace(name, self._known):
             return f"`{option}={namesake}`"
         more = "; pc2scan convert `odom_topic` or `trajectory` adds odometry" if option == "odom_frame" else ""
         return f"`{option}` names the right one; {_HINT}{more}"
 
     def findings(self, interval_ns: float | None) -> Iterator[Finding]:
         """Yield the problems, given the median interval between scans."""
-        if not self._trees:
+        if not self._known:
             text = "the recording has no transforms: SLAM and navigation drop scans that they cannot place"
             yield Finding("no-transforms", "notice", text, NO_TRANSFORMS)
             return
@@ -257,26 +254,19 @@ class ScanFrames:
             (self._base, "robot", "base_frame", "notice"),
         )
         for name, role, option, level in named:
-            if name not in self._trees:
+            if name not in self._known:
                 text = f"there is no frame {name!r} ({role}) in the transforms; their roots: {roots}"
                 yield Finding(f"no-{role}-frame", level, text, self._naming(option, name))
 
     def _frame_findings(self, name: str, frame: _Frame, interval_ns: float | None) -> Iterator[Finding]:
-        if name not in self._trees:
-            text = f"the scan's frame {name!r} is not in the transforms"
-            yield Finding("frame-unknown", "defect", text, self._cure(name, TransformError("")), frame.scans)
-            return
         if moving := find_body_motion(self._buffer, name, self._base):
             text = f"the scan's frame {name!r} is one that {moving.body} moves in (by {moving.metres:.2f} m)"
             hint = f"for scans made from clouds: pc2scan convert `target_frame={moving.body}`"
             yield Finding("moving-frame", "defect", text, hint, frame.scans)
-        if self._odom in self._trees and not self._joined(name, self._odom):
-            text = f"the scan's frame {name!r} is not connected with {self._odom!r}"
-            yield Finding("frame-apart", "defect", text, _HINT, frame.scans)
         if frame.error is not None:
             missing = frame.missing.count
             text = f"{missing:,} of {frame.scans:,} scans have no transform from {name!r} to {self._odom!r}"
-            hint, why = frame.error.hint or _HINT, f": {frame.error.message}"
+            hint, why = self._cure(name, frame.error) or _HINT, f": {frame.error.message}"
             level: Level = "defect"
             if few_unplaced(missing, frame.scans, interval_ns):
                 level, why = "notice", ""
