@@ -302,7 +302,7 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
         # Landmarks and the like are no lidar's, if there is one.
         types = {topic.topic: [topic.msgtype] for topic in topics if topic.messages}
         usual = {each.topic for each in lidars} if options.topics else set(usual_topics(types, (*CLOUDS, *SCANS)))
-        calls = proposals([each for each in lidars if each.topic in usual], readers, topics, given, warnings)
+        calls = proposals([each for each in lidars if each.topic in usual], readers, types, given, warnings)
         periods = {topic.topic: 1e9 / topic.rate_hz if topic.rate_hz else None for topic in shown}
         return Info(
             tuple(map(_file_info, readers)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, reduce
 from operator import or_
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from pc2scan.advice.clocks import ClockFinding
     from pc2scan.advice.survey import TopicFacts
     from pc2scan.core.points import Points
+    from pc2scan.core.rigid import Rigid
     from pc2scan.model import RawMessage, Summary
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.imu import UpEstimate
@@ -229,10 +231,7 @@ class Lidar:
         """Whether the z axes of its frame and of the scans are the same, so that its rings are level there."""
         if self.mounting.static_tf or not self.target:
             return not self.mounting.static_tf
-        try:
-            turned = None if self.buffer is None else self.buffer.lookup(self.target, self.mounting.frame, 0)
-        except TransformError:
-            return False
+        turned = self.transform(self.target, self.mounting.frame)
         return turned is not None and float(turned.matrix[2, 2]) > _UPRIGHT
 
     @cached_property
@@ -259,10 +258,14 @@ class Lidar:
     @property
     def world(self) -> str:
         """The frame that does not move with the robot; empty if there is none."""
-        known, frame = self.buffer, self.mounting.frame
-        if known is None:
-            return ""
-        return next((name for name in WORLDS if name in known.frames and _connects(known, name, frame)), "")
+        names = () if self.buffer is None else [name for name in WORLDS if name in self.buffer.frames]
+        return next((name for name in names if self.transform(name, self.mounting.frame) is not None), "")
+
+    def transform(self, target: str, source: str, stamp_ns: int = 0) -> Rigid | None:
+        """Return a recorded transform, by default the latest; None if there is none."""
+        with suppress(TransformError):
+            return None if self.buffer is None else self.buffer.lookup(target, source, stamp_ns)
+        return None
 
     def motion(self, seconds: float) -> SensorMotion | None:
         """Return how it moves within some time; None if it stands still, or no transforms say how it moves."""
@@ -325,18 +328,9 @@ class Lidar:
             return np.asarray(StaticTransform.parse(static).parent_from_child.apply(xyz))
         if not target or target == frame or self.buffer is None:
             return xyz
-        try:
-            return np.asarray(self.buffer.lookup(target, frame, stamp_ns).apply(xyz))
-        except TransformError:
+        if (placed := self.transform(target, frame, stamp_ns)) is None:
             return xyz[:0] if self.is_registered else xyz
-
-
-def _connects(buffer: TransformBuffer, target: str, source: str) -> bool:
-    try:
-        buffer.lookup(target, source, 0)
-    except TransformError:
-        return False
-    return True
+        return np.asarray(placed.apply(xyz))
 
 
 def _lower_quartile(counts: Iterable[int]) -> int:

@@ -14,7 +14,6 @@ from pc2scan.advice.odometry import odometry_of
 from pc2scan.bags.destinations import default_destination
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import median_low
-from pc2scan.errors import TransformError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.result import Call
 from pc2scan.text import height_text
@@ -35,7 +34,6 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.transforms.motion import SensorMotion
 
-    from .info import TopicInfo
     from .trial import Trial
 
 #: The preset whose scans all consumers accept.
@@ -146,7 +144,7 @@ class Choice(NamedTuple):
 def proposals(
     lidars: Sequence[Lidar],
     sources: Sequence[Reader],
-    topics: Sequence[TopicInfo],
+    types: Mapping[str, Sequence[str]],
     given: Mapping[str, Any],
     warnings: list[str],
 ) -> Iterator[Call]:
@@ -158,8 +156,8 @@ def proposals(
         The topics with clouds.
     sources
         The recordings.
-    topics
-        All topics of the recordings.
+    types
+        The types of each topic with messages.
     given
         Options about frames that were given; the conversion needs them, too.
     warnings
@@ -168,7 +166,7 @@ def proposals(
     lidars = [each for each in lidars if each.mounting.heights is not None and each.mounting.heights.suit]
     groups = list(_groups([_with_common_heights(each, lidars) for each in lidars]))
     for group in groups:
-        choices = [*_topics(group, topics), *_choices(group, given)]
+        choices = [*_topics(group, sources, types), *_choices(group, given)]
         options: dict[str, Any] = {}
         if len(groups) > 1:
             mark = "_" + re.sub(r"\W+", "_", group[0].topic.strip("/")) + "_scan"
@@ -256,16 +254,16 @@ def _has_one_clock(one: TopicFacts, other: TopicFacts) -> bool:
     return not are_doubtful(*delays)
 
 
-def _topics(group: Sequence[Lidar], topics: Sequence[TopicInfo]) -> Iterator[Choice]:
+def _topics(group: Sequence[Lidar], sources: Sequence[Reader], types: Mapping[str, Sequence[str]]) -> Iterator[Choice]:
     """Yield what a command converts, and the name of its scans, if they are not those of the only topic with clouds."""
     topic = group[0].topic
-    has_scans = any(each.topic == "/scan" for each in topics)
+    has_scans = any(each.topic == "/scan" for reader in sources for each in reader.connections)
     if len(group) > 1:
         named = tuple(f"{each.topic}:={'/scan_all' if has_scans else '/scan'}" for each in group)
         yield Choice("topics", named, f"{len(group)} lidars measure at the same time, so they make one scan")
     elif has_scans:
         yield Choice("topics", f"{topic}:={topic.rstrip('/')}/scan", "the recording has a topic /scan")
-    elif len({each.topic for each in topics if each.msgtype in CLOUDS and each.messages}) > 1:
+    elif sum(not CLOUDS.keys().isdisjoint(kinds) for kinds in types.values()) > 1:
         yield Choice("topics", topic, "each topic has a command of its own")
 
 
@@ -302,32 +300,28 @@ def _beams(group: Sequence[Lidar], *, is_level: bool) -> Iterator[Choice]:
     if None in steps:
         return
     step = max(each for each in steps if each is not None)
-    measured = f"every {math.degrees(step):.3g} deg"
-    if step > 1.2 * ProjectionParams().angle_increment and len(group) == 1 and group[0].is_upright and not is_level:
-        yield Choice("beams", "auto", f"the lidar measures {measured}, coarser than the default beams")
+    measured = f"the lidar measures every {math.degrees(step):.3g} deg"
+    if step <= _FINE:
+        yield Choice("angle_increment", "0.5deg", f"{measured}, finer than the default beams")
     elif step > 1.2 * ProjectionParams().angle_increment:
         wide = math.ceil(2 * math.degrees(step) - 0.1) / 2
-        yield Choice(
-            "angle_increment", f"{wide:g}deg", f"the lidar measures {measured}, coarser than the default beams"
-        )
-    elif step <= _FINE:
-        yield Choice("angle_increment", "0.5deg", f"the lidar measures {measured}, finer than the default beams")
+        is_regular = len(group) == 1 and group[0].is_upright and not is_level
+        name, value = ("beams", "auto") if is_regular else ("angle_increment", f"{wide:g}deg")
+        yield Choice(name, value, f"{measured}, coarser than the default beams")
 
 
 def _heights(group: Sequence[Lidar]) -> Iterator[Choice]:
     heights = [each.mounting.heights for each in group if each.mounting.heights is not None]
     low, high = max(each.low for each in heights), max(each.high for each in heights)
     floors = [each.floor for each in heights if each.floor is not None]
+    ceilings = [each.ceiling for each in heights if each.ceiling is not None]
+    above, below = "no floor is visible: the heights of most points", ""
     if floors:
-        yield Choice("min_height", float(f"{low:g}"), f"above the floor at z = {height_text(max(floors))} m")
-        ceilings = [each.ceiling for each in heights if each.ceiling is not None]
-        under = (
-            f"below the ceiling at z = {height_text(min(ceilings))} m" if ceilings else "of objects that stand on it"
-        )
-        yield Choice("max_height", float(f"{high:g}"), under)
-    else:
-        yield Choice("min_height", float(f"{low:g}"), "no floor is visible: the heights of most points")
-        yield Choice("max_height", float(f"{high:g}"), "")
+        above, below = f"above the floor at z = {height_text(max(floors))} m", "of objects that stand on it"
+        if ceilings:
+            below = f"below the ceiling at z = {height_text(min(ceilings))} m"
+    yield Choice("min_height", float(f"{low:g}"), above)
+    yield Choice("max_height", float(f"{high:g}"), below)
 
 
 def _times(group: Sequence[Lidar]) -> Iterator[Choice]:
@@ -418,19 +412,17 @@ def _exclusions(group: Sequence[Lidar]) -> Iterator[Choice]:
         yield Choice("exclude_box", boxes[0] if len(boxes) == 1 else tuple(boxes), ", ".join(dict.fromkeys(reasons)))
 
 
-def odometry_doubts(lidars: Iterable[Lidar]) -> Iterator[str]:
-    """Yield what is wrong with the transforms that move the robot, by the frame that a conversion would deskew in."""
-    doubts: set[str] = set()
+def odometry_doubts(lidars: Iterable[Lidar]) -> list[str]:
+    """Return what is wrong with the transforms that move the robot, by the frame that a conversion would deskew in."""
+    doubts: list[str] = []
     for lidar in lidars:
         if (buffer := lidar.buffer) is None:
             continue
         motion = lidar.motion(0.1)
         # Frames that are the wrong way round move nothing.
         fixed = motion.fixed if motion is not None else next((name for name in WORLDS if name in buffer.frames), "")
-        doubt = odometry_of(buffer, fixed, lidar.mounting.frame).doubt
-        if doubt and doubt not in doubts:
-            doubts.add(doubt)
-            yield doubt
+        doubts.append(odometry_of(buffer, fixed, lidar.mounting.frame).doubt)
+    return list(dict.fromkeys(filter(None, doubts)))
 
 
 def missing_mounts(lidars: Iterable[Lidar]) -> Iterator[str]:
@@ -442,9 +434,7 @@ def missing_mounts(lidars: Iterable[Lidar]) -> Iterator[str]:
         body = next((name for name in BODIES if buffer is not None and name in buffer.frames), "")
         if not frame or frame == body or buffer is None or not body:
             continue
-        try:
-            buffer.lookup(body, frame, 0)
-        except TransformError:
+        if lidar.transform(body, frame) is None:
             yield (
                 f"{lidar.topic}: no transform connects {frame!r} with {body}: complete "
                 f"`static_tf='{body} {frame} X Y Z ROLL PITCH YAW'` (metres and radians), or give the robot's model, "
