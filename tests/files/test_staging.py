@@ -12,7 +12,7 @@ import pytest
 
 from pc2scan.bags.rosbag2.metadata import recorded_in
 from pc2scan.errors import DestinationError, OutputError
-from pc2scan.files.outputs import files_output
+from pc2scan.files.staging import files_output
 from pc2scan.files.staging import staged_output as output_anywhere
 from support.rosbag2_files import write_metadata
 

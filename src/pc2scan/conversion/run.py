@@ -32,11 +32,10 @@ from pc2scan.errors import (
     TopicError,
     UsageError,
 )
-from pc2scan.files.outputs import check_file_output, file_output
-from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
+from pc2scan.files.ownership import inputs_of, refuse_overlap
 from pc2scan.files.places import output_folder
 from pc2scan.files.source import changed_while_read, state_of
-from pc2scan.files.staging import check_destination, staged_output
+from pc2scan.files.staging import check_destination, files_output, staged_output
 from pc2scan.files.system import copying_to
 from pc2scan.files.urls import UrlPath, exists
 from pc2scan.progress import Meter
@@ -225,9 +224,9 @@ def _deliver(report: Result, inputs: Sequence[InputPath], output: OutputOptions)
     if path is None or output.dry_run or any(error.path == path for error in report.errors):
         return None
     try:
-        refuse_overlap(inputs, [OutputPath(path, "`report`")])
-        with file_output(path, beginning=BEGINNING, overwrite=output.overwrite) as write:
-            write(report.as_json())
+        refuse_overlap(inputs, [], path)
+        with files_output([path], beginning=BEGINNING, overwrite=output.overwrite) as write:
+            write([report.as_json()])
     except (DestinationError, OutputError) as err:
         return err
     return None
@@ -288,11 +287,10 @@ def _writing(
     target: Destination, inputs: Sequence[InputPath], output: OutputOptions, report: Report
 ) -> Generator[Writer | None]:
     """Open the destination's writer, and finish the recording, or abort it after an error; None in a dry run."""
-    outputs = [OutputPath(target.path), *([OutputPath(output.report, "`report`")] if output.report else [])]
-    refuse_overlap(inputs, outputs)
+    refuse_overlap(inputs, [target.path], output.report)
     if output.report is not None:
         try:
-            check_file_output(output.report, beginning=BEGINNING, overwrite=output.overwrite)
+            check_destination(output.report, beginning=BEGINNING, overwrite=output.overwrite)
         except (DestinationError, OutputError) as err:
             err.message = f"the report cannot be written there: {err.message}"
             raise

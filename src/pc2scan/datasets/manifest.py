@@ -15,7 +15,7 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import DestinationError, UsageError
-from pc2scan.files.records import RECORD
+from pc2scan.files.ownership import RECORD
 from pc2scan.files.source import file_beside
 from pc2scan.files.urls import UrlPath
 from pc2scan.version import __version__

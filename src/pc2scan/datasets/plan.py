@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.destinations import default_destination
 from pc2scan.errors import DestinationError, name_list
-from pc2scan.files.ownership import Inputs, OutputPath, first_link, name_key
+from pc2scan.files.ownership import Inputs, first_link, name_key
 from pc2scan.files.places import working_names
 from pc2scan.files.urls import absolute
 from pc2scan.version import __version__
@@ -148,7 +148,7 @@ def _forbidden(out: Path, read: Callable[[], Inputs], output: str) -> Destinatio
     """Return why an output may not be written into a folder, whatever is there; None if it may."""
     path = out / output
     try:
-        read().refuse(OutputPath(path))
+        read().refuse(path)
     except DestinationError as err:
         return err
     link = first_link(out, output)

@@ -12,8 +12,8 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import DestinationError, DiskFullError, OutputError, UsageError
-from pc2scan.files.outputs import check_file_output, file_output
 from pc2scan.files.ownership import InputPath, inputs_of
+from pc2scan.files.staging import check_destination, files_output
 from pc2scan.files.system import copying_to, is_full
 from pc2scan.files.transfers import refuse_without_room
 from pc2scan.files.urls import UrlPath, absolute
@@ -145,11 +145,13 @@ def run_batch(
             warnings=[*choices.warnings([*jobs, *(each.key for each in plan.skipped)]), *plan.warnings],
         )
         if write_report is not None:
-            write_report(report.as_json())
+            write_report([report.as_json()])
     return report
 
 
-def _open_report(options: BatchOptions, folder: BatchFolder, stack: ExitStack) -> Callable[[str], None] | None:
+def _open_report(
+    options: BatchOptions, folder: BatchFolder, stack: ExitStack
+) -> Callable[[Sequence[str | bytes]], None] | None:
     """Make sure that the report can be written, before anything is converted; return the function that writes it."""
     path = options.report
     if path is None:
@@ -159,9 +161,9 @@ def _open_report(options: BatchOptions, folder: BatchFolder, stack: ExitStack) -
         raise DestinationError("the report cannot be written there: the batch writes this file itself", path=path)
     try:
         if options.dry_run:
-            check_file_output(path, beginning=BEGINNING, overwrite=False)
+            check_destination(path, beginning=BEGINNING, overwrite=False)
             return None
-        return stack.enter_context(file_output(path, beginning=BEGINNING, overwrite=False))
+        return stack.enter_context(files_output([path], beginning=BEGINNING, overwrite=False))
     except (DestinationError, OutputError) as err:
         err.message = f"the report cannot be written there: {err.message}"
         raise

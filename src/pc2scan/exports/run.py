@@ -20,8 +20,7 @@ from pc2scan.errors import (
     UsageError,
     name_list,
 )
-from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
-from pc2scan.files.records import read_record, write_record
+from pc2scan.files.ownership import inputs_of, read_record, refuse_overlap, write_record
 from pc2scan.files.staging import staged_output
 from pc2scan.files.system import remove
 from pc2scan.progress import Meter
@@ -162,7 +161,7 @@ def run(
     file_format = format_of(form.format, destination)
     frames = options.frames
     _check_request(file_format, options, form)
-    refuse_overlap(inputs_of(sources, frames.tf_from, options.files), [OutputPath(destination)])
+    refuse_overlap(inputs_of(sources, frames.tf_from, options.files), [destination])
     meter = None if progress is None else Meter(progress)
     with ExitStack() as stack:
         if file_format.clouds:

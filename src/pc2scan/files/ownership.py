@@ -1,7 +1,7 @@
 """What a run may write, replace and remove: the one rule of ownership, which everything that writes files uses.
 
 A file that exists is replaced with ``overwrite``. A folder only if a record in it accounts for every file in it: its
-``metadata.yaml``, or `pc2scan.files.records.RECORD` of an export. What was edited since and would not be written again
+``metadata.yaml``, or `RECORD` of an export. What was edited since and would not be written again
 stays, and is named in an error. ``metadata.yaml`` has no sizes, so a file that it names counts as unchanged.
 
 The manifest of a batch has names, sizes and times of modification of each result's files. A result that is as it was
@@ -14,6 +14,7 @@ replaced, never followed.
 
 from __future__ import annotations
 
+import json
 import os
 import shlex
 import stat
@@ -22,19 +23,113 @@ from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.errors import DestinationError, name_list
+from pc2scan.errors import DestinationError, OutputError, name_list
 
+from .compression import crc32
 from .places import working_names
-from .records import files_below, is_unchanged
-from .urls import UrlPath, exists
+from .urls import UrlPath, exists, is_dir
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
-    from .records import FolderRecord
+    #: Reads the record of what is in a folder; text if there is none: the reason.
+    FolderRecord = Callable[[Path], "Record | str"]
 
 #: Endings of the files that SQLite reads beside a database.
 _LOGS = ("-wal", "-journal", "-shm")
+
+
+# --- Records of what was written ---
+
+#: The record in an exported folder.
+RECORD = ".pc2scan-files.json"
+
+_RECORD_VERSION = 2
+
+_PIECE_BYTES = 1 << 20
+
+
+class Record(NamedTuple):
+    """What earlier runs wrote into a folder, by their own account.
+
+    Attributes
+    ----------
+    files
+        The CRC-32 of the files, by their paths relative to the folder, with slashes; None if only the name is known.
+        Times of modification would differ between two exports of the same messages, and are lost by copying. CRC-32
+        recognises an edited file and, unlike SHA-256, takes no time beside writing it. It would not stop a forger; but
+        whoever can write the record can remove the files, too.
+    name
+        The name of the file with this record, for messages.
+    """
+
+    files: Mapping[str, int | None]
+    name: str = "record"
+
+
+def write_record(folder: Path) -> None:
+    """Write the record of a complete folder into it. Folders with the same files get the same bytes.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+    try:
+        files = {name: _crc_of(folder / name) for name in sorted(files_below(folder)) if name != RECORD}
+        text = json.dumps({"pc2scan files": _RECORD_VERSION, "files": files}, ensure_ascii=True, indent=0) + "\n"
+        with (folder / RECORD).open("x", encoding="ascii") as file:
+            file.write(text)
+    except OSError as err:
+        raise OutputError(f"its record cannot be written: {err.strerror}", path=folder) from err
+
+
+def read_record(folder: Path) -> Record | str:
+    """Return the record in a folder; text if there is none that can be read: the reason."""
+    try:
+        path = folder / RECORD
+        noted = json.loads(path.read_bytes() if stat.S_ISREG(path.lstat().st_mode) else b"")
+        if noted["pc2scan files"] != _RECORD_VERSION:
+            raise ValueError("it is of another version")
+        files: dict[str, int | None] = {str(name): int(crc) for name, crc in noted["files"].items()}
+    except FileNotFoundError:
+        return f"it has no {RECORD}, which lists what an export wrote"
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return f"its {RECORD} cannot be read as a record of pc2scan"
+    return Record({**files, RECORD: None}, RECORD)
+
+
+def _is_unchanged(path: Path, crc: int | None) -> bool:
+    """Return whether a file is as it was left, as far as that is recorded."""
+    try:
+        mode = path.lstat().st_mode
+        if crc is None:
+            return stat.S_ISREG(mode) or stat.S_ISLNK(mode)
+        return stat.S_ISREG(mode) and _crc_of(path) == crc
+    except OSError:
+        return False
+
+
+def _crc_of(path: Path) -> int:
+    value = 0
+    with path.open("rb") as file:
+        while piece := file.read(_PIECE_BYTES):
+            value = crc32(piece, value)
+    return value
+
+
+def files_below(folder: Path, below: str = "") -> Iterator[str]:
+    """Yield everything in a folder that is not a folder itself, and folders that are empty, as relative paths."""
+    with os.scandir(folder) as entries:
+        listed = list(entries)
+    if not listed and below:
+        yield below
+    for entry in listed:
+        name = f"{below}/{entry.name}" if below else entry.name
+        if entry.is_dir(follow_symlinks=False):
+            yield from files_below(folder / entry.name, name)
+        else:
+            yield name
 
 
 # --- What may be replaced ---
@@ -45,6 +140,7 @@ def check_existing(
     *,
     overwrite: bool,
     record_in: FolderRecord | None = None,
+    beginning: bytes | None = None,
     written: Collection[str] | None = None,
 ) -> None:
     """Raise if there is something at a destination that this run may not replace.
@@ -54,9 +150,11 @@ def check_existing(
     dst
         The destination.
     overwrite
-        Whether it may be replaced.
+        Whether anything may be replaced. A symbolic link itself is replaced, not the file that it leads to.
     record_in
         Reads the record of what is in a folder. Without it no folder is replaced.
+    beginning
+        The first bytes of files of this kind. One that has them, or is empty, is replaced in any case. None: no file.
     written
         The paths in the folder that the run writes; None while they are unknown. Then only the names are checked.
 
@@ -68,25 +166,34 @@ def check_existing(
     """
     if not exists(dst):
         return
-    if not overwrite:
-        raise DestinationError("exists already", path=dst, hint="`overwrite=True` replaces it")
-    if isinstance(dst, UrlPath):
-        if dst.is_dir():
-            hint = "choose another name, or remove it with the store's own tools"
-            raise DestinationError("is a folder; folders in a store are never replaced", path=dst, hint=hint)
-    elif dst.is_dir() and not dst.is_symlink():
-        _refuse_others(dst, record_in, written)
+    is_folder = is_dir(dst) and not dst.is_symlink()
+    if is_folder and (record_in is None or isinstance(dst, UrlPath)):
+        raise DestinationError("cannot be written: it is a directory", path=dst, hint="choose another name")
+    if not overwrite and (beginning is None or not _begins_with(dst, beginning)):
+        # Only kinds of files with a known beginning can be recognised as written by pc2scan.
+        other = "" if beginning is None else ", and was not written by pc2scan"
+        raise DestinationError(f"exists already{other}", path=dst, hint="`overwrite=True` replaces it")
+    if is_folder and record_in is not None:
+        _refuse_others(dst, record_in(dst), written)
     elif dst.exists() and not dst.is_file():
         # A link itself is replaced, not its target; but a link to a device means the device.
         raise DestinationError("is neither a file nor a directory, and cannot be overwritten", path=dst)
 
 
-def _refuse_others(folder: Path, record_in: FolderRecord | None, written: Collection[str] | None) -> None:
+def _begins_with(path: Path, beginning: bytes) -> bool:
+    """Return whether a file has this beginning, or is empty."""
+    with suppress(OSError):
+        if not isinstance(path, UrlPath) and stat.S_ISREG(path.lstat().st_mode):
+            with path.open("rb") as file:
+                return file.read(len(beginning)) in (beginning, b"")
+    return False
+
+
+def _refuse_others(folder: Path, record: Record | str, written: Collection[str] | None) -> None:
     present = sorted(files_below(folder))
     if not present:
         return
     hint = "choose another name, or move it away"
-    record = "its content is not checked" if record_in is None else record_in(folder)
     if isinstance(record, str):
         reason = f"{record}, so it does not account for {name_list(present, 3)}"
         hint = f"choose another name, or remove it yourself: rm -r {shlex.quote(str(folder))}"
@@ -95,7 +202,7 @@ def _refuse_others(folder: Path, record_in: FolderRecord | None, written: Collec
     elif changed := [
         name
         for name in present
-        if written is not None and name not in written and not is_unchanged(folder / name, record.files[name])
+        if written is not None and name not in written and not _is_unchanged(folder / name, record.files[name])
     ]:
         reason = f"{name_list(changed, 3)} was changed after it was written"
     else:
@@ -117,17 +224,10 @@ def first_link(folder: Path, below: str) -> Path | None:
 
 
 class InputPath(NamedTuple):
-    """A file or folder that a run reads, and its role: ``source``, or the option that names it."""
+    """A file or folder of a run, and its role: ``source``, the option that names it, or ``destination``."""
 
     path: Path
     role: str = "source"
-
-
-class OutputPath(NamedTuple):
-    """A file or folder that a run writes, and the option that names it; empty for the recording itself."""
-
-    path: Path
-    option: str = ""
 
 
 def inputs_of(
@@ -138,7 +238,7 @@ def inputs_of(
     return [*map(InputPath, sources), *(InputPath(path, f"file of {option}") for option, path in named)]
 
 
-def refuse_overlap(inputs: Iterable[InputPath], outputs: Sequence[OutputPath]) -> None:
+def refuse_overlap(inputs: Iterable[InputPath], destinations: Sequence[Path], report: Path | None = None) -> None:
     """Raise if an output of a run is one of its inputs, or another output.
 
     Files and folders are compared by device and inode, through hard links, symbolic links, links to folders, and names
@@ -149,19 +249,22 @@ def refuse_overlap(inputs: Iterable[InputPath], outputs: Sequence[OutputPath]) -
     ----------
     inputs
         The inputs; they need not exist.
-    outputs
-        The outputs.
+    destinations
+        What the run writes.
+    report
+        The file of its report.
 
     Raises
     ------
     DestinationError
         If an output is an input, is inside one, or contains one, or if this is true of two outputs.
     """
-    read = Inputs(inputs)
-    for number, output in enumerate(outputs):
-        read.refuse(output)
-        for earlier in outputs[:number]:
-            _refuse_output(output, earlier)
+    used = Inputs(inputs)
+    for path in destinations:
+        used.refuse(path)
+        used.add_destination(path)
+    if report is not None:
+        used.refuse(report, "the file of `report` ")
 
 
 class Inputs:
@@ -190,15 +293,24 @@ class Inputs:
                         break
                     self._folders |= dict.fromkeys(file_ids(folder) - self._folders.keys(), given)
 
-    def refuse(self, output: OutputPath) -> None:
+    def add_destination(self, path: Path) -> None:
+        """Add a path that the run writes, on file systems that ignore case, too."""
+        given = InputPath(path, "destination")
+        for name in (path, *working_names(path)):
+            place = next(path_identities(name))
+            self._files.setdefault(name_key(place.as_posix()), given)
+            for folder in place.parents:
+                self._folders.setdefault(name_key(folder.as_posix()), given)
+
+    def refuse(self, output: Path, subject: str = "") -> None:
         """Raise if an output, or a name that it has while it is written, is an input, is inside one or contains one.
 
         Raises
         ------
         DestinationError
-            If it does; the message says how the two are related.
+            If it does; the message, which begins with ``subject``, says how the two are related.
         """
-        for path in (output.path, *working_names(output.path)):
+        for path in (output, *working_names(output)):
             places = list(path_identities(path))
             above = [folder for place in places for folder in place.parents]
             relations = [
@@ -207,39 +319,21 @@ class Inputs:
                 ("is inside", self._files, above),
             ]
             for relation, known, paths in relations:
-                source = next((known[key] for each in paths for key in file_ids(each) if key in known), None)
-                if source is not None and path != output.path:
+                keys = (key for each in paths for key in (*file_ids(each), name_key(each.as_posix())))
+                used = next((known[key] for key in keys if key in known), None)
+                if used is None:
+                    continue
+                what = f"{'the' if used.role == 'destination' else 'a'} {used.role}"
+                if path != output:
                     # What a killed run left may be a source.
-                    message = f"needs the name {path.name} while it is written, which is a {source.role}"
-                    hint = f"choose another name for it, or rename the {source.role} first"
-                    raise DestinationError(message, path=output.path, hint=hint)
-                if source is not None:
-                    what = f"a {source.role}" if relation == "is" else f"the {source.role} {source.path}"
-                    hint = "sources are never changed; choose another name"
-                    raise DestinationError(f"{_subject(output)}{relation} {what}", path=path, hint=hint)
+                    message = f"needs the name {path.name} while it is written, which is {what}"
+                    raise DestinationError(message, path=output, hint=f"choose another name, or rename the {used.role}")
+                what = what if relation == "is" else f"the {used.role} {used.path}"
+                raise DestinationError(f"{subject}{relation} {what}", path=path, hint="choose another name")
 
 
-def _refuse_output(output: OutputPath, earlier: OutputPath) -> None:
-    """Raise if two outputs are one file, or one is inside the other, on file systems that ignore case, too."""
-    mine, others = (
-        [PurePosixPath(name_key(next(path_identities(path)).as_posix())) for path in (each, *working_names(each))]
-        for each in (output.path, earlier.path)
-    )
-    relations = [("is", mine, others), ("is inside", others, [mine[0]]), ("contains", mine, [others[0]])]
-    for relation, places, within in relations:
-        pairs = ((place, each) for place in places for each in within)
-        if any(place == each if relation == "is" else place in each.parents for place, each in pairs):
-            other = f"the file of {earlier.option}" if earlier.option else "the destination"
-            message = f"{_subject(output)}{relation} {other}"
-            raise DestinationError(message, path=output.path, hint="choose another name")
-
-
-def _subject(output: OutputPath) -> str:
-    return f"the file of {output.option} " if output.option else ""
-
-
-#: Device and inode; or a path: a URL, or one of this name.
-FileId = tuple[int, int] | Path
+#: Device and inode; or a path: a URL, or one of this name; or the `name_key` of a path.
+FileId = tuple[int, int] | Path | str
 
 #: Links that lead to links: the system follows at most this many.
 _MAX_LINKS = 40
@@ -262,9 +356,7 @@ def path_identities(path: Path) -> Iterator[Path]:
 
 def file_ids(path: Path) -> set[FileId]:
     """Return a path, and device and inode if it exists; of a symbolic link its own and its target's."""
-    if isinstance(path, UrlPath):
-        return {path.identity}
-    ids: set[FileId] = {path}
+    ids: set[FileId] = {path.identity if isinstance(path, UrlPath) else path}
     with suppress(OSError):
         status = path.lstat()
         ids.add((status.st_dev, status.st_ino))

@@ -41,6 +41,8 @@ def working_names(dst: Path) -> tuple[Path, ...]:
 
 def check_place(dst: Path) -> None:
     """Raise if no file with this name can be written."""
+    if str(dst) == "-":
+        raise DestinationError("it is not written to standard output", hint="choose a name: `-` would be a file's name")
     if isinstance(dst, UrlPath):
         if dst.is_read_only:
             hint = f"give a destination: `destination={dst.name}`"

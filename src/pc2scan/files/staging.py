@@ -4,88 +4,118 @@ from __future__ import annotations
 
 import os
 import stat
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, OutputError
 
-from .ownership import check_existing
+from .ownership import check_existing, files_below
 from .places import LOCK, OLD, PARTIAL, check_new_folder, check_place, private_folder
-from .records import files_below
 from .system import lock_descriptor, remove, sync_directory
 from .transfers import upload
 from .urls import UrlPath
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
-    from .records import FolderRecord
-
-
-@contextmanager
-def staged_output(dst: Path, *, overwrite: bool, record_in: FolderRecord | None = None) -> Iterator[Path]:
-    """Yield a path to write to, and rename it to the destination at the end; see `staged`."""
-    with staged(dst, overwrite=overwrite, record_in=record_in) as (partial, finish):
-        yield partial
-        finish()
+    from .ownership import FolderRecord
 
 
 @contextmanager
-def staged(
-    dst: Path, *, overwrite: bool, record_in: FolderRecord | None = None
-) -> Iterator[tuple[Path, Callable[[], None]]]:
-    """Yield a path to write to, and the function that renames it to the destination.
+def staged_output(
+    dst: Path, *, overwrite: bool, record_in: FolderRecord | None = None, beginning: bytes | None = None
+) -> Iterator[Path]:
+    """Yield a path to write to; what is there at the end gets the name of the destination.
 
     Parameters
     ----------
     dst
         The file or directory to write. Neither it nor one of its `working_names` may be an input.
-    overwrite, record_in
+    overwrite, record_in, beginning
         What may be replaced: see `check_existing`. What is there stays unchanged until the new one is complete.
 
     Yields
     ------
-    path, function
-        ``<dst>.pc2scan-partial``, which does not exist; at a URL, a path in a folder of its own. Without a call of the
-        function it is removed at the end.
+    Path
+        ``<dst>.pc2scan-partial``, which does not exist; at a URL, a path in a folder of its own. After an error, what
+        was written there is removed.
 
     Raises
     ------
     DestinationError
-        If ``dst`` exists and may not be replaced (checked first, and again by the function), has no parent directory,
-        or is being written by another run.
+        If ``dst`` exists and may not be replaced (checked first, and again at the end), has no parent directory, or is
+        being written by another run.
     OutputError
         If its directory or the result cannot be written.
     """
     check_place(dst)
+    check = partial(check_existing, overwrite=overwrite, record_in=record_in, beginning=beginning)
     if isinstance(dst, UrlPath):
-        check_existing(dst, overwrite=overwrite)
+        check(dst)
         with private_folder(dst) as folder:
             local = Path(folder, dst.name)
-            yield local, lambda: upload(local, dst, overwrite=overwrite)
+            yield local
+            if local.exists():
+                check(UrlPath(dst.url))
+                upload(local, dst)
         return
-    partial = dst.with_name(dst.name + PARTIAL)
+    unfinished = dst.with_name(dst.name + PARTIAL)
     with only_run(dst):
         # A partial file that exists now was left by a run that died, because a running one would hold the lock.
         _recover(dst)
-        check_existing(dst, overwrite=overwrite, record_in=record_in)
+        check(dst)
         try:
-            yield partial, lambda: _commit(partial, dst, overwrite=overwrite, record_in=record_in)
+            yield unfinished
+            if unfinished.exists():
+                _commit(unfinished, dst, check)
         except OutputError as err:
             # The error names the final path: the user knows it, and the temporary one is gone.
-            if err.path is not None and Path(err.path).is_relative_to(partial):
-                err.path = dst / Path(err.path).relative_to(partial)
+            if err.path is not None and Path(err.path).is_relative_to(unfinished):
+                err.path = dst / Path(err.path).relative_to(unfinished)
             raise
         finally:
             with suppress(OSError):
-                remove(partial)
+                remove(unfinished)
+
+
+@contextmanager
+def files_output(
+    paths: Sequence[Path], *, overwrite: bool, beginning: bytes | None = None
+) -> Iterator[Callable[[Sequence[str | bytes]], None]]:
+    """Check that small files can be written, and yield the function that writes them; see `staged_output`.
+
+    No file gets its final name before all are complete. Then they get their names in the given order. Without a call of
+    the function there are none.
+    """
+    for path in paths:
+        check_destination(path, overwrite=overwrite, beginning=beginning)
+    with ExitStack() as stack:
+        places = [
+            stack.enter_context(staged_output(path, overwrite=overwrite, beginning=beginning))
+            for path in reversed(paths)
+        ]
+
+        def write(contents: Sequence[str | bytes]) -> None:
+            for path, place, content in zip(paths, reversed(places), contents, strict=True):
+                try:
+                    place.write_bytes(content.encode() if isinstance(content, str) else content)
+                except OSError as err:
+                    raise OutputError(f"cannot be written: {err.strerror}", path=path) from err
+
+        yield write
 
 
 def check_destination(
-    dst: Path, *, overwrite: bool, record_in: FolderRecord | None = None, folder: Path | None = None
+    dst: Path,
+    *,
+    overwrite: bool,
+    record_in: FolderRecord | None = None,
+    beginning: bytes | None = None,
+    folder: Path | None = None,
 ) -> None:
-    """Raise what `staged` would raise at its beginning, as far as that is known without writing anything.
+    """Raise what `staged_output` would raise at its beginning, as far as that is known without writing anything.
 
     ``folder`` is the folder of ``dst``, if it will be made; see `pc2scan.files.places.output_folder`.
     """
@@ -93,7 +123,7 @@ def check_destination(
         check_new_folder(folder)
     else:
         check_place(dst)
-        check_existing(dst, overwrite=overwrite, record_in=record_in)
+        check_existing(dst, overwrite=overwrite, record_in=record_in, beginning=beginning)
 
 
 def _recover(dst: Path) -> None:
@@ -110,18 +140,17 @@ def _recover(dst: Path) -> None:
         raise OutputError(f"the files of an interrupted run cannot be removed: {err.strerror}", path=dst) from err
 
 
-def _commit(partial: Path, dst: Path, *, overwrite: bool, record_in: FolderRecord | None) -> None:
+def _commit(unfinished: Path, dst: Path, check: Callable[..., None]) -> None:
     """Rename what is complete at a temporary path to the destination."""
-    is_folder = partial.is_dir()
+    is_folder = unfinished.is_dir()
     try:
-        sync(partial)
+        sync(unfinished)
         # Something may have been added since the beginning.
-        written = set(files_below(partial)) if is_folder else ()
-        check_existing(dst, overwrite=overwrite, record_in=record_in, written=written)
+        check(dst, written=set(files_below(unfinished)) if is_folder else ())
         if os.path.lexists(dst) and (is_folder or (dst.is_dir() and not dst.is_symlink())):
-            _exchange(partial, dst)
+            _exchange(unfinished, dst)
         else:
-            partial.replace(dst)
+            unfinished.replace(dst)
         sync_directory(dst.parent)
     except OSError as err:
         raise OutputError(f"cannot be renamed to its final name: {err.strerror}", path=dst) from err
@@ -139,12 +168,12 @@ def sync(path: Path) -> None:
             os.fsync(file.fileno())
 
 
-def _exchange(partial: Path, dst: Path) -> None:
+def _exchange(unfinished: Path, dst: Path) -> None:
     """Replace the old output by the new one, where one is a folder; if that fails, restore the old one."""
     aside = dst.with_name(dst.name + OLD)
     dst.rename(aside)
     try:
-        partial.rename(dst)
+        unfinished.rename(dst)
     except BaseException:
         # Not if the interruption came after the renaming.
         if not os.path.lexists(dst):

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import RecordingError
 from pc2scan.text import size
 
-from .ownership import check_existing
+from .ownership import files_below
 from .places import private_folder
-from .records import files_below
 from .store import NO_SPACE
 from .system import scratch
 from .urls import CopyPath, UrlPath
@@ -67,17 +66,14 @@ def refuse_without_room(needed: int, path: Path | None, hint: str = NO_SPACE) ->
             raise RecordingError(message, path=path, hint=hint)
 
 
-def upload(local: Path, dst: UrlPath, *, overwrite: bool) -> None:
+def upload(local: Path, dst: UrlPath) -> None:
     """Upload a complete file or folder.
 
     Raises
     ------
-    DestinationError
-        If something is there that may not be replaced.
     OutputError
         If it cannot be written. What was uploaded of a folder is removed.
     """
-    check_existing(UrlPath(dst.url), overwrite=overwrite)
     if not local.is_dir():
         dst.upload(local)
         return

@@ -32,8 +32,8 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.unproject import beam_angles, last_beam_ns
 from pc2scan.errors import MessageError, ResultError, TransformError, UsageError, name_list
-from pc2scan.files.outputs import files_output
-from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
+from pc2scan.files.ownership import inputs_of, refuse_overlap
+from pc2scan.files.staging import files_output
 from pc2scan.files.urls import path_of
 from pc2scan.messages.clouds import CLOUDS, usual_topics
 from pc2scan.messages.laserscan import LASERSCAN
@@ -281,7 +281,7 @@ def draw_map(
     if destination is None:
         return _draw(sources, request, options, warn, progress)
     paths = _paths(destination)
-    refuse_overlap(inputs_of(sources, options.tf_from, request.files), [OutputPath(path) for path in paths])
+    refuse_overlap(inputs_of(sources, options.tf_from, request.files), paths)
     with files_output(paths, overwrite=options.overwrite) as deliver:
         result = _draw(sources, request, options, warn, progress)
         deliver(result.contents(destination))

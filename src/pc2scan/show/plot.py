@@ -14,8 +14,8 @@ import numpy as np
 from pc2scan.core.layout import TURN
 from pc2scan.core.project import Projector
 from pc2scan.errors import NothingToConvertError, UsageError, leading, visible
-from pc2scan.files.outputs import file_output
-from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
+from pc2scan.files.ownership import inputs_of, refuse_overlap
+from pc2scan.files.staging import files_output
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.requests import conversion_of, first_output
 from pc2scan.result import Part, Result
@@ -103,9 +103,9 @@ def plot(sources: Sequence[Path], destination: Path, options: Options, *, warn: 
         raise UsageError(text, path=destination, hint=f"such as `destination={shlex.quote(destination.stem)}.png`")
     if not 1 <= options.clouds <= _MOST_CLOUDS:
         raise UsageError(f"`clouds` is {options.clouds}, it must be from 1 to {_MOST_CLOUDS}")
-    refuse_overlap(inputs_of(sources, options.tf_from, request.files), [OutputPath(destination)])
+    refuse_overlap(inputs_of(sources, options.tf_from, request.files), [destination])
     with (
-        file_output(destination, overwrite=options.overwrite) as deliver,
+        files_output([destination], overwrite=options.overwrite) as deliver,
         open_recording(sources, request, warn, options.at) as recording,
     ):
         try:
@@ -115,7 +115,7 @@ def plot(sources: Sequence[Path], destination: Path, options: Options, *, warn: 
                 err.hint = "figures show clouds; pc2scan view shows scans"
             raise
         figure = _figure(taken, title_of(sources), kind)
-        deliver(figure)
+        deliver([figure])
         told = (*request.notes, *taken.warnings)
         return Plotted(str(destination), len(figure), tuple(taken.notes), told, recording.damage)
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, ClassVar
 from pc2scan.conversion.corrections import corrected
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import Pc2ScanError, UsageError, leading
-from pc2scan.files.outputs import file_output
-from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
+from pc2scan.files.ownership import inputs_of, refuse_overlap
+from pc2scan.files.staging import files_output
 from pc2scan.files.urls import path_of
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.options.call import Options
@@ -101,8 +101,8 @@ class Page(Result):
         """
         path = path_of("destination", destination)
         check_page_name(path)
-        with file_output(path, beginning=BEGINNING, overwrite=overwrite) as deliver:
-            deliver(self.html)
+        with files_output([path], beginning=BEGINNING, overwrite=overwrite) as deliver:
+            deliver([self.html])
         return path
 
 
@@ -112,10 +112,10 @@ def view(sources: Sequence[Path], destination: Path | None, options: Options, *,
     if destination is None:
         return _page(sources, request, options, warn)
     check_page_name(destination)
-    refuse_overlap(inputs_of(sources, options.tf_from, request.files), [OutputPath(destination)])
-    with file_output(destination, beginning=BEGINNING, overwrite=options.overwrite) as deliver:
+    refuse_overlap(inputs_of(sources, options.tf_from, request.files), [destination])
+    with files_output([destination], beginning=BEGINNING, overwrite=options.overwrite) as deliver:
         page = _page(sources, request, options, warn)
-        deliver(page.html)
+        deliver([page.html])
     return replace(page, path=str(destination))
 
 

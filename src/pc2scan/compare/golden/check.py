@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeAlias
 from pc2scan.compare.diff import diff, open_source
 from pc2scan.compare.scan_text import render_scans
 from pc2scan.errors import OutputError, Pc2ScanError, RecordingError, UsageError
-from pc2scan.files.outputs import file_output
+from pc2scan.files.staging import files_output
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.result import Part, Result
 from pc2scan.text import duration
@@ -213,8 +213,8 @@ def _write_expected(case: Case, actual: Path, command: Command) -> None:
         text = render_scans(source.messages()) if path.name == EXPECTED_TEXT else ""
     if text:
         # Any existing file may be replaced: in a case, a file of this name is always its expected output.
-        with file_output(path, beginning=b"", overwrite=True) as write:
-            write(text)
+        with files_output([path], overwrite=True) as write:
+            write([text])
         return
     result = _run_conversion(case, command, path, "--overwrite")
     if result.status != case.exit_status:
