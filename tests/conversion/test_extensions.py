@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import struct
 from contextlib import closing
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -14,9 +13,6 @@ import pytest
 import pc2scan
 from pc2scan.bags.mcap.write import McapWriter
 from pc2scan.bags.opening import open_recording
-from pc2scan.core.points import Points
-from pc2scan.errors import DecodeError
-from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.model import Connection, Definition
@@ -29,26 +25,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pc2scan.messages.clouds import Decode
-    from pc2scan.model import Buffer
+    from pc2scan.core.points import Points
+
 
 TOY_CLOUD = "toy_msgs/msg/Polar"
 BAND = pc2scan.ProjectionParams(min_height=-1.0, max_height=2.0)
 FORWARD = [[2.0, 0.01, 0.5, 7], [3.0, 0.01, 0.5, 1], [0.0, 4.0, 0.5, 1], [-5.0, -1.0, 0.5, 9], [1.0, 1.0, 9.0, 9]]
-
-
-def polar_decoder(serialization: str) -> Decode:
-    """Of messages with a stamp (ns), and pairs of float32: a range and an angle."""
-    assert serialization == "cdr"
-
-    def decode(data: Buffer) -> Points:
-        if len(data) % 8:
-            raise DecodeError("it ends in the middle of a point")
-        ranges, angles = np.frombuffer(data, "<f4", offset=8).reshape(-1, 2).T
-        x, y = ranges * np.cos(angles), ranges * np.sin(angles)
-        return Points(0, struct.unpack_from("<q", data)[0], "polar", {"x": x, "y": y, "z": np.zeros_like(x)})
-
-    return decode
 
 
 @dataclass(frozen=True)
@@ -107,20 +89,6 @@ def messages_of(path: Path, topic: str = "/scan") -> list[bytes]:
 def scan_of(path: Path) -> LaserScan:
     (data,) = messages_of(path)
     return decode_laserscan(data, "cdr")
-
-
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_a_new_cloud_type_is_one_decoder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, jobs: int) -> None:
-    monkeypatch.setitem(CLOUDS, TOY_CLOUD, polar_decoder)
-    source = recorded(tmp_path / "a.mcap", TOY_CLOUD, [struct.pack("<q4f", T0, 2.0, 0.01, 3.0, 1.5), b"broken"])
-    report = pc2scan.convert(source, tmp_path / "b.mcap", params=BAND, jobs=jobs)
-    (topic,) = report.topics
-    assert (topic.msgtype, topic.target, topic.messages_out, topic.skipped) == (TOY_CLOUD, "/scan", 1, 1)
-    assert report.skipped[0].reason == "it ends in the middle of a point"
-    assert topic.points == pc2scan.PointCounts(total=2, used=2)
-    scan = scan_of(tmp_path / "b.mcap")
-    assert (scan.frame_id, scan.stamp_ns) == ("polar", T0)
-    assert scan.ranges[np.isfinite(scan.ranges)].tolist() == pytest.approx([2.0, 3.0])
 
 
 @pytest.mark.parametrize("jobs", [1, 2])

@@ -13,10 +13,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.core.consumers import CONSUMERS, expected_by_karto, judge, last_beam
+from pc2scan.core.consumers import CONSUMERS, judge
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.verdicts import ConsumerScan, ScanTransforms, Verdict
-from support.consumer_rules import RULES, number_of_range_readings
+from support.consumer_rules import RULES
 from support.tables import rows
 
 TABLES = Path(__file__).with_name("consumers.txt")
@@ -112,20 +112,6 @@ def test_every_consumer_does_what_its_rule_says(
 ) -> None:
     judged(scan)
     judged(scan, first, placed)
-
-
-def test_slam_toolbox_refuses_upstreams_angle_max_on_the_grid() -> None:
-    assert len(GRID) == 300
-    refused = 0
-    for field, increment in GRID:
-        scan = pair(field, increment)
-        assert expected_by_karto(scan) == number_of_range_readings(scan)
-        refused += judge("slam_toolbox", scan).refused
-        # A full circle's last beam is not the first again.
-        beams = scan.beams - (scan.beams * scan.angle_increment > 2 * math.pi + 0.5 * scan.angle_increment)
-        scan = replace(scan, beams=beams)
-        assert judge("slam_toolbox", replace(scan, angle_max=last_beam(scan))).outcome == "accepted"
-    assert 150 < refused < 300
 
 
 # What is wrong with a scan: by what it differs from a good one, and for whom.

@@ -1,24 +1,23 @@
-"""The grid against one that is filled cell by cell, and the compiled loop against NumPy's."""
+"""The grid against one that is filled cell by cell, by the compiled loop and by NumPy's."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.core import kernel, plain
 from pc2scan.core.occupancy import FREE, OCCUPIED, UNSEEN, OccupancyGrid, observing_beams, place_beams
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.unproject import UnprojectParams, deskew, unproject
+from support.loops import BOTH_LOOPS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
 
 Ray = tuple[int, int, int, int, bool]
 
@@ -49,12 +48,14 @@ def reference(scans: Sequence[Sequence[Ray]]) -> dict[tuple[int, int], float]:
 rays = st.lists(st.tuples(*[st.integers(-40, 40)] * 4, st.booleans()), max_size=30)
 
 
+@pytest.mark.parametrize("loops", BOTH_LOOPS, ids=lambda loops: loops.__name__)
 @given(st.lists(rays, min_size=1, max_size=6))
-def test_cells_are_those_of_the_rules(scans: list[list[Ray]]) -> None:
+def test_cells_are_those_of_the_rules(loops: Any, scans: list[list[Ray]]) -> None:
     grid = OccupancyGrid(0.5, 10_000)
     for scan in scans:
         ends = np.array([ray[:4] for ray in scan], np.float64).reshape(-1, 4) * 0.5 + 0.25
-        grid.add(ends[:, :2], ends[:, 2:], np.array([ray[4] for ray in scan], bool))
+        with loops():
+            grid.add(ends[:, :2], ends[:, 2:], np.array([ray[4] for ray in scan], bool))
     expected = reference(scans)
     found = grid.occupancy()
     if not expected:
@@ -68,29 +69,6 @@ def test_cells_are_those_of_the_rules(scans: list[list[Ray]]) -> None:
     for (column, row), odds in expected.items():
         states[row - min(rows), column - min(columns)] = OCCUPIED if odds > 1e-9 else FREE
     np.testing.assert_array_equal(found.cells, states)
-
-
-def traced(
-    trace: object, shape: tuple[int, int], scans: Sequence[tuple[NDArray[np.int32], NDArray[np.bool_]]]
-) -> object:
-    assert callable(trace)
-    cells = np.full(shape, -128 * 256, np.int16)
-    for number, (lines, hits) in enumerate(scans, 1):
-        trace(cells, shape[1], number, lines, hits)
-    return cells
-
-
-@pytest.mark.skipif(not kernel.COMPILED, reason="there was no C compiler")
-@pytest.mark.parametrize("shape", [(1, 1), (1, 50), (50, 1), (37, 53)])
-def test_both_loops_draw_the_same(shape: tuple[int, int]) -> None:
-    rng = np.random.default_rng(5)
-    scans = []
-    for count in (0, 1, 300, 700, 700):
-        lines = rng.integers(0, shape[::-1] * 2, (count, 4)).astype(np.int32)
-        lines[count // 2 :, :2] = lines[:1, :2]
-        lines[count // 3 : count // 2] = lines[count // 3 : count // 3 + 1]
-        scans.append((lines, rng.random(count) < 0.7))
-    np.testing.assert_array_equal(traced(kernel.trace, shape, scans), traced(plain.trace, shape, scans))
 
 
 @pytest.mark.parametrize("moving", [False, True])

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from pc2scan.core.rigid import Rigid, interpolate
+from pc2scan.core.rigid import Rigid
 from pc2scan.core.unproject import UnprojectedScan, UnprojectParams, deskew, last_beam_ns, unproject
 from pc2scan.errors import DecodeError
 
@@ -160,17 +160,3 @@ def test_the_last_beams_time_is_a_float32_product() -> None:
     assert last_beam_ns(2, -0.1) == -100_000_001
     assert last_beam_ns(1, 0.1) == last_beam_ns(0, 0.1) == last_beam_ns(1000, 0.0) == 0
     assert (last_beam_ns(2, 5e-10), last_beam_ns(2, 6e-10)) == (0, 1)
-
-
-# Deskewing.
-
-
-def test_deskewed_points_are_where_an_interpolated_transform_puts_them() -> None:
-    scan = points_of(np.linspace(1, 10, 40, dtype=np.float32), params=EVERYTHING)
-    start, end = Rigid.from_rpy(0.1, -0.2, 0.3, (1, 2, 3)), Rigid.from_rpy(-0.3, 0.1, 2.4, (4, -2, 3))
-    moved = deskew(scan, start, end)
-    assert moved.viewpoint is not None
-    for row in range(40):
-        place = interpolate(start, end, row / 39)
-        np.testing.assert_allclose(moved.xyz[row], place.apply(scan.xyz[row : row + 1])[0], rtol=1e-6, atol=1e-5)
-        np.testing.assert_allclose(moved.viewpoint[row], place.translation, rtol=1e-6, atol=1e-6)

@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 import json
-import shutil
-from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING
 
-import numpy as np
 import pytest
-from ruamel.yaml import YAML
 
 import pc2scan
 from pc2scan.compare.golden.case import load_case
 from pc2scan.compare.rules import Rules
-from pc2scan.compare.scan_text import render_scans
-from pc2scan.model import Connection, RawMessage
 from support import GOLDEN, ROOT, sampled
-from support.builders import CLOUD, SCAN, Item, Recording, Stream, deserialized, serialized, typestore, write_rosbag1
 from support.command import run
 from support.outputs import opened
 
@@ -56,10 +49,6 @@ def converted(name: str, destination: Path, *options: str) -> None:
     assert done.status == case.exit_status, done.stderr
 
 
-def is_reverse(name: str) -> bool:
-    return "laserscan_to_pointcloud" in YAML(typ="safe").load(CASES[name] / "params.yaml")
-
-
 @pytest.mark.parametrize("name", sampled(CASES, 12))
 def test_equal_to_the_byte(name: str, tmp_path: Path) -> None:
     converted(name, tmp_path / "out.bag")
@@ -93,7 +82,7 @@ def test_equal_to_the_bit_in_ros2_containers(name: str, options: str, tmp_path: 
 # --- the same by `pc2scan golden` ---
 
 
-@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
+@pytest.mark.parametrize("folder", sampled(FOLDERS, 1), ids=lambda folder: folder.name)
 def test_the_projects_cases_pass_in_one_command(folder: Path) -> None:
     done = run("golden", folder, "--json")
     assert done.status == 0, done.stdout
@@ -106,31 +95,3 @@ def test_the_projects_cases_pass_in_one_command(folder: Path) -> None:
         (topic,) = case["difference"]["topics"]
         assert topic["matched"] == len(expected(case["name"]))
         assert topic["elements"] > 100
-
-
-def outcome_of(name: str, folder: Path, bit: int) -> str:
-    """The outcome of a case with its expected output as text, of which a value of the first message is changed."""
-    case = folder / str(bit)
-    shutil.copytree(OWN[name], case)
-    msgtype, topic, part = (CLOUD, "/cloud", "data") if is_reverse(name) else (SCAN, "/scan", "ranges")
-    messages = []
-    for number, found in enumerate(expected(name)):
-        message = deserialized(found.data, msgtype, 1)
-        values = getattr(message, part).copy()
-        values.view(np.uint32)[3] ^= bit if number == 0 else 0
-        data = serialized(typestore(1), replace(message, **{part: values}), msgtype, 1)
-        messages.append(RawMessage(Connection(0, topic, msgtype, "ros1"), found.log_time_ns, data, 0))
-    (case / "expected.bag").unlink()
-    if is_reverse(name):
-        streams = (Stream(topic, msgtype),)
-        items = [Item(streams[0], each.log_time_ns, {1: bytes(each.data)}) for each in messages]
-        write_rosbag1(case / "expected.bag", Recording(streams, tuple(items)))
-    else:
-        (case / "expected.txt").write_text(render_scans(messages))
-    (checked,) = pc2scan.golden(case).cases
-    return checked.outcome
-
-
-@pytest.mark.parametrize("name", sampled(OWN, 4))
-def test_every_case_notices_a_bit(name: str, tmp_path: Path) -> None:
-    assert [outcome_of(name, tmp_path, bit) for bit in (0, 1)] == ["passed", "failed"]

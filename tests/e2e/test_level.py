@@ -111,24 +111,6 @@ def test_the_imu_levels_and_odometry_deskews(tmp_path: Path, world: Path, imu: P
     assert [scan.ranges.tobytes() for scan in elsewhere.scans] == [scan.ranges.tobytes() for scan in made.scans]
 
 
-@pytest.mark.slow
-def test_two_lidars_in_one_level_scan(tmp_path: Path) -> None:
-    lidars = [
-        Lidar("/front", "front", Rigid.from_rpy(0.0, 0.0, 0.0, (0.3, 0.0, 0.5)), kind="packets", columns=900),
-        Lidar(
-            "/rear", "rear", Rigid.from_rpy(0.0, 0.1, 3.0, (-0.3, 0.0, 0.6)), kind="packets", columns=900, phase=0.003
-        ),
-    ]
-    world = write_world(tmp_path / "world.mcap", lidars, TILTING, seconds=1.0)
-    joined = ("--topic", "/front:=/scan", "--topic", "/rear:=/scan", "--deskew", "--fixed-frame", "odom")
-    made = converted(tmp_path, world, "--level", *joined)
-    (entry,) = (topic for topic in made.report["topics"] if topic["action"] == "added")
-    assert entry["messages_out"] == len(made.scans) == 100
-    level = {row[2] for _, row in made.transforms if row[1] == "base_link_stabilized"}
-    assert level == {scan.stamp_ns for scan in made.scans}
-    assert far_off(made).max() < 0.02
-
-
 def test_the_scans_are_connected_with_the_target_frame(tmp_path: Path, world: Path) -> None:
     made = converted(tmp_path, world, "--level", "--fixed-frame", "odom")
     assert made.done.status == 0, made.done.stderr

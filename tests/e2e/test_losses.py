@@ -268,30 +268,6 @@ def test_a_recording_in_a_message_is_no_second_recording(tmp_path: Path) -> None
     assert len(rows_of(tmp_path / "fixed.bag")) == 3
 
 
-# --- The CRC of an MCAP file's data section ---
-
-
-@pytest.mark.parametrize("command", ["repair", "convert"])
-def test_the_crc_of_a_data_section_without_chunks(command: str, tmp_path: Path) -> None:
-    # Large enough for several stretches.
-    long = [Item(CHATTER, T0 + 20 * SECOND + n, {2: string("a" * 900_000, 2)}) for n in range(12)]
-    recording = drive(2)
-    recording = replace(recording, items=(*recording.items, *long))
-    source, target = (
-        write_mcap(tmp_path / "drive.mcap", recording, Mcap(chunked=False, data_crc=True)),
-        tmp_path / "out.mcap",
-    )
-    assert report_of(command, source, "-o", target)[0] == 0
-    sound, data = len(rows_of(target)), source.read_bytes()
-    place = data.index(b"hello 1\0") + 4_000_000
-    source.write_bytes(data[:place] + bytes([data[place] ^ 0x10]) + data[place + 1 :])
-    status, stderr, report = report_of(command, source, "-o", target, "--overwrite")
-    assert (status, [damage["messages_lost"] for damage in report["damage"]]) == (3, [0])
-    assert "the data section has CRC" in stderr
-    assert len(rows_of(target)) == sound
-    assert run("convert", source, "-o", tmp_path / "strict.mcap", "--strict").status == 1
-
-
 def test_memory_that_runs_out_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Compressor:
         def __init__(self, *, level: int) -> None:

@@ -432,7 +432,6 @@ class Mcap:
     by_name: bool = False
     chunk_size: int = 2_000
     crcs: bool = True
-    data_crc: bool = False
     summary: bool = True
     attachments: Sequence[tuple[str, str, int, int, bytes]] = field(default=())
     metadata: Sequence[tuple[str, dict[str, str]]] = field(default=())
@@ -447,7 +446,6 @@ def write_mcap(path: Path, recording: Recording, form: Mcap = Mcap()) -> Path:
             compression=CompressionType[form.compression.upper()],
             use_chunking=form.chunked,
             enable_crcs=form.crcs,
-            enable_data_crcs=form.data_crc,
             index_types=IndexType.ALL if form.summary else IndexType.MESSAGE,
             repeat_channels=form.summary,
             repeat_schemas=form.summary,

@@ -1,18 +1,14 @@
-"""The transform buffer's rules, against a lookup in a dict; tests/parity holds them to tf2 itself."""
+"""The transform buffer's rules, one by one; test_through.py and tests/parity hold it to tf2 itself."""
 
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from pc2scan.core.rigid import Rigid, interpolate, interpolate_poses
+from pc2scan.core.rigid import interpolate_poses
 from pc2scan.errors import RecordingError
 from pc2scan.transforms.builder import TransformBuilder
 from transforms.small_buffers import EPOCH, SECOND, at, built, refusal, row, x_of
@@ -21,106 +17,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from pc2scan.core.rigid import TransformRow
-
-# Any transforms.
-
-
-class Sample(NamedTuple):
-    """A transform of a frame."""
-
-    parent: str
-    parent_from_child: Rigid
-
-
-class Reference:
-    """What is known of each frame, in dicts: of equal stamps the first, of fixed transforms the last."""
-
-    def __init__(self, rows: list[tuple[TransformRow, bool]]) -> None:
-        self.fixed: dict[str, bool] = {}
-        self.samples: dict[str, dict[int, Sample]] = {}
-        for (parent, child, stamp_ns, *pose), static in rows:
-            x, y, z, i, j, k, w = pose
-            sample = Sample(parent, Rigid.from_pose((x, y, z, i, j, k, w)))
-            # What comes first decides whether a frame is static.
-            if self.fixed.setdefault(child, static):
-                self.samples[child] = {0: sample}
-            else:
-                self.samples.setdefault(child, {}).setdefault(stamp_ns, sample)
-
-    def at(self, frame: str, stamp_ns: int, tolerance_ns: int) -> Sample | None:
-        samples = self.samples.get(frame, {})
-        known = sorted(samples)
-        if not known or self.fixed[frame]:
-            return samples.get(0)
-        clamped = min(max(stamp_ns, known[0]), known[-1])
-        if abs(stamp_ns - clamped) > tolerance_ns:
-            return None
-        place = bisect_right(known, clamped)
-        older = samples[known[place - 1]]
-        newer = samples[known[min(place, len(known) - 1)]]
-        if older.parent != newer.parent or older is newer:
-            return older
-        ratio = (clamped - known[place - 1]) / (known[place] - known[place - 1])
-        return Sample(older.parent, interpolate(older.parent_from_child, newer.parent_from_child, ratio))
-
-    def upwards(self, frame: str, stamp_ns: int, tolerance_ns: int) -> Iterator[tuple[str, Rigid]]:
-        """The frames above a frame, with the transforms to them."""
-        found = Rigid.identity()
-        yield frame, found
-        while sample := self.at(frame, stamp_ns, tolerance_ns):
-            frame, found = sample.parent, sample.parent_from_child.compose(found)
-            yield frame, found
-
-    def lookup(self, target: str, source: str, stamp_ns: int, tolerance_ns: int) -> Rigid | None:
-        # A tolerance changes nothing that is known without it.
-        for tolerance in (0, tolerance_ns):
-            above = dict(self.upwards(target, stamp_ns, tolerance))
-            for frame, found in self.upwards(source, stamp_ns, tolerance):
-                if frame in above:
-                    return above[frame].inverse().compose(found)
-        return None
-
-
-@st.composite
-def transforms(draw: st.DrawFn) -> list[tuple[TransformRow, bool]]:
-    """Of frames that have one of those before them as a parent, so that there are no loops."""
-    frames = "abcde"
-    rows = []
-    for number in range(draw(st.integers(1, 25))):
-        child = draw(st.integers(1, 4))
-        parent = draw(st.sampled_from([frames[child - 1], frames[child - 1], *frames[:child]]))
-        static = draw(st.booleans()) and child % 2 == 0
-        rows.append((row(parent, frames[child], draw(st.integers(1, 12)), x=number, yaw=0.3 * number), static))
-    return rows
-
-
-@given(
-    transforms(),
-    st.lists(
-        st.tuples(st.sampled_from("abcde"), st.sampled_from("abcde"), st.integers(0, 52), st.integers(0, 3)),
-        min_size=1,
-        max_size=10,
-    ),
-)
-def test_lookups_are_those_of_the_reference(
-    rows: list[tuple[TransformRow, bool]], questions: list[tuple[str, str, int, int]]
-) -> None:
-    builder = TransformBuilder()
-    for entry, static in rows:
-        builder.add([entry], static=static)
-    buffer, reference = builder.build(), Reference(rows)
-    for target, source, quarter, tolerance in questions:
-        question = target, source, at(quarter / 4), tolerance * SECOND
-        expected = reference.lookup(*question)
-        if expected is None:
-            refusal(buffer, *question)
-            continue
-        found = buffer.lookup(*question)
-        np.testing.assert_allclose(found.translation, expected.translation, atol=1e-9)
-        np.testing.assert_allclose(found.matrix, expected.matrix, atol=1e-9)
-
-
-# Rules, one by one.
 
 
 def test_the_ratio_is_that_of_seconds_in_float64() -> None:
@@ -156,6 +52,12 @@ def test_a_rejected_transform_does_not_decide_whether_a_frame_is_static() -> Non
     builder.add([row("a", "b", 3, x=3)], static=True)
     builder.add([row("a", "b", 2, x=2)], static=False)
     assert x_of(builder.build(), "a", "b", at(9)) == 2
+
+
+def test_a_frame_stays_with_its_parent_until_it_has_another() -> None:
+    buffer = built([row("a", "b", 1, x=1), row("a", "b", 2, x=3), row("c", "b", 4, x=7), row("c", "b", 5, x=8)])
+    assert [x_of(buffer, "a", "b", at(second)) for second in (1.5, 2, 3.9)] == [2, 3, 3]
+    assert [x_of(buffer, "c", "b", at(second)) for second in (4, 4.5)] == [7, 7.5]
 
 
 def test_a_stamp_of_zero_asks_for_the_latest_common_time() -> None:
