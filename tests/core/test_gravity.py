@@ -37,12 +37,6 @@ def test_accelerations_of_driving_count_for_little() -> None:
     assert off.max() < 1.0
 
 
-def test_an_imu_that_is_mounted_upside_down() -> None:
-    world, turned = simulated(30), np.array([1.0, -1.0, -1.0])
-    found = up_by_gravity(world.stamps_ns, world.turning * turned, world.acceleration * turned, GRAVITY)
-    assert errors(found, world.ups * turned).max() < 0.7
-
-
 def test_after_a_gap_it_begins_again() -> None:
     world = simulated(60)
     # It is unknown how the robot turned while nothing was recorded.

@@ -69,6 +69,22 @@ def assert_sound(sound: dict[str, Any], kind: str) -> None:
     assert sound["destination"] != sound["old"]
 
 
+def assert_data_are_on_the_disk_before_the_name(sound: dict[str, Any], kind: str) -> None:
+    calls = [tuple(call) for call in sound["calls"]]
+    partial = f"./{CASES[kind.partition('+')[0]][0]}.pc2scan-partial"
+    published = next(n for n, (call, path) in enumerate(calls) if call in ("link", "rename") and path == partial)
+    written = {path for call, path in calls if call == "write"}
+    assert written
+    for path in written:
+        last = max(n for n, call in enumerate(calls) if call == ("write", path))
+        synced = max((n for n, call in enumerate(calls) if call == ("fsync", path)), default=-1)
+        assert last < synced < published, path
+    # And the name is on the disk before the run says that it is done, or removes what was there before.
+    folder = calls.index(("fsync", "."), published)
+    removed = [n for n, (call, path) in enumerate(calls) if call == "unlink" and ".pc2scan-old" in path]
+    assert all(folder < n for n in removed)
+
+
 def assert_absent_or_complete(outcome: dict[str, Any], sound: dict[str, Any], kind: str) -> None:
     """What holds after any fault."""
     name = CASES[kind.partition("+")[0]][0]
@@ -96,6 +112,7 @@ def test_each_call_may_fail(kind: str, library: Path, source: Path, tmp_path: Pa
     faults = ["ENOSPC"] if kind.endswith("over") else ["ENOSPC", "EIO"]
     sound, others = outcomes(library, source, tmp_path, kind, faults)
     assert_sound(sound, kind)
+    assert_data_are_on_the_disk_before_the_name(sound, kind)
     assert len(others) >= len(faults)
     assert kind.endswith("over") or {outcome["at"] for outcome in others} == {*range(1, len(sound["calls"]) + 1)}
     for outcome in others:
@@ -116,22 +133,3 @@ def test_each_call_may_be_the_last(kind: str, library: Path, source: Path, tmp_p
     for outcome in others:
         assert outcome["status"] == -9
         assert_absent_or_complete(outcome, sound, kind)
-
-
-@pytest.mark.parametrize("kind", sampled(_KINDS, 1))
-def test_data_are_on_the_disk_before_the_name(kind: str, library: Path, source: Path, tmp_path: Path) -> None:
-    sound, _ = outcomes(library, source, tmp_path, kind, [])
-    assert_sound(sound, kind)
-    calls = [tuple(call) for call in sound["calls"]]
-    partial = f"./{CASES[kind.partition('+')[0]][0]}.pc2scan-partial"
-    published = next(n for n, (call, path) in enumerate(calls) if call in ("link", "rename") and path == partial)
-    written = {path for call, path in calls if call == "write"}
-    assert written
-    for path in written:
-        last = max(n for n, call in enumerate(calls) if call == ("write", path))
-        synced = max((n for n, call in enumerate(calls) if call == ("fsync", path)), default=-1)
-        assert last < synced < published, path
-    # And the name is on the disk before the run says that it is done, or removes what was there before.
-    folder = calls.index(("fsync", "."), published)
-    removed = [n for n, (call, path) in enumerate(calls) if call == "unlink" and ".pc2scan-old" in path]
-    assert all(folder < n for n in removed)

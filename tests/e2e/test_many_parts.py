@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import pc2scan
+from support import sampled
 from support.builders import POINTS, SECOND, T0, Recording, points, write_db3, write_mcap, write_rosbag1
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ def few_open_files() -> Iterator[None]:
 
 @pytest.mark.parametrize(
     ("write", "suffix", "is_folder"),
-    [(write_rosbag1, ".bag", False), (write_mcap, ".mcap", True), (write_db3, ".db3", True)],
+    sampled([(write_rosbag1, ".bag", False), (write_mcap, ".mcap", True), (write_db3, ".db3", True)], 2),
 )
 @pytest.mark.usefixtures("few_open_files")
 def test_parts_are_open_while_they_are_due(write: Any, suffix: str, is_folder: bool, tmp_path: Path) -> None:
