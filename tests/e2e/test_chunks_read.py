@@ -9,8 +9,8 @@ from zlib import crc32
 import pytest
 
 import pc2scan
-from pc2scan.bags import chunks
 from pc2scan.core.rigid import Rigid
+from pc2scan.files.compression import decompress
 from support.worlds.moving import Drive, Lidar, write_imu, write_world
 
 if TYPE_CHECKING:
@@ -58,13 +58,11 @@ def decompressed(monkeypatch: pytest.MonkeyPatch) -> Counter[int]:
     """How often each chunk is decompressed, by the CRC-32 of what is stored."""
     counts: Counter[int] = Counter()
 
-    decompress = chunks.decompress
-
     def counting(compression: str, stored: Any, records: Any) -> None:
         counts[crc32(stored)] += 1
         decompress(compression, stored, records)
 
-    monkeypatch.setattr(chunks, "decompress", counting)
+    monkeypatch.setattr("pc2scan.bags.chunks.decompress", counting)
     return counts
 
 
