@@ -11,9 +11,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from pc2scan.errors import DecodeError
 from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, PointCloud2, PointField, decode_pointcloud2
-from support.encoded import encode_pointcloud2
 
-ROS1 = get_typestore(Stores.ROS1_NOETIC)
 ROS2 = get_typestore(Stores.ROS2_JAZZY)
 
 
@@ -121,27 +119,3 @@ def test_contradictions_are_errors_with_numbers_and_stamp(kwargs: dict[str, Any]
         cloud.xyz()
     assert all(word in str(caught.value) for word in words), str(caught.value)
     assert caught.value.stamp_ns == 12_000_000_345
-
-
-@pytest.mark.parametrize("serialization", ["ros1", "cdr"])
-def test_encoding_is_what_rosbags_serialises(serialization: str) -> None:
-    data = struct.pack("<6f", *range(6))
-    encoded = encode_pointcloud2(
-        serialization=serialization,
-        sequence=5,
-        stamp_ns=12_000_000_345,
-        frame_id="base",
-        fields=XYZ,
-        point_step=12,
-        data=data,
-    )
-    cloud = decode_pointcloud2(encoded, serialization)
-    assert (cloud.frame_id, cloud.width, cloud.height, bytes(cloud.data)) == ("base", 2, 1, data)
-    if serialization == "cdr":
-        built = message(XYZ, data, width=2, frame="base")
-        built.is_dense = False
-        assert encoded == bytes(ROS2.serialize_cdr(built, POINTCLOUD2))
-    else:
-        assert cloud.sequence == 5
-        built = ROS1.deserialize_ros1(encoded, POINTCLOUD2)
-        assert bytes(ROS1.serialize_ros1(built, POINTCLOUD2)) == encoded

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence
     from pathlib import Path
 
-    from pc2scan.model import ChunkRule, Connection
+    from pc2scan.bags.reader import Wanted
+    from pc2scan.model import Connection
 
 
 def _load(message: RawMessage, callback: Callable[[RawMessage], Any]) -> list[Any]:
@@ -53,13 +54,8 @@ class MemoryReader(Reader):
         times = -math.inf if start_ns is None else start_ns, math.inf if stop_ns is None else stop_ns
         return lambda row: row[0] in known and times[0] <= row[1] < times[1]
 
-    def chunks(
-        self,
-        connections: Collection[Connection] | None = None,
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
-        rule: ChunkRule | None = None,
-    ) -> Iterator[Chunk]:
+    def chunks(self, wanted: Wanted) -> Iterator[Chunk]:
+        connections, start_ns, stop_ns, rule = wanted
         assert rule is None, "there are no chunks to be copied"
         self.log.append(f"open {self.path.name}")
         known = {each.id: each for each in (self.connections if connections is None else connections)}

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from pc2scan.model import ChunkRule, Connection
 
     from .loading import Loaded
+    from .reader import Wanted
 
     Bools = NDArray[np.bool_]
     Numbers = NDArray[np.uint64]
@@ -457,27 +458,22 @@ class ChunkedReader(Reader):
     def _entries(self, segment: Segment) -> Iterator[tuple[int, Iterable[tuple[int, int]]]]:
         """Yield the connections, and the log times and places of their messages, of the index records after a chunk."""
 
-    def chunks(
-        self,
-        connections: Collection[Connection] | None = None,
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
-        rule: ChunkRule | None = None,
-    ) -> Iterator[Chunk]:
+    def chunks(self, wanted: Wanted) -> Iterator[Chunk]:
         """Return chunks, and segments of records outside chunks, by start; see `pc2scan.bags.reader.Reader`."""
-        wanted = self._known
+        connections, start_ns, stop_ns, rule = wanted
+        known = self._known
         if connections is not None:
-            wanted = {own.id: wanted[own.id] for own in connections if own.id in wanted}
-            if not wanted:
+            known = {own.id: known[own.id] for own in connections if own.id in known}
+            if not known:
                 return iter(())
         # An index that is damaged may have wrong ids.
-        ids = None if len(wanted) == len(self._known) else frozenset(wanted)
+        ids = None if len(known) == len(self._known) else frozenset(known)
         rule = rule if rule and rule.container == self._container else None
         segments = self._segments_with(ids, start_ns, stop_ns)
         whole, due = whole_chunks(segments, rule, start_ns, stop_ns)
         needed = self._needed(segments, due, start_ns) if whole.any() else {}
         cut = (0 if start_ns is None else start_ns, _LATEST_NS + 1 if stop_ns is None else stop_ns)
-        load = partial(self._load, Selection(wanted, *cut, rule, needed))
+        load = partial(self._load, Selection(known, *cut, rule, needed))
         return segment_chunks(segments, load, self._file, whole, due)
 
     def _needed(self, segments: Segments, due: Numbers, start_ns: int | None) -> dict[int, frozenset[int]]:  # noqa: ARG002

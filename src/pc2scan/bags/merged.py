@@ -16,13 +16,13 @@ from pc2scan.errors import UsageError
 from pc2scan.model import Summary
 
 from .loading import UNKNOWN_START_NS
-from .reader import Reader
+from .reader import Reader, Wanted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from pc2scan.model import Attachment, ChunkRule, Connection, Metadata, RawMessage
+    from pc2scan.model import Attachment, Connection, Metadata, RawMessage
 
     from .damage import Damage
     from .loading import Chunk
@@ -93,33 +93,28 @@ class MergedReader(Reader):
         """The remarks of all sources."""
         return [remark for reader in self._readers for remark in reader.remarks]
 
-    def chunks(
-        self,
-        connections: Collection[Connection] | None = None,
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
-        rule: ChunkRule | None = None,
-    ) -> Iterable[Chunk]:
+    def chunks(self, wanted: Wanted) -> Iterable[Chunk]:
         """Return the chunks of all sources; equal log times are in the order of the sources.
 
         A source is read when its first message is due, if its summary has that time. Chunks stay whole if no other
         source has messages at their time and their ids are unchanged.
         """
         if self._unchanged:
-            return self._readers[0].chunks(connections, start_ns, stop_ns, rule)
-        wanted = None if connections is None else {connection.id for connection in connections}
+            return self._readers[0].chunks(wanted)
+        connections, start_ns, stop_ns, rule = wanted
+        ids = None if connections is None else {connection.id for connection in connections}
         sources = []
         for number, (reader, known) in enumerate(zip(self._readers, self._maps, strict=True)):
-            chosen = [own for own in reader.connections if wanted is None or known[own.id].id in wanted]
+            chosen = [own for own in reader.connections if ids is None or known[own.id].id in ids]
             first_ns = reader.summary.start_ns
             first_ns = UNKNOWN_START_NS if first_ns is None else first_ns
-            if (wanted is not None and not chosen) or (stop_ns is not None and first_ns >= stop_ns):
+            if (ids is not None and not chosen) or (stop_ns is not None and first_ns >= stop_ns):
                 continue
             own_rule = None
             if rule is not None and self._stands_alone(reader):
                 same = frozenset(own for own, connection in known.items() if own == connection.id)
                 own_rule = rule._replace(connection_ids=rule.connection_ids & same)
-            source = reader.chunks(None if wanted is None else chosen, start_ns, stop_ns, own_rule)
+            source = reader.chunks(Wanted(None if ids is None else chosen, start_ns, stop_ns, own_rule))
             sources.append((first_ns, _merged_chunks(source, number, known)))
         return _in_turn(sources)
 
@@ -193,17 +188,11 @@ class ChangedReader(MergedReader):
         """What the other reader and the changes noticed."""
         return [*super().remarks, *self._notices]
 
-    def chunks(
-        self,
-        connections: Collection[Connection] | None = None,
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
-        rule: ChunkRule | None = None,
-    ) -> Iterable[Chunk]:
+    def chunks(self, wanted: Wanted) -> Iterable[Chunk]:
         """Return the chunks of the recording, with changed messages."""
-        if rule is not None:
-            rule = rule._replace(connection_ids=rule.connection_ids - self._changes.keys())
-        return (chunk.changed(self._changed) for chunk in super().chunks(connections, start_ns, stop_ns, rule))
+        if (rule := wanted.rule) is not None:
+            wanted = wanted._replace(rule=rule._replace(connection_ids=rule.connection_ids - self._changes.keys()))
+        return (chunk.changed(self._changed) for chunk in super().chunks(wanted))
 
     def _changed(self, message: RawMessage) -> RawMessage:
         change = self._changes.get(message.connection.id)

@@ -15,6 +15,7 @@ from pc2scan.errors import MessageError
 from pc2scan.model import RawMessage, copied_message
 
 from .loading import merge_by_time
+from .reader import Wanted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -265,9 +266,8 @@ def _observe_together(reader: Reader, observers: Sequence[Observer[Any]], meter:
     if spread is not None and not reader.has_chunks:
         chunks: Iterable[Chunk] = _chunks_of_parts(reader, spread)
     else:
-        chunks = reader.chunks(
-            list(connections.values()), None if None in starts else min(starts), None if None in stops else max(stops)
-        )
+        start_ns, stop_ns = None if None in starts else min(starts), None if None in stops else max(stops)
+        chunks = reader.chunks(Wanted(list(connections.values()), start_ns, stop_ns))
     # Twice: when chunks are announced to the system, and when they are due.
     chosen = (chunk._replace(load=partial(load, chunk)) for chunk in chunks if is_wanted(chunk))
     with closing(merge_by_time(chosen, take, holds_chunks=False, path=reader.path)) as messages:
@@ -290,7 +290,8 @@ def _chunks_of_parts(reader: Reader, observer: Observer[Any]) -> Iterator[Chunk]
     spread = observer.spread
     assert spread is not None
     for part in range(spread.parts):
-        for chunk in reader.chunks(observer.connections, spread.begin_ns(part), spread.begin_ns(part + 1)):
+        wanted = Wanted(observer.connections, spread.begin_ns(part), spread.begin_ns(part + 1))
+        for chunk in reader.chunks(wanted):
             if part in observer.filled or observer.is_done:
                 break
             yield chunk

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 from pc2scan.errors import RecordingError
 from pc2scan.files.compression import allowed_bytes
@@ -25,6 +25,25 @@ if TYPE_CHECKING:
 
 #: Connections of a recording: nearly as many as MCAP has numbers for. One takes up to 3 kB of memory in a conversion.
 MAX_CONNECTIONS = 65_000
+
+
+class Wanted(NamedTuple):
+    """What is wanted of a recording.
+
+    Attributes
+    ----------
+    connections
+        Only messages of these; None means all. Parts of the file without any are not listed.
+    start_ns, stop_ns
+        Only messages with ``start_ns <= log_time_ns < stop_ns``.
+    rule
+        Which chunks may be loaded as a whole; None means none.
+    """
+
+    connections: Collection[Connection] | None = None
+    start_ns: int | None = None
+    stop_ns: int | None = None
+    rule: ChunkRule | None = None
 
 
 class Reader(ABC):
@@ -60,24 +79,8 @@ class Reader(ABC):
         return ()
 
     @abstractmethod
-    def chunks(
-        self,
-        connections: Collection[Connection] | None = None,
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
-        rule: ChunkRule | None = None,
-    ) -> Iterable[Chunk]:
-        """Return the chunks of the recording, by start.
-
-        Parameters
-        ----------
-        connections
-            Only messages of these; None means all. Parts of the file without any are not listed.
-        start_ns, stop_ns
-            Only messages with ``start_ns <= log_time_ns < stop_ns``.
-        rule
-            Which chunks may be loaded as a whole; None means none.
-        """
+    def chunks(self, wanted: Wanted) -> Iterable[Chunk]:
+        """Return the chunks of the recording that have what is wanted, by start."""
 
     @abstractmethod
     def counts(
@@ -103,7 +106,7 @@ class Reader(ABC):
     ) -> int:
         """Return about how many bytes of the file are read for these messages, for progress; see `chunks`."""
         if self.has_chunks:
-            return sum(chunk.stored for chunk in self.chunks(connections, start_ns, stop_ns))
+            return sum(chunk.stored for chunk in self.chunks(Wanted(connections, start_ns, stop_ns)))
         # To list the rows of a database is to read them.
         messages = sum(self.counts(connections, start_ns, stop_ns).values())
         return self.summary.size_bytes * messages // max(1, self.summary.message_count or 0)
@@ -155,7 +158,7 @@ class Reader(ABC):
         DamageError
             If the file is damaged, and damage is an error.
         """
-        chunks = self.chunks(connections, start_ns, stop_ns)
+        chunks = self.chunks(Wanted(connections, start_ns, stop_ns))
         return cast("Generator[RawMessage]", merge_by_time(chunks, threads=threads, path=self.path, meter=meter))
 
     def attachments(self) -> Iterator[Attachment]:

@@ -14,6 +14,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.loading import Chunk, merge_by_time
+from pc2scan.bags.reader import Wanted
 from pc2scan.errors import DecodeError, MessageError
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
 from pc2scan.model import RawMessage, StoredChunk, copied_message, own_data
@@ -100,7 +101,7 @@ def _chunks_of_cut(
     if start is not None and lasting:
         with closing(reader.messages(lasting, None, start, threads)) as earlier:
             yield [latched_at(earlier, start)]
-    yield reader.chunks(wanted, start, stop, rule)
+    yield reader.chunks(Wanted(wanted, start, stop, rule))
 
 
 def convert(routes: Mapping[int, Route], message: RawMessage) -> Item:

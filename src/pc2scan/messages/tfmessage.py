@@ -26,14 +26,9 @@ TF_TYPES = frozenset({"tf/msg/tfMessage", "tf2_msgs/msg/TFMessage"})
 #: A message with more transforms than this is damaged: each takes half a kilobyte once decoded.
 MAX_TRANSFORMS = 100_000
 
-# Sequence number, seconds, nanoseconds, length of frame_id.
-_ROS1_HEAD = struct.Struct("<4I")
-_ROS1_LENGTH = struct.Struct("<I")
-_ROS1_POSE = struct.Struct("<7d")
-# The same without a sequence number and with signed seconds, by byte order.
-_CDR_HEAD = {order: struct.Struct(f"{order}i2I") for order in "<>"}
-_CDR_LENGTH = {order: struct.Struct(f"{order}I") for order in "<>"}
-_CDR_POSE = {order: struct.Struct(f"{order}7d") for order in "<>"}
+#: Seconds, nanoseconds and the length of frame_id, behind ROS 1's sequence number; a length; and a pose.
+_ROS1 = [struct.Struct(code) for code in ("<4x3I", "<I", "<7d")]
+_CDR = {order: [struct.Struct(order + code) for code in ("i2I", "I", "7d")] for order in "<>"}
 
 
 def decode_transforms(data: Buffer, serialization: str) -> list[TransformRow]:
@@ -66,10 +61,7 @@ def decode_transforms(data: Buffer, serialization: str) -> list[TransformRow]:
     position = cursor.position - cursor.base
     rows: list[TransformRow] = []
     try:
-        if cursor.ros1:
-            _decode_ros1(body, position, count, rows)
-        else:
-            _decode_cdr(body, position, count, cursor.byte_order, rows)
+        _decode_rows(body, position, count, None if cursor.ros1 else cursor.byte_order, rows)
     except struct.error as err:
         raise DecodeError(
             f"TFMessage ends after {len(cursor.data)} bytes, inside transform {len(rows) + 1} of {count}"
@@ -77,43 +69,23 @@ def decode_transforms(data: Buffer, serialization: str) -> list[TransformRow]:
     return rows
 
 
-def _decode_ros1(body: bytes, position: int, count: int, rows: list[TransformRow]) -> None:
-    head, length_of, pose = _ROS1_HEAD.unpack_from, _ROS1_LENGTH.unpack_from, _ROS1_POSE.unpack_from
+def _decode_rows(body: bytes, position: int, count: int, order: str | None, rows: list[TransformRow]) -> None:
+    """Decode transforms in CDR of a byte order; None: in ROS 1's format, which neither aligns nor ends strings."""
+    head, length_of, pose = (layout.unpack_from for layout in (_CDR[order] if order else _ROS1))
+    size, end, four, eight = (12, b"\0", -4, -8) if order else (16, b"", -1, -1)
     for _ in range(count):
-        _, seconds, nanoseconds, length = head(body, position)
-        start = position + 16
-        position = start + length
-        parent = body[start:position].decode("utf-8", "surrogateescape")
-        start = position + 4
-        position = start + length_of(body, position)[0]
-        child = body[start:position].decode("utf-8", "surrogateescape")
-        rows.append((parent, child, seconds * 1_000_000_000 + nanoseconds, *pose(body, position)))
-        position += 56
-
-
-def _decode_cdr(body: bytes, position: int, count: int, order: str, rows: list[TransformRow]) -> None:
-    head, length_of, pose = (
-        _CDR_HEAD[order].unpack_from,
-        _CDR_LENGTH[order].unpack_from,
-        _CDR_POSE[order].unpack_from,
-    )
-    for _ in range(count):
-        position = (position + 3) & -4
+        position = -(-position & four)
         seconds, nanoseconds, length = head(body, position)
-        start = position + 12
+        start = position + size
         position = start + length
-        parent = _cdr_text(body[start:position])
-        position = (position + 3) & -4
+        parent = body[start:position].removesuffix(end).decode("utf-8", "surrogateescape")
+        position = -(-position & four)
         start = position + 4
         position = start + length_of(body, position)[0]
-        child = _cdr_text(body[start:position])
-        position = (position + 7) & -8
+        child = body[start:position].removesuffix(end).decode("utf-8", "surrogateescape")
+        position = -(-position & eight)
         rows.append((parent, child, seconds * 1_000_000_000 + nanoseconds, *pose(body, position)))
         position += 56
-
-
-def _cdr_text(raw: bytes) -> str:
-    return raw.removesuffix(b"\0").decode("utf-8", "surrogateescape")
 
 
 def encode_transforms(rows: Sequence[TransformRow], serialization: str) -> bytes:

@@ -14,21 +14,21 @@ import struct
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
 from pc2scan.errors import DecodeError
-from pc2scan.model import LATCHED_QOS, Definition, ros1_type
+from pc2scan.model import LATCHED_QOS, NEW_ID, Connection, Definition, ros1_type
 
 from . import definitions, schema
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pc2scan.model import Buffer, Connection
+    from pc2scan.model import Buffer
 
 #: Channel metadata and connection header fields that only one ROS version uses.
 _METADATA_OF = {
@@ -113,17 +113,16 @@ def transcoder(connection: Connection, ros_version: int) -> Transcoding:
     if isinstance(plan, DecodeError):
         raise DecodeError(plan.message, hint=plan.hint)
     declared = replace(
-        connection,
-        msgtype=plan.msgtype,
-        serialization="cdr" if ros_version == 2 else "ros1",
-        definition=plan.definition,
-        digest=plan.digest,
-        callerid=None,
+        plan.connection,
+        id=connection.id,
+        topic=connection.topic,
         latching=connection.is_latched,
         qos=LATCHED_QOS if ros_version == 2 and connection.is_latched else "",
         metadata={key: value for key, value in connection.metadata.items() if key not in _METADATA_OF[source]},
+        message_count=connection.message_count,
+        schema_id=connection.schema_id,
     )
-    return Transcoding(declared, plan.encode, plan.notes, plan.fields)
+    return replace(plan, connection=declared)
 
 
 def with_definition(connection: Connection) -> Connection:
@@ -155,27 +154,16 @@ def ros2_hash(msgtype: str, definition: Definition) -> str:
 # --- planning ---
 
 
-class _TypePlan(NamedTuple):
-    """The part of a plan that depends on type and definition only; connections share it."""
-
-    msgtype: str
-    definition: Definition
-    digest: str
-    encode: Callable[[Buffer], Buffer]
-    notes: tuple[str, ...]
-    fields: int
-
-
 @lru_cache(maxsize=256)
-def _type_plan(msgtype: str, definition: Definition, source: int) -> _TypePlan | DecodeError:
-    """Return the plan for all connections of a type, or the error; both are cached."""
+def _type_plan(msgtype: str, definition: Definition, source: int) -> Transcoding | DecodeError:
+    """Return how all connections of a type are re-encoded, declared as one without a topic; or the error."""
     try:
         return _new_type_plan(msgtype, definition, source)
     except DecodeError as err:
         return err.with_traceback(None)
 
 
-def _new_type_plan(msgtype: str, definition: Definition, source: int) -> _TypePlan:
+def _new_type_plan(msgtype: str, definition: Definition, source: int) -> Transcoding:
     """Choose the destination's type and compile the conversion."""
     target = 3 - source
     root = schema.canonical_type(msgtype)
@@ -190,7 +178,8 @@ def _new_type_plan(msgtype: str, definition: Definition, source: int) -> _TypePl
     text, digest = _declared(types, target, known=root in shared)
     named = ros1_type(root) if target == 1 else root
     fields = sum(len(fields) for _, fields in types.values())
-    return _TypePlan(named, text, digest, _encoder(named, types, source), notes, fields)
+    declared = Connection(NEW_ID, "", named, "ros1" if target == 1 else "cdr", text, digest)
+    return Transcoding(declared, _encoder(named, types, source), notes, fields)
 
 
 def _recorded_types(msgtype: str, definition: Definition, source: int) -> tuple[schema.Types, tuple[str, ...]]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from dataclasses import fields as dataclass_fields
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,18 +10,19 @@ import numpy as np
 from pc2scan.errors import stamp_text, visible
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.messages.pointcloud2 import PointCloud2, recorded_cloud
+from pc2scan.messages.pointcloud2 import recorded_cloud
 from pc2scan.model import own_data
 
 from .stream import Message, Stream, StreamSource
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
     from contextlib import ExitStack
 
     from numpy.typing import NDArray
 
     from pc2scan.bags.reader import Reader
+    from pc2scan.messages.pointcloud2 import PointCloud2
     from pc2scan.model import Buffer, Connection
 
 
@@ -146,10 +146,8 @@ class Cloud(Message):
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Pickles the bytes, because a view cannot be pickled.
-        message = self._message
-        described = [getattr(message, each.name) for each in dataclass_fields(message) if each.name[0] != "_"]
-        values = [bytes(value) if isinstance(value, memoryview) else value for value in described]
-        return _restore, (self.topic, self.log_time_ns, values)
+        data: Any = bytes(self._message.data)
+        return _restore, (self.topic, self.log_time_ns, replace(self._message, data=data))
 
     def __repr__(self) -> str:
         return (
@@ -158,9 +156,9 @@ class Cloud(Message):
         )
 
 
-def _restore(topic: str, log_time_ns: int, values: Sequence[Any]) -> Cloud:
-    arguments: list[Any] = [memoryview(value) if isinstance(value, bytes) else value for value in values]
-    return Cloud(topic, log_time_ns, PointCloud2(*arguments))
+def _restore(topic: str, log_time_ns: int, message: PointCloud2) -> Cloud:
+    message.data = memoryview(message.data)
+    return Cloud(topic, log_time_ns, message)
 
 
 class Clouds(Stream[Cloud]):

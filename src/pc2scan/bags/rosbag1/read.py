@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.chunks import Numbers, Segment, Segments, Selection
     from pc2scan.errors import DamageError
-    from pc2scan.model import Buffer, ChunkRule, Connection
+    from pc2scan.model import Buffer, Connection
 
 
 class Rosbag1Reader(ChunkedReader):
@@ -108,10 +108,20 @@ class Rosbag1Reader(ChunkedReader):
         except FormatError as err:
             problem = f"the chunk with data at byte {segment.offset} cannot be read: {err}"
             raise self._file.damage_error(problem) from err
-        needed = selection.needed.get(segment.offset, frozenset())
-        if not all(described.values()) or not needed <= described.keys() <= selection.rule.connection_ids:
+        index: dict[int, list[tuple[int, int]]] = {}
+        for message, place in zip(messages, places, strict=False):
+            index.setdefault(message.connection.id, []).append((message.log_time_ns, place))
+        rule, needed = selection.rule, selection.needed.get(segment.offset, frozenset())
+        is_described = all(described.values()) and needed <= described.keys()
+        is_allowed = described.keys() | index.keys() <= rule.connection_ids
+        if not messages or len(messages) < len(places) or not is_described or not is_allowed:
             return messages
-        return whole_chunk(segment, stored, records, messages, places, selection.rule) or messages
+        # LZ4 frames that ROS 1's own reader refuses are compressed again.
+        if segment.compression not in rule.compressions or (
+            segment.compression == "lz4" and not is_readable_lz4(stored)
+        ):
+            return StoredChunk("", records, len(records), 0, index)
+        return StoredChunk(segment.compression, stored, len(records), 0, index)
 
     def _scan(
         self,
@@ -212,44 +222,6 @@ def first_uses(segments: Segments, due: Numbers, start_ns: int | None) -> dict[i
             if start_ns is None or start_ns <= segment.start_ns:
                 seen |= first
     return uses
-
-
-def whole_chunk(
-    segment: Segment,
-    stored: Buffer,
-    records: Buffer,
-    messages: Sequence[RawMessage],
-    places: Sequence[int],
-    rule: ChunkRule,
-) -> StoredChunk | None:
-    """Return a chunk that was read as one to copy.
-
-    Parameters
-    ----------
-    stored, records
-        Its records, compressed and decompressed.
-    messages, places
-        Its wanted messages, and the offsets of all.
-
-    Returns
-    -------
-    StoredChunk | None
-        None if ``rule`` does not allow to copy it, or its messages are outside of the times in the index. LZ4 frames
-        that ROS 1's own reader refuses are compressed again.
-    """
-    times = [message.log_time_ns for message in messages]
-    if not times or len(times) != len(places):
-        return None
-    if min(times) < segment.start_ns or segment.end_ns < max(times):
-        return None
-    index: dict[int, list[tuple[int, int]]] = {}
-    for message, place in zip(messages, places, strict=True):
-        index.setdefault(message.connection.id, []).append((message.log_time_ns, place))
-    if not index.keys() <= rule.connection_ids:
-        return None
-    if segment.compression not in rule.compressions or (segment.compression == "lz4" and not is_readable_lz4(stored)):
-        return StoredChunk("", records, len(records), 0, index)
-    return StoredChunk(segment.compression, stored, len(records), 0, index)
 
 
 def scan_messages(

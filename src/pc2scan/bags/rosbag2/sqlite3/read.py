@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
     from pathlib import Path
 
-    from pc2scan.model import ChunkRule
+    from pc2scan.bags.reader import Wanted
 
 #: Limits of a chunk's bytes and rows. Loading less takes less time than handing it to another thread.
 _CHUNK_BYTES = 1 << 19
@@ -120,31 +120,20 @@ class Sqlite3Reader(Reader):
             end_ns=max(span, default=None),
         )
 
-    def chunks(
-        self,
-        connections: Collection[Connection] | None = None,
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
-        rule: ChunkRule | None = None,  # noqa: ARG002  # no chunk is copied
-    ) -> Iterator[Chunk]:
+    def chunks(self, wanted: Wanted) -> Iterator[Chunk]:
         """Yield rows by log time, as chunks; equal log times are in the order of writing.
 
         Rows are read while the chunks are iterated over, by the thread that does so: a database is read in order.
         """
-        wanted = None if connections is None else {connection.id for connection in connections}
-        known = {own.id: own for own in self.connections if wanted is None or own.id in wanted}
-        for number, (rows, size) in enumerate(self._batches(known, start_ns, stop_ns)):
+        ids = None if wanted.connections is None else {connection.id for connection in wanted.connections}
+        known = {own.id: own for own in self.connections if ids is None or own.id in ids}
+        for number, (rows, size) in enumerate(self._batches(known, wanted)):
             load = partial(_load, known, rows)
             yield Chunk(rows[0][1], (number,), size, load, is_quick=size < _WORTH_A_THREAD)
             # They must not stay in memory while the next ones are read.
             del rows, load
 
-    def _batches(
-        self,
-        known: Mapping[int, Connection],
-        start_ns: int | None,
-        stop_ns: int | None,
-    ) -> Iterator[tuple[list[Row], int]]:
+    def _batches(self, known: Mapping[int, Connection], wanted: Wanted) -> Iterator[tuple[list[Row], int]]:
         """Yield some rows at a time, by log time and id, with the bytes of their data."""
         after: tuple[int, int] | None = None
         expected = sum(own.message_count or 0 for own in known.values())
@@ -152,7 +141,7 @@ class Sqlite3Reader(Reader):
         while True:
             is_rebuilt = self._database.is_rebuilt
             try:
-                for rows, size in _in_batches(self._select(known, start_ns, stop_ns, after)):
+                for rows, size in _in_batches(self._select(known, wanted, after)):
                     after = rows[-1][1:3]
                     # Pages of a damaged tree may form a loop.
                     expected -= len(rows)
@@ -211,10 +200,10 @@ class Sqlite3Reader(Reader):
         super().close()
 
     def _select(
-        self, topic_ids: Iterable[int], start_ns: int | None, stop_ns: int | None, after: tuple[int, int] | None
+        self, topic_ids: Iterable[int], wanted: Wanted, after: tuple[int, int] | None
     ) -> Iterator[tuple[int, int, int, Any]]:
         """Return topic, time, id and data of messages by time and id, those after ``after`` (time and id)."""
-        times, bounds = _time_conditions(start_ns, stop_ns)
+        times, bounds = _time_conditions(wanted.start_ns, wanted.stop_ns)
         # Not as values, of which some builds of SQLite allow 32,766.
         conditions = [f"topic_id IN ({', '.join(map(str, topic_ids))})", _SOUND, *times]
         values = [*bounds, *(after or ())]
