@@ -66,11 +66,8 @@ def test_up_by_an_imu_is_turned_to_the_frame_and_interpolated() -> None:
 def test_outside_of_the_imu_and_in_its_gaps_nothing_is_known() -> None:
     up = by_imu(tolerance_ns=10_000_000)
     assert up("imu", EPOCH - 10_000_000) == (0.0, 0.6, -0.8)
-    with pytest.raises(TransformError, match="has messages from") as early:
-        up("imu", EPOCH - 10_000_001)
-    assert "transform_tolerance of at least 0.010000001 s" in (early.value.hint or "")
-    with pytest.raises(TransformError, match="has messages from") as other:
-        up("imu", 5)
-    assert "another clock" in (other.value.hint or "")
-    with pytest.raises(TransformError, match="no messages between"):
+    for stamp_ns in (EPOCH - 10_000_001, 5):
+        with pytest.raises(TransformError, match=r"the nearest messages on /imu are at 1\d+\.0+, the tolerance"):
+            up("imu", stamp_ns)
+    with pytest.raises(TransformError, match=r"at 1\d+\.20+ and 1\d+\.0+, the tolerance"):
         up("imu", EPOCH + 500_000_000)

@@ -173,16 +173,12 @@ def _plausible(values: tuple[float, ...] | None) -> tuple[float, ...]:
 
 
 def _only_frame(topic: str, frames: dict[str, None]) -> str:
-    names = {name.removeprefix("/") for name in frames}
-    if len(names) > 1:
-        raise UsageError(
-            f"the messages on {topic} have several frames: {name_list(sorted(names))}",
-            hint=f"choose one: `imu={topic}:{min(names)}`",
-        )
-    (name,) = names
-    if not name:
-        raise UsageError(f"the messages on {topic} have no frame_id", hint=f"give it: `imu={topic}:imu_link`")
-    return name
+    names = sorted({name.removeprefix("/") for name in frames})
+    if len(names) > 1 or not names[0]:
+        shown = name_list([name or "none" for name in names])
+        message = f"the messages on {topic} do not have one frame_id, but {shown}"
+        raise UsageError(message, hint=f"give it: `imu={topic}:{names[-1] or 'imu_link'}`")
+    return names[0]
 
 
 def _estimate_up(

@@ -15,10 +15,6 @@ if TYPE_CHECKING:
 
     from .buffer import TransformBuffer
 
-#: Stamps that differ by more seconds than this are assumed to come from different clocks.
-_ANOTHER_CLOCK = 3600
-
-
 #: Returns the direction of up in a frame at a stamp; a TransformError if it is unknown.
 UpSource: TypeAlias = Callable[[str, int], Up]
 
@@ -89,31 +85,19 @@ class UpByImu:
         """Return up in the IMU's frame, not of unit length."""
         stamps = self.stamps_ns
         at_ns = min(max(stamp_ns, int(stamps[0])), int(stamps[-1]))
-        if abs(stamp_ns - at_ns) > self.tolerance_ns:
-            raise self._outside_error(stamp_ns, abs(stamp_ns - at_ns))
         newer = int(stamps.searchsorted(at_ns))
         older = newer if stamps[newer] == at_ns else newer - 1
         begin_ns, end_ns = int(stamps[older]), int(stamps[newer])
-        if end_ns - begin_ns > LONGEST_GAP_NS:
+        if abs(stamp_ns - at_ns) > self.tolerance_ns or end_ns - begin_ns > LONGEST_GAP_NS:
+            near = " and ".join(map(stamp_text, dict.fromkeys((begin_ns, end_ns))))
             raise TransformError(
-                f"the direction of up is not known at {stamp_text(stamp_ns)}: {self.topic} has no messages between "
-                f"{stamp_text(begin_ns)} and {stamp_text(end_ns)}, gaps up to {LONGEST_GAP_NS / 1e9:g} s are allowed",
+                f"the direction of up is not known at {stamp_text(stamp_ns)}: the nearest messages on {self.topic} are "
+                f"at {near}, the tolerance is {stamp_text(self.tolerance_ns)} s, and the largest gap "
+                f"{LONGEST_GAP_NS / 1e9:g} s",
                 stamp_ns=stamp_ns,
-                hint="`fixed_frame` levels by transforms instead",
+                hint="`fixed_frame` levels by transforms instead; `transform_tolerance` allows messages farther away",
             )
         ratio = (at_ns - begin_ns) / max(end_ns - begin_ns, 1)
         between: NDArray[np.float64] = (1 - ratio) * self.directions[older] + ratio * self.directions[newer]
         # There is no direction between two opposite ones.
         return between if between.any() else self.directions[older]
-
-    def _outside_error(self, stamp_ns: int, outside_ns: int) -> TransformError:
-        first, last = (stamp_text(int(self.stamps_ns[place])) for place in (0, -1))
-        hint = f"a transform_tolerance of at least {stamp_text(outside_ns)} s would use the nearest message"
-        if outside_ns > _ANOTHER_CLOCK * 1_000_000_000:
-            hint = "the IMU's stamps are from another clock; `fixed_frame` levels by transforms instead"
-        return TransformError(
-            f"the direction of up is not known at {stamp_text(stamp_ns)}: {self.topic} has messages from {first} "
-            f"to {last}, the tolerance is {stamp_text(self.tolerance_ns)} s",
-            stamp_ns=stamp_ns,
-            hint=hint,
-        )
