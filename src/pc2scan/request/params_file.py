@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, get_args
 
-from pc2scan.errors import ParameterError
+from pc2scan.errors import ParameterError, name_list
 from pc2scan.options.table import PARAMETERS
 from pc2scan.text import did_you_mean, nearest
 
@@ -268,15 +268,13 @@ def _node_to_read(sections: _Sections, node: str | None, file: Path) -> str:
     if len(matches) == 1:
         return matches[0]
     names = sorted(matches or sections)
-    listed = ", ".join(names[:10]) + (f" and {len(names) - 10} more" if names[10:] else "")
     hint = f"choose one, for example `node={names[0]}`"
-    if not matches and node is not None:
-        message = f"{file}: no section is for the node {node!r} (from `node`); found {listed}"
-        raise ParameterError(message, hint=did_you_mean(node, names) or None)
-    if not matches:
-        message = f"{file}: no section is named pointcloud_to_laserscan or laserscan_to_pointcloud, and none has only "
-        raise ParameterError(f"{message}their parameters; found {listed}", hint=hint)
-    raise ParameterError(f"{file}: several nodes match: {', '.join(matches)}", hint=hint)
+    if matches:
+        raise ParameterError(f"{file}: several nodes match: {', '.join(matches)}", hint=hint)
+    what = "is named pointcloud_to_laserscan or laserscan_to_pointcloud, and none has only their parameters"
+    if node is not None:
+        what, hint = f"is for the node {node!r} (from `node`)", did_you_mean(node, names)
+    raise ParameterError(f"{file}: no section {what}; found {name_list(names, 10)}", hint=hint or None)
 
 
 def _matching_nodes(sections: _Sections, node: str | None) -> list[str]:
