@@ -3,7 +3,6 @@ from __future__ import annotations
 import pytest
 
 from pc2scan.bags.topics import find_topic, matches
-from pc2scan.errors import TopicError
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 TYPES = {"/points": {CLOUD}, "camera/points": {CLOUD}, "/imu": {"sensor_msgs/msg/Imu"}}
@@ -23,17 +22,3 @@ def test_a_leading_slash_is_no_difference(asked: str, found: str) -> None:
 )
 def test_topics_match_names_and_globs(pattern: str, found: bool) -> None:
     assert matches("/cam/points", ["/other", pattern]) is found
-
-
-@pytest.mark.parametrize(
-    ("asked", "message", "hint"),
-    [
-        ("imu", "topic /imu is sensor_msgs/msg/Imu, not sensor_msgs/msg/PointCloud2", "PointCloud2 topics: /points"),
-        ("/pionts", "no topic /pionts in the recording", "did you mean /points? PointCloud2 topics: /points"),
-    ],
-)
-def test_what_is_there_instead(asked: str, message: str, hint: str) -> None:
-    with pytest.raises(TopicError) as caught:
-        find_topic(asked, TYPES, CLOUDS, CLOUD)
-    assert caught.value.message == message
-    assert (caught.value.hint or "").startswith(hint)

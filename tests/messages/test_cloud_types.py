@@ -59,11 +59,6 @@ def scans_of(source: Path, **options: Any) -> list[tuple[int, bytes]]:
     return [(each.log_time_ns, each.data) for each in opened(Path(report.destination)).of("/scan")]
 
 
-def old_columns(points: NDArray[Any]) -> NDArray[Any]:
-    """The fields of a PointCloud, which are float32."""
-    return points.astype([(name, "<f4") for name in points.dtype.names or ()])
-
-
 def _compressed(name: str, points: NDArray[Any], ros_version: int, stamp_ns: int) -> bytes:
     return clouds.compressed(points, ros_version, name, stamp_ns=stamp_ns)
 
@@ -88,18 +83,6 @@ def test_scans_are_those_of_the_same_points_as_pointcloud2(name: str, form: str,
     found = scans_of(recorded(tmp_path / "own" / form, kind, own, ros_version), **options)
     assert len(found) == 4
     assert found == scans_of(recorded(tmp_path / "usual" / form, CLOUD, usual, ros_version), **options)
-
-
-@pytest.mark.parametrize("ros_version", [1, 2])
-@pytest.mark.parametrize("count", [0, 1, 300])
-def test_old_clouds_have_their_channels_as_fields(count: int, ros_version: int) -> None:
-    points = clouds.lidar_points(2, count)
-    found = decoded(OLD_CLOUD, clouds.old_cloud(points, ros_version, seq=9), ros_version)
-    assert (found.sequence, found.stamp_ns, found.frame_id) == (9 if ros_version == 1 else 0, T0, "lidar")
-    assert list(found.fields) == ["x", "y", "z", "intensity", "ring"]
-    for name, values in found.fields.items():
-        np.testing.assert_array_equal(values, points[name])
-    assert recorded_cloud(found).structured_points().tobytes() == old_columns(points).tobytes()
 
 
 def sound(ros_version: int) -> dict[str, tuple[str, bytes]]:
