@@ -49,14 +49,12 @@ def is_url(path: str | PathLike[str] | None) -> bool:
 
 def path_or_url(text: str | PathLike[str]) -> Path:
     """Return the path that a text names: a `UrlPath` for a URL."""
-    if isinstance(text, UrlPath):
-        return text
     return UrlPath(text) if is_url(text) else Path(text)
 
 
 def path_of(name: str, value: object) -> Path:
     """Return a path that was given as text or as an object; see `path_text`."""
-    return value if isinstance(value, UrlPath) else path_or_url(path_text(name, value))
+    return path_or_url(path_text(name, value))
 
 
 def path_text(name: str, value: object) -> str:
