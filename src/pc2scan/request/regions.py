@@ -110,16 +110,12 @@ class ExcludePolygon:
     fields = ()
 
     def __post_init__(self) -> None:
-        if not self.frame:
-            raise UsageError("`exclude_polygon` names no frame", hint=_POLYGON)
-        if len(self.corners) < 3:
-            raise UsageError(
-                f"`exclude_polygon`: the polygon in {self.frame} has {len(self.corners)} corners", hint=_POLYGON
-            )
-        if not all(math.isfinite(value) for corner in self.corners for value in corner):
-            raise UsageError(f"`exclude_polygon`: a corner in {self.frame} is not finite", hint=_POLYGON)
-        if len({x for x, _ in self.corners}) == 1 or len({y for _, y in self.corners}) == 1:
-            raise UsageError(f"`exclude_polygon`: the polygon in {self.frame} has no area", hint=_POLYGON)
+        is_finite = all(math.isfinite(value) for corner in self.corners for value in corner)
+        has_area = all(len(set(values)) > 1 for values in zip(*self.corners, strict=True))
+        if not self.frame or len(self.corners) < 3 or not is_finite or not has_area:
+            corners = " ".join(f"{value:g}" for corner in self.corners for value in corner)
+            message = f"`exclude_polygon`: the corners {corners} in {self.frame!r} are no polygon"
+            raise UsageError(f"{message}: it has three finite ones or more, which are not on one line", hint=_POLYGON)
 
     @classmethod
     def parse(cls, text: str, _: float = 0.0) -> ExcludePolygon:
@@ -158,12 +154,7 @@ class ExcludePolygon:
 def _frame_and_numbers(option: str, text: str, usage: str) -> tuple[str, list[float]]:
     """Read a frame and the numbers after it."""
     words = text.replace(",", " ").split()
-    numbers = []
-    for word in words[1:]:
-        number = number_in(word, "m")
-        if number is None or math.isnan(number):
-            raise UsageError(f"`{option}`: {word!r} in {text!r} is not a number", hint=usage)
-        numbers.append(number)
-    if words and number_in(words[0], "m") is not None:
-        raise UsageError(f"`{option}`: {text!r} begins with a number, not with a frame", hint=usage)
-    return words[0] if words else "", numbers
+    numbers = [number for word in words[1:] if (number := number_in(word, "m")) is not None and not math.isnan(number)]
+    if not words or number_in(words[0], "m") is not None or len(numbers) < len(words) - 1:
+        raise UsageError(f"`{option}`: {text!r} is not a frame and numbers", hint=usage)
+    return words[0], numbers
