@@ -1,9 +1,8 @@
-"""A toy message type, a toy filter and a toy output, none of which the package knows of."""
+"""Filters that the package does not know of."""
 
 from __future__ import annotations
 
 import json
-from contextlib import closing
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -11,14 +10,8 @@ import numpy as np
 import pytest
 
 import pc2scan
-from pc2scan.bags.mcap.write import McapWriter
-from pc2scan.bags.opening import open_recording
-from pc2scan.messages.laserscan import LaserScan, decode_laserscan
-from pc2scan.messages.pointcloud2 import POINTCLOUD2
-from pc2scan.model import Connection, Definition
 from pc2scan.request.filters import Frame
-from support import builders
-from support.builders import T0
+from support.builders import POINTS, T0, Item, Recording, cloud, write_mcap
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -67,33 +60,16 @@ class Beyond:
         return kept
 
 
-def recorded(path: Path, msgtype: str, messages: list[bytes]) -> Path:
-    writer = McapWriter(path, "none")
-    connection = Connection(0, "/points", msgtype, "cdr", Definition("ros2msg", b"# toy\n"))
-    handle = writer.add_connection(connection)
-    for number, data in enumerate(messages):
-        writer.write(handle, T0 + number, data, T0 + number)
-    writer.finish()
-    return path
-
-
-def cloud() -> bytes:
-    return builders.cloud(np.array(FORWARD, np.float32), 2, names=("x", "y", "z", "ring"))
-
-
-def messages_of(path: Path, topic: str = "/scan") -> list[bytes]:
-    with closing(open_recording(path)) as reader:
-        return [bytes(message.data) for message in reader.messages() if message.connection.topic == topic]
-
-
-def scan_of(path: Path) -> LaserScan:
-    (data,) = messages_of(path)
-    return decode_laserscan(data, "cdr")
+def recorded(path: Path, clouds: int) -> Path:
+    """Record clouds that are all alike."""
+    data = cloud(np.array(FORWARD, np.float32), 2, names=("x", "y", "z", "ring"))
+    items = tuple(Item(POINTS, T0 + number, {2: data}) for number in range(clouds))
+    return write_mcap(path, Recording((POINTS,), items))
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_a_new_filter_is_one_class(tmp_path: Path, jobs: int) -> None:
-    source = recorded(tmp_path / "a.mcap", POINTCLOUD2, [cloud(), cloud()])
+    source = recorded(tmp_path / "a.mcap", 2)
     report = pc2scan.convert(
         source, tmp_path / "b.mcap", params=BAND, filters=[EveryNth(2, highest=8)], jobs=jobs, only_scans=True
     )
@@ -104,14 +80,13 @@ def test_a_new_filter_is_one_class(tmp_path: Path, jobs: int) -> None:
     written = json.loads(report.as_json())
     assert written["scans"][0]["filters"] == [{"name": "thinned", "n": 2, "highest": 8}]
     assert list(written["topics"][0]["points"]) == [*pc2scan.PointCounts().as_dict(), "thinned"]
-    for data in messages_of(tmp_path / "b.mcap"):
-        ranges = decode_laserscan(data, "cdr").ranges
-        assert ranges[np.isfinite(ranges)].tolist() == pytest.approx([2.0, 4.0], rel=1e-4)
+    for scan in pc2scan.scans(tmp_path / "b.mcap"):
+        assert scan.ranges[np.isfinite(scan.ranges)].tolist() == pytest.approx([2.0, 4.0], rel=1e-4)
 
 
 @pytest.mark.parametrize("frame", [Frame.SOURCE, Frame.TARGET, "base"])
 def test_filters_work_in_the_frame_that_they_name(tmp_path: Path, frame: Any) -> None:
-    source = recorded(tmp_path / "a.mcap", POINTCLOUD2, [cloud()])
+    source = recorded(tmp_path / "a.mcap", 1)
     static = [pc2scan.StaticTransform.parse("map lidar 0 0 0 0 0 1 0")]
     static.append(pc2scan.StaticTransform.parse("base lidar 10 0 0 0 0 0 1"))
     static.pop(1 if frame != "base" else 0)

@@ -25,8 +25,6 @@ class TestRejections:
             (row("/a", "a", 7), "TF_SELF_TRANSFORM"),
             (row("a", "", 7), "TF_NO_CHILD_FRAME_ID"),
             (row("", "a", 7), "TF_NO_FRAME_ID"),
-            (row("/", "a", 7), "TF_NO_FRAME_ID"),
-            (row("", "", 7), "TF_NO_CHILD_FRAME_ID"),
             (row("a", "b", 7, x=math.nan), "TF_NAN_INPUT"),
             (row("a", "b", 7, x=-math.inf), "TF_NAN_INPUT"),
             (row("a", "b", 7, norm=math.nan), "TF_NAN_INPUT"),
