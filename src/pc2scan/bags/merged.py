@@ -177,7 +177,7 @@ class ChangedReader(MergedReader):
     """
 
     def __init__(
-        self, reader: Reader, changes: Mapping[int, Callable[[RawMessage], RawMessage]], notices: Sequence[str] = ()
+        self, reader: Reader, changes: Mapping[int, Callable[[RawMessage], RawMessage]], notices: Collection[str] = ()
     ) -> None:
         super().__init__([reader])
         self._changes = changes

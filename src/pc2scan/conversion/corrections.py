@@ -45,7 +45,7 @@ _NOTABLE_NS = 1_000_000_000
 _WHOLE = Span(None, None, 0)
 
 
-def _moved(offset_ns: int | None, fields: Sequence[str], message: RawMessage) -> RawMessage:
+def _moved(offset_ns: int | None, fields: Sequence[str], remarks: dict[str, None], message: RawMessage) -> RawMessage:
     """Return a message with its corrected stamp; one that cannot be decoded stays as it is.
 
     Parameters
@@ -54,6 +54,8 @@ def _moved(offset_ns: int | None, fields: Sequence[str], message: RawMessage) ->
         What is added; None: the stamp becomes the log time.
     fields
         Fields with the points' times, besides the usual ones.
+    remarks
+        Get one about a stamp that does not fit.
     """
     connection, copy = message.connection, bytearray(message.data)
     try:
@@ -62,9 +64,13 @@ def _moved(offset_ns: int | None, fields: Sequence[str], message: RawMessage) ->
         if connection.ros_type in CLOUDS and stamp_ns != own_ns:
             # Before the stamp changes, which tells their unit.
             move_times(copy, connection.serialization, connection.ros_type, stamp_ns - own_ns, fields)
-        set_stamp(copy, connection.serialization, stamp_ns)
+        fits = set_stamp(copy, connection.serialization, stamp_ns)
     except DecodeError:
         return message
+    if not fits:
+        remarks[f"{connection.topic}: corrected stamps do not fit into its messages, which have the nearest time"] = (
+            None
+        )
     return message._replace(data=bytes(copy))
 
 
@@ -105,21 +111,22 @@ def corrected(
         if topic in topics and (offset is None or abs(offset) > _NOTABLE_NS)
     }
     notes: list[str] = []
-    remarks: list[str] = []
+    remarks: dict[str, None] = {}
     for topic, fit in (measure_offsets(reader, wanted, tf_topics, span) if wanted else {}).items():
         if (given_ns := offsets[topic]) is None:
             offsets[topic] = fit.offset_ns
             notes.append(fit.note)
         elif fit.reference and abs(given_ns - fit.offset_ns) > abs(fit.offset_ns) + _NOTABLE_NS:
             without = f"are {abs(fit.offset_ns) / 1e9:.3g} s off" if fit.offset_ns else "fit"
-            remarks.append(
+            text = (
                 f"{topic}: `time_offset` takes its stamps farther from those of {fit.reference}: without it they "
                 f"{without}, with it they are {abs(given_ns - fit.offset_ns) / 1e9:.3g} s off; "
                 f"`time_offset={topic}=auto` measures what corrects them"
             )
+            remarks[text] = None
     if clock.by_log:
         offsets |= dict.fromkeys(offsets.keys() - own.keys())
-    moved = {topic: partial(_moved, offset_ns, fields) for topic, offset_ns in offsets.items() if offset_ns != 0}
+    moved = {topic: partial(_moved, offset, fields, remarks) for topic, offset in offsets.items() if offset != 0}
     changes = {each.id: moved[topic] for topic, group in topics.items() if topic in moved for each in group}
     return (ChangedReader(reader, changes, remarks) if changes else reader), notes
 
