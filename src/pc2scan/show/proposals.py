@@ -391,25 +391,19 @@ def _is_connected(lidar: Lidar, frame: str) -> bool:
 
 
 def _exclusions(group: Sequence[Lidar]) -> Iterator[Choice]:
+    """Yield the boxes around the robot's own body, and around the origins of lidars that write zeros for no return."""
     lidar = group[0]
-    boxes: list[str] = []
-    reasons: list[str] = []
-    heights = lidar.mounting.heights
-    for member in group:
-        body = None
-        if heights is not None and member.span_ns[1] - member.span_ns[0] >= _LONG_NS:
-            body = body_of(member.placed, heights.low, heights.high)
-        if body is not None:
-            boxes.append(body.text(lidar.target or lidar.mounting.frame))
-            reasons = ["returns of the robot's own body"]
-    for member in group:
-        # The preset rejects points at the origin of the scans' own frame.
-        option, value = sensor_exclusion(member.mounting.frame, lidar.target)
-        if member.has_zeros and option == "exclude_box":
-            boxes.append(value)
-            reasons.append("(0, 0, 0) is no return")
+    boxes: dict[str, str] = {}
+    if (heights := lidar.mounting.heights) is not None:
+        long = [each for each in group if each.span_ns[1] - each.span_ns[0] >= _LONG_NS]
+        for body in filter(None, (body_of(each.placed, heights.low, heights.high) for each in long)):
+            boxes[body.text(lidar.target or lidar.mounting.frame)] = "returns of the robot's own body"
+    # The preset rejects points at the origin of the scans' own frame.
+    origins = (sensor_exclusion(each.mounting.frame, lidar.target) for each in group if each.has_zeros)
+    boxes |= {value: "(0, 0, 0) is no return" for option, value in origins if option == "exclude_box"}
     if boxes:
-        yield Choice("exclude_box", boxes[0] if len(boxes) == 1 else tuple(boxes), ", ".join(dict.fromkeys(reasons)))
+        value = tuple(boxes)
+        yield Choice("exclude_box", value if value[1:] else value[0], ", ".join(dict.fromkeys(boxes.values())))
 
 
 def odometry_doubts(lidars: Iterable[Lidar]) -> list[str]:
