@@ -11,15 +11,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.conversion.corrections import corrected_transforms
-from pc2scan.errors import (
-    DestinationError,
-    MessageError,
-    OutputError,
-    ResultError,
-    TransformError,
-    UsageError,
-    name_list,
-)
+from pc2scan.errors import MessageError, OutputError, ResultError, TransformError, UsageError, name_list
 from pc2scan.files.ownership import inputs_of, read_record, refuse_overlap, write_record
 from pc2scan.files.staging import staged_output
 from pc2scan.files.system import remove
@@ -233,7 +225,7 @@ def _names(topics: Sequence[str], destination: Path, file_format: ExportFormat, 
     if suffix and not in_folder and destination.suffix.lower() == suffix:
         text = f"{len(topics)} topics make {len(topics)} files: {name_list(list(topics), 5)}"
         hint = f"name a folder: `destination={destination.with_suffix('')}/`; or choose: `topics={topics[0]}`"
-        raise DestinationError(text, path=destination, hint=hint)
+        raise UsageError(text, path=destination, hint=hint)
     return {topic: f"{name}{suffix}" for topic, name in file_names(topics).items()}
 
 
