@@ -2,84 +2,55 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-from pc2scan.core.params import ProjectionParams
+from .lidar import EDGE_NS, TOLERANCE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from pc2scan.advice.survey import Header
-    from pc2scan.transforms.buffer import TransformBuffer
 
-#: All transforms of so much time at both edges are known, nanoseconds.
-EDGE_NS = 1_000_000_000
-
-#: A stamp may be so far from the nearest transform, seconds.
-_TOLERANCE = ProjectionParams().transform_tolerance
+    from .lidar import Lidar
 
 #: A cut has so many digits at least: hundredths of a second.
 _DIGITS = 2
 
 
-class EdgeClouds(NamedTuple):
-    """The clouds of a topic at the edges of a recording.
-
-    Attributes
-    ----------
-    frame
-        The frame of the lidar.
-    first, last
-        The headers of the first clouds, and those of the last ones; in the order of log time.
-    before, after
-        The times of a cloud's first and last point, seconds after its stamp; as far away as a transform may be if
-        points have no times.
-    """
-
-    frame: str
-    first: Sequence[Header]
-    last: Sequence[Header]
-    before: float = -_TOLERANCE
-    after: float = _TOLERANCE
-
-
-def edge_cuts(
-    topics: Sequence[EdgeClouds], buffer: TransformBuffer, fixed: str, start_ns: int, end_ns: int | None
-) -> Iterator[tuple[str, float, str]]:
+def edge_cuts(lidars: Sequence[Lidar], fixed: str) -> Iterator[tuple[str, float, str]]:
     """Yield ``start`` or ``end``, seconds, and why, so that the first and last clouds have transforms; or nothing.
 
     Parameters
     ----------
-    topics
+    lidars
         The topics with clouds that become one scan.
-    buffer
-        The transforms: at the edges, all of them.
     fixed
-        The frame that does not move.
-    start_ns, end_ns
-        The log times of the first and the last message; ``end_ns`` is None if not all transforms at the end are known.
+        The frame that does not move; empty if there is none.
 
     Notes
     -----
     A cloud is skipped if there is no transform at its stamp, or at none of its points' times. Clouds that lack
     transforms for longer than `EDGE_NS` are left as they are: they may have transforms that are not known here.
     """
-    tolerance_ns = round(_TOLERANCE * 1e9)
+    buffer, (start_ns, end_ns) = lidars[0].buffer, lidars[0].span_ns
+    if not fixed or buffer is None:
+        return
+    tolerance_ns = round(TOLERANCE * 1e9)
     lost: list[list[tuple[int, int]]] = [[], []]
     kept: list[list[int]] = [[], []]
-    for clouds in topics:
-        links = buffer.moving_links(fixed, clouds.frame)
+    for lidar in lidars:
+        links, (before, after) = buffer.moving_links(fixed, lidar.mounting.frame), lidar.reach
         if not links:
             return
         begin_ns, stop_ns = max(link.first_ns for link in links), min(link.last_ns for link in links)
-        for header in clouds.first:
-            if header.stamp_ns + tolerance_ns < begin_ns or _point_ns(header, clouds.after) < begin_ns:
-                lost[0].append((header.log_time_ns, begin_ns - _point_ns(header, min(clouds.before, 0.0))))
+        for header in lidar.facts.headers:
+            if header.stamp_ns + tolerance_ns < begin_ns or _point_ns(header, after) < begin_ns:
+                lost[0].append((header.log_time_ns, begin_ns - _point_ns(header, min(before, 0.0))))
             else:
                 kept[0].append(header.log_time_ns)
-        for header in clouds.last:
-            if header.stamp_ns - tolerance_ns > stop_ns or _point_ns(header, clouds.before) > stop_ns:
-                lost[1].append((header.log_time_ns, _point_ns(header, max(clouds.after, 0.0)) - stop_ns))
+        for header in lidar.facts.last_headers:
+            if header.stamp_ns - tolerance_ns > stop_ns or _point_ns(header, before) > stop_ns:
+                lost[1].append((header.log_time_ns, _point_ns(header, max(after, 0.0)) - stop_ns))
             else:
                 kept[1].append(header.log_time_ns)
     if lost[0]:
@@ -88,7 +59,7 @@ def edge_cuts(
         if later and last_ns < start_ns + EDGE_NS:
             seconds = _between(last_ns - start_ns, min(later) - start_ns)
             yield "start", seconds, f"transforms to {fixed} begin {_seconds(by_ns)} after the first cloud"
-    if lost[1] and end_ns is not None:
+    if lost[1] and lidars[0].knows_end:
         first_ns, by_ns = min(lost[1])[0], max(by for _, by in lost[1])
         earlier = [time_ns for time_ns in kept[1] if time_ns < first_ns]
         if earlier and first_ns > end_ns - EDGE_NS:

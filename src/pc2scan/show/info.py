@@ -36,8 +36,7 @@ from pc2scan.transforms.summary import BODIES, WORLDS
 from pc2scan.transforms.world_frames import find_body_motion
 
 from .cloud_info import CloudInfo, CloudLook
-from .edges import EDGE_NS
-from .lidar import HEADERS, Lidar, ask_facts, stamp_faults
+from .lidar import EDGE_NS, HEADERS, Lidar, ask_facts, stamp_faults
 from .proposals import missing_mounts, odometry_doubts, proposals
 from .recording import spread_over
 from .scan_topic import ScanTopic, TopicCheck

@@ -15,6 +15,7 @@ from pc2scan.advice.measurements import regular_step, shapes_of
 from pc2scan.advice.point_times import time_warnings, times_of
 from pc2scan.advice.survey import Fact
 from pc2scan.conversion.report import StampCounts
+from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import median
 from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import TransformError
@@ -23,8 +24,6 @@ from pc2scan.request.turn import DIRECTIONS, directions_of
 from pc2scan.transforms.motion import sensor_motion
 from pc2scan.transforms.static import StaticTransform
 from pc2scan.transforms.summary import WORLDS
-
-from .edges import EDGE_NS, EdgeClouds
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -41,6 +40,12 @@ if TYPE_CHECKING:
     from pc2scan.transforms.motion import SensorMotion
     from pc2scan.transforms.mounting import Mounting
 
+
+#: All transforms of so much time at both edges of a recording are known, nanoseconds.
+EDGE_NS = 1_000_000_000
+
+#: A stamp may be so far from the nearest transform, seconds.
+TOLERANCE = ProjectionParams().transform_tolerance
 
 #: How many clouds of a topic are looked at, how many at most of those in the recording's last second, how many for the
 #: shape of their rings, and the largest of a pattern that is sparse, points.
@@ -206,13 +211,12 @@ class Lidar:
         return median([each.high - each.low for each in times])
 
     @property
-    def edges(self) -> EdgeClouds:
-        """Its clouds at the edges of the recording."""
-        clouds = EdgeClouds(self.mounting.frame, self.facts.headers, self.facts.last_headers)
+    def reach(self) -> tuple[float, float]:
+        """The times of a cloud's first and last point, seconds after its stamp; without them, the tolerance."""
         if not self.duration:
-            return clouds
+            return -TOLERANCE, TOLERANCE
         times = self.facts.found(_TIMES)
-        return clouds._replace(before=min(each.low for each in times), after=max(each.high for each in times))
+        return min(each.low for each in times), max(each.high for each in times)
 
     @cached_property
     def time_field(self) -> str:

@@ -287,7 +287,8 @@ def _choices(group: Sequence[Lidar], given: Mapping[str, Any]) -> Iterator[Choic
     times = list(_times(group))
     yield from times
     if clock is None:
-        yield from _edges(group, next((each.value for each in times if each.name == "fixed_frame"), ""))
+        fixed = next((each.value for each in times if each.name == "fixed_frame"), "")
+        yield from (Choice(*cut) for cut in edge_cuts(group, fixed))
     yield from _exclusions(group)
     yield from _beams(group, is_level=any(each.name == "level" for each in times))
 
@@ -356,16 +357,6 @@ def _times(group: Sequence[Lidar]) -> Iterator[Choice]:
         yield Choice("fixed_frame", fixed, "the frame that does not move with the robot")
     if not tilts:
         yield from _level_by_imu(lidar)
-
-
-def _edges(group: Sequence[Lidar], fixed: str) -> Iterator[Choice]:
-    """Yield the cut that leaves out clouds which no transform places in the fixed frame, if there is such a frame."""
-    buffer = group[0].buffer
-    if not fixed or buffer is None:
-        return
-    start_ns, end_ns = group[0].span_ns
-    known_ns = end_ns if group[0].knows_end else None
-    yield from (Choice(*cut) for cut in edge_cuts([each.edges for each in group], buffer, fixed, start_ns, known_ns))
 
 
 def _moves(motion: SensorMotion | None) -> bool:
