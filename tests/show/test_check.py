@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-import pc2scan
 from pc2scan import check
 from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.messages.tfmessage import encode_transforms
-from support import RECORDINGS, ROOT, needs_shared, sampled
+from support import RECORDINGS, needs_shared, sampled
 from support.builders import SCAN, TF, Item, Recording, Stream, write_mcap
 from support.scan_recordings import GOOD, START, STEP, recording, scans
 
@@ -62,15 +61,6 @@ def test_topics_are_looked_at_apart(tmp_path: Path) -> None:
     found = [(topic.topic, topic.scans, topic.beams) for topic in check(path).topics]
     assert found == [("/back", 2, (5, 5)), ("/front", 3, (9, 9))]
     assert [topic.topic for topic in check(path, topics=["front"]).topics] == ["/front"]
-
-
-def test_scans_in_a_frame_that_the_robot_moves_in_are_defects(tmp_path: Path) -> None:
-    path = tmp_path / "scan.mcap"
-    pc2scan.convert(ROOT / "fixtures" / "hall.bag", path, target_frame="odom", min_height=0.1)
-    found = check(path, consumers=["slam_toolbox"])
-    assert found.exit_status == 1
-    assert "'odom' is one that base_link moves in (by 0.32 m)" in str(found)
-    assert "`target_frame=base_link`" in str(found)
 
 
 def test_messages_that_are_no_scans(tmp_path: Path) -> None:
