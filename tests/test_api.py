@@ -18,7 +18,7 @@ import pytest
 
 import pc2scan
 from pc2scan.errors import ParameterError, Pc2ScanError, TransformError, UsageError
-from pc2scan.model import Connection, RawMessage, own_data, own_message
+from pc2scan.model import own_data
 from support import ROOT
 from support.command import run
 
@@ -111,13 +111,8 @@ def test_a_message_is_copied_if_it_would_keep_much_more_in_memory() -> None:
     chunk = b"some data"
     for data in (chunk, memoryview(chunk), memoryview(bytearray(chunk))[2:8]):
         assert own_data(data) is data
-    topic = Connection(1, "/a", "a/msg/A", "cdr")
-    message, part = RawMessage(topic, 1, chunk, 1), RawMessage(topic, 2, memoryview(chunk)[2:5], 2, 3)
-    assert own_message(message) is message
-    for copied in (own_data(part.data), own_message(part).data):
-        assert isinstance(copied, bytes)
-        assert copied == chunk[2:5]
-    assert own_message(part) == part
+    copied = own_data(memoryview(chunk)[2:5])
+    assert (type(copied), copied) == (bytes, chunk[2:5])
 
 
 # --- names and documentation ---

@@ -181,14 +181,6 @@ def own_data(data: Buffer) -> Buffer:
     return data if isinstance(data, bytes) or 2 * len(data) >= memoryview(data.obj).nbytes else bytes(data)
 
 
-def own_message(message: RawMessage) -> RawMessage:
-    """Return a message to keep; see `own_data`."""
-    if type(message.data) is bytes:
-        return message
-    data = own_data(message.data)
-    return message if data is message.data else message._replace(data=data)
-
-
 def copied_message(message: RawMessage) -> RawMessage:
     """Return a message that keeps nothing else in memory: a view would keep a whole chunk."""
     return message._replace(data=bytes(message.data))

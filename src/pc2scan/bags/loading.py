@@ -88,7 +88,7 @@ class Chunk(NamedTuple):
         Returns the callback's result for each message, in the order of the file, or a chunk that is copied as a whole.
         May be called on any thread, and again. The callback is called with each wanted message on the thread that read
         it, while it is still in that core's cache. A message that is kept goes through
-        `pc2scan.model.own_message`, or it may keep a whole chunk in memory.
+        `pc2scan.model.copied_message`, or it may keep a whole chunk in memory.
     is_quick
         Whether loading it takes less time than handing it to another thread.
     file, offset, length

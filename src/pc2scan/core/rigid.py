@@ -408,11 +408,3 @@ class Rigid:
             for column, (row, offset) in enumerate(zip(rotation, translation, strict=True)):
                 result[:, column] = x * row[0] + y * row[1] + z * row[2] + offset
         return result
-
-
-def interpolate(first: Rigid, last: Rigid, ratio: float) -> Rigid:
-    """Interpolate two transforms of the same two frames: `lerp` of the translations, `slerp` of the rotations.
-
-    ``ratio`` 0 is the first, 1 is the last. Source of the rule: ``tf2::TimeCache::interpolate``.
-    """
-    return Rigid.from_pose(interpolate_poses(first.pose, last.pose, ratio))
