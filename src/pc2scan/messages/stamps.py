@@ -45,8 +45,8 @@ def stamp_in(data: Buffer | bytearray, serialization: str) -> int:
     return Cursor(memoryview(data), serialization).stamp()[1]
 
 
-def set_stamp(data: bytearray, serialization: str, stamp_ns: int) -> None:
-    """Replace the stamp of a message that begins with a header, in place.
+def set_stamp(data: bytearray, serialization: str, stamp_ns: int) -> bool:
+    """Replace the stamp of a message that begins with a header, in place; return whether the stamp fits.
 
     One that the message cannot hold becomes the nearest one that it can, except 0, which means the latest time.
 
@@ -60,6 +60,7 @@ def set_stamp(data: bytearray, serialization: str, stamp_ns: int) -> None:
     layout, most = _STAMPS["ros1" if cursor.ros1 else cursor.byte_order]
     fitting_ns = min(max(stamp_ns, 1), most * 1_000_000_000 + 999_999_999)
     struct.pack_into(layout, data, cursor.position - 8, *divmod(fitting_ns, 1_000_000_000))
+    return fitting_ns == stamp_ns
 
 
 def move_times(data: bytearray, serialization: str, ros_type: str, shift_ns: int, names: Iterable[str] = ()) -> None:
