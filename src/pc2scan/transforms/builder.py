@@ -54,14 +54,25 @@ class _Child:
     received: int = 0
     parts: list[_Columns] = field(default_factory=list)
 
+    def append(self, columns: _Columns) -> None:
+        """Add transforms. Parts are joined with others of their size, so that their memory is used again early."""
+        self.parts.append(columns)
+        while len(self.parts) > 1 and len(self.parts[-1][0]) >= len(self.parts[-2][0]):
+            self.parts[-2:] = [_joined(self.parts[-2:])]
+
     def sorted(self) -> _Columns:
         """Return the transforms in the order of their stamps, which replace the parts; of one stamp, the first."""
-        stamps, poses, parents = (np.concatenate(column) for column in zip(*self.parts, strict=True))
+        stamps, poses, parents = _joined(self.parts)
         if not (stamps[1:] > stamps[:-1]).all():
             order = time_order(stamps)
             stamps, poses, parents = stamps[order], poses[order], parents[order]
         self.parts = [(stamps, poses, parents)]
         return self.parts[0]
+
+
+def _joined(parts: list[_Columns]) -> _Columns:
+    stamps, poses, parents = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return stamps, poses, parents
 
 
 class TransformBuilder:
@@ -198,7 +209,7 @@ class TransformBuilder:
         chosen = chosen[pairs[chosen, 1].argsort(kind="stable")]
         records, pairs = records[chosen], pairs[chosen]
         self._accepted.update(np.flatnonzero(np.bincount(records["pair"])).tolist())
-        columns = records["stamp_ns"], records["pose"], pairs[:, 0]
+        columns = records["stamp_ns"].copy(), records["pose"].copy(), pairs[:, 0].copy()
         ends = np.flatnonzero(np.diff(pairs[:, 1], append=-1)) + 1
         for begin, end in pairwise([0, *ends.tolist()]):
             number = int(pairs[begin, 1])
@@ -206,8 +217,8 @@ class TransformBuilder:
             if child is None:
                 child = self._children[number] = _Child(bool(records["static"][begin]))
             child.received += end - begin
-            part = slice(end - 1 if child.is_static else begin, end)
-            stamps, poses, parents = (column[part].copy() for column in columns)
+            stamps, poses, parents = (column[begin:end] for column in columns)
             if child.is_static:
-                child.parts.clear()
-            child.parts.append((stamps, poses, parents))
+                child.parts = [(stamps[-1:].copy(), poses[-1:].copy(), parents[-1:].copy())]
+            else:
+                child.append((stamps, poses, parents))
