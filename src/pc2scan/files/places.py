@@ -148,6 +148,6 @@ def missing_hint(path: Path) -> str | None:
         names = sorted(name for name in os.listdir(path.parent) if not name.startswith("."))  # noqa: PTH208  # faster
     except OSError:
         return None
-    # An ending that was left out, or what an interrupted run left.
+    # The name without its suffix, or the partial file of an interrupted run.
     similar = next((name for name in names if name.startswith(f"{path.name}.")), None) or nearest(path.name, names)
     return None if similar is None else f"did you mean {path.parent / similar}?"
