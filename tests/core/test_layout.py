@@ -15,7 +15,6 @@ from support.tables import rows
 
 TABLES = Path(__file__).with_name("layouts.txt")
 
-PI = math.pi
 DEGREE = math.pi / 180
 
 

@@ -17,8 +17,6 @@ from support.tables import rows
 
 TABLES = Path(__file__).with_name("timing.txt")
 
-STAMP = 1_700_000_000_123_456_789
-
 
 @pytest.mark.parametrize(("stamps", "expected"), rows(TABLES, "median intervals"))
 def test_the_median_interval(stamps: list[int], expected: int | None) -> None:

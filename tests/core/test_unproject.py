@@ -18,9 +18,6 @@ from pc2scan.errors import DecodeError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-Quaternion = tuple[float, float, float, float]
-Vector = tuple[float, float, float]
-
 NONE = np.empty(0, np.float32)
 EVERYTHING = UnprojectParams(distances=True, stamps=True, viewpoint=True)
 INF, NAN = math.inf, math.nan

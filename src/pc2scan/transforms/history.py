@@ -80,16 +80,6 @@ class FrameHistory:
         extent: NDArray[np.float64] = np.ptp(self.poses, axis=0)
         return extent
 
-    @property
-    def translations(self) -> NDArray[np.float64]:
-        """(N, 3) float64, metres, a view."""
-        return self.poses[:, :3]
-
-    @property
-    def quaternions(self) -> NDArray[np.float64]:
-        """(N, 4) float64 x, y, z, w, a view."""
-        return self.poses[:, 3:]
-
     def during(self, begin_ns: int, end_ns: int) -> FrameHistory:
         """Return what lookups in an interval need; in it, the parent does not change.
 

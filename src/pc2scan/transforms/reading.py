@@ -329,7 +329,6 @@ def read_transforms(
     options: FrameOptions,
     *,
     needed: Collection[str] = (),
-    use: bool = True,
     meter: Meter | None = None,
 ) -> FoundTransforms:
     """Read all transforms of recordings, anywhere in the files, and add the user's own.
@@ -338,7 +337,7 @@ def read_transforms(
     ----------
     readers
         The source first, then the recordings of ``tf_from``.
-    needed, use
+    needed
         Frames that are needed; see `TransformReading.supply`.
     meter
         Counts the bytes; None: nothing is reported.
@@ -346,7 +345,7 @@ def read_transforms(
     reading = TransformReading(options)
     observe(*((each, reading.observers(each, own=each is readers[0])) for each in readers), meter=meter)
     if needed:
-        reading.supply(readers[0], needed, use=use)
+        reading.supply(readers[0], needed)
     return reading.finish()
 
 

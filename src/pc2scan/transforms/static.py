@@ -102,10 +102,10 @@ def _refuse_degrees(where: str, rotation: Sequence[float]) -> None:
         raise UsageError(message, hint="roll, pitch and yaw are three numbers, not four")
 
 
-def static_text(parent: str, child: str, static: StaticTransform, factor: float = 1.0) -> str:
-    """Return the text of `static_tf` for the same transform with other names, or with its lengths in another unit."""
+def static_text(parent: str, child: str, static: StaticTransform) -> str:
+    """Return the text of `static_tf` for the same transform with other names."""
     rigid = static.parent_from_child
-    numbers = (*(factor * float(x) for x in rigid.translation), *rigid.rpy)
+    numbers = (*rigid.translation.tolist(), *rigid.rpy)
     return f"{parent} {child} {_numbers(number + 0.0 for number in numbers)}"
 
 
