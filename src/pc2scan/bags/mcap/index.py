@@ -127,8 +127,6 @@ def find_index(file: RecordFile, log: DamageLog) -> McapIndex:
 
     Raises
     ------
-    RecordingError
-        If the file is not MCAP.
     DamageError
         If it is cut off, or contradicts itself.
     """
@@ -388,14 +386,19 @@ def find_declarations(
     message indexes, only those are read that have messages of unknown channels; all, while a schema is missing.
     Without a summary, a channel that has no messages may stay unknown.
     """
-    for chunk in index.segments if index.segments.rows["record_offset"].any() else ():
-        ids = chunk.connection_ids
-        is_due = not index.channels_listed if ids is None else not ids <= index.channels.keys()
-        schemas = {channel.schema_id for channel in index.channels.values()} - {0}
-        if chunk.record_offset and (is_due or not schemas <= index.schemas.keys()):
+    # A long recording has 100,000 chunks, of a few kinds.
+    is_any_due = any(_is_due(index, ids) for _, ids in index.segments.kinds)
+    for chunk in index.segments if is_any_due else ():
+        if chunk.record_offset and _is_due(index, chunk.connection_ids):
             for opcode, content in records_of(chunk):
                 try:
                     index.declare(opcode, content, chunk.offset, file)
                 except DamageError as err:
                     index.log.note(err, offset=chunk.record_offset, key=opcode, bytes_lost=len(content))
     declare_listed(file, index)
+
+
+def _is_due(index: McapIndex, ids: frozenset[int] | None) -> bool:
+    """Whether a chunk with messages of these channels may declare what is unknown."""
+    are_known = index.channels_listed if ids is None else ids <= index.channels.keys()
+    return not are_known or not {channel.schema_id for channel in index.channels.values()} <= {0, *index.schemas}

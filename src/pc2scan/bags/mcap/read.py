@@ -48,7 +48,7 @@ class McapReader(ChunkedReader):
     Raises
     ------
     RecordingError
-        If the file cannot be read or is not MCAP.
+        If the file cannot be read.
     DamageError
         With ``strict``, if it is cut off or contradicts itself. Damage inside chunks is found when they are read.
     """
