@@ -152,12 +152,13 @@ class Clocks:
                 continue
             delay_ns = _delay(facts)
             topic = min(motion, key=lambda name: abs(delay_ns - motion[name]), default="")
-            behind_ns = delay_ns - motion.get(topic, 0)
-            if not are_doubtful(delay_ns, delay_ns - behind_ns):
+            reference_ns = motion.get(topic, 0)
+            if not are_doubtful(delay_ns, reference_ns):
                 continue
             if not motion and (self._is_simulated or not all(are_doubtful(delay_ns, each) for each in others)):
                 continue
             against = f"those of {topic}, compared with their log times" if topic else "their log times"
+            behind_ns = delay_ns - reference_ns
             how = f"{_duration_text(behind_ns)} {'behind' if behind_ns > 0 else 'ahead of'} {against}"
             scale = next((s for s in _TIME_SCALES if abs(behind_ns + s * 1_000_000_000) < _OTHER_CLOCK_NS), None)
             cause = "" if scale is None else f" ({_TIME_SCALES[scale]})"

@@ -290,17 +290,13 @@ def _cartographer(case: Case) -> Iterator[Verdict]:
     # For ranges within the limits.
     hits = scan.returns + (scan.infinite if scan.range_max == math.inf else 0)
     if hits and scan.intensities not in (0, scan.beams):
-        rule, cure = (
-            "CHECK len(intensities) == len(ranges), if there are intensities",
-            "write none, or one for every beam",
-        )
+        rule = "CHECK len(intensities) == len(ranges), if there are intensities"
+        cure = "write none, or one for every beam"
         yield Verdict("", "aborts", rule, f"{scan.intensities} intensities", f"0 or {scan.beams}", cure)
     # CheckNoLeadingSlash, for a scan with points
     if hits and placed.frame_id.startswith("/"):
-        rule, cure = (
-            "CHECK that the frame_id has no leading slash",
-            "for scans made from clouds: pc2scan convert `source_frame`",
-        )
+        rule = "CHECK that the frame_id has no leading slash"
+        cure = "for scans made from clouds: pc2scan convert `source_frame`"
         yield Verdict("", "aborts", rule, f"frame_id {placed.frame_id!r}", "the name without the slash", cure)
     # LocalTrajectoryBuilder2D::AddRangeData
     if hits > 1 and scan.time_increment < 0:
@@ -332,10 +328,8 @@ def _gmapping(case: Case) -> Iterator[Verdict]:
         yield Verdict("", "aborts", rule, f"{first.beams} ranges", f"at most {_GMAPPING_BEAMS - 1}", cure)
     # addScan
     if scan.beams != first.beams:
-        rule, cure = (
-            "every scan must be as long as the first",
-            "give all scans one number of beams: pc2scan convert `preset=gmapping`",
-        )
+        rule = "every scan must be as long as the first"
+        cure = "give all scans one number of beams: pc2scan convert `preset=gmapping`"
         yield Verdict("", "ignored", rule, f"{scan.beams} ranges", f"{first.beams} ranges", cure)
     # addScan, ScanMatcher::computeActiveArea: it skips ranges above the first scan's range_max, and replaces ranges
     # below range_min by range_max.
@@ -382,10 +376,8 @@ def _amcl(case: Case) -> Iterator[Verdict]:
     yield from _needs(case.placed, "odometry", "robot")
     # AmclNode::updateFilter
     if case.scan.range_max <= 0:
-        observed, cure = (
-            f"range_max {case.scan.range_max:.9g}",
-            "give a positive `range_max`: pc2scan convert `preset=amcl`",
-        )
+        observed = f"range_max {case.scan.range_max:.9g}"
+        cure = "give a positive `range_max`: pc2scan convert `preset=amcl`"
         yield Verdict("", "ignored", "range_max must be above 0", observed, "> 0", cure)
     # AmclNode::addNewScanner, once a frame: it looks up the directions of the beams anew for each scan, but not the
     # place of the sensor.

@@ -63,10 +63,10 @@ _PLASTIC = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)
 #: The most planes of a cloud, the triplets tried for each, and the smallest share of the cloud that is a plane.
 _PLANES = 8
 _TRIPLETS = 250
+_SMALLEST = 0.03
 
 #: How many planes are compared with a cloud at a time.
 _TOGETHER = 32
-_SMALLEST = 0.03
 
 #: Points that are farther below the ground, metres, are not of it; those of a floor are less far below it.
 _ROUGHEST, _SMOOTH = 0.3, 0.08
@@ -89,7 +89,6 @@ _OF_PLANES = 4_000
 
 #: A floor is farther from the sensor than so many times the tolerance: a ring that is tilted a little is none.
 _CLEAR = 2.5
-
 
 #: How many clouds of a topic are judged if the first one has no level floor, how many points of each are sampled, and
 #: with how many a cloud is not judged.
@@ -437,12 +436,14 @@ def find_ground(points: _Points) -> Ground:
         # Parts of a ramp and of the floor before it are a plane with much just below it.
         if low is None or not is_sure or _roughness(cells, low.up, low.height) > _SMOOTH:
             ground = _choose_ground(points)
-        if ground.kind in {"level", "unknown"} and not ground.height and low is not None:
-            ground = Ground("level", low.up if low.share >= _LEAST_SHARE else None, low.height)
-        high = outermost(cells, 1) if ground.kind in {"level", "unknown"} else None
+        if not ground.off:
+            if not ground.height and low is not None:
+                ground = Ground("level", low.up if low.share >= _LEAST_SHARE else None, low.height)
+            high = outermost(cells, 1)
+            ground = ground._replace(ceiling=None if high is None else high.height)
         if ground.height:
             ground = ground._replace(rough=_roughness(cells, ground.normal, ground.height))
-        return ground._replace(ceiling=None if high is None else high.height) if not ground.off else ground
+        return ground
     turned = points @ _BODY_FROM_OPTICAL.T
     ground = _choose_ground(turned, level_needs_proof=True)
     if ground.up is None:

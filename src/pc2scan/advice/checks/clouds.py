@@ -326,7 +326,8 @@ def returns_at_sensor(clouds: CloudFacts) -> Iterator[str]:
 
 def frame_not_level(clouds: CloudFacts) -> Iterator[str]:
     """Yield a warning if the frame of the scans is tilted, upside down or optical, whatever the output is."""
-    yield from filter(None, [clouds.mounting.warning])
+    if clouds.mounting.warning:
+        yield clouds.mounting.warning
 
 
 def swapped_transform(clouds: CloudFacts) -> Iterator[str]:
@@ -357,7 +358,8 @@ def lossy_clouds(clouds: CloudFacts) -> Iterator[str]:
 
 def clouds_in_another_unit(clouds: CloudFacts) -> Iterator[str]:
     """Yield a warning if the points are so far away that they are in another unit."""
-    yield from filter(None, [unit_warning(clouds.topic, clouds.samples[0])])
+    if text := unit_warning(clouds.topic, clouds.samples[0]):
+        yield text
 
 
 def nearly_empty_scans(clouds: CloudFacts) -> Iterator[str]:

@@ -99,16 +99,15 @@ def times_in_another_unit(request: OutputRequest) -> Iterator[str]:
         yield _long(
             "transform_tolerance", params.transform_tolerance, "a transform of that age is used as if it were current"
         )
-    # The time of a turn: of a sector, however narrow it is.
-    turns = {"scan_time": (params.scan_time, 1.0), "time_increment": (params.time_increment, float(params.length))}
-    for name, (value, beams) in turns.items():
+    for name in ("scan_time", "time_increment"):
+        value, is_step = getattr(params, name), name == "time_increment"
         if name not in request.given or isinstance(value, str) or spec.reverse:
             continue
-        turn = abs(value) * beams
-        if turn >= _LONG:
+        if abs(value) * (params.length if is_step else 1) >= _LONG:
             yield _long(name, value, "a lidar takes less than a second for a scan")
         elif not isinstance(params.beams, str):
-            turn = abs(value) * (FULL_TURN / params.layout.angle_increment if name == "time_increment" else 1)
+            # A sector may be narrow, so this is the time of a whole turn.
+            turn = abs(value) * (FULL_TURN / params.layout.angle_increment if is_step else 1)
             if is_brief(turn, math.inf):
                 yield f"{name} is {value:g} s: a turn would take {turn:.3g} s; `{name}=auto` measures it"
 
