@@ -141,7 +141,7 @@ def _refuse_scans(options: Options) -> None:
 
 
 def _output(options: Options, settings: list[Setting]) -> Outputs:
-    """Return the output of a call without a file of several."""
+    """Return the output of a call without `scans`."""
     topics: tuple[str, ...] = options.topics
     tf_topics: tuple[str, ...] = ()
     if options.remap and topics:

@@ -95,6 +95,7 @@ def read_text(path: Path, example: str) -> str:
     try:
         return text_of(path, MAX_FILE_BYTES, "a file of options").removeprefix("\ufeff")
     except UsageError as err:
+        # `pc2scan.request.redaction` asks whether the cause is an OSError.
         raise ParameterError(f"{path}: {err.message}", hint=err.hint or example) from err.__cause__
 
 

@@ -65,12 +65,10 @@ def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str |
         raise ParameterError(message, hint=did_you_mean(str(node), names) or None)
     for candidate in chosen if node is None else ():
         if candidate.doubt:
-            message = (
-                f"{path}, line {candidate.line}: {candidate.name} is {candidate.doubt}, and read only if `node` names"
-            )
-            raise ParameterError(f"{message} it", hint=f"`node={candidate.name}`")
+            message = f"{path}, line {candidate.line}: {candidate.name} is {candidate.doubt}"
+            raise ParameterError(f"{message}, and read only if `node` names it", hint=f"`node={candidate.name}`")
     if len(chosen) > 1:
-        nodes = tuple(candidate.name for candidate in chosen)
+        nodes = [candidate.name for candidate in chosen]
         hint = f"choose one, for example `node={nodes[0]}`" if len({*nodes}) == len(nodes) else ELSEWHERE
         raise ParameterError(f"{path}: several nodes match: {name_list(nodes)}", hint=hint)
     return chosen[0], file

@@ -128,9 +128,8 @@ def _from_launch(
                 elif not is_every_nodes(written):
                     # The node ignores a parameter that it does not declare.
                     ignored.append(origin)
-    direction: Direction = "pointcloud_to_laserscan"
-    settled = tuple(settings.values()), direction, chosen.name
-    return ParamsFile(*settled, tuple(ignored), tuple(remaps), tuple(files))
+    read = tuple(settings.values())
+    return ParamsFile(read, "pointcloud_to_laserscan", chosen.name, tuple(ignored), tuple(remaps), tuple(files))
 
 
 def _unread(param: LaunchValue, name: str, err: UnreadError, path: Path) -> ParameterError:

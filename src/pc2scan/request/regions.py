@@ -114,8 +114,11 @@ class ExcludePolygon:
         has_area = all(len(set(values)) > 1 for values in zip(*self.corners, strict=True))
         if not self.frame or len(self.corners) < 3 or not is_finite or not has_area:
             corners = " ".join(f"{value:g}" for corner in self.corners for value in corner)
-            message = f"`exclude_polygon`: the corners {corners} in {self.frame!r} are no polygon"
-            raise UsageError(f"{message}: it has three finite ones or more, which are not on one line", hint=_POLYGON)
+            raise UsageError(
+                f"`exclude_polygon`: the corners {corners} in {self.frame!r} are no polygon: a polygon has at least "
+                "three finite corners, which are not on one line",
+                hint=_POLYGON,
+            )
 
     @classmethod
     def parse(cls, text: str, _: float = 0.0) -> ExcludePolygon:

@@ -1,4 +1,4 @@
-"""Reads text files that give transforms; they are untrusted, so their size is bounded."""
+"""Reads text files of transforms and of options; they are untrusted, so their size is bounded."""
 
 from __future__ import annotations
 
