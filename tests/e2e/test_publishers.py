@@ -40,10 +40,10 @@ MORE = (
 )
 
 
-def crowded(count: int = 40) -> Recording:
+def crowded() -> Recording:
     """The usual content with further publishers of its topics, whose messages alternate."""
     items = list(CONTENT.items)
-    for number in range(count):
+    for number in range(40):
         at = T0 + number * SECOND // 100
         items += [odometry(at, at, 0.01 * number, number, stream) for stream in MORE[:2]]
     items.append(fixed(MORE[2], T0 + 3, "arm", 1.0))

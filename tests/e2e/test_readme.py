@@ -70,10 +70,10 @@ def commands_in(text: str) -> list[list[str]]:
     return found
 
 
-def after(text: str, mark: str, end: str = "\n## ") -> str:
+def after(text: str, mark: str) -> str:
     """The part of a page from a mark to the next heading."""
     assert mark in text
-    return text.partition(mark)[2].partition(end)[0]
+    return text.partition(mark)[2].partition("\n## ")[0]
 
 
 def quoted(text: str, pattern: str = r"\w+") -> set[str]:

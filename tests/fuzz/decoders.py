@@ -29,6 +29,7 @@ from pc2scan.files.salvage import decompressed_prefix
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import decode_laserscan, encode_laserscan
 from pc2scan.messages.multi_echo import decode_multi_echo
+from pc2scan.messages.pointcloud2 import as_pointcloud2, encode_cloud, recorded_cloud
 from pc2scan.messages.poses import POSES, decode_pose
 from pc2scan.messages.stamps import move_times, set_stamp, stamp_in
 from pc2scan.messages.tfmessage import decode_transforms, encode_transforms
@@ -65,9 +66,6 @@ def _cloud(data: bytes, kind: str = "") -> None:
     decode = decoder_of(kind or "sensor_msgs/msg/PointCloud2", serialization)
     serialised(encode_laserscan, "cdr", project(place(decode(content))))
     if kind:
-        from pc2scan.messages.clouds import CLOUDS
-        from pc2scan.messages.pointcloud2 import as_pointcloud2, encode_cloud, recorded_cloud
-
         points = CLOUDS[kind](serialization)(content)
         recorded_cloud(points).structured_points()
         encode_cloud(as_pointcloud2(points), serialization)

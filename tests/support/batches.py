@@ -40,7 +40,7 @@ def _execute(waiting: Sequence[Job], jobs: list[str], **_: object) -> Generator[
 def in_this_process() -> Iterator[list[str]]:
     """Let batches convert in this process instead of in processes of their own, which take long to start.
 
-    Yields the keys of the jobs that were begun: of a recording that is converted in pieces there are several.
+    Yields the keys of the jobs that were begun.
     """
     jobs: list[str] = []
     with patch("pc2scan.datasets.run.run_jobs", partial(_execute, jobs=jobs)):

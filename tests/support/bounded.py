@@ -48,13 +48,13 @@ class Hang(BaseException):
 
 
 @contextmanager
-def watched(size: int, seconds: int = 20) -> Iterator[None]:
+def watched(size: int) -> Iterator[None]:
     """Let pass what an input of ``size`` bytes may do: succeed, or raise one of pc2scan's own errors.
 
     Memory is checked where the kernel reports it (Linux), and hangs where there are signals.
     """
     before = signal.signal(signal.SIGALRM, _hang)
-    signal.alarm(seconds)
+    signal.alarm(20)
     with _memory_bounded(size):
         try:
             with refused():

@@ -81,13 +81,12 @@ def structured(
     seq: int = 0,
     stamp_ns: int = T0,
     frame_id: str = "lidar",
-    dense: bool = False,
 ) -> bytes:
     """A PointCloud2."""
     store = builders.typestore(ros_version)
     data = np.frombuffer(points.tobytes(), np.uint8)
     described = _description(points, ros_version, seq, stamp_ns, frame_id)
-    message = store.types[CLOUD](**described, data=data, is_dense=dense)
+    message = store.types[CLOUD](**described, data=data, is_dense=False)
     return builders.serialized(store, message, CLOUD, ros_version)
 
 
@@ -113,13 +112,13 @@ def compressed(
     return builders.serialized(store, message, COMPRESSED, ros_version)
 
 
-def old_cloud(points: NDArray[Any], ros_version: int, *, seq: int = 0, stamp_ns: int = T0) -> bytes:
+def old_cloud(points: NDArray[Any], ros_version: int, *, stamp_ns: int = T0) -> bytes:
     """A PointCloud: all fields but x, y and z are channels of float32."""
     store = builders.typestore(ros_version)
     types = store.types
     point, channel = types["geometry_msgs/msg/Point32"], types["sensor_msgs/msg/ChannelFloat32"]
     message = types[OLD_CLOUD](
-        header=builders.header(store, ros_version, seq, stamp_ns, "lidar"),
+        header=builders.header(store, ros_version, 0, stamp_ns, "lidar"),
         points=[point(*map(float, each)) for each in zip(points["x"], points["y"], points["z"], strict=True)],
         channels=[
             channel(name, points[name].astype(np.float32)) for name in points.dtype.names or () if name not in "xyz"
@@ -151,7 +150,6 @@ def livox(
     *,
     seq: int = 0,
     stamp_ns: int = T0,
-    lidar_id: int = 3,
     more: int = 0,
 ) -> bytes:
     """A CustomMsg; its ``point_num`` has some ``more`` than there are."""
@@ -161,28 +159,28 @@ def livox(
         header=builders.header(store, ros_version, seq, stamp_ns, "livox_frame"),
         timebase=stamp_ns,
         point_num=len(points) + more,
-        lidar_id=lidar_id,
+        lidar_id=3,
         rsvd=np.zeros(3, np.uint8),
         points=[point(*each) for each in points.tolist()],
     )
     return builders.serialized(store, message, kind, ros_version)
 
 
-def packet(azimuth: int, distances: Sequence[int], microseconds: int, *, model: int = 0x22) -> bytes:
+def packet(azimuth: int, distances: Sequence[int], microseconds: int) -> bytes:
     """A packet of a VLP-16 as its manual has it: 12 blocks of an azimuth (0.01 degrees) and 32 returns (2 mm)."""
     blocks = b""
     for block in range(12):
         returns = b"".join(int(distance).to_bytes(2, "little") + bytes([50 + block]) for distance in distances)
         blocks += b"\xff\xee" + ((azimuth + 40 * block) % 36_000).to_bytes(2, "little") + returns
-    return blocks + microseconds.to_bytes(4, "little") + bytes([0x37, model])
+    return blocks + microseconds.to_bytes(4, "little") + bytes([0x37, 0x22])
 
 
-def velodyne(packets: Sequence[tuple[int, bytes]], ros_version: int, *, seq: int = 0, stamp_ns: int = T0) -> bytes:
+def velodyne(packets: Sequence[tuple[int, bytes]], ros_version: int) -> bytes:
     """A VelodyneScan of packets with their times, nanoseconds."""
     store = builders.typestore(ros_version)
     time, kind = store.types["builtin_interfaces/msg/Time"], store.types["velodyne_msgs/msg/VelodynePacket"]
     message = store.types[VELODYNE](
-        header=builders.header(store, ros_version, seq, stamp_ns, "velodyne"),
+        header=builders.header(store, ros_version, 0, T0, "velodyne"),
         packets=[kind(time(*divmod(at, builders.SECOND)), np.frombuffer(data, np.uint8)) for at, data in packets],
     )
     return builders.serialized(store, message, VELODYNE, ros_version)
@@ -207,13 +205,12 @@ def multi_echo(
     intensities: Sequence[Sequence[float]] = ECHO_INTENSITIES,
     *,
     seq: int = 0,
-    stamp_ns: int = T0,
 ) -> bytes:
     """A MultiEchoLaserScan."""
     store = builders.typestore(ros_version)
     echo = store.types["sensor_msgs/msg/LaserEcho"]
     made = store.types[MULTI_ECHO](
-        header=builders.header(store, ros_version, seq, stamp_ns, "laser"),
+        header=builders.header(store, ros_version, seq, T0, "laser"),
         angle_min=-1.0,
         angle_max=1.0,
         angle_increment=0.4,

@@ -24,6 +24,10 @@ COMMAND = (sys.executable, "-m", "pc2scan")
 INTERRUPTED = (130, -signal.SIGINT)
 
 
+#: Seconds after which a command hangs.
+_SECONDS = 120
+
+
 class Finished(NamedTuple):
     """A command's exit status and what it printed."""
 
@@ -51,14 +55,14 @@ def run(*args: str | Path, cwd: Path | None = None) -> Finished:
 
 
 @contextmanager
-def _guarded(seconds: int = 120) -> Iterator[None]:
+def _guarded() -> Iterator[None]:
     """Raise if the command hangs, for example on a FIFO that nobody writes to."""
 
     def hangs(*_: object) -> None:
-        raise AssertionError(f"the command has not ended after {seconds} s")
+        raise AssertionError(f"the command has not ended after {_SECONDS} s")
 
     previous = signal.signal(signal.SIGALRM, hangs)
-    signal.alarm(seconds)
+    signal.alarm(_SECONDS)
     try:
         yield
     finally:

@@ -23,13 +23,11 @@ class Simulated(NamedTuple):
     ups: Floats
 
 
-def simulated(
-    seconds: float, *, degrees: float = 3.0, bias: float = 0.01, noise: float = 1.0, drive: float = 0.0
-) -> Simulated:
+def simulated(seconds: float, *, bias: float = 0.01, drive: float = 0.0) -> Simulated:
     """A robot that pitches and rolls, and now and then accelerates for a second (``drive``, m/s^2)."""
     rng = np.random.default_rng(5)
     t = np.arange(0, seconds, 0.01)
-    amplitude = np.radians(degrees)
+    amplitude = np.radians(3.0)
     pitch, roll = amplitude * np.sin(np.pi * t), amplitude * np.sin(2.3 * t + 1)
     pitching, rolling = amplitude * np.pi * np.cos(np.pi * t), amplitude * 2.3 * np.cos(2.3 * t + 1)
     yawing = 0.5 * np.cos(0.4 * t)
@@ -43,8 +41,8 @@ def simulated(
     wave = np.sin(2 * np.pi * t / 7)
     acceleration = GRAVITY * ups + (drive * np.sign(wave) * (np.abs(wave) > 0.7))[:, np.newaxis] * ahead
     measured = np.stack(turning, axis=1) + bias * np.array([1, -1, 0.5])
-    measured += noise * rng.normal(scale=0.005, size=measured.shape)
-    acceleration += noise * rng.normal(scale=0.1, size=acceleration.shape)
+    measured += rng.normal(scale=0.005, size=measured.shape)
+    acceleration += rng.normal(scale=0.1, size=acceleration.shape)
     return Simulated((t * 1e9).astype(np.int64), measured, acceleration, ups)
 
 

@@ -32,9 +32,9 @@ class Scene(NamedTuple):
     heading: float = 20.0
 
 
-def _floor(x0: float, x1: float, z: float, degrees: float = 0.0, width: float = 150.0) -> Rectangle:
+def _floor(x0: float, x1: float, z: float, degrees: float = 0.0) -> Rectangle:
     rise = (x1 - x0) * math.tan(math.radians(degrees))
-    return Rectangle((x0, -width, z), (x1 - x0, 0, rise), (0, 2 * width, 0), "floor")
+    return Rectangle((x0, -150, z), (x1 - x0, 0, rise), (0, 300, 0), "floor")
 
 
 def _posts(places: list[tuple[float, float]], height_at: Callable[[float], float]) -> list[Rectangle]:

@@ -72,12 +72,12 @@ def ground(size: float = 150.0) -> list[Rectangle]:
     return [Rectangle((-size, -size, 0), (2 * size, 0, 0), (0, 2 * size, 0), "floor")]
 
 
-def ramp(begin: float, degrees: float, length: float = 100.0) -> list[Rectangle]:
+def ramp(begin: float, degrees: float) -> list[Rectangle]:
     """Ground that is level up to x = begin, and rises from there."""
     slope = math.radians(degrees)
     return [
         Rectangle((-150, -150, 0), (150 + begin, 0, 0), (0, 300, 0), "floor"),
-        Rectangle((begin, -150, 0), (length * math.cos(slope), 0, length * math.sin(slope)), (0, 300, 0), "floor"),
+        Rectangle((begin, -150, 0), (100 * math.cos(slope), 0, 100 * math.sin(slope)), (0, 300, 0), "floor"),
     ]
 
 
@@ -237,7 +237,7 @@ def _planes(surfaces: tuple[Rectangle, ...]) -> list[tuple[NDArray[Any], ...]]:
 def cast(
     surfaces: tuple[Rectangle, ...], origin: NDArray[np.float64], rays: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """How far away what each ray meets is, and which surface that is; infinite, and -1, for nothing."""
+    """Return the distance to the first surface on each ray, and its number; infinity and -1 if there is none."""
     nearest, met = np.full(len(rays), np.inf), np.full(len(rays), -1)
     for number, (corner, one, other, normal) in enumerate(_planes(surfaces)):
         with np.errstate(divide="ignore", invalid="ignore"):

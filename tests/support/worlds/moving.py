@@ -306,24 +306,15 @@ def write_imu(
     return write_rows(path, {"/imu": IMU}, rows)
 
 
-def returns_in_odom(
-    scan: LaserScan, drive: Drive, mount: Rigid | None = None, *, clock: float = 0.0, middles: bool = True
-) -> Floats:
-    """Where the returns of a scan are in odom, (N, 2), as its header says.
+def returns_in_odom(scan: LaserScan, drive: Drive, mount: Rigid | None = None) -> Floats:
+    """Return where the returns of a scan are in odom, (N, 2), as its header says.
 
-    Parameters
-    ----------
-    mount
-        base_link_from_frame of the scan's frame; None: it is in base_link.
-    clock
-        Seconds by which the stamps are ahead.
-    middles
-        Whether beams look at ``angle_min + i * angle_increment`` (centered geometry), or half an increment further.
+    ``mount`` is base_link_from_frame of the scan's frame; None: it is in base_link.
     """
-    time = (scan.stamp_ns - BEGIN_NS) / 1e9 - clock
+    time = (scan.stamp_ns - BEGIN_NS) / 1e9
     place = drive.pose(time) if mount is None else drive.pose(time).compose(mount)
     seen = np.flatnonzero(np.isfinite(scan.ranges))
-    angles = scan.angle_min + (seen + (0.0 if middles else 0.5)) * scan.angle_increment
+    angles = scan.angle_min + seen * scan.angle_increment
     ranges = scan.ranges[seen].astype(np.float64)
     flat = np.stack([ranges * np.cos(angles), ranges * np.sin(angles), 0 * ranges], axis=1)
     placed: Floats = place.apply(flat)[:, :2]
