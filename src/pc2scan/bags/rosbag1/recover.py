@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from contextlib import suppress
 from dataclasses import replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.chunks import Record, Segment, Segments, sound_records, times_around
@@ -92,9 +93,11 @@ def _next_record(file: BagFile, failed: int) -> int:
 
 def _records(file: BagFile, gaps: list[tuple[int, int, str]]) -> Iterator[tuple[int, BagRecord]]:
     """Yield the records outside chunks, and where they begin; ``gaps`` gets where no record is, and why."""
+    # Each is looked at as the one behind another, too.
+    record_from = lru_cache(maxsize=1)(lambda place: _plausible_record(file.nearby, place, file.size))
     position = len(FIRST_LINE)
     while position < file.size:
-        record = _plausible_record(file.nearby, position, file.size)
+        record = record_from(position)
         if record is None or record.kind == MESSAGE:
             stop, what = _next_record(file, position), "no record begins here"
             if file.read(position, min(len(FIRST_LINE), file.size - position)) == FIRST_LINE:
@@ -102,7 +105,7 @@ def _records(file: BagFile, gaps: list[tuple[int, int, str]]) -> Iterator[tuple[
             gaps.append((position, stop, what))
         else:
             stop = record.stop
-            if stop != file.size and _plausible_record(file.nearby, stop, file.size) is None:
+            if stop != file.size and record_from(stop) is None:
                 # Its length is too large, as that of a real recorder's index records: 20 bytes an entry, of 12.
                 stop = min(stop, _next_record(file, record.start))
             yield position, record._replace(stop=stop)
