@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pc2scan.errors import DamageError
-from pc2scan.files.compression import CompressionError, decompress
+from pc2scan.files.compression import CompressionError, allowed_bytes, decompress
 from pc2scan.files.source import SourceFile, lend
 from pc2scan.model import RawMessage, StoredChunk, declared_counts
 
@@ -93,15 +93,16 @@ class Segment:
         return self.offset + self.length + self.padding
 
 
-def unpacked(stored: memoryview, compression: str, size: int, most: int) -> memoryview:
-    """Decompress the records of a chunk into exactly the declared size, which is at most ``most``.
+def unpacked(chunk: Segment, stored: memoryview, file_size: int) -> memoryview:
+    """Decompress the records of a chunk into exactly the declared size, which a file of its size may have.
 
     Raises
     ------
     CompressionError
         If they cannot be decompressed, or have another size.
     """
-    if size > most:
+    compression, size = chunk.compression, chunk.uncompressed_size
+    if size > (most := allowed_bytes(file_size, len(stored))):
         raise CompressionError(f"it declares {size} bytes uncompressed, in a file of its size at most {most} may be")
     if compression == "none" or not stored:
         if len(stored) != size:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from pc2scan.bags.chunks import Segment, unpacked
 from pc2scan.bags.formats import and_list
 from pc2scan.bags.loading import check_number
-from pc2scan.files.compression import ZSTD_MAGIC, CompressionError, allowed_bytes, crc32
+from pc2scan.files.compression import ZSTD_MAGIC, CompressionError, crc32
 from pc2scan.model import StoredChunk
 
 from .records import CHUNK, COMPRESSIONS, MESSAGE, OP_CHUNK, OP_MESSAGE, RECORD, UINT64
@@ -86,8 +86,7 @@ def read_chunk(file: RecordFile, segment: Segment, *, keep: bool = False) -> tup
         raise file.damage(f"{where} has compression {chunk.compression!r}, known are {and_list(COMPRESSIONS)}")
     stored = record[head:]
     try:
-        allowed = allowed_bytes(file.size, len(stored))
-        records = unpacked(stored, chunk.compression, chunk.uncompressed_size, allowed)
+        records = unpacked(chunk, stored, file.size)
     except CompressionError as err:
         raise file.damage(f"{where}: {err}") from err
     if chunk.crc and (actual := crc32(records)) != chunk.crc:

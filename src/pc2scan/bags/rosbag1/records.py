@@ -25,7 +25,7 @@ from pc2scan.bags.chunks import NearbyFile, unpacked
 from pc2scan.bags.damage import RECOVER
 from pc2scan.bags.formats import FORMATS
 from pc2scan.errors import DamageError
-from pc2scan.files.compression import CompressionError, allowed_bytes
+from pc2scan.files.compression import CompressionError
 from pc2scan.model import Connection, Definition
 
 if TYPE_CHECKING:
@@ -199,8 +199,7 @@ def read_chunk(file: BagFile, segment: Segment, *, keep: bool = False) -> tuple[
     """Read a chunk; return its payload, in a buffer that is used again unless it is to ``keep``, and its records."""
     stored = memoryview((file.read if keep else file.borrow)(segment.offset, segment.length))
     try:
-        allowed = allowed_bytes(file.size, len(stored))
-        return stored, unpacked(stored, segment.compression, segment.uncompressed_size, allowed)
+        return stored, unpacked(segment, stored, file.size)
     except CompressionError as err:
         raise FormatError(str(err)) from err
 
