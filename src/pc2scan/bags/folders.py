@@ -125,7 +125,7 @@ def several_recordings(folder: Path, recordings: Sequence[Path], why: str = "") 
 
 def are_named_as_parts(paths: Sequence[Path]) -> bool:
     """Whether files are named as the parts of one recording; a single file is one."""
-    return len(paths) == 1 or ([len(group) for group in groups_of_parts(paths)] == [len(paths)])
+    return len(paths) == 1 or [len(group) for group in groups_of_parts(paths)] == [len(paths)]
 
 
 def groups_of_parts(paths: Iterable[Path]) -> Iterator[list[Path]]:

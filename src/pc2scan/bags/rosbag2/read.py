@@ -54,7 +54,6 @@ class Rosbag2Reader(MergedReader):
         self.path = path
         self._log = DamageLog(strict=strict)
         self._info = read_info(path, self._log)
-        files: list[Path] = []
         opened: list[Reader] = []
         limit = ConnectionLimit(path)
         with ExitStack() as undo:
@@ -71,7 +70,6 @@ class Rosbag2Reader(MergedReader):
                     continue
                 undo.callback(reader.close)
                 limit.add_file(reader.connections, reader.summary.size_bytes)
-                files.append(file)
                 opened.append(reader)
             if self._info.is_guessed:
                 refuse_unrelated(path, opened)
@@ -89,7 +87,7 @@ class Rosbag2Reader(MergedReader):
             container="rosbag2",
             storage=opened[0].summary.container,
             compression=tuple(sorted(compression)),
-            size_bytes=sum(file.stat().st_size for file in files),
+            size_bytes=sum(reader.path.stat().st_size for reader in opened),
         )
 
     @property
