@@ -184,7 +184,7 @@ export function showClouds(recording) {
     const by = colourBy.value;
     if (by === "outcome") {
       const words = outcomeColours().map(word);
-      colours = Uint32Array.from(scan.outcomes, (outcome) => words[outcome]);
+      colours = new Uint32Array(scan.outcomes).map((outcome) => words[outcome]);
     } else colours = paintValues(by === "height" ? cloud.z : (fields.get(by) ?? cloud.z));
     results(scan, entry);
     draw();

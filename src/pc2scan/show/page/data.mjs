@@ -39,7 +39,9 @@ export function description() {
  */
 export async function columns({ id, length, fields }) {
   const text = document.getElementById(id)?.textContent ?? "";
-  const packed = Uint8Array.from(atob(text.trim()), (character) => character.charCodeAt(0));
+  const characters = atob(text.trim());
+  // Not `from` with a function, which takes ten times as long.
+  const packed = new Uint8Array(characters.length).map((_, n) => characters.charCodeAt(n));
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate-raw"));
   const planes = new Uint8Array(await new Response(stream).arrayBuffer());
   /** @type {Map<string, Column>} */

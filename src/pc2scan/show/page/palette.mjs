@@ -68,8 +68,8 @@ export function usualRange(values) {
 export function paintValues(values) {
   const colours = scale();
   const [low, high] = usualRange(values);
-  return Uint32Array.from(values, (value) => {
-    const place = Math.round(((value - low) / (high - low)) * 255);
+  return new Uint32Array(values.length).map((_, n) => {
+    const place = Math.round(((values[n] - low) / (high - low)) * 255);
     return colours[Math.max(0, Math.min(255, place || 0))];
   });
 }
