@@ -240,7 +240,15 @@ class DiskFullError(OutputError):
 
 
 class MessageError(Pc2ScanError):
-    """One message cannot be converted; the others can."""
+    """One message cannot be converted; the others can.
+
+    Attributes
+    ----------
+    reason
+        The text without its times: errors with the same reason are counted together. Empty if the text has no times.
+    """
+
+    reason: str = ""
 
 
 class DecodeError(MessageError):
@@ -252,13 +260,10 @@ class TransformError(MessageError):
 
     Attributes
     ----------
-    reason
-        The text without its times: errors with the same reason are counted together. Empty if the text has no times.
     gap_ns
         How far the nearest transform is away, nanoseconds; 0 if that is not why there is none.
     """
 
-    reason: str = ""
     gap_ns: int = 0
 
 

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from pc2scan.core.points import Points
 
 
-TOY_CLOUD = "toy_msgs/msg/Polar"
 BAND = pc2scan.ProjectionParams(min_height=-1.0, max_height=2.0)
 FORWARD = [[2.0, 0.01, 0.5, 7], [3.0, 0.01, 0.5, 1], [0.0, 4.0, 0.5, 1], [-5.0, -1.0, 0.5, 9], [1.0, 1.0, 9.0, 9]]
 

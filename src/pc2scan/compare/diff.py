@@ -54,20 +54,18 @@ def diff(a: Path, b: Path | None, options: Options, *, progress: Progress | None
             path=a,
             hint="give a second recording, or two topics: `topics=/scan:=/scan2`",
         )
-    meter = None if progress is None else Meter(progress)
+    meter = Meter(progress or (lambda *_: None))
     with ExitStack() as stack:
         paths = stack.enter_context(fetched((a, a if b is None else b)))
         sources = [stack.enter_context(closing(open_source(path))) for path in paths]
         result = Difference(str(sources[0].path), str(sources[1].path))
         compared, result.left_aside = _streams(sources, topics, all_topics=options.all_topics)
-        if meter is not None:
-            # Those of a recording that does not count them are 0.
-            counts = [[sum(c.message_count or 0 for c in stream.connections) for stream in pair] for pair in compared]
-            meter.expect(sum(map(max, counts)))
+        # Those of a recording that does not count them are 0.
+        counts = [[sum(c.message_count or 0 for c in stream.connections) for stream in pair] for pair in compared]
+        meter.expect(sum(map(max, counts)))
         for pair in compared:
             result.topics.append(_compare(pair[0], pair[1], rules, meter))
-        if meter is not None:
-            meter.finish()
+        meter.finish()
     if not result.topics:
         raise TopicError(
             "nothing to compare: neither recording has a topic of scans or clouds",
@@ -122,7 +120,7 @@ def _streams(
     return (named + others, 0) if all_topics else (named, len(others))
 
 
-def _compare(one: TopicStream, other: TopicStream, rules: Rules, meter: Meter | None) -> TopicDifference:
+def _compare(one: TopicStream, other: TopicStream, rules: Rules, meter: Meter) -> TopicDifference:
     """Compare the messages of a topic, pair by pair."""
     names = [stream.connections[0].topic if stream.connections else None for stream in (one, other)]
     kinds = [sorted({canonical_type(c.msgtype) for c in stream.connections}) for stream in (one, other)]
@@ -132,9 +130,8 @@ def _compare(one: TopicStream, other: TopicStream, rules: Rules, meter: Meter | 
         return entry
     compare = compare_messages if one.stamped else compare_bytes
     for pair in match_messages(one, other):
-        if meter is not None:
-            meter.messages += 1
-            meter.add(1)
+        meter.messages += 1
+        meter.add(1)
         entry.messages_a += pair.a is not None
         entry.messages_b += pair.b is not None
         either = pair.a or pair.b

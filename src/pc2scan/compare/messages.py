@@ -11,7 +11,7 @@ from pc2scan.core.compare import compare_arrays
 from pc2scan.errors import DecodeError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
-from pc2scan.messages.pointcloud2 import DATATYPES, CloudFields, PointCloud2, recorded_cloud
+from pc2scan.messages.pointcloud2 import DATATYPES, CloudFields, recorded_cloud
 from pc2scan.messages.transcode import transcoder
 
 from .rules import GEOMETRY

@@ -63,22 +63,22 @@ class AddedTransforms:
     handle: int = -1
     _written: set[tuple[str, int]] = field(default_factory=set)
 
-    def write(self, row: TransformRow, log_time_ns: int, publish_time_ns: int, writer: Writer) -> None:
-        """Write a transform.
+    def write(self, rows: Sequence[TransformRow], log_time_ns: int, publish_time_ns: int, writer: Writer) -> None:
+        """Write a message with transforms.
 
         Raises
         ------
         UnwritableError
             If the destination cannot store it.
         """
-        writer.write(self.handle, log_time_ns, encode_transforms([row], self.serialization), publish_time_ns)
+        writer.write(self.handle, log_time_ns, encode_transforms(rows, self.serialization), publish_time_ns)
         self.report.messages_out += 1
 
     def write_level(self, level: LevelTransform, log_time_ns: int, publish_time_ns: int, writer: Writer) -> None:
         """Write the transform of a level frame, unless it was written for another scan of this frame and stamp."""
         name_and_stamp = level.row[1], level.row[2]
         if name_and_stamp not in self._written:
-            self.write(level.row, log_time_ns, publish_time_ns, writer)
+            self.write([level.row], log_time_ns, publish_time_ns, writer)
             self._written.add(name_and_stamp)
 
 
@@ -151,7 +151,7 @@ def between(
             time_ns = max(row[2], trajectory.first_ns)
             # A stamp that the destination cannot store is far from any message.
             with suppress(MessageError):
-                trajectory.topic.write(row, time_ns, time_ns, writer)
+                trajectory.topic.write([row], time_ns, time_ns, writer)
             row = next(trajectory.rows, None)
         if item is not None:
             yield item

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pc2scan.errors import MessageError, UnwritableError, UsageError
 from pc2scan.messages.laserscan import LASERSCAN, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, encode_cloud
-from pc2scan.messages.tfmessage import encode_transforms
 from pc2scan.model import LATCHED_QOS, ChunkRule, StoredChunk
 
 from .added_transforms import TFMESSAGE, AddedTrajectory, AddedTransforms, add_poses, between, tf_connection
@@ -185,8 +184,7 @@ def open_output(prepared: Preparation, target: Destination, writer: Writer | Non
         rows = [each.row(begin_ns) for each in (frames.static if found is None else found.static)]
         if not rows:
             raise UsageError("there is no added transform to write", hint="give one with `static_tf`, or with `urdf`")
-        writer.write(static.handle, begin_ns, encode_transforms(rows, target.serialization), begin_ns)
-        static.report.messages_out = 1
+        static.write(rows, begin_ns, begin_ns, writer)
         entries.append(static.report)
     rule = _chunk_rule(routes, target, writer) if copying else None
     return OpenRecording(routes, levels, trajectory, rule)

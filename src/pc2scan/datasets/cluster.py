@@ -27,32 +27,22 @@ _CONNECT_SECONDS = 10
 _SILENT = logging.CRITICAL + 1
 
 
-def _check_dask() -> None:
-    """Raise UsageError where Dask is not installed."""
-    try:
-        import distributed  # noqa: F401, PLC0415  # an extra
-    except ImportError as err:
-        raise UsageError(
-            "`dask` needs distributed, which is not installed", hint='pip install "pc2scan[dask]"'
-        ) from err
-
-
 def dask_setup(_worker: Any) -> None:
     """Ignore Ctrl-C in a Dask worker on this machine: the parent process handles it. Dask calls this as one starts."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def run_jobs_on_dask(
-    jobs: Sequence[Job], *, address: str, workers: int, lock: int | None = None
-) -> Generator[ManifestRecord]:
+def run_jobs_on_dask(jobs: Sequence[Job], *, address: str, workers: int) -> Generator[ManifestRecord]:
     """Convert recordings on the cluster whose scheduler has this address; see `pc2scan.datasets.processes.run_jobs`.
 
     With an empty address, a cluster is started on this machine, and closed at the end.
     """
-    _check_dask()
-    from distributed import as_completed  # noqa: PLC0415  # an extra
-
-    del lock  # It is for processes on this machine.
+    try:
+        from distributed import as_completed  # noqa: PLC0415  # an extra
+    except ImportError as err:
+        raise UsageError(
+            "`dask` needs distributed, which is not installed", hint='pip install "pc2scan[dask]"'
+        ) from err
     threads = 1 if address else max(1, cores() // workers)
     with ExitStack() as stack:
         client = _connect(address, workers, stack)

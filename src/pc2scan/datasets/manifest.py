@@ -225,7 +225,7 @@ class ManifestRecord:
     def from_dict(cls, line: Mapping[str, Any]) -> ManifestRecord:
         """Read what `as_dict` returned."""
         source, output = line["source"], line["output"] or {}
-        refuse_outside(str(output.get("path", "")))
+        _refuse_outside(str(output.get("path", "")))
         return cls(
             key=str(line["key"]),
             sources=tuple(map(str, source["paths"])),
@@ -245,7 +245,7 @@ class ManifestRecord:
         )
 
 
-def refuse_outside(output: str) -> None:
+def _refuse_outside(output: str) -> None:
     """Raise if a path leads out of the folder of the batch: a run may replace or remove the outputs that are noted."""
     place = PurePosixPath(output)
     if place.is_absolute() or ".." in place.parts:

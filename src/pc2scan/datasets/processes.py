@@ -38,7 +38,7 @@ _END_SECONDS = 12.0
 _PROGRAM = f"import json, sys; sys.path[:] = json.loads(sys.argv[1]); from {__name__} import serve; serve()"
 
 
-def run_jobs(jobs: Sequence[Job], *, workers: int, lock: int | None = None) -> Generator[ManifestRecord]:
+def run_jobs(jobs: Sequence[Job], *, workers: int, lock: int | None) -> Generator[ManifestRecord]:
     """Convert recordings, and yield their lines of the manifest as they end; closing it interrupts the conversions.
 
     A recording whose process died is tried once more at the end, when no other is converted.

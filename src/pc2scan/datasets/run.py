@@ -208,7 +208,7 @@ def _records(plan: BatchPlan, folder: BatchFolder, options: BatchOptions) -> Ite
         with copying_to(options.scratch):
             place = at_once[0].recording.paths[0]
             refuse_without_room(sum(job.size_bytes for job in at_once), place, "lower `jobs`, or give `scratch`")
-    run: Callable[..., Any] = run_jobs
+    run: Callable[..., Any] = partial(run_jobs, lock=folder.lock)
     if options.dask and not options.dry_run:
         run = partial(run_jobs_on_dask, address="" if options.dask is True else options.dask)
     with ExitStack() as stack:
@@ -226,7 +226,7 @@ def _records(plan: BatchPlan, folder: BatchFolder, options: BatchOptions) -> Ite
                     folder.append(record)
                 yield record
             # Closed if the manifest cannot be written, too: the workers must end.
-            records = stack.enter_context(closing(run(jobs, workers=_workers(plan, options), lock=folder.lock)))
+            records = stack.enter_context(closing(run(jobs, workers=_workers(plan, options))))
             for record in records if jobs else ():
                 if record.disk_is_full and record.error is not None:
                     raise DiskFullError(record.error["message"], path=record.error["path"], hint=_NO_ROOM)

@@ -255,7 +255,7 @@ def _write(
                 if stream.strict:
                     raise
                 entry.skipped += 1
-                reason = getattr(err, "reason", "") or err.message
+                reason = err.reason or err.message
                 report.skip(Skipped(item.topic, item.log_time_ns, item.stamp_ns, reason, err.hint or ""))
             else:
                 entry.written += 1

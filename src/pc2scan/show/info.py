@@ -15,7 +15,7 @@ from pc2scan.advice.point_times import increment_warning, time_warnings
 from pc2scan.advice.survey import Span, Survey
 from pc2scan.bags.observers import Observer
 from pc2scan.bags.opening import as_one, open_recordings
-from pc2scan.bags.topics import find_topics
+from pc2scan.bags.topics import find_topics, types_by_topic
 from pc2scan.conversion.corrections import scaled
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError, leading
@@ -273,7 +273,7 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
         topics = _topic_infos(reader.connections, counts, start_ns, end_ns)
         frames, given = _with_odometry(reader, counts, frames, options.among({*OF_FRAMES, "cloud_scale"}))
         survey = Survey(reader, open_recordings(frames.tf_from, stack), frames, Span(None, None, start_ns or 0))
-        shown = _described(topics, options.topics)
+        shown = _described(topics, options.topics, types_by_topic(reader.connections))
         looks, of_scans = _looks(survey, shown, samples, start_ns, end_ns)
         surveyed = _Surveyed(survey, topics, shown, end_ns, options.target_frame)
         warnings = [*log_times_of_centuries(reader.summary), *surveyed.warnings]
@@ -513,11 +513,8 @@ def _moments(start_ns: int, end_ns: int | None) -> list[int]:
     return [*spread, max(start_ns, end_ns - EDGE_NS + 1)]
 
 
-def _described(topics: Sequence[TopicInfo], names: Sequence[str]) -> list[TopicInfo]:
+def _described(topics: Sequence[TopicInfo], names: Sequence[str], types: dict[str, set[str]]) -> list[TopicInfo]:
     """Return the topics with clouds or scans that names or globs mean; without any, all of them."""
-    types: dict[str, set[str]] = {}
-    for topic in topics:
-        types.setdefault(topic.topic, set()).add(topic.msgtype)
     known = [topic for topic in topics if topic.msgtype in (*CLOUDS, *SCANS) and topic.messages]
     candidates = sorted({topic.topic for topic in known})
     matched = {each for name in names for each in find_topics(name, types, candidates, *CLOUDS, *SCANS)}

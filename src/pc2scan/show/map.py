@@ -399,7 +399,7 @@ class _Drawing:
             raise error
         if not self._skipped:
             self._first_error = error
-        self._skipped[topic, getattr(error, "reason", "") or error.message] += 1
+        self._skipped[topic, error.reason or error.message] += 1
 
     def _pose(self, frame: str, stamp_ns: int) -> Rigid:
         return self._buffer.lookup(self._odom, frame, stamp_ns, self._options.scan.params.tolerance_ns)

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 TABLES = Path(__file__).with_name("silence.txt")
 T0 = 1_700_000_000 * SECOND
 HOUR = 3600 * SECOND
-DAY = 86_400 * SECOND
 
 #: Each cloud has one point, and its number decides in which of so many beams.
 BEAMS = 360

@@ -27,7 +27,8 @@ SETTINGS = "case.yaml"
 _PARAMS = "params.yaml"
 
 #: The keys of ``case.yaml``: those of a case, and options of ``diff``.
-_KEYS = ("input", "params", "arguments", "exit_status", "all_topics", "atol", "rtol", "allow_beams", "ignore")
+_COMPARISON = ("all_topics", "atol", "rtol", "allow_beams", "ignore")
+_KEYS = ("input", "params", "arguments", "exit_status", *_COMPARISON)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +123,7 @@ def load_case(folder: Path) -> Case:
     _refuse_misnamed(folder)
     settings = _settings(path)
     try:
-        comparison = Options("diff", {key: value for key, value in settings.items() if key in _KEYS[4:]})
+        comparison = Options("diff", {key: value for key, value in settings.items() if key in _COMPARISON})
         Rules.of(comparison)
         named = {key: [folder / name for name in texts().read(key, settings.get(key))] for key in ("input", "params")}
         status = count().read("exit_status", settings.get("exit_status", 0))

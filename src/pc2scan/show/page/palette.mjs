@@ -26,13 +26,13 @@ export const outcomeColours = () => OUTCOME_COLOURS[theme()];
 export const layerColour = (layer) => LAYER_COLOURS[theme()][layer % LAYER_COLOURS.light.length];
 
 /** @param {string} colour "#rrggbb" */
-export function word(colour) {
-  const [red, green, blue] = channels(colour);
-  return (0xff000000 | (blue << 16) | (green << 8) | red) >>> 0;
-}
+export const word = (colour) => packed(channels(colour));
 
 /** @param {string} colour */
 const channels = (colour) => [1, 3, 5].map((place) => Number.parseInt(colour.slice(place, place + 2), 16));
+
+/** @param {number[]} channels red, green and blue */
+const packed = ([red, green, blue]) => (0xff000000 | (blue << 16) | (green << 8) | red) >>> 0;
 
 /** A scale of 256 colours, as words. */
 function scale() {
@@ -40,8 +40,7 @@ function scale() {
   return Array.from({ length: 256 }, (_, n) => {
     const place = (n / 255) * (stops.length - 1);
     const low = Math.min(Math.floor(place), stops.length - 2);
-    const mixed = stops[low].map((value, k) => Math.round(value + (stops[low + 1][k] - value) * (place - low)));
-    return (0xff000000 | (mixed[2] << 16) | (mixed[1] << 8) | mixed[0]) >>> 0;
+    return packed(stops[low].map((value, k) => Math.round(value + (stops[low + 1][k] - value) * (place - low))));
   });
 }
 
