@@ -64,7 +64,7 @@ if TYPE_CHECKING:
     from .datasets.summary import BatchReport as BatchReport
     from .errors import Pc2ScanError as Pc2ScanError
     from .errors import RecordingWarning as RecordingWarning
-    from .exports.report import ExportReport as ExportReport
+    from .exports.run import ExportReport as ExportReport
     from .request.ground import MinHeightSlope as MinHeightSlope
     from .request.regions import ExcludeBox as ExcludeBox
     from .request.regions import ExcludePolygon as ExcludePolygon
@@ -108,7 +108,7 @@ _PUBLIC = {
     "core.unproject": ("UnprojectParams",),
     "datasets.summary": ("BatchReport",),
     "errors": ("Pc2ScanError", "RecordingWarning", "errors"),
-    "exports.report": ("ExportReport",),
+    "exports.run": ("ExportReport",),
     "request.ground": ("MinHeightSlope",),
     "request.regions": ("ExcludeBox", "ExcludePolygon"),
     "request.where": ("Where",),

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from .compare.result import Difference
     from .conversion.report import Report
     from .datasets.summary import BatchReport
-    from .exports.report import ExportReport
+    from .exports.run import ExportReport
     from .files.urls import PathText
     from .options import table
     from .show.check import Check

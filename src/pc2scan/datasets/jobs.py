@@ -19,8 +19,7 @@ from pc2scan.conversion.run import run
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import DestinationError, NothingToConvertError, OutputError, Pc2ScanError, UsageError
 from pc2scan.exports.formats import FORMATS
-from pc2scan.exports.report import ExportReport
-from pc2scan.exports.run import ExportOptions
+from pc2scan.exports.run import ExportOptions, ExportReport
 from pc2scan.exports.run import run as export
 from pc2scan.files.system import copying_to, is_full
 from pc2scan.files.urls import absolute
@@ -101,7 +100,7 @@ def digest_of(request: Request) -> str:
     names = ("storage", "compression", "profile")
     output = {name: getattr(request.output, name) for name in names}
     if request.export is not None:
-        output["export"] = _canonical(replace(request.export, overwrite=False))
+        output["export"] = _canonical(request.export)
     options = replace(request.options, jobs=0)
     others = [identity_of([path]).as_json() for path in options.frames.tf_from]
     whole = json_value({"options": _canonical(options), "output": output, "tf_from": others})
@@ -276,8 +275,7 @@ def _run_job(job: Job) -> Report | ExportReport:
         # The batch says its notes once; here they count if they are errors.
         notes = options.notes if options.fail_on == "warning" else ()
         return run(sources, destination, replace(options, notes=notes), output)
-    form = replace(request.export, overwrite=overwrite)
-    return export(sources, destination, options, form, in_folder=True)
+    return export(sources, destination, options, request.export, in_folder=True, overwrite=overwrite)
 
 
 def _damage_of(job: Job) -> tuple[Damage, ...]:

@@ -1,45 +1,140 @@
-"""Runs one export from beginning to end."""
+"""Runs one export from beginning to end, and reports it."""
 
 from __future__ import annotations
 
+import itertools
 import re
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import chain, count
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.conversion.corrections import corrected_transforms
-from pc2scan.errors import MessageError, OutputError, ResultError, TransformError, UsageError, name_list
+from pc2scan.errors import MessageError, OutputError, ResultError, TransformError, UsageError, name_list, visible
 from pc2scan.files.ownership import inputs_of, read_record, refuse_overlap, write_record
 from pc2scan.files.staging import staged_output
 from pc2scan.files.system import remove
 from pc2scan.progress import Meter
 from pc2scan.requests import conversion_of, destination_of
-from pc2scan.result import Skipped, tell_early
+from pc2scan.result import MAX_LISTED, Part, Remark, Result, Skipped, skipped_remarks, tell_early
 from pc2scan.streams.clouds import Clouds
 from pc2scan.streams.scans import Scans
+from pc2scan.tables import Table
+from pc2scan.text import count, counted
 
 from .formats import format_of
 from .poses import Poses
-from .report import ExportedTopic, ExportReport
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
+    from pc2scan.bags.damage import Damage
     from pc2scan.files.urls import PathText
     from pc2scan.options.call import Options
     from pc2scan.progress import Progress
     from pc2scan.request.options import ConvertOptions
     from pc2scan.requests import Warn
 
-    from .formats import ExportFormat
-    from .scans import Write
+    from .formats import ExportFormat, Write
 
 #: The longest name: file systems allow 255 bytes, and staging adds an ending.
 _MAX_NAME = 120
+
+
+@dataclass(slots=True)
+class ExportedTopic:
+    """The result of one topic.
+
+    Attributes
+    ----------
+    topic
+        Its name; for scans that are made of clouds, the scans' topic.
+    path
+        Its file or folder; None if nothing was written.
+    written, skipped
+        Numbers of messages.
+    pose_frame, base_frame
+        The frame of reference of the poses, and the frame that has them; empty without poses.
+    """
+
+    topic: str
+    path: str | None = None
+    written: int = 0
+    skipped: int = 0
+    pose_frame: str = ""
+    base_frame: str = ""
+
+
+@dataclass(repr=False)
+class ExportReport(Result):
+    """The report of an export; ``print`` shows it as a table.
+
+    Attributes
+    ----------
+    sources
+        The recordings.
+    destination
+        The file, or the folder.
+    format
+        The name of its format.
+    topics
+        The result of each topic.
+    skipped, skipped_count
+        The first hundred messages that were skipped, and how many were.
+    notes
+        Values that were measured, or chosen by default.
+    warnings
+        Problems that did not stop the export.
+    damage
+        Damaged places of the sources.
+    """
+
+    kind: ClassVar[str] = "export"
+    json_names: ClassVar[tuple[str, ...]] = ("sources", "destination", "format", "topics", "skipped", "skipped_count")
+
+    sources: list[str]
+    destination: str
+    format: str
+    topics: list[ExportedTopic] = field(default_factory=list)
+    skipped: list[Skipped] = field(default_factory=list)
+    skipped_count: int = 0
+    notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    damage: tuple[Damage, ...] = ()
+
+    @property
+    def messages(self) -> int:
+        """How many messages were written."""
+        return sum(topic.written for topic in self.topics)
+
+    @property
+    def exit_status(self) -> int:
+        """The command's exit status: 3 if messages were skipped or a source is damaged, else 0."""
+        return 3 if self.skipped_count or self.damage else 0
+
+    def skip(self, entry: Skipped) -> None:
+        """Count a message that is not written."""
+        self.skipped_count += 1
+        if len(self.skipped) < MAX_LISTED:
+            self.skipped.append(entry)
+
+    def body(self, *, verbose: bool = False) -> Iterator[Part]:
+        """Yield what was written, by topic."""
+        rows = []
+        for topic in self.topics:
+            poses = f"{topic.base_frame} in {topic.pose_frame}" if topic.pose_frame else ""
+            rows.append([topic.topic, topic.path or "", count(topic.written), count(topic.skipped), poses])
+        yield Table(("topic", "file", "written", "skipped", "poses"), rows, left=("topic", "file", "poses"))
+
+    def remarks(self, *, verbose: bool = False) -> Iterator[Remark]:
+        """Yield why messages were skipped, damage and warnings."""
+        yield from skipped_remarks(self.skipped, self.skipped_count, verbose=verbose)
+        yield from self.usual_remarks(verbose=verbose)
+
+    def __repr__(self) -> str:
+        return f"<ExportReport: {counted(self.messages, 'message')} as {self.format} in {visible(self.destination)}>"
 
 
 def file_names(topics: Iterable[str]) -> dict[str, str]:
@@ -53,12 +148,12 @@ def file_names(topics: Iterable[str]) -> dict[str, str]:
         safe = re.sub(r"[^A-Za-z0-9_.-]+", "_", topic).strip("_.-")[:_MAX_NAME] or "topic"
         # File systems may ignore case.
         taken = {name.lower() for name in names.values()}
-        numbered = (f"{safe}_{number}" for number in count(2))
-        names[topic] = next(name for name in chain([safe], numbered) if name.lower() not in taken)
+        numbered = (f"{safe}_{number}" for number in itertools.count(2))
+        names[topic] = next(name for name in itertools.chain([safe], numbered) if name.lower() not in taken)
     return names
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class ExportOptions:
     """Options of the files to write.
 
@@ -72,21 +167,18 @@ class ExportOptions:
         The frame that has these poses. Empty: see `Poses`.
     converting
         Whether scans are made of clouds; otherwise they are read.
-    overwrite
-        Whether an existing destination is replaced.
     """
 
-    format: str | None = None
-    pose_frame: str = ""
-    base_frame: str = ""
-    converting: bool = False
-    overwrite: bool = False
+    format: str | None
+    pose_frame: str
+    base_frame: str
+    converting: bool
 
     @classmethod
     def of(cls, options: Options, conversion: ConvertOptions) -> ExportOptions:
         """Return the options of an export among those of a call."""
-        own = {name: getattr(options, name) for name in ("format", "pose_frame", "base_frame", "overwrite")}
-        return cls(converting=options.makes_scans or conversion.scan.may_combine, **own)
+        converting = options.makes_scans or conversion.scan.may_combine
+        return cls(options.format, options.pose_frame, options.base_frame, converting)
 
 
 def export(
@@ -103,7 +195,8 @@ def export(
     form = ExportOptions.of(options, conversion)
     place = path or folder
     assert place is not None
-    report = run(sources, place, conversion, form, warn, progress, in_folder=path is None)
+    how = {"in_folder": path is None, "overwrite": options.overwrite}
+    report = run(sources, place, conversion, form, warn, progress, **how)
     report.warnings += conversion.notes
     return report
 
@@ -117,6 +210,7 @@ def run(
     progress: Progress | None = None,
     *,
     in_folder: bool,
+    overwrite: bool,
 ) -> ExportReport:
     """Export the scans, or the clouds, of a recording.
 
@@ -136,6 +230,8 @@ def run(
         Called regularly; see `pc2scan.progress.Progress`.
     in_folder
         Whether ``destination`` is a folder even for a single file.
+    overwrite
+        Whether an existing destination is replaced.
 
     Raises
     ------
@@ -167,7 +263,7 @@ def run(
         report = ExportReport([str(source) for source in sources], str(destination), file_format.name, entries)
         stream.listener = tell = partial(tell_early, report.warnings, warn)
         # Before transforms are read, which may take long.
-        unfinished = stack.enter_context(staged_output(destination, overwrite=form.overwrite, record_in=read_record))
+        unfinished = stack.enter_context(staged_output(destination, overwrite=overwrite, record_in=read_record))
         poses, readers = None, []
         if form.pose_frame or frames.odometry:
             readers = open_recordings(sources, stack, strict=options.strict)
