@@ -24,10 +24,8 @@ from .request.remappings import read_remaps
 from .request.scans_file import Outputs, load_scans, refuse_beside
 from .result import Failure, tell_early
 from .transforms.placing import FrameOptions
-from .transforms.robot_model import model_in_file
-from .transforms.sources import PoseTopic
-from .transforms.static import added_transforms
-from .transforms.trajectory import frames_of_trajectory, load_trajectory
+from .transforms.sources import PoseTopic, frames_of_trajectory, load_trajectory
+from .transforms.static import added_transforms, model_in_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

@@ -38,11 +38,11 @@ from pc2scan.model import Connection, Definition, RawMessage
 from pc2scan.request.options import ScanSpec
 from pc2scan.request.parameters import resolve
 from pc2scan.request.params_file import load_params_file
+from pc2scan.transforms.attitude import ImuReading
 from pc2scan.transforms.builder import TransformBuilder
-from pc2scan.transforms.imu import ImuReading
 from pc2scan.transforms.placing import Placer
-from pc2scan.transforms.robot_model import parse_model
 from pc2scan.transforms.sources import PoseReading, PoseTopic
+from pc2scan.transforms.static import parse_model
 from support.clouds import COMPRESSED, LIVOX, OLD_CLOUD, VELODYNE
 from support.memory_reader import MemoryReader
 

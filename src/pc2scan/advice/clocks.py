@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, RawMessage
-    from pc2scan.transforms.trajectory import Trajectory
+    from pc2scan.transforms.sources import Trajectory
 
     from .survey import Span, Survey, TopicFacts
 

@@ -17,10 +17,10 @@ from pc2scan.core.rigid import Rigid
 from pc2scan.core.scene import PARTS, CloudSample, are_enough
 from pc2scan.errors import TransformError
 from pc2scan.messages.clouds import CLOUDS, SCANS
-from pc2scan.transforms.imu import ImuReading
+from pc2scan.transforms.attitude import ImuReading
+from pc2scan.transforms.frames import WORLDS
 from pc2scan.transforms.mounting import mounting, unit_warning
 from pc2scan.transforms.reading import RobotTransforms, TransformReading
-from pc2scan.transforms.summary import WORLDS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Sequence

@@ -17,9 +17,8 @@ from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.errors import Pc2ScanError, UsageError
 from pc2scan.messages.tfmessage import TF_TYPES
 from pc2scan.request.point_time import PointTime
-from pc2scan.transforms.placing import Placer
+from pc2scan.transforms.placing import Placer, UpByFrame, UpByImu
 from pc2scan.transforms.reading import read_robot_transforms
-from pc2scan.transforms.up_sources import UpByFrame, UpByImu
 
 from .cloud_to_scan import CloudToScan
 from .combine.conversion import MessagesToScan, SourceFacts, measure_sources
@@ -37,8 +36,8 @@ if TYPE_CHECKING:
     from pc2scan.progress import Meter
     from pc2scan.request.options import ConvertOptions, ScanSpec
     from pc2scan.transforms.buffer import TransformBuffer
+    from pc2scan.transforms.placing import UpSource
     from pc2scan.transforms.reading import FoundTransforms
-    from pc2scan.transforms.up_sources import UpSource
 
     from .plan import Plan
     from .steps import Conversion
@@ -197,7 +196,7 @@ def _up_source(spec: ScanSpec, buffer: TransformBuffer, survey: Survey, prepared
     up = survey.imu(request.topic).up(request.frame)
     prepared.notes += up.notes
     prepared.tell(*up.warnings)
-    return UpByImu(up.topic, up.frame, up.stamps_ns, up.directions, buffer, tolerance_ns)
+    return UpByImu(up, buffer, tolerance_ns)
 
 
 class _OutputFacts:

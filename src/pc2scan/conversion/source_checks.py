@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 from pc2scan.advice.checks.request import in_another_unit
 from pc2scan.errors import ParameterError, TopicError, UsageError, name_list
 from pc2scan.text import did_you_mean, nearest, stamp
-from pc2scan.transforms.lookup_errors import frames_text
+from pc2scan.transforms.buffer import frames_text
+from pc2scan.transforms.frames import WORLDS
+from pc2scan.transforms.motion import find_body_motion
 from pc2scan.transforms.static import static_text
-from pc2scan.transforms.summary import WORLDS
-from pc2scan.transforms.world_frames import find_body_motion
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

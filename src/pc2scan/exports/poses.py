@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from pc2scan.advice.odometry import odometry_of
 from pc2scan.errors import TransformError, UsageError, name_list
 from pc2scan.text import did_you_mean
-from pc2scan.transforms.summary import BODIES
+from pc2scan.transforms.frames import BODIES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

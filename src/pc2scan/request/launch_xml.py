@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import ParameterError, UsageError
 from pc2scan.options.table import PARAMETERS
-from pc2scan.transforms.xml_tree import xml_tree
+from pc2scan.transforms.text_files import xml_tree
 
 from .launch_node import LaunchFile, LaunchValue, UnreadError, package_folder, qualified
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-    from pc2scan.transforms.xml_tree import Element
+    from pc2scan.transforms.text_files import Element
 
 #: Maximum number of characters of a text with its substitutions.
 _MAX_TEXT = 10_000

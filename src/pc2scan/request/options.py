@@ -18,7 +18,7 @@ from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.options.conversion import CloudCombination, PointSelection
 from pc2scan.options.effects import refuse_idle
 from pc2scan.options.values import nanoseconds_of
-from pc2scan.transforms.imu import ImuRequest
+from pc2scan.transforms.attitude import ImuRequest
 from pc2scan.transforms.placing import FrameOptions
 
 from .filters import as_dict, filters_of, rejection_of

@@ -23,7 +23,7 @@ from pc2scan.requests import frames_of
 from pc2scan.result import Part, Result
 from pc2scan.text import counted
 from pc2scan.transforms.reading import tf_connections
-from pc2scan.transforms.robot_model import RobotModel
+from pc2scan.transforms.static import RobotModel
 
 from .scan_frames import Arrivals, ScanFrames
 from .scan_topic import Finding, ScanTopic

@@ -30,10 +30,10 @@ from pc2scan.requests import OF_FRAMES, frames_of
 from pc2scan.result import Call, Part, Result
 from pc2scan.tables import Table
 from pc2scan.text import count, counted, height_text, size, stamp
+from pc2scan.transforms.frames import BODIES, WORLDS
+from pc2scan.transforms.motion import find_body_motion
 from pc2scan.transforms.placing import FrameOptions, Placer
 from pc2scan.transforms.sources import PoseTopic
-from pc2scan.transforms.summary import BODIES, WORLDS
-from pc2scan.transforms.world_frames import find_body_motion
 
 from .cloud_info import CloudInfo, CloudLook
 from .lidar import EDGE_NS, HEADERS, Lidar, ask_facts, stamp_faults
@@ -50,8 +50,8 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection
     from pc2scan.options.call import Options
+    from pc2scan.transforms.attitude import UpEstimate
     from pc2scan.transforms.buffer import TransformBuffer
-    from pc2scan.transforms.imu import UpEstimate
     from pc2scan.transforms.mounting import Mounting
 
 #: How many of the first messages of an IMU are read.

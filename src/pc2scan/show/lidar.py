@@ -21,9 +21,9 @@ from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import TransformError
 from pc2scan.request.point_time import PointTime
 from pc2scan.request.turn import DIRECTIONS, directions_of
+from pc2scan.transforms.frames import WORLDS
 from pc2scan.transforms.motion import sensor_motion
 from pc2scan.transforms.static import StaticTransform
-from pc2scan.transforms.summary import WORLDS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from pc2scan.core.points import Points
     from pc2scan.core.rigid import Rigid
     from pc2scan.model import RawMessage, Summary
+    from pc2scan.transforms.attitude import UpEstimate
     from pc2scan.transforms.buffer import TransformBuffer
-    from pc2scan.transforms.imu import UpEstimate
     from pc2scan.transforms.motion import SensorMotion
     from pc2scan.transforms.mounting import Mounting
 

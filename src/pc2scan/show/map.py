@@ -43,9 +43,9 @@ from pc2scan.requests import conversion_of, first_output
 from pc2scan.result import Part, Remark, Result, Skipped, skipped_remarks, tell_early
 from pc2scan.streams.scans import Scans
 from pc2scan.text import counted, did_you_mean
-from pc2scan.transforms.lookup_errors import named_in_namespace
-from pc2scan.transforms.summary import BODIES
-from pc2scan.transforms.world_frames import find_body_motion
+from pc2scan.transforms.buffer import named_in_namespace
+from pc2scan.transforms.frames import BODIES
+from pc2scan.transforms.motion import find_body_motion
 
 from .recording import open_recording
 

@@ -17,9 +17,9 @@ from pc2scan.core.percentiles import median_low
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.result import Call
 from pc2scan.text import height_text
+from pc2scan.transforms.frames import BODIES, WORLDS
 from pc2scan.transforms.motion import spread_of_up
 from pc2scan.transforms.mounting import sensor_exclusion
-from pc2scan.transforms.summary import BODIES, WORLDS
 
 from .edges import edge_cuts
 from .lidar import Lidar, stamp_faults

@@ -17,9 +17,9 @@ from pc2scan.core.verdicts import ScanTransforms
 from pc2scan.errors import DecodeError, TransformError
 from pc2scan.messages.tfmessage import decode_transforms
 from pc2scan.text import counted, nearest
-from pc2scan.transforms.lookup_errors import mount_text, named_in_namespace
-from pc2scan.transforms.summary import BODIES
-from pc2scan.transforms.world_frames import find_body_motion
+from pc2scan.transforms.buffer import mount_text, named_in_namespace
+from pc2scan.transforms.frames import BODIES
+from pc2scan.transforms.motion import find_body_motion
 
 from .scan_topic import Counted, Finding, Level, few_unplaced
 

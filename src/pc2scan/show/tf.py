@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.damage import Damage
     from pc2scan.core.rigid import Rigid
     from pc2scan.transforms.buffer import TransformBuffer
-    from pc2scan.transforms.summary import FrameInfo, Tree
+    from pc2scan.transforms.frames import FrameInfo, Tree
 
 #: Maximum indentation of the drawing, because a chain may have a million frames, and maximum number of its lines.
 _MAX_DEPTH = 60

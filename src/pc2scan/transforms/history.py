@@ -1,4 +1,4 @@
-"""The transforms of one child frame over time, with the rules of tf2's ``TimeCache`` and ``StaticCache``."""
+"""The transforms of one child frame over time, as in tf2's ``TimeCache`` and ``StaticCache``, and what tf2 rejects."""
 
 from __future__ import annotations
 
@@ -7,12 +7,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pc2scan.core.rigid import interpolate_poses
+from pc2scan.core.rigid import are_accepted, interpolate_poses
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pc2scan.core.rigid import Pose
+
+#: Why a transform is rejected.
+ACCEPTED, NO_CHILD, NO_PARENT, SELF, NOT_FINITE, ZERO, DENORMALIZED = range(7)
+REASONS = {
+    NO_CHILD: "TF_NO_CHILD_FRAME_ID: child_frame_id is empty",
+    NO_PARENT: "TF_NO_FRAME_ID: frame_id is empty",
+    SELF: "TF_SELF_TRANSFORM: frame_id and child_frame_id are the same",
+    NOT_FINITE: "TF_NAN_INPUT: a component is NaN or infinite",
+    ZERO: "TF_DENORMALIZED_QUATERNION: the quaternion is zero",
+    DENORMALIZED: "TF_DENORMALIZED_QUATERNION: the squared norm of the quaternion differs from 1 by 0.01 or more",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,3 +173,47 @@ def _float_seconds(duration_ns: int) -> float:
     """Return seconds as ``ros::Duration::toSec`` rounds them."""
     seconds, nanoseconds = divmod(duration_ns, 1_000_000_000)
     return seconds + 1e-9 * nanoseconds
+
+
+@dataclass(frozen=True, slots=True)
+class RejectedTransforms:
+    """Rejected transforms of one pair of frames and one reason.
+
+    Attributes
+    ----------
+    child, parent
+        Frame names, a leading slash stripped.
+    stamp_ns
+        Stamp of the first one.
+    reason
+        tf2's name for the reason, and an explanation.
+    count
+        How many were rejected.
+    """
+
+    child: str
+    parent: str
+    stamp_ns: int
+    reason: str
+    count: int
+
+
+def reason_of_names(parent: str, child: str) -> int:
+    """Return why a pair of frames, leading slashes stripped, is rejected, or `ACCEPTED`."""
+    if not child:
+        return NO_CHILD
+    if not parent:
+        return NO_PARENT
+    return SELF if parent == child else ACCEPTED
+
+
+def reasons_of(poses: NDArray[np.float64], reasons: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Return why each transform is rejected, or `ACCEPTED`; ``reasons`` are those of the names alone."""
+    finite = np.isfinite(poses).all(axis=1)
+    with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
+        zero = ~poses[:, 3:].any(axis=1)
+    return np.select(
+        [reasons != ACCEPTED, ~finite, zero, ~are_accepted(poses[:, 3:])],
+        [reasons, NOT_FINITE, ZERO, DENORMALIZED],
+        ACCEPTED,
+    ).astype(np.int32)

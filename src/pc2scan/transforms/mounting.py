@@ -28,7 +28,7 @@ from pc2scan.core.scene import (
 )
 from pc2scan.errors import TransformError
 
-from .summary import BODIES, WORLDS
+from .frames import BODIES, WORLDS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -1,24 +1,26 @@
-"""The options about frames, the frame in which a message is converted, and the transform to it."""
+"""The options about frames, the frame in which a message is converted, the transform to it, and which way is up."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
-from pc2scan.core.gravity import tilt, upright_rotation
-from pc2scan.errors import UnconnectedError
+from pc2scan.core.gravity import LONGEST_GAP_NS, Up, tilt, up_in, upright_rotation
+from pc2scan.errors import TransformError, UnconnectedError, stamp_text
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from pc2scan.core.rigid import Rigid, TransformRow
 
+    from .attitude import UpEstimate
     from .buffer import TransformBuffer
-    from .robot_model import RobotModel
-    from .sources import PoseTopic
-    from .static import StaticTransform
-    from .trajectory import Trajectory
-    from .up_sources import UpSource
+    from .sources import PoseTopic, Trajectory
+    from .static import RobotModel, StaticTransform
 
 #: The name of a level frame: the name of the frame that it is made from, and this suffix.
 STABILIZED = "_stabilized"
@@ -222,3 +224,84 @@ class Placer(NamedTuple):
         if stamp_ns or self.buffer is None:
             return stamp_ns
         return self.buffer.latest_common_ns(self.target_frame, self.source_frame or frame_id)
+
+
+#: Returns the direction of up in a frame at a stamp; a TransformError if it is unknown.
+UpSource: TypeAlias = Callable[[str, int], Up]
+
+
+@dataclass(frozen=True, slots=True)
+class UpByFrame:
+    """Up as the z axis of a frame that does not move.
+
+    Attributes
+    ----------
+    fixed_frame
+        The frame.
+    buffer, tolerance_ns
+        See `Placer`.
+    """
+
+    fixed_frame: str
+    buffer: TransformBuffer
+    tolerance_ns: int = 0
+
+    def __call__(self, frame: str, stamp_ns: int) -> Up:
+        """Return up; see `UpSource`."""
+        return up_in(self.buffer.lookup(self.fixed_frame, frame, stamp_ns, self.tolerance_ns).quaternion.tolist())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UpByImu:
+    """Up as measured by an IMU, in its frame, at the stamps of its messages.
+
+    Attributes
+    ----------
+    estimate
+        The directions of up in the IMU's frame; one at least.
+    buffer, tolerance_ns
+        See `Placer`.
+    """
+
+    estimate: UpEstimate
+    buffer: TransformBuffer
+    tolerance_ns: int = 0
+
+    def __call__(self, frame: str, stamp_ns: int) -> Up:
+        """Return up, interpolated linearly between two messages; see `UpSource`."""
+        up: NDArray[np.float64] = self._up_of_imu(stamp_ns)
+        if frame.removeprefix("/") == self.estimate.frame.removeprefix("/"):
+            x, y, z = up.tolist()
+        else:
+            try:
+                moved = self.buffer.lookup(frame, self.estimate.frame, stamp_ns, self.tolerance_ns)
+            except TransformError as err:
+                err.message = f"the IMU of {self.estimate.topic}: {err.message}"
+                err.hint = (
+                    f"say how it is mounted: `static_tf='{frame} {self.estimate.frame} 0 0 0 ROLL PITCH YAW'`; "
+                    f"`imu={self.estimate.topic}:FRAME` corrects its frame"
+                )
+                raise
+            x, y, z = (moved.matrix @ up).tolist()
+        return (x, y, z)
+
+    def _up_of_imu(self, stamp_ns: int) -> NDArray[np.float64]:
+        """Return up in the IMU's frame, not of unit length."""
+        topic, stamps, directions = self.estimate.topic, self.estimate.stamps_ns, self.estimate.directions
+        at_ns = min(max(stamp_ns, int(stamps[0])), int(stamps[-1]))
+        newer = int(stamps.searchsorted(at_ns))
+        older = newer if stamps[newer] == at_ns else newer - 1
+        begin_ns, end_ns = int(stamps[older]), int(stamps[newer])
+        if abs(stamp_ns - at_ns) > self.tolerance_ns or end_ns - begin_ns > LONGEST_GAP_NS:
+            near = " and ".join(map(stamp_text, dict.fromkeys((begin_ns, end_ns))))
+            raise TransformError(
+                f"the direction of up is not known at {stamp_text(stamp_ns)}: the nearest messages on {topic} are "
+                f"at {near}, the tolerance is {stamp_text(self.tolerance_ns)} s, and the largest gap "
+                f"{LONGEST_GAP_NS / 1e9:g} s",
+                stamp_ns=stamp_ns,
+                hint="`fixed_frame` levels by transforms instead; `transform_tolerance` allows messages farther away",
+            )
+        ratio = (at_ns - begin_ns) / max(end_ns - begin_ns, 1)
+        between: NDArray[np.float64] = (1 - ratio) * directions[older] + ratio * directions[newer]
+        # There is no direction between two opposite ones.
+        return between if between.any() else directions[older]

@@ -19,8 +19,8 @@ from pc2scan.model import copied_message
 from pc2scan.text import counted, did_you_mean
 
 from .builder import TransformBuilder
-from .robot_model import parse_model
 from .sources import AddedPoses, PoseReading, PoseTopic, add_trajectory, attach, joints_to_add
+from .static import parse_model
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
@@ -32,9 +32,8 @@ if TYPE_CHECKING:
 
     from .buffer import TransformBuffer
     from .placing import FrameOptions
-    from .robot_model import RobotModel
-    from .static import StaticTransform
-    from .trajectory import Trajectory
+    from .sources import Trajectory
+    from .static import RobotModel, StaticTransform
 
 #: Duration, and number of messages, of moving transforms that are read to find the transforms between a robot's frames.
 _SOME_NS = 1_000_000_000
@@ -122,8 +121,6 @@ class TransformReading:
         self._builder = TransformBuilder()
         self._warnings: dict[str, int] = {}
         self._notes: list[str] = []
-        #: Topics with poses of frames that no transform has.
-        self._offers: dict[str, str] = {}
         self._poses: list[PoseReading] = []
         self._models: list[RobotModel] = [] if options.model is None else [options.model]
         # Added first, so that they replace the recording's: users add transforms because those are wrong or missing.
@@ -190,25 +187,21 @@ class TransformReading:
         fitting = []
         for topic, trial in trials.items():
             pairs = [(each.parent, each.child) for each in trial.finish()[0]]
-            provided = [frame for pair in pairs for frame in pair if frame in missing]
+            if any(frame in missing for pair in pairs for frame in pair):
+                fitting.append((topic, *pairs[0]))
+        for topic, parent, child in fitting:
             # Without the name of the frame that has the poses, the user has to know it.
             is_named = all(POSES[each.ros_type] for each in candidates[topic])
-            for frame in provided:
-                self._offers.setdefault(frame, topic if is_named else f"{topic}:base_link")
-            if provided and is_named:
-                fitting.append((topic, pairs[0]))
-        if not use or len(fitting) > 1:
-            self._notes += (
-                f"{topic} has poses of {child} in {parent}, which are in no transform: `odom_topic={topic}` uses them"
-                for topic, (parent, child) in fitting
-            )
-            return
-        for topic, (parent, child) in fitting:
-            observe((reader, [self._pose_observer(PoseTopic(topic), reader)]))
-            self._notes.append(
-                f"no transform has the frame {parent if parent in missing else child}: the poses of {topic} are used "
-                f"({child} in {parent}), as with `odom_topic={topic}`"
-            )
+            if use and is_named and len(fitting) == 1:
+                observe((reader, [self._pose_observer(PoseTopic(topic), reader)]))
+                self._notes.append(
+                    f"no transform has the frame {parent if parent in missing else child}: the poses of {topic} are "
+                    f"used ({child} in {parent}), as with `odom_topic={topic}`"
+                )
+            else:
+                value = topic if is_named else f"{topic}:base_link"
+                poses = f"{topic} has poses of {child} in {parent}, which are in no transform"
+                self._notes.append(f"{poses}: `odom_topic={value}` uses them")
 
     def _pairs(self) -> Iterator[tuple[str, str]]:
         """Yield the pairs of frames of all sources."""
@@ -270,7 +263,7 @@ class TransformReading:
         if self._poses or self._options.trajectory is not None:
             poses, further = self._add_poses(notes)
             texts += further
-        buffer = replace(builder.build(), offers=self._offers)
+        buffer = builder.build()
         texts += [
             f"{counted(r.count, 'transform')} from {r.parent!r} to {r.child!r} not usable: {r.reason}"
             for r in buffer.rejections

@@ -19,10 +19,10 @@ from pc2scan.core.rule import PointCounts
 from pc2scan.core.scene import FEWEST_POINTS, cells_of, outermost, tolerances
 from pc2scan.request.parameters import preset_of
 from pc2scan.text import agreeing, counted, height_text
+from pc2scan.transforms.frames import BODIES
+from pc2scan.transforms.motion import find_body_motion
 from pc2scan.transforms.mounting import is_upside_down, mounting, sensor_exclusion, unit_warning
 from pc2scan.transforms.static import static_text
-from pc2scan.transforms.summary import BODIES
-from pc2scan.transforms.world_frames import find_body_motion
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.model import RawMessage
 
+
 #: The standard acceleration of gravity, m/s^2, and the largest deviation of an accelerometer at rest, as a share.
 GRAVITY = 9.80665
 _GRAVITY_TOLERANCE = 0.15

@@ -1,4 +1,4 @@
-"""Statistics of the frames of a recording."""
+"""The frames of a recording: their statistics, their trees, and the usual names of a robot's frames."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from .history import FrameHistory
+
 
 #: Usual names of a robot's frame, whose z is up; the first that exists is used.
 BODIES = ("base_link", "base_footprint")
@@ -93,6 +94,14 @@ def frame_info(link: FrameHistory, names: Sequence[str]) -> FrameInfo:
     )
 
 
+def top_of(tops: dict[str, str], frame: str) -> str:
+    """Return the frame that stands for the tree of a frame: ``tops`` leads from each frame towards it (union-find)."""
+    tops.setdefault(frame, frame)
+    while tops[frame] != frame:
+        tops[frame] = frame = tops[tops[frame]]
+    return frame
+
+
 def trees_of(names: Sequence[str], histories: Sequence[FrameHistory | None]) -> tuple[Tree, ...]:
     """Return the connected frames, the largest tree first.
 
@@ -103,20 +112,13 @@ def trees_of(names: Sequence[str], histories: Sequence[FrameHistory | None]) -> 
     histories
         Their transforms, in the same order; None for a frame that is never a child.
     """
-    # Union-find: following these from a frame leads to the one that represents its tree.
-    toward = list(range(len(names)))
-
-    def representative(frame: int) -> int:
-        while toward[frame] != frame:
-            toward[frame] = frame = toward[toward[frame]]
-        return frame
-
+    tops: dict[str, str] = {}
     for link in filter(None, histories):
         for parent in sorted(link.all_parents()):
-            toward[representative(link.child)] = representative(parent)
-    members: dict[int, list[int]] = {}
-    for frame in range(len(names)):
-        members.setdefault(representative(frame), []).append(frame)
+            tops[top_of(tops, names[link.child])] = top_of(tops, names[parent])
+    members: dict[str, list[int]] = {}
+    for frame, name in enumerate(names):
+        members.setdefault(top_of(tops, name), []).append(frame)
     trees = (
         Tree(
             roots=tuple(sorted(names[frame] for frame in frames if histories[frame] is None)),

@@ -11,7 +11,7 @@ import pytest
 from pc2scan.bags.observers import observe
 from pc2scan.errors import UsageError
 from pc2scan.model import Connection
-from pc2scan.transforms.imu import ImuReading
+from pc2scan.transforms.attitude import ImuReading
 from support.builders import imu_message
 from support.memory_reader import MemoryReader
 from support.worlds.inertial import Simulated, errors, simulated
@@ -19,7 +19,7 @@ from support.worlds.inertial import Simulated, errors, simulated
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from pc2scan.transforms.imu import UpEstimate
+    from pc2scan.transforms.attitude import UpEstimate
 
 EPOCH = 1_700_000_000_000_000_000
 LEVEL = (0.0, 0.0, 0.0, 1.0)

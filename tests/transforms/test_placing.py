@@ -9,8 +9,8 @@ import pytest
 
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import TransformError
-from pc2scan.transforms.placing import Placer
-from pc2scan.transforms.up_sources import UpByFrame, UpByImu
+from pc2scan.transforms.attitude import UpEstimate
+from pc2scan.transforms.placing import Placer, UpByFrame, UpByImu
 from transforms.trees import EPOCH, SECOND, built, row
 
 TILTED = Rigid.from_rpy(0.2, -0.1, 1.3, (4.0, 5.0, 0.0))
@@ -33,7 +33,7 @@ def by_imu(up: tuple[float, float, float] = (0.0, 0.6, -0.8), frame: str = "imu"
     ups = np.array([up, up, (0.0, 0.0, -1.0), up])
     buffer = frames().buffer
     assert buffer is not None
-    return UpByImu("/imu", frame, stamps, ups, buffer, tolerance_ns)
+    return UpByImu(UpEstimate("/imu", frame, stamps, ups), buffer, tolerance_ns)
 
 
 @pytest.mark.parametrize("frame", ["base", "/base"])
