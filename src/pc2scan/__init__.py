@@ -65,10 +65,10 @@ if TYPE_CHECKING:
     from .errors import Pc2ScanError as Pc2ScanError
     from .errors import RecordingWarning as RecordingWarning
     from .exports.run import ExportReport as ExportReport
-    from .request.ground import MinHeightSlope as MinHeightSlope
-    from .request.regions import ExcludeBox as ExcludeBox
-    from .request.regions import ExcludePolygon as ExcludePolygon
-    from .request.where import Where as Where
+    from .request.filters import ExcludeBox as ExcludeBox
+    from .request.filters import ExcludePolygon as ExcludePolygon
+    from .request.filters import MinHeightSlope as MinHeightSlope
+    from .request.filters import Where as Where
     from .show.check import Check as Check
     from .show.info import Info as Info
     from .show.map import Map as Map
@@ -109,9 +109,7 @@ _PUBLIC = {
     "datasets.summary": ("BatchReport",),
     "errors": ("Pc2ScanError", "RecordingWarning", "errors"),
     "exports.run": ("ExportReport",),
-    "request.ground": ("MinHeightSlope",),
-    "request.regions": ("ExcludeBox", "ExcludePolygon"),
-    "request.where": ("Where",),
+    "request.filters": ("ExcludeBox", "ExcludePolygon", "MinHeightSlope", "Where"),
     "show.check": ("Check",),
     "show.info": ("Info",),
     "show.map": ("Map",),

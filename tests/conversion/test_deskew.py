@@ -13,8 +13,8 @@ from pc2scan.conversion.deskew import Deskew, MovingCloud
 from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import DecodeError, TransformError
+from pc2scan.request.filters import ExcludeBox
 from pc2scan.request.point_time import PointTime
-from pc2scan.request.regions import ExcludeBox
 from pc2scan.transforms.builder import TransformBuilder
 from pc2scan.transforms.placing import Placer
 from support.tables import rows

@@ -16,6 +16,7 @@ from ruamel.yaml import YAML
 
 from pc2scan.core.presets import PRESETS
 from pc2scan.options.table import PARAMETERS, output_options
+from pc2scan.request.filters import FILTERS
 from support import ROOT
 from support.batches import in_this_process
 from support.builders import T0, Item, Recording, Stream, write_rosbag1
@@ -119,7 +120,7 @@ def test_every_command_parameter_and_preset_is_named() -> None:
 def test_every_key_of_an_output_is_named() -> None:
     table = after(PAGES["scans-file"], "## Keys of an output")
     rows = re.findall(r"^\| (`.*?) \|", table, re.MULTILINE)
-    filters = {name for name, option in output_options().items() if option.makes}
+    filters = {kind.name for kind in FILTERS}
     assert quoted("\n".join(rows)) == {"sources", *output_options()} - filters
     listed = set(re.findall(r"^\| `--([a-z-]+) ", PAGES["choosing-points"], re.MULTILINE))
     assert listed >= {name.replace("_", "-") for name in filters}

@@ -89,32 +89,27 @@ class PointSelection(TypedDict, total=False):
         texts("CONDITION"),
         "Use only points whose fields fulfil this condition: 'ring in (3, 4, 5) and intensity > 10'. Fields, numbers,"
         " < <= > >= == != in, and or not, + - * / %, abs(). Of several, all must be fulfilled.",
-        How(makes="where:Where"),
     ]
     exclude_box: Annotated[
         Names | None,
         texts("BOX"),
         "Reject points in this box, such as the robot's own body: 'frame x0 x1 y0 y1 z0 z1' (m).",
-        How(makes="regions:ExcludeBox"),
     ]
     exclude_polygon: Annotated[
         Names | None,
         texts("POLYGON"),
         "Reject points in this polygon, at any height, such as the robot's footprint: 'frame x0 y0 x1 y1 x2 y2 ...' "
         "(m).",
-        How(makes="regions:ExcludePolygon"),
     ]
     ground: Annotated[
         Literal["keep", "remove"],
         "remove: reject points on the ground, which is found in each cloud; it may slope by up to 15 degrees and have"
         " kerbs. Needs a frame of the robot whose z axis points up.",
-        How(makes="ground:RemoveGround"),
     ]
     min_height_slope: Annotated[
         float | None,
         number(metavar="M/M"),
         "Reject points below `min_height` + this * range, for ramps and rough ground. 0.05 is about 3 degrees.",
-        How(makes="ground:MinHeightSlope"),
     ]
     filters: Annotated[
         Any,

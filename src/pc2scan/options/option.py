@@ -109,8 +109,6 @@ class How(NamedTuple):
         The default for users.
     command_only
         Whether only the command has it.
-    makes
-        The class of the filters that it asks for: ``regions:ExcludeBox`` in `pc2scan.request`; see its `filters_of`.
     """
 
     short: str = ""
@@ -120,7 +118,6 @@ class How(NamedTuple):
     default: Any = None
     default_text: str | None = None
     command_only: bool = False
-    makes: str = ""
 
 
 class Option:
@@ -138,7 +135,7 @@ class Option:
         One or two sentences, without the default.
     spelling
         How it is typed: ``--min-height``; empty: only Python has it.
-    panel, scope, default, short, command_only, makes
+    panel, scope, default, short, command_only
         See `How`.
     """
 
@@ -152,7 +149,7 @@ class Option:
         self.spelling = f"--{name.replace('_', '-')}" if how.typed == "--" else how.typed
         self.panel = panel if how.panel is None else how.panel
         self.scope = how.scope or scope
-        self.short, self.command_only, self.makes = how.short, how.command_only, how.makes
+        self.short, self.command_only = how.short, how.command_only
         self.default, self._default_text = how.default, how.default_text
         if isinstance(self, Parameter):
             self.default = ProjectionParams.__dataclass_fields__[name].default
