@@ -29,7 +29,8 @@ from .show.map import draw_map
 from .show.plot import plot as draw
 from .show.tf import frame_tree
 from .show.view import view as show
-from .streams.stream import Clouds, Scans
+from .streams.clouds import Clouds
+from .streams.scans import Scans
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -32,7 +32,7 @@ def offered(offers: Sequence[str], incomplete: str) -> list[str]:
             signal.alarm(_PATIENCE)
         # Errors of a recording are not shown during completion.
         with suppress(Exception):
-            from pc2scan.show.naming import frames_in, topics_in
+            from pc2scan.show.tf import frames_in, topics_in
 
             for path in _typed():
                 with suppress(Pc2ScanError):

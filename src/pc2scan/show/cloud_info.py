@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pc2scan.transforms.placing import Placer
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class CloudInfo:
     """The properties of the clouds of one topic, from a sample spread over the recording.
 
@@ -96,86 +96,7 @@ class CloudInfo:
             yield f"  metres  {limits}" + (f" in {self.target_frame}" if self.target_frame else "")
 
 
-class CloudLook:
-    """Collects the properties of a topic's sampled clouds.
-
-    Attributes
-    ----------
-    parts
-        The stamps of these once they are described, and points, each (3, N), without those at (0, 0, 0) or with NaN.
-    """
-
-    def __init__(self, topic: str) -> None:
-        self._topic = topic
-        self.parts: list[tuple[int, NDArray[np.floating[Any]]]] = []
-        self._problems: dict[str, None] = {}
-        self._sampled = 0
-        self._clouds: list[_Sampled] = []
-
-    def take(self, most: int, message: RawMessage) -> _Sampled | str:
-        """Return what is kept of a cloud, so many points at most, or why it cannot be described."""
-        try:
-            cloud = CLOUDS[message.connection.ros_type](message.connection.serialization)(message.data)
-            coordinates = cloud.xyz()
-            count = coordinates[0].size
-            step = -(-count // most) or 1
-            with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
-                x, y, z = (_thinned(column, step) for column in coordinates)
-                # Points at the sensor are no returns, wherever the sensor is in the target frame.
-                zero = (x == 0) & (y == 0) & (z == 0)
-                good = ~(zero | np.isnan(x) | np.isnan(y) | np.isnan(z))
-            layout = _layout(cloud, message)
-        except DecodeError as err:
-            return _problem(err)
-        points, zeros = np.stack([x[good], y[good], z[good]]), int(np.count_nonzero(zero))
-        return _Sampled(cloud.frame_id, cloud.stamp_ns, count, points, x.size - zeros, zeros, layout)
-
-    def add(self, sampled: _Sampled | str) -> None:
-        """Add what was kept of a cloud."""
-        self._sampled += 1
-        if isinstance(sampled, str):
-            self._problems[sampled] = None
-        else:
-            self._clouds.append(sampled)
-
-    def described(self, places: Placer, mounting: Mounting | None) -> CloudInfo:
-        """Return the properties of the clouds in the frame of scans, with the mounting of the first clouds."""
-        placed: list[_Sampled] = []
-        while self._clouds:
-            sample = self._clouds.pop(0)
-            try:
-                place = places.place(sample.frame_id, sample.stamp_ns)
-            except TransformError as err:
-                self._problems[_problem(err)] = None
-                continue
-            if place.target_from_source is not None:
-                points = place.target_from_source.apply(sample.points.T).T
-                # Of infinite coordinates.
-                sample = sample._replace(points=points[:, ~np.isnan(points).any(axis=0)])
-            placed.append(sample)
-        result = CloudInfo(
-            self._topic,
-            self._sampled,
-            tuple(dict.fromkeys(sample.frame_id for sample in placed)),
-            target_frame=places.target_frame,
-            problems=tuple(self._problems),
-        )
-        if placed:
-            result.shape, result.point_step, result.fields = placed[0].layout
-            result.points_min = min(sample.size for sample in placed)
-            result.points_max = max(sample.size for sample in placed)
-            self.parts = [(sample.stamp_ns, sample.points) for sample in placed]
-            parts = [sample.points for sample in placed]
-            returns, zeros = (sum(getattr(sample, name) for sample in placed) for name in ("returns", "zeros"))
-            count, total = sum(part.shape[1] for part in parts), max(1, returns + zeros)
-            result.nan_share, result.zero_share = (returns - count) / total, zeros / total
-            result.above_zero_share = sum(int((part[2] > 0).sum()) for part in parts) / max(1, count)
-            result.limits = _limits(parts)
-            result.mounting = mounting
-        return result
-
-
-class _Sampled(NamedTuple):
+class CloudSample(NamedTuple):
     """What is kept of a cloud: its size, some of its points.
 
     Attributes
@@ -185,7 +106,7 @@ class _Sampled(NamedTuple):
     returns, zeros
         How many are not at (0, 0, 0), with NaN or not, and how many are.
     layout
-        The first attributes of `CloudInfo`: shape, point_step and fields.
+        The attributes of `CloudInfo`: shape, point_step and fields.
     """
 
     frame_id: str
@@ -195,6 +116,74 @@ class _Sampled(NamedTuple):
     returns: int
     zeros: int
     layout: tuple[tuple[int, int], int, tuple[tuple[str, str, int], ...]]
+
+
+def sample_cloud(most: int, message: RawMessage) -> CloudSample | str:
+    """Return what is kept of a cloud, so many points at most, or why it cannot be described."""
+    try:
+        cloud = CLOUDS[message.connection.ros_type](message.connection.serialization)(message.data)
+        coordinates = cloud.xyz()
+        count = coordinates[0].size
+        step = -(-count // most) or 1
+        with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
+            x, y, z = (_thinned(column, step) for column in coordinates)
+            # Points at the sensor are no returns, wherever the sensor is in the target frame.
+            zero = (x == 0) & (y == 0) & (z == 0)
+            good = ~(zero | np.isnan(x) | np.isnan(y) | np.isnan(z))
+        layout = _layout(cloud, message)
+    except DecodeError as err:
+        return _problem(err)
+    points, zeros = np.stack([x[good], y[good], z[good]]), int(np.count_nonzero(zero))
+    return CloudSample(cloud.frame_id, cloud.stamp_ns, count, points, x.size - zeros, zeros, layout)
+
+
+def describe_clouds(
+    topic: str, sampled: list[CloudSample | str], places: Placer, mounting: Mounting | None
+) -> tuple[CloudInfo, list[CloudSample]]:
+    """Return the properties of a topic's clouds, and the clouds, which leave ``sampled``, in the frame of scans.
+
+    Parameters
+    ----------
+    topic
+        The topic.
+    sampled
+        What `sample_cloud` returned.
+    places
+        The frame of scans.
+    mounting
+        How the first clouds are mounted.
+    """
+    count = len(sampled)
+    problems: dict[str, None] = {}
+    placed: list[CloudSample] = []
+    while sampled:
+        sample = sampled.pop(0)
+        if isinstance(sample, str):
+            problems[sample] = None
+            continue
+        try:
+            place = places.place(sample.frame_id, sample.stamp_ns)
+        except TransformError as err:
+            problems[_problem(err)] = None
+            continue
+        if place.target_from_source is not None:
+            points = place.target_from_source.apply(sample.points.T).T
+            # Of infinite coordinates.
+            sample = sample._replace(points=points[:, ~np.isnan(points).any(axis=0)])
+        placed.append(sample)
+    target, why = places.target_frame, tuple(problems)
+    if not placed:
+        return CloudInfo(topic, count, target_frame=target, problems=why), placed
+    (shape, point_step, fields), sizes = placed[0].layout, [sample.size for sample in placed]
+    frames, parts = dict.fromkeys(sample.frame_id for sample in placed), [sample.points for sample in placed]
+    returns, zeros = (sum(getattr(sample, name) for sample in placed) for name in ("returns", "zeros"))
+    kept, total = sum(part.shape[1] for part in parts), max(1, returns + zeros)
+    shares = (returns - kept) / total, zeros / total
+    above = sum(int((part[2] > 0).sum()) for part in parts) / max(1, kept)
+    layout = fields, shape, point_step, min(sizes), max(sizes)
+    return CloudInfo(
+        topic, count, tuple(frames), *layout, *shares, _limits(parts), above, target, mounting, why
+    ), placed
 
 
 def _problem(err: DecodeError | TransformError) -> str:

@@ -35,11 +35,11 @@ from pc2scan.transforms.motion import find_body_motion
 from pc2scan.transforms.placing import FrameOptions, Placer
 from pc2scan.transforms.sources import PoseTopic
 
-from .cloud_info import CloudInfo, CloudLook
+from .cloud_info import CloudInfo, CloudSample, describe_clouds, sample_cloud
 from .lidar import EDGE_NS, HEADERS, Lidar, ask_facts, stamp_faults
 from .proposals import missing_mounts, odometry_doubts, proposals
-from .recording import spread_over
 from .scan_topic import ScanTopic, TopicCheck
+from .shots import spread_over
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -274,18 +274,19 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
         frames, given = _with_odometry(reader, counts, frames, options.among({*OF_FRAMES, "cloud_scale"}))
         survey = Survey(reader, open_recordings(frames.tf_from, stack), frames, Span(None, None, start_ns or 0))
         shown = _described(topics, options.topics, types_by_topic(reader.connections))
-        looks, of_scans = _looks(survey, shown, samples, start_ns, end_ns)
+        sampled, of_scans = _sampled(survey, shown, samples, start_ns, end_ns)
         surveyed = _Surveyed(survey, topics, shown, end_ns, options.target_frame)
         warnings = [*log_times_of_centuries(reader.summary), *surveyed.warnings]
         clouds: list[CloudInfo] = []
         lidars: list[Lidar] = []
-        for topic, look in looks.items():
+        for topic, own in sampled.items():
             mounting, is_own = surveyed.mounting(topic)
-            clouds.append(look.described(surveyed.places, mounting))
-            if clouds[-1].mounting is None or mounting is None:
+            cloud, placed = describe_clouds(topic, own, surveyed.places, mounting)
+            clouds.append(cloud)
+            if cloud.mounting is None or mounting is None:
                 continue
             # Where the robot moves in the frame of these points, its own body is not at one place.
-            parts, has_zeros = look.parts if is_own else [], bool(clouds[-1].zero_share)
+            parts, has_zeros = [(each.stamp_ns, each.points) for each in placed if is_own], bool(cloud.zero_share)
             of_robot = recorded, surveyed.knows_end, surveyed.clocks.get(topic), surveyed.ups
             lidars.append(Lidar(surveyed.facts[topic], mounting, surveyed.buffer, parts, has_zeros, *of_robot))
         if not any(topic.msgtype in {*CLOUDS, *SCANS} for topic in topics) and (
@@ -521,14 +522,14 @@ def _described(topics: Sequence[TopicInfo], names: Sequence[str], types: dict[st
     return [topic for topic in known if topic.topic in matched] if names else known
 
 
-def _looks(
+def _sampled(
     survey: Survey, topics: Sequence[TopicInfo], samples: int, start_ns: int | None, end_ns: int | None
-) -> tuple[dict[str, CloudLook], dict[str, ScanTopic]]:
-    """Ask for samples of each topic, spread over the recording; return what collects their properties.
+) -> tuple[dict[str, list[CloudSample | str]], dict[str, ScanTopic]]:
+    """Ask for samples of each topic, spread over the recording; return what collects them.
 
     A topic with clouds and scans counts as one of clouds.
     """
-    clouds = {topic.topic: CloudLook(topic.topic) for topic in topics if topic.msgtype in CLOUDS}
+    clouds: dict[str, list[CloudSample | str]] = {topic.topic: [] for topic in topics if topic.msgtype in CLOUDS}
     scans = {topic.topic: ScanTopic() for topic in topics if topic.topic not in clouds}
     if not topics or start_ns is None or end_ns is None:
         return {}, {}
@@ -541,7 +542,7 @@ def _looks(
         observer: Observer[Any] = Observer(own, copied_message, start_ns=start_ns, stop_ns=end_ns + 1)
         observer.spread = spread_over(own, samples, start_ns, end_ns + 1)
         if topic in clouds:
-            observer.take, observer.keep = partial(clouds[topic].take, most), clouds[topic].add
+            observer.take, observer.keep = partial(sample_cloud, most), clouds[topic].append
         else:
             observer.keep = scans[topic].read
         survey.observers.append(observer)

@@ -26,6 +26,7 @@ import numpy as np
 
 from pc2scan.advice.odometry import odometry_of
 from pc2scan.bags.topics import find_topics, matches, types_by_topic
+from pc2scan.conversion.corrections import corrected_transforms
 from pc2scan.conversion.source_checks import frame_that_stays
 from pc2scan.core.occupancy import FREE, LONGEST, OCCUPIED, OccupancyGrid, observing_beams, place_beams
 from pc2scan.core.params import ProjectionParams
@@ -41,13 +42,13 @@ from pc2scan.progress import Meter
 from pc2scan.request.options import TopicRequest
 from pc2scan.requests import conversion_of, first_output
 from pc2scan.result import Part, Remark, Result, Skipped, skipped_remarks, tell_early
-from pc2scan.streams.stream import Scans
+from pc2scan.streams.scans import Scans
 from pc2scan.text import counted, did_you_mean
 from pc2scan.transforms.buffer import named_in_namespace
 from pc2scan.transforms.frames import BODIES
 from pc2scan.transforms.motion import find_body_motion
 
-from .recording import open_recording
+from .shots import damage_of, open_recording
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -61,7 +62,7 @@ if TYPE_CHECKING:
     from pc2scan.progress import Progress
     from pc2scan.request.options import ConvertOptions
     from pc2scan.requests import Warn
-    from pc2scan.streams.objects import Scan
+    from pc2scan.streams.scans import Scan
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.placing import LevelTransform
 
@@ -295,28 +296,29 @@ def _draw(
     tell = partial(tell_early, warnings, warn)
     frames = (asked.odom_frame, asked.base_frame)
     grid = OccupancyGrid(asked.resolution, _MAX_CELLS)
-    with open_recording(sources, options) as recording:
-        topics, converted = _topics(recording.reader, options)
+    with open_recording(sources, options) as (reader, stack):
+        topics, converted = _topics(reader, options)
         meter = None if progress is None else Meter(progress)
         reading = replace(options, only_scans=True, keep=(), keep_clouds=False) if converted else options
         stream = Scans(sources, reading.with_scan(topics=topics), converted, transform_frames=frames, meter=meter)
         buffer = stream.transforms
+        others: Sequence[Reader] = ()
         if buffer is None:
             # Recorded scans are read as they are.
-            transforms = recording.transforms(frames, meter)
+            transforms, others = corrected_transforms(reader, options, stack, frames, meter)
             buffer = transforms.buffer
             tell(*transforms.warnings, *transforms.notes)
-        damage = recording.damage
+        damage = damage_of(reader, *others)
     if not converted and _converts(options):
         tell("recorded scans are drawn: options about clouds have no effect")
     drawing = _Drawing(grid, buffer, asked, options)
     stream.listener = tell
     with stream, closing(stream.results()) as results:
-        for item in results:
-            for error in item.errors:
-                error.topic = item.route.connection.topic
-                drawing.skip(error.topic, error)
-            for scan, level in stream.objects(item):
+        for result in results:
+            for error in result.errors:
+                error.topic = result.topic
+                drawing.skip(result.topic, error)
+            for scan, level in result.items:
                 drawing.add(scan, level)
     return drawing.result((*stream.notes, *warnings), (*damage, *stream.damage), converted=converted)
 

@@ -21,8 +21,7 @@ from pc2scan.requests import conversion_of, first_output
 from pc2scan.result import Part, Result
 from pc2scan.text import size
 
-from .recording import open_recording, title_of
-from .shots import take_shots
+from .shots import open_recording, take_shots, title_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -106,18 +105,18 @@ def plot(sources: Sequence[Path], destination: Path, options: Options, *, warn: 
     refuse_overlap(inputs_of(sources, options.tf_from, request.files), [destination])
     with (
         files_output([destination], overwrite=options.overwrite) as deliver,
-        open_recording(sources, request, warn, options.at) as recording,
+        open_recording(sources, request) as (reader, stack),
     ):
         try:
-            taken = take_shots(recording, request, options.clouds, level=True)
+            taken = take_shots(reader, request, options, stack, warn, level=True)
         except NothingToConvertError as err:
-            if any(each.ros_type == LASERSCAN for each in recording.reader.connections):
+            if any(each.ros_type == LASERSCAN for each in reader.connections):
                 err.hint = "figures show clouds; pc2scan view shows scans"
             raise
         figure = _figure(taken, title_of(sources), kind)
         deliver([figure])
         told = (*request.notes, *taken.warnings)
-        return Plotted(str(destination), len(figure), tuple(taken.notes), told, recording.damage)
+        return Plotted(str(destination), len(figure), tuple(taken.notes), told, taken.damage)
 
 
 def _figure(taken: Shots, title: str, kind: str) -> bytes:

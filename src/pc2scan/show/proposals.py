@@ -21,8 +21,7 @@ from pc2scan.transforms.frames import BODIES, WORLDS
 from pc2scan.transforms.motion import spread_of_up
 from pc2scan.transforms.mounting import sensor_exclusion
 
-from .edges import edge_cuts
-from .lidar import Lidar, stamp_faults
+from .lidar import EDGE_NS, TOLERANCE, Lidar, stamp_faults
 from .trial import tried
 
 if TYPE_CHECKING:
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pc2scan.advice.survey import TopicFacts
+    from pc2scan.advice.survey import Header, TopicFacts
     from pc2scan.bags.reader import Reader
     from pc2scan.transforms.motion import SensorMotion
 
@@ -75,6 +74,9 @@ _BEYOND = 15.0
 #: How many cells, small or large, are between the origin and the farthest one.
 _CELLS = 30
 _LONG_NS = 5_000_000_000
+
+#: A cut at an edge has so many digits at least: hundredths of a second.
+_DIGITS = 2
 
 
 class Box(NamedTuple):
@@ -288,7 +290,7 @@ def _choices(group: Sequence[Lidar], given: Mapping[str, Any]) -> Iterator[Choic
     yield from times
     if clock is None:
         fixed = next((each.value for each in times if each.name == "fixed_frame"), "")
-        yield from (Choice(*cut) for cut in edge_cuts(group, fixed))
+        yield from _edge_cuts(group, fixed)
     yield from _exclusions(group)
     yield from _beams(group, is_level=any(each.name == "level" for each in times))
 
@@ -357,6 +359,70 @@ def _times(group: Sequence[Lidar]) -> Iterator[Choice]:
         yield Choice("fixed_frame", fixed, "the frame that does not move with the robot")
     if not tilts:
         yield from _level_by_imu(lidar)
+
+
+def _edge_cuts(lidars: Sequence[Lidar], fixed: str) -> Iterator[Choice]:
+    """Yield ``start`` or ``end``, seconds, and why, so that the first and last clouds have transforms; or nothing.
+
+    Parameters
+    ----------
+    lidars
+        The topics with clouds that become one scan.
+    fixed
+        The frame that does not move; empty if there is none.
+
+    Notes
+    -----
+    A cloud is skipped if there is no transform at its stamp, or at none of its points' times. Clouds that lack
+    transforms for longer than `EDGE_NS` are left as they are: they may have transforms that are not known here.
+    """
+    buffer, (start_ns, end_ns) = lidars[0].buffer, lidars[0].span_ns
+    if not fixed or buffer is None:
+        return
+    tolerance_ns = round(TOLERANCE * 1e9)
+    lost: list[list[tuple[int, int]]] = [[], []]
+    kept: list[list[int]] = [[], []]
+    for lidar in lidars:
+        links, (before, after) = buffer.moving_links(fixed, lidar.mounting.frame), lidar.reach
+        if not links:
+            return
+        begin_ns, stop_ns = max(link.first_ns for link in links), min(link.last_ns for link in links)
+        for header in lidar.facts.headers:
+            if header.stamp_ns + tolerance_ns < begin_ns or _point_ns(header, after) < begin_ns:
+                lost[0].append((header.log_time_ns, begin_ns - _point_ns(header, min(before, 0.0))))
+            else:
+                kept[0].append(header.log_time_ns)
+        for header in lidar.facts.last_headers:
+            if header.stamp_ns - tolerance_ns > stop_ns or _point_ns(header, before) > stop_ns:
+                lost[1].append((header.log_time_ns, _point_ns(header, max(after, 0.0)) - stop_ns))
+            else:
+                kept[1].append(header.log_time_ns)
+    if lost[0]:
+        last_ns, by_ns = max(lost[0])[0], max(by for _, by in lost[0])
+        later = [time_ns for time_ns in kept[0] if time_ns > last_ns]
+        if later and last_ns < start_ns + EDGE_NS:
+            seconds = _between(last_ns - start_ns, min(later) - start_ns)
+            yield Choice("start", seconds, f"transforms to {fixed} begin {by_ns / 1e9:.2g} s after the first cloud")
+    if lost[1] and lidars[0].knows_end:
+        first_ns, by_ns = min(lost[1])[0], max(by for _, by in lost[1])
+        earlier = [time_ns for time_ns in kept[1] if time_ns < first_ns]
+        if earlier and first_ns > end_ns - EDGE_NS:
+            seconds = _between(max(earlier) - start_ns, first_ns - start_ns)
+            yield Choice("end", seconds, f"transforms to {fixed} end {by_ns / 1e9:.2g} s before the last cloud")
+
+
+def _point_ns(header: Header, seconds: float) -> int:
+    return header.stamp_ns + round(seconds * 1e9)
+
+
+def _between(after_ns: int, until_ns: int) -> float:
+    """Return a time with few digits that is later than one time, and no later than another, seconds."""
+    for digits in range(_DIGITS, 9):
+        step_ns: int = 10 ** (9 - digits)
+        found_ns = (after_ns // step_ns + 1) * step_ns
+        if found_ns <= until_ns:
+            return found_ns / 1e9
+    return until_ns / 1e9
 
 
 def _moves(motion: SensorMotion | None) -> bool:

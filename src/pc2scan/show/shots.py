@@ -1,10 +1,14 @@
-"""Takes clouds of a recording for pictures, at some moments, with the transforms to the scans' frame."""
+"""Recordings for pictures: opened as one, moments that are spread over them, and clouds of these with their frames."""
 
 from __future__ import annotations
 
-from contextlib import suppress
+import heapq
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
+from datetime import datetime, timezone
+from functools import partial
 from itertools import islice
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -12,33 +16,44 @@ import numpy as np
 from pc2scan.advice.checks import clouds as checks
 from pc2scan.advice.checks import found_by
 from pc2scan.advice.measurements import Measurements
+from pc2scan.bags.damage import mention
+from pc2scan.bags.observers import Spread
+from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import by_topic
 from pc2scan.conversion.cloud_to_scan import CloudToScan
-from pc2scan.conversion.corrections import corrected_for
+from pc2scan.conversion.corrections import corrected_for, scaled
 from pc2scan.conversion.plan import make_plan
+from pc2scan.conversion.preparation import prepare, span_of
+from pc2scan.conversion.source_checks import refuse_outside
 from pc2scan.conversion.stages import PlaceStage, SelectStage
 from pc2scan.core.points import NUMBER
 from pc2scan.core.rule import PointCounts
 from pc2scan.core.scene import CloudSample, are_enough
-from pc2scan.errors import DecodeError, MessageError, RecordingError
+from pc2scan.errors import DecodeError, MessageError, RecordingError, TopicError, UsageError, stamp_text
 from pc2scan.messages.clouds import CLOUDS
+from pc2scan.result import tell_early
 from pc2scan.text import counted
 
-from .recording import chosen_messages, moment_text
-
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
+    from pc2scan.bags.damage import Damage
+    from pc2scan.bags.reader import Reader
     from pc2scan.core.params import ProjectionParams
     from pc2scan.core.points import Points
-    from pc2scan.model import RawMessage
+    from pc2scan.model import Connection, RawMessage
+    from pc2scan.options.call import Options
+    from pc2scan.options.moment import TimeBound
     from pc2scan.request.options import ConvertOptions
+    from pc2scan.requests import Warn
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.placing import Placement, Placer
 
-    from .recording import ShownRecording
+#: Earlier stamps are shown in seconds, not as a date: stamps of simulations begin at 0.
+_FIRST_DATE_NS = 100_000_000 * 1_000_000_000
 
 #: What is said of the first cloud that is shown, and of the first few. Heights are not: pages have sliders for them.
 _OF_ONE = (checks.target_that_moves, checks.clouds_in_fixed_frame)
@@ -94,6 +109,8 @@ class Shots(NamedTuple):
         The transforms; None if there are none.
     notes, warnings
         Texts for the user.
+    damage
+        The damage in the parts of the recordings that were read.
     """
 
     shots: list[Shot]
@@ -101,12 +118,110 @@ class Shots(NamedTuple):
     transforms: TransformBuffer | None
     notes: list[str]
     warnings: list[str]
+    damage: tuple[Damage, ...]
+
+
+@contextmanager
+def open_recording(sources: Sequence[Path], options: ConvertOptions) -> Iterator[tuple[Reader, ExitStack]]:
+    """Open recordings as one, and yield what closes them, too."""
+    with ExitStack() as stack:
+        reader = scaled(as_one(open_recordings(sources, stack, strict=options.strict)), options.cloud_scale)
+        try:
+            yield reader, stack
+        except TopicError as err:
+            mention(reader.damage, err)
+            raise
+
+
+def damage_of(*readers: Reader) -> tuple[Damage, ...]:
+    """Return the damage in the parts of recordings that were read."""
+    return tuple(damage for reader in readers for damage in reader.damage)
+
+
+def moments_of(reader: Reader, at: Sequence[TimeBound]) -> list[int]:
+    """Return the log times of given moments.
+
+    Raises
+    ------
+    UsageError
+        If one is after the end.
+    """
+    first_ns, last_ns = reader.summary.start_ns or 0, reader.summary.end_ns
+    at_ns = sorted(bound.resolve(first_ns) for bound in at)
+    if last_ns is not None and at_ns and at_ns[-1] > last_ns:
+        text = f"`at` is {stamp_text(at_ns[-1])}, the recording is from {stamp_text(first_ns)} to"
+        hint = f"`at=0` to `at={(last_ns - first_ns) / 1e9:.3f}` are in it"
+        raise UsageError(f"{text} {stamp_text(last_ns)}", path=reader.path, hint=hint)
+    return at_ns
+
+
+def title_of(sources: Sequence[Path]) -> str:
+    """Return the title of a picture of recordings."""
+    return ", ".join(source.name or str(source) for source in sources)
+
+
+def moment_text(stamp_ns: int) -> str:
+    """Return a stamp as a date and time in UTC, to the millisecond; stamps of simulations in seconds."""
+    if stamp_ns < _FIRST_DATE_NS:
+        return f"{stamp_ns / 1e9:.3f} s"
+    seconds, rest = divmod(stamp_ns, 1_000_000_000)
+    return f"{datetime.fromtimestamp(seconds, timezone.utc):%Y-%m-%d %H:%M:%S}.{rest // 1_000_000:03d} UTC"
+
+
+def chosen_messages(
+    reader: Reader,
+    topics: Mapping[str, Sequence[Connection]],
+    options: ConvertOptions,
+    at_ns: Sequence[int],
+    count: int,
+) -> Iterator[RawMessage]:
+    """Yield the first message of each topic at or after each of some moments.
+
+    Without any, the first message of each of ``count`` equal parts of the recording, or of the cut. If a topic has no
+    more messages, all of them are yielded.
+
+    Raises
+    ------
+    UsageError
+        If the cut is empty, or lies outside of the recording.
+    """
+    for time_ns in at_ns:
+        for connections in topics.values():
+            yield from islice(reader.messages(connections, time_ns), 1)
+    if at_ns:
+        return
+    span = span_of(reader, options)
+    refuse_outside(reader, span.start_ns, span.stop_ns)
+    start_ns, stop_ns = span.first_ns, max(reader.summary.start_ns or 0, reader.summary.end_ns or 0) + 1
+    if span.stop_ns is not None:
+        stop_ns = min(stop_ns, span.stop_ns)
+    if start_ns >= stop_ns:
+        return
+
+    def first_messages(own: Sequence[Connection]) -> Iterator[RawMessage]:
+        spread = spread_over(own, count, start_ns, stop_ns)
+        if spread is None:
+            yield from reader.messages(own, start_ns, stop_ns)
+            return
+        for part in range(spread.parts):
+            yield from islice(reader.messages(own, spread.begin_ns(part), spread.begin_ns(part + 1)), 1)
+
+    yield from heapq.merge(*map(first_messages, topics.values()), key=attrgetter("log_time_ns"))
+
+
+def spread_over(connections: Sequence[Connection], samples: int, start_ns: int, stop_ns: int) -> Spread | None:
+    """Return the parts of a time for so many samples of connections; None if they have no more messages."""
+    counts = [each.message_count for each in connections]
+    messages = None if None in counts else sum(each or 0 for each in counts)
+    return Spread.of(start_ns, stop_ns, samples, messages)
 
 
 def take_shots(
-    recording: ShownRecording,
+    reader: Reader,
     options: ConvertOptions,
-    count: int,
+    asked: Options,
+    stack: ExitStack,
+    warn: Warn | None,
     *,
     level: bool,
     keep: Callable[[Shot], Shot] = lambda shot: shot,
@@ -115,12 +230,16 @@ def take_shots(
 
     Parameters
     ----------
-    recording
-        The recording, and the moments.
+    reader
+        The recording.
     options
         The options of the conversion.
-    count
-        As for `chosen_messages`.
+    asked
+        The options of the call: how many clouds, or at which moments.
+    stack
+        Closes the recordings of ``tf_from``.
+    warn
+        Called with each warning of a preparation as soon as it is known; None: nobody waits for them.
     level
         Whether clouds are placed in the frames of level scans; otherwise they are shown as recorded.
     keep
@@ -135,10 +254,11 @@ def take_shots(
     # Pictures have neither times nor intensities.
     params = replace(options.scan.params, scan_time=0.0, time_increment=0.0, intensity_field="")
     options = options.with_scan(params=params)
-    plan = make_plan(recording.reader.connections, options)
-    reader, notes = corrected_for(recording.reader, plan, options)
-    recording.reader = reader
-    prepared = recording.prepare(plan, options)
+    at_ns, plan = moments_of(reader, asked.at), make_plan(reader.connections, options)
+    reader, notes = corrected_for(reader, plan, options)
+    warnings: list[str] = []
+    tell = partial(tell_early, warnings, warn)
+    prepared = prepare(reader, plan, options, span_of(reader, options), stack, tell, transform_frames=())
     conversion = prepared.conversions[options.scan, ""]
     assert isinstance(conversion, CloudToScan)
     topics = by_topic(plan.converted)
@@ -146,7 +266,7 @@ def take_shots(
     shots: list[Shot] = []
     samples: dict[str, list[CloudSample]] = {topic: [] for topic in topics}
     failed: list[str] = []
-    for message in chosen_messages(recording, topics, options, count):
+    for message in chosen_messages(reader, topics, options, at_ns, asked.clouds):
         topic = message.connection.topic
         try:
             # No name refers to the whole cloud, which would stay in memory while the next one is read.
@@ -157,7 +277,6 @@ def take_shots(
     if not shots:
         why = f"no cloud can be shown; {failed[0]}" if failed else f"no clouds on {', '.join(topics)}"
         raise RecordingError(why, path=reader.path)
-    warnings = recording.warnings
     with np.errstate(all="ignore"):
         for topic, own in samples.items():
             for group, clouds in ((_OF_ONE, own[:1]), (_OF_SEVERAL, own)):
@@ -167,7 +286,8 @@ def take_shots(
         warnings.append(f"Not shown: {len(failed)} of {counted(len(failed) + len(shots), 'cloud')}; {failed[0]}.")
     measured = next((each for topic in topics if (each := conversion.measurements.get(topic))), Measurements(0.0))
     notes += prepared.notes
-    return Shots(shots, measured.resolve(conversion.spec.params), prepared.transforms, notes, warnings)
+    resolved, damage = measured.resolve(conversion.spec.params), damage_of(reader, *prepared.others)
+    return Shots(shots, resolved, prepared.transforms, notes, warnings, damage)
 
 
 def _shot(message: RawMessage, conversion: CloudToScan, placer: Placer, samples: list[CloudSample]) -> Shot:

@@ -1,4 +1,4 @@
-"""The frames of a recording: their parents, times and rates."""
+"""The frames of a recording: their parents, times and rates. Their names, and those of topics, for the shell."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from typing import TYPE_CHECKING, ClassVar
 from pc2scan.arguments import value_and_type
 from pc2scan.bags.opening import open_recordings
 from pc2scan.errors import TransformError, leading, stamp_text
+from pc2scan.messages.tfmessage import decode_transforms
 from pc2scan.result import Part, Result
 from pc2scan.tables import Table
 from pc2scan.text import count
 from pc2scan.transforms.placing import FrameOptions
-from pc2scan.transforms.reading import read_transforms
+from pc2scan.transforms.reading import read_transforms, tf_connections
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
     from pc2scan.bags.damage import Damage
@@ -201,3 +202,22 @@ def frame_tree(sources: Sequence[Path], options: FrameOptions | None = None) -> 
         damage = tuple(damage for reader in readers for damage in reader.damage)
     buffer, warnings = transforms.buffer, (*transforms.warnings, *transforms.notes)
     return FrameTree(buffer.infos, buffer.trees, buffer, warnings, damage)
+
+
+def topics_in(paths: Iterable[Path], endings: tuple[str, ...] = ()) -> Iterator[str]:
+    """Yield the topics of recordings, of types with these endings, or of any type."""
+    with ExitStack() as stack:
+        for reader in open_recordings(paths, stack):
+            for connection in reader.connections:
+                if not endings or connection.ros_type.endswith(endings):
+                    yield connection.topic
+
+
+def frames_in(paths: Iterable[Path], tf_topics: Sequence[str] = ()) -> Iterator[str]:
+    """Yield the frames of the transforms in recordings, as they are read, each as often as it occurs."""
+    with ExitStack() as stack:
+        for reader in open_recordings(paths, stack):
+            for message in reader.messages(tf_connections(reader.connections, tf_topics)):
+                for parent, child, *_ in decode_transforms(message.data, message.connection.serialization):
+                    yield parent
+                    yield child

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from html import escape
 from typing import TYPE_CHECKING, ClassVar
 
-from pc2scan.conversion.corrections import corrected
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import Pc2ScanError, UsageError, leading
 from pc2scan.files.ownership import inputs_of, refuse_overlap
@@ -19,12 +18,9 @@ from pc2scan.result import Part, Result
 from pc2scan.text import size
 from pc2scan.transforms.static import added_transforms
 
-from .check import check, scan_connections
-from .clouds import clouds_page
-from .html import BEGINNING, check_page_name, html
 from .info import info_of
-from .recording import moment_text, open_recording, title_of
-from .scans import findings, scans_page
+from .pages import BEGINNING, check_page_name, clouds_page, html, scans_page
+from .shots import moment_text, open_recording, title_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -35,9 +31,6 @@ if TYPE_CHECKING:
     from pc2scan.request.options import ConvertOptions
     from pc2scan.requests import Warn
 
-
-#: Options that the check of scans has, too.
-_OF_CHECK = {"tf_topics", "tf_from", "odom_topic", "trajectory", "trajectory_frames", "urdf"}
 
 #: Clouds and scans of a topic on one page. They share its size.
 _MOST_CLOUDS = 1_000
@@ -123,32 +116,24 @@ def _page(sources: Sequence[Path], options: ConvertOptions, asked: Options, warn
     """Make a page of a recording: of its clouds and their projection, or of its scans if it has no clouds."""
     if not 1 <= asked.clouds <= _MOST_CLOUDS:
         raise UsageError(f"`clouds` is {asked.clouds:,}, it must be from 1 to {_MOST_CLOUDS:,}")
-    with open_recording(sources, options, warn, asked.at) as recording:
-        reader = recording.reader
+    with open_recording(sources, options) as (reader, stack):
         if any(connection.ros_type in CLOUDS for connection in reader.connections) and not options.scan.reverse:
             # The node's heights are part of its parameters, also where a file of these does not have them.
             is_given = bool(asked.given.keys() & {"params", "params_file", "param", "scans"})
             shown = options if is_given else _as_proposed(reader, options)
-            described, blobs = clouds_page(sources, recording, asked, shown)
+            described, blobs, damage = clouds_page(sources, reader, asked, shown, stack, warn)
             if shown is not options:
                 params = shown.scan.params
                 where = f"in frame {params.target_frame!r}" if params.target_frame else "in the frame of the clouds"
                 heights = f"{params.min_height:g} to {params.max_height:g} m {where}"
                 described["notes"].insert(0, f"The page opens with the heights that pc2scan info proposes: {heights}.")
         else:
-            names = [each.source for each in options.scan.topics]
-            topics, buffer = scan_connections(reader, names), recording.transforms().buffer
-            if options.clock:
-                own = [each for connections in topics.values() for each in connections]
-                recording.reader, _ = corrected(reader, own, options.clock, options.frames.tf_topics)
-            described, blobs = scans_page(recording, topics, buffer, options, asked.clouds)
-            known = {"topics": names, **asked.among(_OF_CHECK)}
-            described["findings"] = findings(check(sources, Options("check", known)))
+            described, blobs, damage = scans_page(sources, reader, asked, options, stack)
         notes, warnings = described["notes"], [*options.notes, *described.pop("warnings")]
         # The page shows both.
         described["notes"] = [*notes, *warnings]
         described |= {"title": title_of(sources), "subtitle": _subtitle(reader)}
-        return Page(html(described, blobs), tuple(notes), tuple(warnings), recording.damage)
+        return Page(html(described, blobs), tuple(notes), tuple(warnings), damage)
 
 
 def _as_proposed(reader: Reader, options: ConvertOptions) -> ConvertOptions:

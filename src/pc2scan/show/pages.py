@@ -1,0 +1,446 @@
+"""The page of a recording as one HTML file: of its clouds and the parameters that can be changed, or of its scans.
+
+A page that is opened from the disk cannot load modules. So the modules of ``page/`` become one script, in which each
+module is a function that returns its exports, called once, after the modules that it imports.
+
+A recording is untrusted. So its data are never part of the markup or the script, only JSON in which ``<`` is escaped,
+and base64. The page's content security policy allows this script and this style by their digests, and no requests.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import math
+import re
+import zlib
+from collections.abc import Mapping
+from dataclasses import fields
+from functools import partial
+from importlib.resources import files
+from itertools import zip_longest
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pc2scan.conversion.corrections import corrected, corrected_transforms
+from pc2scan.core.params import ProjectionParams
+from pc2scan.core.presets import PRESETS
+from pc2scan.errors import MessageError, RecordingError, TransformError, UsageError, stamp_text, visible
+from pc2scan.messages.clouds import CLOUDS, SCANS
+from pc2scan.options.call import Options, call_words
+from pc2scan.options.table import PARAMETERS
+from pc2scan.result import Call
+from pc2scan.text import counted
+
+from .check import check, scan_connections
+from .shots import chosen_messages, damage_of, moment_text, moments_of, take_shots
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from contextlib import ExitStack
+    from importlib.resources.abc import Traversable
+    from pathlib import Path
+    from typing import TypeAlias
+
+    from numpy.typing import NDArray
+
+    from pc2scan.bags.damage import Damage
+    from pc2scan.bags.reader import Reader
+    from pc2scan.messages.laserscan import LaserScan
+    from pc2scan.model import RawMessage
+    from pc2scan.request.options import ConvertOptions
+    from pc2scan.requests import Warn
+    from pc2scan.transforms.buffer import TransformBuffer
+
+    from .check import Check
+    from .shots import Shot
+
+    #: A page as `html` takes it, description and blobs; and the damage in what was read.
+    Described: TypeAlias = tuple[dict[str, Any], dict[str, bytes], tuple[Damage, ...]]
+
+#: The first bytes of every page; a file that begins like this may be replaced by another page.
+BEGINNING = b"<!doctype html>\n<!-- pc2scan view -->\n"
+
+_IMPORT = re.compile(r'^import (?P<names>\{[^}]*\}) from "\./(?P<module>\w+)\.mjs";$', re.MULTILINE)
+_EXPORT = re.compile(r"^export (?=(?:async )?(?:function|const|let|class) (?P<name>\w+))", re.MULTILINE)
+
+#: The level of compression; higher ones take longer and gain almost nothing for measured values.
+_LEVEL = 6
+
+#: How many points a page has, in all clouds together: some 10 MB, and as text in the page a third more.
+_MOST_POINTS = 1_500_000
+
+#: Maximum number of frames that are shown.
+_MOST_FRAMES = 60
+
+#: Parameters that do not change the ranges, so the page does not have them.
+_NOT_SHOWN = {"target_frame", "transform_tolerance", "scan_time", "queue_size", "time_increment"}
+_SHOWN = tuple(spec.name for spec in fields(ProjectionParams) if spec.name not in _NOT_SHOWN)
+
+#: Options of the call that the page's command does not have as they are: those of pages, objects, and where parameters
+#: come from, which the page adds one by one.
+_OF_PAGES = {
+    *("clouds", "at", "overwrite", "filters", "static_tf", "start", "end", "remap", *PARAMETERS),
+    *("preset", "params", "params_file", "node", "launch_args", "param"),
+}
+
+#: The pose of a scan that is shown in its own frame.
+_HERE = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+
+#: Options that the check of scans has, too.
+_OF_CHECK = {"tf_topics", "tf_from", "odom_topic", "trajectory", "trajectory_frames", "urdf"}
+
+
+def check_page_name(path: Path) -> None:
+    """Raise if browsers would not open a file of this name as a page.
+
+    Raises
+    ------
+    UsageError
+        If the suffix is not that of HTML.
+    """
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise UsageError("is not the name of a page", path=path, hint="pages are *.html; pc2scan plot draws figures")
+
+
+def html(description: Mapping[str, Any], blobs: dict[str, bytes]) -> str:
+    """Return the page.
+
+    Parameters
+    ----------
+    description
+        The data that `page/main.mjs` reads as JSON.
+    blobs
+        Binary data by the ids that the description uses; emptied, because they take as much memory as the page.
+    """
+    code, css = script(), style()
+    own = f"script-src {_digest(code)}; style-src {_digest(css)}"
+    policy = f"default-src 'none'; {own}; img-src data:; base-uri 'none'; form-action 'none'"
+    parts = {
+        'content="policy"': [f'content="{policy}"'],
+        "<!-- style -->": [f"<style>{css}</style>"],
+        "<!-- script -->": [f"<script>{code}</script>"],
+        "<!-- data -->": _data(description, blobs),
+    }
+    pieces = re.split(f"({'|'.join(map(re.escape, parts))})", (_folder() / "index.html").read_text("utf-8"))
+    return "".join(text for piece in pieces for text in parts.get(piece, [piece]))
+
+
+def script() -> str:
+    """Return the modules of the page as one script."""
+    modules: dict[str, str] = {}
+    _collect("main", modules)
+    return '"use strict";\n' + "".join(modules.values())
+
+
+def style() -> str:
+    """Return the style sheet of the page."""
+    return (_folder() / "style.css").read_text("utf-8")
+
+
+def _collect(name: str, modules: dict[str, str]) -> None:
+    """Add a module after those that it imports."""
+    if name in modules:
+        return
+    text = (_folder() / f"{name}.mjs").read_text("utf-8")
+    for match in _IMPORT.finditer(text):
+        _collect(match["module"], modules)
+    exports = ", ".join(match["name"] for match in _EXPORT.finditer(text))
+    body = _EXPORT.sub("", _IMPORT.sub(r"const \g<names> = module_\g<module>;", text))
+    modules[name] = f"const module_{name} = (() => {{\n{body}return {{ {exports} }};\n}})();\n"
+
+
+def _data(description: Mapping[str, Any], blobs: dict[str, bytes]) -> Iterator[str]:
+    text = json.dumps(_visible(description), allow_nan=False, ensure_ascii=True).replace("<", "\\u003c")
+    yield f'<script type="application/json" id="recording">{text}</script>'
+    for name in list(blobs):
+        yield f'\n<script type="text/plain" id="{name}">{base64.b64encode(blobs.pop(name)).decode()}</script>'
+
+
+def _visible(value: Any) -> Any:
+    """Return JSON's types with all names as safe text: browsers obey marks of direction."""
+    if isinstance(value, str):
+        return visible(value, None)
+    if isinstance(value, Mapping):
+        return {visible(key, None): _visible(each) for key, each in value.items()}
+    return [_visible(each) for each in value] if isinstance(value, list | tuple) else value
+
+
+def _digest(text: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+
+
+def _folder() -> Traversable:
+    return files("pc2scan.show") / "page"
+
+
+def compressed(blobs: dict[str, bytes], columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    """Add compressed arrays of one length to the blobs of a page, and return its description of them.
+
+    The first bytes of all values of a field come first, then their second bytes, and so on. Exponents and leading
+    digits are similar, so measured floats compress a quarter better like this.
+    """
+    name, compressor = f"data-{len(blobs)}", zlib.compressobj(_LEVEL, zlib.DEFLATED, -zlib.MAX_WBITS)
+    parts = []
+    for column in columns.values():
+        values = np.ascontiguousarray(column, column.dtype.newbyteorder("<"))
+        parts.append(compressor.compress(values.view(np.uint8).reshape(-1, values.itemsize).T.tobytes()))
+    blobs[name] = b"".join((*parts, compressor.flush()))
+    fields = [{"name": field, "type": column.dtype.str[1:]} for field, column in columns.items()]
+    return {"id": name, "length": len(next(iter(columns.values()))), "fields": fields}
+
+
+def clouds_page(
+    sources: Sequence[Path],
+    reader: Reader,
+    asked: Options,
+    options: ConvertOptions,
+    stack: ExitStack,
+    warn: Warn | None,
+) -> Described:
+    """Describe a page of clouds.
+
+    Parameters
+    ----------
+    sources
+        The recordings as they were given, for the command that the page shows.
+    reader
+        The recording.
+    asked
+        The options of the call.
+    options
+        The options of the conversion.
+    stack, warn
+        As for `take_shots`.
+    """
+    scan, preset = options.scan, asked.preset or ""
+    topics: dict[str, list[dict[str, Any]]] = {}
+    blobs: dict[str, bytes] = {}
+    count = max(1, len({each.topic for each in reader.connections if each.ros_type in CLOUDS}))
+    most = _MOST_POINTS // (count * (len(asked.at) or asked.clouds))
+    taken = take_shots(reader, options, asked, stack, warn, level=False, keep=partial(_packed, blobs, max(1, most)))
+    for shot in taken.shots:
+        topics.setdefault(shot.topic, []).append(_shot_as_dict(shot, taken.transforms))
+    notes = {
+        "Clouds are deskewed, as if all points had been measured at the scan's time.": scan.deskew,
+        "Clouds are shown as recorded; only a conversion makes scans level.": scan.level,
+        f"To keep this page small, at most {most:,} points of a cloud are shown and projected.": any(
+            shot.page["total"] > shot.page["data"]["length"] for shot in taken.shots
+        ),
+        "Filters were applied when this page was made: no slider changes which points they reject.": scan.filters,
+        "Beams that `remove` removes from the scans are still shown here.": scan.remove,
+    }
+    told = [*taken.notes, *(text for text, applies in notes.items() if applies)]
+    description = {
+        "kind": "clouds",
+        "notes": told,
+        "warnings": taken.warnings,
+        "params": _shown(taken.params),
+        "base": _shown(ProjectionParams(**PRESETS[preset]) if preset else ProjectionParams()),  # type: ignore[arg-type]
+        "defaults": _shown(ProjectionParams()),
+        "presets": {name: {k: v for k, v in values.items() if k in _SHOWN} for name, values in PRESETS.items()},
+        "preset": preset,
+        "parameters": {
+            name: {"help": PARAMETERS[name].help.replace("`", ""), "choices": _choices(PARAMETERS[name].value.words)}
+            for name in _SHOWN
+        },
+        "command": call_words(Call("convert", tuple(map(str, sources)), _command_options(asked, options))),
+        "targetFrame": scan.params.target_frame,
+        "topics": [{"topic": topic, "clouds": clouds} for topic, clouds in topics.items()],
+    }
+    return description, blobs, taken.damage
+
+
+def _choices(words: Sequence[str]) -> list[str]:
+    """Return the words that a parameter may be, with some of ``kth=N``."""
+    return [word.replace("N", number) for word in words for number in ("23" if word == "kth=N" else "N")]
+
+
+def _command_options(asked: Options, options: ConvertOptions) -> dict[str, Any]:
+    """Return the options that convert the same points of the same topics in the same frames.
+
+    Parameters of the projection are not included, because the page adds them.
+    """
+    given = {name: value for name, value in asked.given.items() if name not in _OF_PAGES}
+    for name in ("start", "end"):
+        if (bound := getattr(asked, name)) is not None:
+            given[name] = f"{'@' if bound.absolute else ''}{stamp_text(bound.nanoseconds)}"
+    # A scans file names its topics.
+    named = () if "scans" in given else options.scan.topics
+    topics = tuple(each.source + (f":={each.target}" if each.target else "") for each in named)
+    static = tuple(
+        f"{each.parent} {each.child} {' '.join(map(repr, each.parent_from_child.pose))}"
+        for each in options.frames.static
+    )
+    given = {"destination": "scans.mcap", **given, "topics": topics, "static_tf": static}
+    return {name: value for name, value in given.items() if value}
+
+
+def _packed(blobs: dict[str, bytes], most: int, shot: Shot) -> Shot:
+    """Add the points of a cloud, at most so many, to a page; return the cloud with what the page knows of them."""
+    total = shot.columns["x"].size
+    step = -(-total // most) or 1
+    page: dict[str, Any] = {"total": total, "filtered": None}
+    page["data"] = compressed(blobs, {name: column[::step] for name, column in shot.columns.items()})
+    if shot.filtered is not None:
+        page["filtered"] = compressed(blobs, {"filtered": shot.filtered[::step]})
+    return shot._replace(columns={}, filtered=None, page=page)
+
+
+def _shown(params: ProjectionParams) -> dict[str, float | bool | str]:
+    """Return the parameters that the page has. Infinity is text, because JSON has no infinite numbers."""
+    values = {name: getattr(params, name) for name in _SHOWN}
+    if params.beams == "auto":
+        values["beams"] = 0
+    return {name: str(v) if isinstance(v, float) and math.isinf(v) else v for name, v in values.items()}
+
+
+def _shot_as_dict(shot: Shot, buffer: TransformBuffer | None) -> dict[str, Any]:
+    frame_id, rigid, _ = shot.place
+    pose = (0.0,) * 6 if rigid is None else (*rigid.translation.tolist(), *rigid.rpy)
+    return {
+        "moment": shot.moment,
+        "frame": shot.frame,
+        "targetFrame": frame_id,
+        "transform": None
+        if rigid is None
+        else {"quaternion": rigid.quaternion.tolist(), "translation": rigid.translation.tolist()},
+        "mount": dict(zip(("x", "y", "z", "roll", "pitch", "yaw"), pose, strict=True)),
+        "frames": [] if buffer is None else list(_origins(buffer, frame_id, shot.stamp_ns)),
+        **shot.page,
+    }
+
+
+def _origins(buffer: TransformBuffer, target: str, stamp_ns: int) -> Iterator[dict[str, Any]]:
+    """Yield the positions of other frames in the scan's frame."""
+    for name in buffer.frames[:_MOST_FRAMES]:
+        if name.removeprefix("/") == target.removeprefix("/"):
+            continue
+        try:
+            x, y, z = buffer.lookup(target, name, stamp_ns).translation.tolist()
+        except TransformError:
+            continue
+        if math.isfinite(x + y + z):
+            yield {"name": name, "x": x, "y": y, "z": z}
+
+
+def scans_page(
+    sources: Sequence[Path], reader: Reader, asked: Options, options: ConvertOptions, stack: ExitStack
+) -> Described:
+    """Describe a page of scans: the moments of the first topic, each with the next scan of every other topic.
+
+    Scans are shown in the target frame or, without one, in the first topic's frame, as far as transforms connect them.
+
+    Parameters
+    ----------
+    sources
+        The recordings, for their check.
+    reader
+        The recording.
+    asked
+        The options of the call.
+    options
+        The options of a conversion, of which the target frame, ``start`` and ``end`` are used.
+    stack
+        Closes the recordings of ``tf_from``.
+
+    Raises
+    ------
+    RecordingError
+        If no scan can be shown.
+    """
+    names = [each.source for each in options.scan.topics]
+    at_ns, topics = moments_of(reader, asked.at), scan_connections(reader, names)
+    transforms, others = corrected_transforms(reader, options, stack, ())
+    if options.clock:
+        own = [each for connections in topics.values() for each in connections]
+        reader, _ = corrected(reader, own, options.clock, options.frames.tf_topics)
+    taken: dict[str, list[RawMessage]] = {topic: [] for topic in topics}
+    for message in chosen_messages(reader, topics, options, at_ns, asked.clouds):
+        taken[message.connection.topic].append(message)
+    blobs: dict[str, bytes] = {}
+    moments = []
+    failed: list[str] = []
+    for together in zip_longest(*taken.values()):
+        layers: list[dict[str, Any]] = []
+        moment, common = "", options.scan.params.target_frame
+        for number, message in enumerate(together):
+            if message is None:
+                continue
+            topic, kind = message.connection.topic, message.connection.ros_type
+            try:
+                scan = SCANS[kind](message.connection.serialization, "first")(message.data)
+            except MessageError as err:
+                failed.append(f"{topic} at {moment_text(message.log_time_ns)}: {err.message}")
+                continue
+            common = common or scan.frame_id
+            pose = _pose(transforms.buffer, common, scan.frame_id, scan.stamp_ns)
+            where = scan.frame_id if pose is not None else f"{scan.frame_id}, not connected to {common}"
+            moment = moment or moment_text(scan.stamp_ns or message.log_time_ns)
+            layers.append(_layer(f"{topic} ({where})", number, scan, blobs, pose or _HERE))
+        if layers:
+            moments.append({"moment": moment, "frame": common, "layers": layers})
+    if not moments:
+        why = f"no scan can be shown; {failed[0]}" if failed else f"no scans on {', '.join(topics)}"
+        raise RecordingError(why, path=reader.path)
+    warnings = [f"Not shown: {counted(len(failed), 'scan')}; {failed[0]}."] if failed else []
+    checked = _findings(check(sources, Options("check", {"topics": names, **asked.among(_OF_CHECK)})))
+    description = {"kind": "scans", "notes": [], "warnings": warnings, "moments": moments, "findings": checked}
+    return description, blobs, damage_of(reader, *others)
+
+
+def _pose(buffer: TransformBuffer, target: str, source: str, stamp_ns: int) -> list[float] | None:
+    """Return the 2 x 3 matrix that maps x, y and 1 in the scan's frame to x and y in another frame, row by row.
+
+    None if there is no transform.
+    """
+    if target.removeprefix("/") == source.removeprefix("/"):
+        return _HERE
+    try:
+        rigid = buffer.lookup(target, source, stamp_ns)
+    except TransformError:
+        return None
+    (a, b, _), (c, d, _), _ = rigid.matrix.tolist()
+    x, y, _ = rigid.translation.tolist()
+    return [a, b, x, c, d, y]
+
+
+def _layer(name: str, colour: int, scan: LaserScan, blobs: dict[str, bytes], pose: Sequence[float]) -> dict[str, Any]:
+    """Describe a scan, and add its arrays to the page's blobs."""
+    columns = {"ranges": scan.ranges.astype("<f4")}
+    if len(scan.intensities) == len(scan.ranges) > 0:
+        columns["intensities"] = scan.intensities.astype("<f4")
+    return {
+        "name": name,
+        "colour": colour,
+        "angleMin": _finite(scan.angle_min),
+        "increment": _finite(scan.angle_increment),
+        "pose": list(pose),
+        "rangeMin": _finite(scan.range_min),
+        "rangeMax": _finite(scan.range_max, math.inf),
+        "data": compressed(blobs, columns),
+    }
+
+
+def _findings(checked: Check) -> list[dict[str, Any]]:
+    """Return the results of `pc2scan check` for each topic."""
+    sections = []
+    for topic in checked.topics:
+        lines = [
+            {"text": f"{consumer.consumer}: {consumer.outcome}", "wrong": consumer.outcome != "accepted"}
+            for consumer in topic.consumers
+        ]
+        lines += [
+            {"text": f"{entry.level}: {entry.text}", "wrong": entry.level == "defect"} for entry in topic.findings
+        ]
+        sections.append({"heading": f"pc2scan check: {topic.topic}", "lines": lines})
+    return sections
+
+
+def _finite(value: float, largest: float = 0.0) -> float:
+    """Replace infinity, which JSON does not have, by the largest float64."""
+    if math.isfinite(value):
+        return float(value)
+    return math.copysign(1.7976931348623157e308, value) if largest and not math.isnan(value) else 0.0
