@@ -11,7 +11,7 @@ import pytest
 
 import pc2scan
 from pc2scan.errors import Pc2ScanError
-from pc2scan.files import store
+from pc2scan.files import urls
 from support import ROOT
 from support.command import run, run_process
 from support.stores import memory_store, s3_server, web_server
@@ -157,7 +157,7 @@ def test_a_web_server_is_read_only(web: str, tmp_path: Path) -> None:
 def test_a_web_server_that_fails_leaves_nothing(
     kind: str, status: int, message: str, web: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(store, "SLOWEST_SECONDS", 2)
+    monkeypatch.setattr(urls, "SLOWEST_SECONDS", 2)
     out, report = tmp_path / "x.bag", tmp_path / "report.json"
     done = run("convert", f"http://me:secret@{web}/{kind}/hall.bag?token=geheim", "-o", out, "--report", report)
     assert (done.status, json.loads(report.read_text())["exit_status"]) == (status, status), done

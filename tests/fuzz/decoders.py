@@ -25,7 +25,7 @@ from pc2scan.compare.scan_text import open_scan_text, render_scans
 from pc2scan.conversion.cloud_to_scan import CloudToScan
 from pc2scan.conversion.steps import decoder_of, serialised
 from pc2scan.errors import Pc2ScanError
-from pc2scan.files.salvage import decompressed_prefix
+from pc2scan.files.compression import decompressed_prefix
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import decode_laserscan, encode_laserscan
 from pc2scan.messages.multi_echo import decode_multi_echo

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import DestinationError
-from pc2scan.files.places import LEFTOVERS
+from pc2scan.files.ownership import LEFTOVERS
 
 from . import zstd
 from .formats import FORMATS, Format, destinations

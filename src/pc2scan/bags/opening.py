@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import MissingError, RecordingError
 from pc2scan.files.compression import ZSTD_MAGIC, CompressionError, zstd_head
-from pc2scan.files.places import missing_hint
-from pc2scan.files.source import LFS_HINT, LFS_POINTER, open_bytes
-from pc2scan.files.transfers import fetched
-from pc2scan.files.urls import UrlPath
+from pc2scan.files.source import LFS_HINT, LFS_POINTER, missing_hint, open_bytes
+from pc2scan.files.urls import UrlPath, fetched
 
 from . import zstd
 from .folders import is_rosbag2, recordings_in, several_recordings

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.bags.opening import open_recording
 from pc2scan.errors import TopicError, UsageError, name_list
-from pc2scan.files.transfers import fetched
+from pc2scan.files.urls import fetched
 from pc2scan.messages.schema import canonical_type
 from pc2scan.progress import Meter
 from pc2scan.text import did_you_mean

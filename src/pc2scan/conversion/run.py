@@ -33,9 +33,8 @@ from pc2scan.errors import (
     UsageError,
 )
 from pc2scan.files.ownership import inputs_of, refuse_overlap
-from pc2scan.files.places import output_folder
 from pc2scan.files.source import changed_while_read, state_of
-from pc2scan.files.staging import check_destination, files_output, staged_output
+from pc2scan.files.staging import check_destination, files_output, output_folder, staged_output
 from pc2scan.files.system import copying_to
 from pc2scan.files.urls import UrlPath, exists
 from pc2scan.progress import Meter

@@ -17,10 +17,9 @@ from pc2scan.bags.formats import FORMATS
 from pc2scan.bags.opening import open_recordings, sniff
 from pc2scan.bags.zstd import without_suffix
 from pc2scan.errors import Pc2ScanError, RecordingError, UsageError
-from pc2scan.files.places import working_names
+from pc2scan.files.ownership import working_names
 from pc2scan.files.source import open_bytes
-from pc2scan.files.transfers import fetched
-from pc2scan.files.urls import UrlPath, absolute, exists, is_dir, is_file, local_path, path_or_url
+from pc2scan.files.urls import UrlPath, absolute, exists, fetched, is_dir, is_file, local_path, path_or_url
 
 from .manifest import Identity, identity_of
 

@@ -11,8 +11,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, OutputError
-from pc2scan.files.places import check_new_folder, output_folder
-from pc2scan.files.staging import only_run
+from pc2scan.files.staging import check_new_folder, only_run, output_folder
 from pc2scan.files.system import sync_directory
 from pc2scan.files.urls import UrlPath
 

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.destinations import default_destination
 from pc2scan.errors import DestinationError, name_list
-from pc2scan.files.ownership import Inputs, first_link, name_key
-from pc2scan.files.places import working_names
+from pc2scan.files.ownership import Inputs, first_link, name_key, working_names
 from pc2scan.files.urls import absolute
 from pc2scan.version import __version__
 

@@ -15,8 +15,7 @@ from pc2scan.errors import DestinationError, DiskFullError, OutputError, UsageEr
 from pc2scan.files.ownership import InputPath, inputs_of
 from pc2scan.files.staging import check_destination, files_output
 from pc2scan.files.system import copying_to, is_full
-from pc2scan.files.transfers import refuse_without_room
-from pc2scan.files.urls import UrlPath, absolute
+from pc2scan.files.urls import UrlPath, absolute, refuse_without_room
 from pc2scan.result import BEGINNING
 from pc2scan.threads import cores
 

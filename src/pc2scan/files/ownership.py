@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from pc2scan.errors import DestinationError, OutputError, name_list
 
 from .compression import crc32
-from .places import working_names
+from .system import files_below
 from .urls import UrlPath, exists, is_dir
 
 if TYPE_CHECKING:
@@ -37,6 +37,22 @@ if TYPE_CHECKING:
 
 #: Endings of the files that SQLite reads beside a database.
 _LOGS = ("-wal", "-journal", "-shm")
+
+
+PARTIAL = ".pc2scan-partial"
+OLD = ".pc2scan-old"
+LOCK = f"{PARTIAL}.lock"
+
+#: Endings of the files that a killed run leaves beside its destination.
+LEFTOVERS = (PARTIAL, OLD)
+
+
+def working_names(dst: Path) -> tuple[Path, ...]:
+    """Return the paths beside a destination that a run creates, renames and removes while it writes it.
+
+    No input may have one of them.
+    """
+    return tuple(dst.with_name(dst.name + ending) for ending in (PARTIAL, OLD, LOCK)) if dst.name else ()
 
 
 # --- Records of what was written ---
@@ -116,20 +132,6 @@ def _crc_of(path: Path) -> int:
         while piece := file.read(_PIECE_BYTES):
             value = crc32(piece, value)
     return value
-
-
-def files_below(folder: Path, below: str = "") -> Iterator[str]:
-    """Yield everything in a folder that is not a folder itself, and folders that are empty, as relative paths."""
-    with os.scandir(folder) as entries:
-        listed = list(entries)
-    if not listed and below:
-        yield below
-    for entry in listed:
-        name = f"{below}/{entry.name}" if below else entry.name
-        if entry.is_dir(follow_symlinks=False):
-            yield from files_below(folder / entry.name, name)
-        else:
-            yield name
 
 
 # --- What may be replaced ---

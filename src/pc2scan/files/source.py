@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, TypeVar
 from weakref import ref
 
 from pc2scan.errors import RecordingError, UsageError
+from pc2scan.text import nearest
 
 from .system import BINARY, read_at
-from .transfers import fetched
-from .urls import UrlPath
+from .urls import UrlPath, fetched
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -265,3 +265,22 @@ class SourceFile:
         if done < length:
             message = f"ended at byte {offset + done} while it was read; it had {self.size} bytes when opened"
             raise self.error(message, "wait until the recording is complete")
+
+
+# --- Paths that do not exist ---
+
+
+def missing_hint(path: Path) -> str | None:
+    """Return a hint for a path that does not exist: the target of a broken link, or a similar name; else None."""
+    if str(path) == "-":
+        return "recordings cannot be read from a pipe; save it as a file first"
+    # Not Path.is_symlink: the name may be too long.
+    if os.path.islink(path):  # noqa: PTH114
+        return f"it is a link to {path.readlink()}, which does not exist"
+    try:
+        names = sorted(name for name in os.listdir(path.parent) if not name.startswith("."))  # noqa: PTH208  # faster
+    except OSError:
+        return None
+    # The name without its suffix, or the partial file of an interrupted run.
+    similar = next((name for name in names if name.startswith(f"{path.name}.")), None) or nearest(path.name, names)
+    return None if similar is None else f"did you mean {path.parent / similar}?"

@@ -7,15 +7,14 @@ import stat
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, OutputError
 
-from .ownership import check_existing, files_below
-from .places import LOCK, OLD, PARTIAL, check_new_folder, check_place, private_folder
-from .system import lock_descriptor, remove, sync_directory
-from .transfers import upload
-from .urls import UrlPath
+from .ownership import LOCK, OLD, PARTIAL, check_existing
+from .system import files_below, lock_descriptor, private_folder, remove, sync_directory
+from .urls import UrlPath, is_dir, upload
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -117,7 +116,7 @@ def check_destination(
 ) -> None:
     """Raise what `staged_output` would raise at its beginning, as far as that is known without writing anything.
 
-    ``folder`` is the folder of ``dst``, if it will be made; see `pc2scan.files.places.output_folder`.
+    ``folder`` is the folder of ``dst``, if it will be made; see `output_folder`.
     """
     if folder is not None and not isinstance(dst, UrlPath) and not folder.is_dir():
         check_new_folder(folder)
@@ -233,3 +232,68 @@ def _acquire(lock: Path) -> int:
             raise
         # The run that held the lock has removed the file between opening and locking it here.
         os.close(descriptor)
+
+
+# --- Where a destination can be written ---
+
+
+def check_place(dst: Path) -> None:
+    """Raise if no file with this name can be written."""
+    if str(dst) == "-":
+        raise DestinationError("it is not written to standard output", hint="choose a name: `-` would be a file's name")
+    if isinstance(dst, UrlPath):
+        if dst.is_read_only:
+            hint = f"give a destination: `destination={dst.name}`"
+            raise DestinationError(f"{dst.scheme}:// can only be read", path=dst, hint=hint)
+        return
+    if dst.name in {"", ".."}:
+        raise DestinationError("is not a name that a recording can have", path=dst)
+    parent = dst.parent
+    if not os.path.lexists(parent):
+        hint = f"create it: mkdir -p {quote(str(parent))}"
+        raise DestinationError("its directory does not exist", path=dst, hint=hint)
+    if not is_dir(parent):
+        raise DestinationError(f"{parent} is not a directory", path=dst)
+    # Links there are not replaced either: /dev/stdout is one.
+    place = os.path.realpath(parent)
+    if place == "/dev" or place.startswith(("/proc/", "/sys/")):
+        raise DestinationError(f"{parent} holds devices, not files", path=dst, hint="give a path in another directory")
+    if not os.access(parent, os.W_OK | os.X_OK):
+        raise OutputError(
+            "its directory is not writable", path=dst, hint="write to another one, or change its permissions"
+        )
+
+
+@contextmanager
+def output_folder(folder: Path) -> Iterator[None]:
+    """Make a folder to write into, if it does not exist; it is removed again if the body fails and leaves it empty.
+
+    Raises
+    ------
+    DestinationError
+        If it is not a folder, or the folder above it does not exist.
+    OutputError
+        If it cannot be made.
+    """
+    # In a store, folders are only a part of names.
+    if isinstance(folder, UrlPath) or folder.is_dir():
+        yield
+        return
+    check_new_folder(folder)
+    try:
+        folder.mkdir()
+    except OSError as err:
+        raise OutputError(f"cannot be made: {err.strerror}", path=folder) from err
+    try:
+        yield
+    except BaseException:
+        with suppress(OSError):
+            folder.rmdir()
+        raise
+
+
+def check_new_folder(folder: Path) -> None:
+    """Raise if no folder of this name can be made."""
+    if os.path.lexists(folder):
+        raise DestinationError("is not a folder", path=folder, hint="choose another name")
+    check_place(folder)

@@ -1,18 +1,22 @@
-"""Hides differences between operating systems: reading at an offset, locks, names, removing, the disk."""
+"""The operating system: reading at an offset, locks, folders, removing, the disk, temporary copies."""
 
 from __future__ import annotations
 
 import errno
 import os
 import shutil
+import tempfile
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from threading import Lock
 from typing import TYPE_CHECKING
 
+from pc2scan.errors import RecordingError
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
+    from tempfile import TemporaryDirectory
 
 #: Windows would translate line ends in files that are opened without it.
 BINARY = getattr(os, "O_BINARY", 0)
@@ -101,3 +105,51 @@ def remove(path: Path) -> None:
         shutil.rmtree(path)
     elif os.path.lexists(path):
         path.unlink()
+
+
+def files_below(folder: Path, below: str = "") -> Iterator[str]:
+    """Yield everything in a folder that is not a folder itself, and folders that are empty, as relative paths."""
+    with os.scandir(folder) as entries:
+        listed = list(entries)
+    if not listed and below:
+        yield below
+    for entry in listed:
+        name = f"{below}/{entry.name}" if below else entry.name
+        if entry.is_dir(follow_symlinks=False):
+            yield from files_below(folder / entry.name, name)
+        else:
+            yield name
+
+
+# --- Temporary copies ---
+
+TEMPORARY_HINT = "free space there, or set the environment variable TMPDIR to another folder"
+
+
+def private_folder(path: Path) -> TemporaryDirectory[str]:
+    """Make a folder for a copy of ``path`` that only this user can enter; ``cleanup`` removes it.
+
+    Raises
+    ------
+    RecordingError
+        If the system has no folder for temporary files.
+    """
+    with copy_errors(path):
+        return tempfile.TemporaryDirectory(prefix="pc2scan-", dir=scratch.get())
+
+
+@contextmanager
+def copy_errors(path: Path, folder: Path | None = None) -> Iterator[None]:
+    """Wrap errors of copying ``path`` to a private folder; they name the folder.
+
+    Raises
+    ------
+    RecordingError
+        If the body cannot read or write.
+    """
+    try:
+        yield
+    except OSError as err:
+        place = "" if folder is None else f" in {folder.parent}"
+        message = f"cannot be copied to a temporary file{place}: {err.strerror}"
+        raise RecordingError(message, path=path, hint=TEMPORARY_HINT) from err

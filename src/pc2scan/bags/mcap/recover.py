@@ -18,7 +18,7 @@ from mcap.opcode import Opcode
 from pc2scan.bags.chunks import Record, Segment, Segments, times_around
 from pc2scan.bags.damage import DamageLog
 from pc2scan.errors import DamageError
-from pc2scan.files.salvage import decompressed_prefix
+from pc2scan.files.compression import decompressed_prefix
 
 from .chunks import CHUNK_HEAD_SIZE, chunk_at, form_of
 from .index import McapIndex, RecordWalk, read_header, read_summary

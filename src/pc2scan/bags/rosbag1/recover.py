@@ -14,7 +14,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.chunks import Record, Segment, Segments, sound_records, times_around
-from pc2scan.files.salvage import decompressed_prefix
+from pc2scan.files.compression import decompressed_prefix
 
 from .index import Connections, chunk_segment, indexed_entries
 from .records import (

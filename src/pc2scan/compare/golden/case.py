@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.compare.rules import Rules
 from pc2scan.errors import UsageError
-from pc2scan.files.places import missing_hint
-from pc2scan.files.source import open_text
+from pc2scan.files.source import missing_hint, open_text
 from pc2scan.files.yaml import MAX_CHARACTERS, load_yaml
 from pc2scan.options.call import Options
 from pc2scan.options.values import count, texts

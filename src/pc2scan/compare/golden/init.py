@@ -11,8 +11,7 @@ from pc2scan.bags.opening import open_recordings
 from pc2scan.bags.topics import find_topics, types_by_topic
 from pc2scan.conversion.run import OutputOptions, run
 from pc2scan.errors import DestinationError, OutputError, ResultError
-from pc2scan.files.places import output_folder
-from pc2scan.files.staging import staged_output
+from pc2scan.files.staging import output_folder, staged_output
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.request.options import ConvertOptions
 
