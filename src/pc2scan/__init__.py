@@ -75,10 +75,10 @@ if TYPE_CHECKING:
     from .show.plot import Plotted as Plotted
     from .show.tf import FrameTree as FrameTree
     from .show.view import Page as Page
-    from .streams.clouds import Cloud as Cloud
-    from .streams.clouds import Clouds as Clouds
-    from .streams.scans import Scan as Scan
-    from .streams.scans import Scans as Scans
+    from .streams.objects import Cloud as Cloud
+    from .streams.objects import Scan as Scan
+    from .streams.stream import Clouds as Clouds
+    from .streams.stream import Scans as Scans
     from .transforms.static import StaticTransform as StaticTransform
 
 #: The public names, by the module that defines them.
@@ -116,8 +116,8 @@ _PUBLIC = {
     "show.plot": ("Plotted",),
     "show.tf": ("FrameTree",),
     "show.view": ("Page",),
-    "streams.clouds": ("Cloud", "Clouds"),
-    "streams.scans": ("Scan", "Scans"),
+    "streams.objects": ("Cloud", "Scan"),
+    "streams.stream": ("Clouds", "Scans"),
     "transforms.static": ("StaticTransform",),
 }
 _HOMES = {name: home for home, names in _PUBLIC.items() for name in names}

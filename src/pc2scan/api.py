@@ -29,8 +29,7 @@ from .show.map import draw_map
 from .show.plot import plot as draw
 from .show.tf import frame_tree
 from .show.view import view as show
-from .streams.clouds import Clouds
-from .streams.scans import Scans
+from .streams.stream import Clouds, Scans
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

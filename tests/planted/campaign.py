@@ -4,9 +4,10 @@ By hand::
 
     PYTHONPATH=tests python tests/planted/campaign.py --count 200 --seed 1 --json planted.json
 
-Of each fault, tests are run until one fails: those named like the module, then all quick ones of its room, then those
-of the command. What only other rooms catch is missed. ``--again planted.json`` plants the faults of an earlier run, as
-far as the source still has them: a fault is found again by its text.
+Beside the extra of tests, it needs coverage, pytest-cov and setuptools. First, the quick tests are run once, to note
+which lines each of them runs. Of each fault, the tests that run its line are run until one fails: those that run the
+fewest lines first. ``--again planted.json`` plants the faults of an earlier run, as far as the source still has them: a
+fault is found again by its text.
 """
 
 from __future__ import annotations
@@ -23,12 +24,16 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+from coverage import CoverageData
+
 from planted.faults import Fault, faults_in, plant, sample
 
 ROOT = Path(__file__).resolve().parents[2]
 
-#: Tests that run most modules, by the command and by the public functions.
-_EVERYWHERE = ("transcripts", "e2e/test_golden.py", "test_api.py")
+#: How many tests of a line are run, chosen evenly; and tests of the loops in
+#: C, whose lines are not noted.
+_MOST_TESTS = 150
+_OF_LOOPS = ("tests/core", "tests/e2e/test_golden.py")
 
 
 def main() -> None:
@@ -39,6 +44,7 @@ def main() -> None:
     parser.add_argument("--again", type=Path, help="the faults of this earlier run")
     parser.add_argument("--json", type=Path, required=True, help="write the result of each fault here; continues a run")
     parser.add_argument("--timeout", type=float, default=300, help="seconds for a fault's tests; a hang is noticed too")
+    parser.add_argument("--lines", type=Path, help="which lines each test runs; made if it does not exist")
     arguments = parser.parse_args()
     faults = _again(arguments.again) if arguments.again else sample(ROOT, arguments.count, arguments.seed)
     results = json.loads(arguments.json.read_text()) if arguments.json.exists() else []
@@ -47,11 +53,12 @@ def main() -> None:
         copy = _copy(Path(name))
         if not _build(copy):
             sys.exit("the compiled loops cannot be built: setuptools and a C compiler are needed")
+        lines, sizes = _lines_of_tests(copy, arguments.lines or Path(name) / "lines")
         for fault in faults:
             if (fault.path, fault.start, fault.new) in done:
                 continue
             began = time.monotonic()
-            caught = _caught(copy, fault, arguments.timeout)
+            caught = _caught(copy, fault, _tests_of(fault, lines, sizes), arguments.timeout)
             seconds = round(time.monotonic() - began, 1)
             results.append({**fault._asdict(), "room": fault.room, "by": caught, "s": seconds})
             arguments.json.write_text(json.dumps(results, indent=1))
@@ -60,20 +67,35 @@ def main() -> None:
     _print(results)
 
 
-def _tests_of(fault: Fault, copy: Path) -> list[str]:
-    """Return the files and folders of tests to run for a fault, the nearest first."""
-    module = Path(fault.path).relative_to("src/pc2scan").with_suffix("")
-    tests = copy / "tests"
-    room = tests / module.parent
-    words = [word for word in module.name.split("_") if word not in {"", "init"}]
-    named = [path for word in words for path in sorted(tests.rglob(f"test_*{word.rstrip('s')}*.py"))]
-    named.sort(key=lambda path: path.parent != room)
-    rooms = [each for each in (room, *room.parents) if each.is_dir() and tests in each.parents]
-    return [str(path) for path in dict.fromkeys([*named, *rooms, *(tests / name for name in _EVERYWHERE)])]
+def _lines_of_tests(copy: Path, path: Path) -> tuple[CoverageData, Counter[str]]:
+    """Return which tests run each line, and how many lines each test runs."""
+    if not path.exists():
+        env = {**_environment(copy), "COVERAGE_FILE": str(path.resolve())}
+        command = [sys.executable, "-m", "pytest", "-q", "--cov=src/pc2scan", "--cov-context=test", "--cov-report="]
+        subprocess.run(command, cwd=copy, env=env, check=True)
+    lines = CoverageData(str(path))
+    lines.read()
+    tests = [lines.contexts_by_lineno(module).values() for module in lines.measured_files()]
+    return lines, Counter(test for module in tests for line in module for test in line)
 
 
-def _caught(copy: Path, fault: Fault, timeout: float) -> str:
+def _tests_of(fault: Fault, lines: CoverageData, sizes: Counter[str]) -> list[str]:
+    """Return the tests that run a fault's lines; those of its module, if they run as it is imported."""
+    if fault.path.endswith(".c"):
+        return list(_OF_LOOPS)
+    module = next((path for path in lines.measured_files() if path.endswith(fault.path)), "")
+    tests = lines.contexts_by_lineno(module)
+    last = fault.line + fault.old.count("\n")
+    of_lines = {test for line in range(fault.line, last + 1) for test in tests.get(line, ()) if test}
+    chosen = of_lines or {test for line in tests.values() for test in line if test}
+    names = dict.fromkeys(test.partition("|")[0] for test in sorted(chosen, key=lambda test: (sizes[test], test)))
+    return list(names)[:: 1 + len(names) // _MOST_TESTS]
+
+
+def _caught(copy: Path, fault: Fault, tests: list[str], timeout: float) -> str:
     """Return the first test that notices the fault, and that passes without it; empty if none does."""
+    if not tests:
+        return ""
     path = copy / fault.path
     text = path.read_text("utf-8")
     broken: list[str] = []
@@ -82,7 +104,7 @@ def _caught(copy: Path, fault: Fault, timeout: float) -> str:
         try:
             if path.suffix == ".c" and not _build(copy):
                 return "the compiler"
-            failed = _failed(copy, [*_tests_of(fault, copy), *broken], timeout)
+            failed = _failed(copy, [*tests, *broken], timeout)
         except subprocess.TimeoutExpired:
             return "a test that does not end"
         finally:
@@ -97,13 +119,17 @@ def _caught(copy: Path, fault: Fault, timeout: float) -> str:
 
 def _failed(copy: Path, tests: list[str], timeout: float) -> str:
     """Return the first test that fails, with what it says; empty if all pass."""
-    # The copy's package comes before the installed one.
-    env = {**os.environ, "PYTHONPATH": str(copy / "src"), "CI": "true", "PYTHONDONTWRITEBYTECODE": "1"}
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-n", "0", "-p", "no:cacheprovider", *tests]
+    env = _environment(copy)
     done = subprocess.run(command, cwd=copy, env=env, capture_output=True, text=True, timeout=timeout, check=False)
     failed = [line for line in done.stdout.splitlines() if line.startswith(("FAILED ", "ERROR "))]
     # A crash of the interpreter, or of what pytest needs before it runs a test, is noticed, too.
     return failed[0].partition(" ")[2] if failed else f"pytest's status {done.returncode}" if done.returncode else ""
+
+
+def _environment(copy: Path) -> dict[str, str]:
+    """Return an environment in which the copy's package comes before the installed one."""
+    return {**os.environ, "PYTHONPATH": str(copy / "src"), "CI": "true", "PYTHONDONTWRITEBYTECODE": "1"}
 
 
 def _build(copy: Path) -> bool:

@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from pc2scan.core.rigid import Rigid
-    from pc2scan.streams.clouds import Cloud
-    from pc2scan.streams.scans import Scan
+    from pc2scan.streams.objects import Cloud, Scan
 
     from .poses import Posed
 

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from pc2scan.core.rigid import Rigid
-    from pc2scan.streams.clouds import Cloud
-    from pc2scan.streams.scans import Scan
+    from pc2scan.streams.objects import Cloud, Scan
     from pc2scan.transforms.reading import FoundTransforms
 
 

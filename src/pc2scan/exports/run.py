@@ -18,8 +18,7 @@ from pc2scan.files.system import remove
 from pc2scan.progress import Meter
 from pc2scan.requests import conversion_of, destination_of
 from pc2scan.result import MAX_LISTED, Part, Remark, Result, Skipped, skipped_remarks, tell_early
-from pc2scan.streams.clouds import Clouds
-from pc2scan.streams.scans import Scans
+from pc2scan.streams.stream import Clouds, Scans
 from pc2scan.tables import Table
 from pc2scan.text import count, counted
 

@@ -42,7 +42,7 @@ from pc2scan.progress import Meter
 from pc2scan.request.options import TopicRequest
 from pc2scan.requests import conversion_of, first_output
 from pc2scan.result import Part, Remark, Result, Skipped, skipped_remarks, tell_early
-from pc2scan.streams.scans import Scans
+from pc2scan.streams.stream import Scans
 from pc2scan.text import counted, did_you_mean
 from pc2scan.transforms.buffer import named_in_namespace
 from pc2scan.transforms.frames import BODIES
@@ -62,7 +62,7 @@ if TYPE_CHECKING:
     from pc2scan.progress import Progress
     from pc2scan.request.options import ConvertOptions
     from pc2scan.requests import Warn
-    from pc2scan.streams.scans import Scan
+    from pc2scan.streams.objects import Scan
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.placing import LevelTransform
 
@@ -314,11 +314,11 @@ def _draw(
     drawing = _Drawing(grid, buffer, asked, options)
     stream.listener = tell
     with stream, closing(stream.results()) as results:
-        for result in results:
-            for error in result.errors:
-                error.topic = result.topic
-                drawing.skip(result.topic, error)
-            for scan, level in result.items:
+        for item in results:
+            for error in item.errors:
+                error.topic = item.route.connection.topic
+                drawing.skip(error.topic, error)
+            for scan, level in stream.objects(item):
                 drawing.add(scan, level)
     return drawing.result((*stream.notes, *warnings), (*damage, *stream.damage), converted=converted)
 

@@ -1,32 +1,42 @@
-"""Reads the messages of a recording one after the other: opens it, applies the cut, and closes it."""
+"""Reads the messages of a recording one after the other, or makes scans of its clouds, for loops in Python."""
 
 from __future__ import annotations
 
 import warnings
 from abc import ABC, abstractmethod
 from contextlib import ExitStack, closing, suppress
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, TypeVar
 from weakref import WeakSet, finalize
 
 import numpy as np
 
+from pc2scan.advice.checks import request_warnings
 from pc2scan.bags.damage import mention
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import by_topic, find_topics, short_types, types_by_topic
-from pc2scan.conversion.corrections import corrected, scaled
+from pc2scan.conversion.corrections import corrected, corrected_for, scaled
 from pc2scan.conversion.engine import items_of
+from pc2scan.conversion.first_clouds import judge_first
 from pc2scan.conversion.items import Tally
-from pc2scan.conversion.plan import Output, Route
-from pc2scan.conversion.preparation import span_of
-from pc2scan.conversion.report import TopicReport
+from pc2scan.conversion.plan import Output, Route, make_plan
+from pc2scan.conversion.preparation import prepare, span_of
+from pc2scan.conversion.recording import open_routes
+from pc2scan.conversion.report import Report, TopicReport
+from pc2scan.conversion.result_checks import result_findings
 from pc2scan.conversion.source_checks import refuse_no_messages
 from pc2scan.conversion.steps import ConvertedMessage, as_it_is
 from pc2scan.core.rule import NO_POINTS
 from pc2scan.errors import NothingToConvertError, Pc2ScanError, RecordingWarning, TopicError, name_list, visible
-from pc2scan.messages.clouds import usual_topics
+from pc2scan.messages.clouds import CLOUDS, usual_topics
+from pc2scan.messages.laserscan import LASERSCAN, LaserScan, as_message, decode_laserscan
 from pc2scan.messages.other_clouds import without
-from pc2scan.model import StoredChunk
+from pc2scan.messages.pointcloud2 import recorded_cloud
+from pc2scan.model import StoredChunk, own_data
+from pc2scan.result import tell_early
 from pc2scan.threads import Threads, cores
+
+from .objects import Cloud, Scan
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Generator, Mapping, Sequence
@@ -39,41 +49,26 @@ if TYPE_CHECKING:
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
     from pc2scan.conversion.items import Item as EngineItem
-    from pc2scan.errors import MessageError
+    from pc2scan.messages.pointcloud2 import PointCloud2
     from pc2scan.model import Buffer, Connection
     from pc2scan.progress import Meter
     from pc2scan.request.options import ConvertOptions
     from pc2scan.result import Skipped
+    from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.placing import LevelTransform
 
-#: The smallest of 64 bits is NumPy's "not a time".
-_MAX_INT64 = 2**63 - 1
+_RECORDED = ((LASERSCAN,), "it has LaserScan topics, which are read as they are without any parameters")
+
+#: What a scan has of its message, in the order of `Scan`.
+_DECODED = (
+    *("stamp_ns", "frame_id", "sequence", "angle_min", "angle_max", "angle_increment", "time_increment", "scan_time"),
+    *("range_min", "range_max", "ranges", "intensities"),
+)
 
 #: How many topics ``repr`` names.
 _SHOWN = 3
 
 Item = TypeVar("Item")
-
-
-def datetime64(nanoseconds: int) -> np.datetime64:
-    """Return nanoseconds since 1970 as ``numpy.datetime64``; ``NaT`` for values beyond 64 bits."""
-    return np.datetime64(nanoseconds, "ns") if abs(nanoseconds) <= _MAX_INT64 else np.datetime64("NaT", "ns")
-
-
-class Message:
-    """A message whose times are also NumPy's."""
-
-    __slots__ = ()
-
-    @property
-    def stamp(self: Any) -> np.datetime64:
-        """``header.stamp`` as ``numpy.datetime64`` in nanoseconds."""
-        return datetime64(self.stamp_ns)
-
-    @property
-    def log_time(self: Any) -> np.datetime64:
-        """The time of recording as ``numpy.datetime64`` in nanoseconds; ``NaT`` if that cannot represent it."""
-        return datetime64(self.log_time_ns)
 
 
 class StreamSource(NamedTuple):
@@ -112,14 +107,6 @@ class StreamSource(NamedTuple):
     def damage(self) -> tuple[Damage, ...]:
         """The damage in the parts of the recordings that were read."""
         return tuple(damage for reader in self.readers for damage in reader.damage)
-
-
-class StreamedResult(NamedTuple):
-    """What a message became: its objects, with the transform of a level scan's frame, or the errors in their place."""
-
-    topic: str
-    items: Sequence[tuple[Any, LevelTransform | None]]
-    errors: Sequence[MessageError]
 
 
 class Stream(ABC, Generic[Item]):
@@ -164,7 +151,7 @@ class Stream(ABC, Generic[Item]):
         self.strict = options.strict
         self._all_topics = all_topics
         self._meter = meter
-        self._live: WeakSet[Generator[Item]] = WeakSet()
+        self._live: WeakSet[Generator[EngineItem]] = WeakSet()
         self.notes: tuple[str, ...] = ()
         self.skipped: list[Skipped] = []
         self.skipped_count = 0
@@ -179,9 +166,13 @@ class Stream(ABC, Generic[Item]):
         self.topics = source.topics
         self.damage: tuple[Damage, ...] = source.damage
 
+    #: The types that are read as they are; and those that are read otherwise, and how.
+    _kinds: ClassVar[Collection[str]]
+    _hint: ClassVar[tuple[Collection[str], str]]
+
     @abstractmethod
-    def _source(self, stack: ExitStack, reader: Reader) -> StreamSource:
-        """Return what is read from an open recording."""
+    def _decoder(self, connection: Connection) -> Callable[[Buffer], Any]:
+        """Return the decoder of a connection's messages, which does not keep more than its message in memory."""
 
     @abstractmethod
     def _object(self, topic: str, log_time_ns: int, message: Any) -> Item:
@@ -226,17 +217,10 @@ class Stream(ABC, Generic[Item]):
             )
         return {topic: chosen[topic] for topic in usual}
 
-    def _recorded(
-        self,
-        stack: ExitStack,
-        reader: Reader,
-        kinds: Collection[str],
-        hint: tuple[Collection[str], str],
-        decoder: Callable[[Connection], Callable[[Buffer], Any]],
-    ) -> StreamSource:
-        """Return the messages of some types as they are; see `_choose`. ``decoder`` returns that of a connection."""
+    def _source(self, stack: ExitStack, reader: Reader) -> StreamSource:
+        """Return what is read from an open recording: the messages as they are."""
         options = self._options
-        chosen = self._choose(reader, kinds, hint)
+        chosen = self._choose(reader, self._kinds, self._hint)
         span = span_of(reader, options)
         if options.clock:
             wanted = [connection for connections in chosen.values() for connection in connections]
@@ -246,7 +230,7 @@ class Stream(ABC, Generic[Item]):
         for topic, connections in chosen.items():
             output = Output(None, topic, report=TopicReport(topic, connections[0].ros_type, topic, "converted"))
             for connection in connections:
-                decode = _step(decoder(connection))
+                decode = _step(self._decoder(connection))
                 # A message is decoded at once: its object takes no more memory.
                 routes[connection.id] = Route(connection, [output], decode=decode, steps=[(as_it_is,)])
         # One thread: objects are as large as their messages, and others would hold many of them ahead of the loop.
@@ -273,26 +257,20 @@ class Stream(ABC, Generic[Item]):
             return source._replace(stack=stack.pop_all())
 
     def __iter__(self) -> Generator[Item]:
-        items = self._items(self.results())
-        self._live.add(items)
-        # From here on the generator closes the files in any case.
-        next(items)
-        return items
+        return self._items(self.results())
 
-    def _items(self, results: Generator[StreamedResult]) -> Generator[Item]:
-        """Yield the objects, after a first None."""
+    def _items(self, results: Generator[EngineItem]) -> Generator[Item]:
         with closing(results):
-            yield None  # type: ignore[misc]
             # What is kept in memory ends with the loop's own reference to it.
             for result in results:
-                objects = result.items
+                objects = self.objects(result)
                 del result
                 for item, _ in objects:
                     yield item
                     del item
                 del objects
 
-    def results(self) -> Generator[StreamedResult]:
+    def results(self) -> Generator[EngineItem]:
         """Return what each message becomes, for callers that report errors themselves.
 
         Raises
@@ -306,11 +284,13 @@ class Stream(ABC, Generic[Item]):
         else:
             self._release.detach()
         results = self._results(source)
+        self._live.add(results)
+        # From here on the generator closes the files in any case.
         next(results)
         return results
 
-    def _results(self, source: StreamSource) -> Generator[StreamedResult]:
-        """Yield what each message becomes, after a first None: from then on the files are closed in any case."""
+    def _results(self, source: StreamSource) -> Generator[EngineItem]:
+        """Yield what each message becomes, after a first None."""
         with source.stack as stack:
             yield None  # type: ignore[misc]
             tally = Tally(source.routes, strict=self.strict)
@@ -341,10 +321,8 @@ class Stream(ABC, Generic[Item]):
                         self._warn([f"skipped: {error}{hint}; see .skipped for all; strict=True makes them errors"])
                     self.skipped_count = tally.failures
                     told = self._warn(source.warnings, told)
-                    result = StreamedResult(item.route.connection.topic, self._objects(item), item.errors)
+                    yield item
                     del item
-                    yield result
-                    del result
                 tally.finish()
             except Pc2ScanError:
                 # Often the cause.
@@ -355,7 +333,7 @@ class Stream(ABC, Generic[Item]):
             self.damage = source.damage
             self._warn_of_damage(warned)
 
-    def _objects(self, item: EngineItem) -> list[tuple[Item, LevelTransform | None]]:
+    def objects(self, item: EngineItem) -> list[tuple[Item, LevelTransform | None]]:
         """Return the objects of a message, each with the transform of a level scan's frame."""
         return [
             (self._object(output.report.target or "", item.log_time_ns, result.message), result.level)
@@ -388,8 +366,8 @@ class Stream(ABC, Generic[Item]):
 
     def close(self) -> None:
         """Close the files, and end the loops that are not finished. A new loop opens them again."""
-        for items in tuple(self._live):
-            items.close()
+        for results in tuple(self._live):
+            results.close()
         self._prepared = None
         self._release()
 
@@ -407,6 +385,144 @@ class Stream(ABC, Generic[Item]):
         return f"<{type(self).__name__} on {', '.join(map(visible, self.topics[:_SHOWN]))}{more} of {paths}>"
 
 
+class Scans(Stream[Scan]):
+    """The scans of a recording, read as they are iterated over; `pc2scan.scans` makes it.
+
+    The recording is opened immediately, so that a wrong request raises here and not in the loop.
+    Each loop reads from the beginning. The files are closed when the loop ends or is left, or with `close` or a
+    ``with`` statement.
+
+    Attributes
+    ----------
+    topics
+        The topics of the scans.
+    notes
+        Values that were measured, or chosen by default, for scans that are made of clouds.
+    transforms
+        All transforms of the recording, if they were read for scans that are made of clouds; else None.
+    damage
+        The damage that the last loop found.
+    skipped, skipped_count
+        Messages that the last loop could not use: the first hundred, and how many.
+    """
+
+    _kinds = (LASERSCAN,)
+    _hint = (
+        CLOUDS,
+        "its clouds become scans with parameters: `preset`, `params_file`, or any of them by name, `min_height=-0.3`",
+    )
+
+    def __init__(
+        self,
+        paths: Sequence[Path],
+        options: ConvertOptions,
+        converting: bool = False,  # for pickles
+        *,
+        transform_frames: Collection[str] | None = None,
+        all_topics: bool = False,
+        meter: Meter | None = None,
+    ) -> None:
+        self._converting = converting
+        self._transform_frames = transform_frames
+        self.transforms: TransformBuffer | None = None
+        super().__init__(paths, options, all_topics=all_topics, meter=meter)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), (self._paths, self._options, self._converting)
+
+    def _decoder(self, connection: Connection) -> Callable[[Buffer], LaserScan]:
+        return partial(_decode, connection.serialization)
+
+    def _object(self, topic: str, log_time_ns: int, message: Any) -> Scan:
+        return Scan(topic, log_time_ns, *map(message.__getattribute__, _DECODED))
+
+    def _source(self, stack: ExitStack, reader: Reader) -> StreamSource:
+        """Return what is read; clouds are converted as `pc2scan.convert` does."""
+        if not self._converting:
+            return super()._source(stack, reader)
+        options = self._options
+        if not options.scan.topics and not self._all_topics:
+            # Raises if there are several.
+            self._choose(reader, options.scan.source_types, _RECORDED)
+        plan = make_plan(reader.connections, options)
+        reader, notes = corrected_for(reader, plan, options)
+        report = Report([str(path) for path in self._paths], "", plan.specs)
+        report.source_frame = options.frames.source_frame
+        report.warnings += (*plan.warnings, *request_warnings(options, reader.summary))
+        prepared = prepare(
+            reader,
+            plan,
+            options,
+            span_of(reader, options),
+            stack,
+            partial(tell_early, report.warnings, None),
+            transform_frames=self._transform_frames,
+            meter=self._meter,
+        )
+        self.transforms = prepared.transforms
+        report.add((), (*notes, *prepared.notes))
+        self.notes = tuple(report.notes)
+        routes, report.topics = open_routes(plan, prepared.conversions, finish=_as_in_message)
+        judge_first(routes, prepared, report)
+
+        def conclude() -> None:
+            report.add([label + text for label, seen in prepared.surroundings for text in seen.warnings()])
+            report.add(reader.remarks)
+            report.add(*result_findings(report))
+
+        return StreamSource(
+            stack,
+            [reader, *prepared.others],
+            tuple(dict.fromkeys(target for route in plan.routes for target in route.targets)),
+            routes,
+            prepared.span,
+            options.jobs,
+            report.warnings,
+            conclude,
+        )
+
+
+class Clouds(Stream[Cloud]):
+    """The clouds of a recording, read as they are iterated over; `pc2scan.clouds` makes it.
+
+    The recording is opened immediately, so that a wrong request raises here and not in the loop.
+    Each loop reads from the beginning. The files are closed when the loop ends or is left, or with `close` or a
+    ``with`` statement.
+
+    Attributes
+    ----------
+    topics
+        The topics of the clouds.
+    damage
+        The damage that the last loop found.
+    skipped, skipped_count
+        Messages that the last loop could not use: the first hundred, and how many.
+    """
+
+    _kinds, _hint = CLOUDS, ((LASERSCAN,), "it has LaserScan topics: pc2scan.scans() reads these")
+
+    def _decoder(self, connection: Connection) -> Callable[[Buffer], PointCloud2]:
+        decode = CLOUDS[connection.ros_type](connection.serialization)
+        return lambda data: recorded_cloud(decode(own_data(data)))
+
+    def _object(self, topic: str, log_time_ns: int, message: PointCloud2) -> Cloud:
+        return Cloud(topic, log_time_ns, message)
+
+
 def _step(decode: Callable[[Buffer], Any]) -> Callable[[Buffer], ConvertedMessage]:
     """Return the only step of messages that are read as they are."""
     return lambda data: ConvertedMessage(decode(data), NO_POINTS, empty=False, size=len(data))
+
+
+def _decode(serialization: str, data: Buffer) -> LaserScan:
+    """Return a scan that does not keep the message in memory."""
+    scan = decode_laserscan(data, serialization)
+    scan.ranges, scan.intensities = scan.ranges.astype(np.float32), scan.intensities.astype(np.float32)
+    return scan
+
+
+def _as_in_message(serialization: str, result: ConvertedMessage) -> ConvertedMessage:
+    """Do the last step of a conversion to `Scan`: the numbers of the arrays become those of a message."""
+    result.message = as_message(result.message, serialization)
+    result.size = result.message.ranges.nbytes + result.message.intensities.nbytes
+    return result

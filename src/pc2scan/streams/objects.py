@@ -1,4 +1,4 @@
-"""Clouds of recordings as objects with arrays."""
+"""Messages of recordings as objects with arrays: what a loop in Python gets."""
 
 from __future__ import annotations
 
@@ -7,26 +7,131 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pc2scan.core.unproject import UnprojectParams, unproject
 from pc2scan.errors import stamp_text, visible
-from pc2scan.messages.clouds import CLOUDS
-from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.messages.pointcloud2 import recorded_cloud
-from pc2scan.model import own_data
-
-from .stream import Message, Stream, StreamSource
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from contextlib import ExitStack
-
     from numpy.typing import NDArray
 
-    from pc2scan.bags.reader import Reader
     from pc2scan.messages.pointcloud2 import PointCloud2
-    from pc2scan.model import Buffer, Connection
+
+#: The smallest of 64 bits is NumPy's "not a time".
+_MAX_INT64 = 2**63 - 1
+
+
+def datetime64(nanoseconds: int) -> np.datetime64:
+    """Return nanoseconds since 1970 as ``numpy.datetime64``; ``NaT`` for values beyond 64 bits."""
+    return np.datetime64(nanoseconds, "ns") if abs(nanoseconds) <= _MAX_INT64 else np.datetime64("NaT", "ns")
+
+
+class Message:
+    """A message whose times are also NumPy's."""
+
+    __slots__ = ()
+
+    @property
+    def stamp(self: Any) -> np.datetime64:
+        """``header.stamp`` as ``numpy.datetime64`` in nanoseconds."""
+        return datetime64(self.stamp_ns)
+
+    @property
+    def log_time(self: Any) -> np.datetime64:
+        """The time of recording as ``numpy.datetime64`` in nanoseconds; ``NaT`` if that cannot represent it."""
+        return datetime64(self.log_time_ns)
 
 
 # Not frozen: made for every message, and making a frozen one takes twice as long.
+@dataclass(slots=True, eq=False, repr=False)
+class Scan(Message):
+    """A LaserScan message.
+
+    Attributes
+    ----------
+    topic
+        The topic that it was published on.
+    log_time_ns
+        The time of recording, nanoseconds since 1970.
+    stamp_ns
+        ``header.stamp``, nanoseconds since 1970.
+    frame
+        ``header.frame_id``.
+    sequence
+        ``header.seq``; 0 from ROS 2.
+    angle_min, angle_max, angle_increment
+        Radians.
+    time_increment, scan_time
+        Seconds from one beam to the next, and from one scan to the next.
+    range_min, range_max
+        Metres.
+    ranges
+        float32, shape (beams,), metres.
+    intensities
+        float32, shape (beams,), or (0,) for a scan without any.
+    """
+
+    topic: str
+    log_time_ns: int
+    stamp_ns: int
+    frame: str
+    sequence: int
+    angle_min: float
+    angle_max: float
+    angle_increment: float
+    time_increment: float
+    scan_time: float
+    range_min: float
+    range_max: float
+    ranges: NDArray[np.float32]
+    intensities: NDArray[np.float32]
+
+    @property
+    def angles(self) -> NDArray[np.float64]:
+        """The direction of each beam, shape (beams,), radians: ``angle_min + i * angle_increment``."""
+        angles: NDArray[np.float64] = self.angle_min + np.arange(len(self.ranges)) * np.float64(self.angle_increment)
+        return angles
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """Which beams have a return, shape (beams,): ``range_min <= range < range_max``, which NaN and inf are not."""
+        with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
+            valid: NDArray[np.bool_] = (self.ranges >= np.float64(self.range_min)) & (
+                self.ranges < np.float64(self.range_max)
+            )
+        return valid & np.isfinite(self.ranges)
+
+    def xy(self) -> NDArray[np.float32]:
+        """The points of the beams that have a return, as laser_geometry computes them.
+
+        Returns
+        -------
+        numpy.ndarray
+            float32, shape (returns, 2), metres in `frame`, in the order of the beams: those of `valid`.
+
+        Raises
+        ------
+        DecodeError
+            If the angles are not finite.
+        """
+        points = unproject(
+            self.ranges,
+            np.empty(0, np.float32),
+            angle_min=self.angle_min,
+            angle_increment=self.angle_increment,
+            range_min=self.range_min,
+            range_max=self.range_max,
+            params=UnprojectParams(index=False),
+        )
+        return points.xyz[np.isfinite(self.ranges[points.beams]), :2].copy()
+
+    def __repr__(self) -> str:
+        returns = np.count_nonzero(self.valid)
+        return (
+            f"<Scan on {visible(self.topic)} at {stamp_text(self.stamp_ns)} in {self.frame!r}: "
+            f"{len(self.ranges)} beams, {returns} with a return>"
+        )
+
+
+# Not frozen: see `Scan`.
 @dataclass(slots=True, eq=False, repr=False)
 class Cloud(Message):
     """A message that is a cloud. ``cloud["intensity"]`` is a field of all points.
@@ -159,35 +264,3 @@ class Cloud(Message):
 def _restore(topic: str, log_time_ns: int, message: PointCloud2) -> Cloud:
     message.data = memoryview(message.data)
     return Cloud(topic, log_time_ns, message)
-
-
-class Clouds(Stream[Cloud]):
-    """The clouds of a recording, read as they are iterated over; `pc2scan.clouds` makes it.
-
-    The recording is opened immediately, so that a wrong request raises here and not in the loop.
-    Each loop reads from the beginning. The files are closed when the loop ends or is left, or with `close` or a
-    ``with`` statement.
-
-    Attributes
-    ----------
-    topics
-        The topics of the clouds.
-    damage
-        The damage that the last loop found.
-    skipped, skipped_count
-        Messages that the last loop could not use: the first hundred, and how many.
-    """
-
-    def _source(self, stack: ExitStack, reader: Reader) -> StreamSource:
-        return self._recorded(
-            stack, reader, CLOUDS, ((LASERSCAN,), "it has LaserScan topics: pc2scan.scans() reads these"), _decoder
-        )
-
-    def _object(self, topic: str, log_time_ns: int, message: PointCloud2) -> Cloud:
-        return Cloud(topic, log_time_ns, message)
-
-
-def _decoder(connection: Connection) -> Callable[[Buffer], PointCloud2]:
-    """Return the decoder of clouds that do not keep more than their message in memory."""
-    decode = CLOUDS[connection.ros_type](connection.serialization)
-    return lambda data: recorded_cloud(decode(own_data(data)))
