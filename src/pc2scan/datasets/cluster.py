@@ -50,7 +50,8 @@ def run_jobs_on_dask(jobs: Sequence[Job], *, address: str, workers: int) -> Gene
         _check_versions(client)
         # Dask does again what a lost worker had done; its output may be there, and is replaced.
         again = [replace(job.retried(), threads=threads) for job in jobs]
-        tasks = {client.submit(convert_one, job, pure=False): job for job in again}
+        # One message to the scheduler for all of them.
+        tasks = dict(zip(client.map(convert_one, again, pure=False), again, strict=True))
         for task in as_completed(list(tasks), raise_errors=False):
             yield _record_of(task, tasks.pop(task))
 
@@ -102,7 +103,12 @@ def _connect(address: str, workers: int, stack: ExitStack) -> Any:
         logging.getLogger(name).setLevel(_SILENT)
     if not address:
         # Dask counts every task that a dead worker held as tried. So no worker holds a second, waiting task.
-        settings = {"distributed.scheduler.allowed-failures": 1, "distributed.scheduler.worker-saturation": 1.0}
+        settings = {
+            "distributed.scheduler.allowed-failures": 1,
+            "distributed.scheduler.worker-saturation": 1.0,
+            # It looks at each worker's stack a hundred times a second.
+            "distributed.worker.profile.enabled": False,
+        }
         stack.enter_context(dask.config.set(settings))
         cluster = LocalCluster(
             n_workers=workers,

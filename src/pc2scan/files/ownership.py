@@ -289,11 +289,13 @@ class Inputs:
                 # SQLite reads logs beside a database, if they are files; also one that does not exist yet.
                 logs = (Path(f"{place}{suffix}") for suffix in _LOGS)
                 for name in (place, *(log for log in logs if not os.path.isdir(log))):  # noqa: PTH112  # faster
-                    self._files |= dict.fromkeys(file_ids(name) - self._files.keys(), given)
+                    for file_id in file_ids(name):
+                        self._files.setdefault(file_id, given)
                 for folder in place.parents:
                     if folder in self._folders:
                         break
-                    self._folders |= dict.fromkeys(file_ids(folder) - self._folders.keys(), given)
+                    for file_id in file_ids(folder):
+                        self._folders.setdefault(file_id, given)
 
     def add_destination(self, path: Path) -> None:
         """Add a path that the run writes, on file systems that ignore case, too."""
