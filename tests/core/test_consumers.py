@@ -137,9 +137,12 @@ def test_a_scan_after_the_first() -> None:
     assert judged(longer) == FINE | {"mrpt": "shifted"}
     only = dict.fromkeys(("slam_toolbox", "gmapping"), "ignored")
     assert judged(longer, GOOD) == FINE | only | {"mrpt": "shifted"}
-    turned = judged(replace(GOOD, angle_min=-0.9, angle_max=1.1), GOOD)
-    assert {consumer for consumer, outcome in turned.items() if outcome == "misplaced"} >= set(only)
-    assert not {"cartographer", "amcl", "nav2"} & {name for name, outcome in turned.items() if outcome != "accepted"}
+    # Off at the first beam and at the last one; at the last one alone.
+    stretched = replace(GOOD, angle_max=1.08, angle_increment=0.26)
+    for later in (replace(GOOD, angle_min=-0.9, angle_max=1.1), stretched):
+        turned = judged(later, GOOD)
+        assert {consumer for consumer, outcome in turned.items() if outcome == "misplaced"} >= set(only)
+        assert not {"cartographer", "amcl", "nav2"} & {name for name in turned if turned[name] != "accepted"}
     # gmapping does not start with tilted scans, and takes them for level later.
     tilted = PLACED._replace(up=math.cos(math.radians(7.6)))
     assert judged(GOOD, GOOD, tilted) == FINE

@@ -88,7 +88,7 @@ def _tests_of(fault: Fault, lines: CoverageData, sizes: Counter[str]) -> list[st
     last = fault.line + fault.old.count("\n")
     of_lines = {test for line in range(fault.line, last + 1) for test in tests.get(line, ()) if test}
     chosen = of_lines or {test for line in tests.values() for test in line if test}
-    names = dict.fromkeys(test.partition("|")[0] for test in sorted(chosen, key=lambda test: (sizes[test], test)))
+    names = dict.fromkeys(test.rpartition("|")[0] for test in sorted(chosen, key=lambda test: (sizes[test], test)))
     return list(names)[:: 1 + len(names) // _MOST_TESTS]
 
 

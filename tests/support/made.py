@@ -7,9 +7,11 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import zstandard
 from mcap.writer import IndexType
 from mcap.writer import Writer as McapLibraryWriter
 
+from support import ROOT
 from support.builders import (
     CLOUD,
     CONTENT,
@@ -156,6 +158,9 @@ MADE: dict[str, Callable[[Path], object]] = {
     "rolled_over.mcap": lambda path: write_mcap(path, _rolled_over()),
     "short.mcap": lambda path: write_mcap(path, SHORT),
     "no_stamps.bag": lambda path: write_rosbag1(path, _no_stamps()),
+    "cut.bag.zst": lambda path: path.write_bytes(
+        zstandard.compress((ROOT / "fixtures/hall.bag").read_bytes())[:250_000]
+    ),
     "one_of_many.bag": lambda path: write_rosbag1(path, _one_of_many()),
     "other_chatter.mcap": lambda path: write_mcap(path, _last_changed("/chatter", string("hello 3", 2))),
     "raised_point.mcap": lambda path: write_mcap(path, _last_changed("/points", _raised_point())),

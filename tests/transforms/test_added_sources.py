@@ -110,7 +110,9 @@ def test_poses_of_a_topic_replace_other_transforms(tmp_path: Path, by_tf: list[t
     assert scans_of(path) != by_tf
     assert scans_of(path, odom_topic="/odometry") == by_tf
     out = tmp_path / "out.mcap"
-    report = pc2scan.convert(path, out, target_frame="odom", odom_topic="/odometry", **HEIGHTS)
+    named: dict[str, Any] = {"odom_topic": "/odometry", "drop": ["/odometry"]}
+    report = pc2scan.convert(path, out, target_frame="odom", **named, **HEIGHTS)
+    assert [topic.action for topic in report.topics if topic.topic == "/odometry"] == ["added"]
     assert "/odometry replaces the transforms of base_link in odom" in report.notes
     assert is_pose(pc2scan.tf(out), SAMPLES[3])
     assert pc2scan.tf(out).frames[0].transforms == len(SAMPLES)
