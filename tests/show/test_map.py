@@ -16,6 +16,8 @@ from pc2scan.errors import Pc2ScanError, UsageError
 from support import ROOT
 from support.builders import T0, Item, Recording, write_mcap
 from support.command import run
+from support.scan_recordings import recording as recording_of
+from support.scan_recordings import scans as scans_of
 from support.worlds.drives import distance_to_wall, drive, drive_recording, is_inside, transform_message
 
 if TYPE_CHECKING:
@@ -175,3 +177,5 @@ def test_a_recording_without_transforms(tmp_path: Path) -> None:
     assert run("map", source, "-o", tmp_path / "map.png", "--odom-frame", "laser").status == 0
     drive = write_mcap(tmp_path / "a.mcap", drive_recording(seconds=1.0, beams=91, odom="robot1/odom"))
     assert "hint: --odom-frame robot1/odom draws" in run("map", drive, "-o", tmp_path / "other.png").stderr
+    mount = write_mcap(tmp_path / "b.mcap", recording_of({"/scan": scans_of(3)}, [("base_link", "laser")]))
+    assert "--odom-topic, --trajectory or --tf-from adds" in run("map", mount, "-o", tmp_path / "other.png").stderr

@@ -1,45 +1,55 @@
-"""Checks whether consumers would accept the scans of a recording."""
+"""Checks whether consumers would accept the scans of a recording, and find the transforms that they need."""
 
 from __future__ import annotations
 
-from contextlib import ExitStack
-from dataclasses import dataclass, replace
+import math
+from array import array
+from bisect import bisect_left
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, ClassVar
 
 from pc2scan.advice.clocks import Clocks
+from pc2scan.advice.odometry import OTHER_ODOMETRY, odometry_of
 from pc2scan.advice.survey import Span, Survey
 from pc2scan.bags.damage import mention
 from pc2scan.bags.observers import Observer
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import by_topic, find_topics, types_by_topic, unheard
-from pc2scan.core.consumers import CONSUMERS
-from pc2scan.core.verdicts import OUTCOMES
-from pc2scan.errors import TopicError
+from pc2scan.core.consumers import CONSUMERS, NO_TRANSFORMS
+from pc2scan.core.layout import TURN
+from pc2scan.core.rigid import Rigid
+from pc2scan.core.verdicts import OUTCOMES, ScanTransforms
+from pc2scan.errors import DecodeError, TopicError, TransformError
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.other_clouds import without
+from pc2scan.messages.tfmessage import decode_transforms
 from pc2scan.model import copied_message
 from pc2scan.progress import Meter
 from pc2scan.requests import frames_of
 from pc2scan.result import Part, Result
-from pc2scan.text import counted
+from pc2scan.text import counted, nearest
+from pc2scan.transforms.buffer import mount_text, named_in_namespace
+from pc2scan.transforms.frames import BODIES
+from pc2scan.transforms.motion import find_body_motion
 from pc2scan.transforms.reading import tf_connections
 from pc2scan.transforms.static import RobotModel
 
-from .scan_frames import Arrivals, ScanFrames
-from .scan_topic import Finding, ScanTopic
+from .scan_topic import Counted, Finding, Level, ScanTopic, few_unplaced
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
+    from pc2scan.advice.clocks import ClockFinding
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
-    from pc2scan.model import Connection
+    from pc2scan.model import Connection, RawMessage
     from pc2scan.options.call import Options
     from pc2scan.progress import Progress
+    from pc2scan.transforms.buffer import TransformBuffer
 
     from .scan_topic import TopicCheck
-
 
 #: What a consumer does with a topic without scans, and all outcomes, the worst last.
 _NOTHING = "nothing to take"
@@ -55,6 +65,15 @@ _USEFUL_TO: dict[str, frozenset[str]] = {
     **dict.fromkeys(("odometry-direction", "stamps-back", "stamps-zero"), _NAV2),
     "transforms-late": frozenset(CONSUMERS) - {"slam_toolbox"},
 }
+
+
+#: A sensor is tilted if the cosine between its z axis and the robot's is below 1 by this much: 2.6 degrees.
+_TILT = 0.001
+
+#: A frame's z axis is not up if the cosine between it and the robot's is below this: 45 degrees and more.
+_SIDEWAYS = math.sqrt(0.5)
+
+_HINT = "`pc2scan tf` shows the frames; `tf_from` reads transforms from another recording"
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -213,3 +232,242 @@ def scan_connections(reader: Reader, topics: Iterable[str]) -> dict[str, list[Co
     topic_lists = (find_topics(topic, types, sorted(scans), *SCANS) for topic in topics)
     names = {name for matched in topic_lists for name in matched} or scans.keys()
     return {name: scans[name] for name in sorted(names)}
+
+
+# --- Frames ---
+
+
+class Arrivals:
+    """When transforms were logged: the stamps of each child frame, as far as they advance, and their log times.
+
+    A message filter with a queue of one drops a scan whose transform is behind the next.
+    """
+
+    def __init__(self) -> None:
+        self._frames: dict[str, tuple[array[int], array[int]]] = {}
+
+    def add(self, message: RawMessage) -> None:
+        """Add the transforms of the next message."""
+        with suppress(DecodeError):
+            for _, child, stamp_ns, *_ in decode_transforms(message.data, message.connection.serialization):
+                stamps, logged = self._frames.setdefault(child.removeprefix("/"), (array("q"), array("q")))
+                if not stamps or stamp_ns > stamps[-1]:
+                    stamps.append(stamp_ns)
+                    logged.append(message.log_time_ns)
+
+    def known_ns(self, children: Iterable[str], stamp_ns: int) -> int:
+        """Return the log time from which on the transforms of some frames are known at a stamp; 0 without any."""
+        latest = 0
+        for child in children:
+            stamps, logged = self._frames.get(child, ((), ()))
+            place = bisect_left(stamps, stamp_ns)
+            if place < len(stamps):
+                latest = max(latest, logged[place])
+        return latest
+
+
+@dataclass(slots=True)
+class _Frame:
+    """What is known of the scans in one frame.
+
+    Attributes
+    ----------
+    scans
+        How many there are.
+    missing
+        Those without a transform to the odometry, although there is one.
+    error
+        Why the first of these has none.
+    pose
+        The first place on the robot: x, y and yaw.
+    moving
+        The frames that move between this one and the odometry's.
+    """
+
+    scans: int = 0
+    missing: Counted = field(default_factory=Counted)
+    error: TransformError | None = None
+    pose: tuple[float, float, float] | None = None
+    moving: list[str] | None = None
+
+
+class ScanFrames:
+    """The transforms that the scans of one topic need, looked up scan by scan.
+
+    Parameters
+    ----------
+    buffer
+        All transforms of the recording.
+    odom_frame
+        The frame in which the robot drives.
+    base_frame
+        The robot's body; empty for the first of `BODIES` that exists.
+    clock
+        What is wrong with the clock of the scans, compared with that of the transforms; None if nothing is.
+    arrivals
+        When the transforms were logged.
+    """
+
+    def __init__(
+        self, buffer: TransformBuffer, odom_frame: str, base_frame: str, clock: ClockFinding | None, arrivals: Arrivals
+    ) -> None:
+        self._buffer, self._clock, self._arrivals = buffer, clock, arrivals
+        self._known = {frame for tree in buffer.trees for frame in tree.frames}
+        self._odom = odom_frame.removeprefix("/")
+        self._base = base_frame.removeprefix("/") or next((f for f in BODIES if f in self._known), BODIES[0])
+        #: Without transforms of the robot, its frame may have another name.
+        self._knows_base = bool(base_frame) or not self._known or self._base in self._known
+        self._frames: dict[str, _Frame] = {}
+        self._looked = 0
+        self._tilted, self._sideways, self._late = Counted(), Counted(), Counted()
+        self._tilt = 0.0
+        #: The last scan: its stamp, and when its transform was known.
+        self._waiting = (0, 0)
+
+    def add(self, frame_id: str, stamp_ns: int, log_time_ns: int) -> ScanTransforms:
+        """Look up one scan's transforms; scans are added in the order of their log times."""
+        name = frame_id.removeprefix("/")
+        frame = self._frames.setdefault(name, _Frame())
+        frame.scans += 1
+        earlier_ns, known_ns = self._waiting
+        if known_ns > log_time_ns > 0:
+            self._late.add(earlier_ns)
+        odometry, no_odometry = self._lookup(name, self._odom, stamp_ns)
+        robot, no_robot = self._lookup(name, self._base, stamp_ns)
+        if no_odometry is not None and self._odom in self._known:
+            frame.missing.add(stamp_ns)
+            frame.error = frame.error or no_odometry
+        known_ns = 0
+        if odometry is not None:
+            if frame.moving is None:
+                links = self._buffer.moving_links(self._odom, name)
+                frame.moving = [self._buffer.frames[link.child] for link in links]
+            known_ns = self._arrivals.known_ns(frame.moving, stamp_ns)
+        self._waiting = stamp_ns, known_ns
+        up, turned, moved = None, 0.0, 0.0
+        if robot is not None:
+            up = self._up(robot, stamp_ns)
+            if odometry is not None:
+                (x, y, _), yaw = robot.translation.tolist(), robot.rpy[2]
+                frame.pose = frame.pose or (x, y, yaw)
+                turned = math.remainder(yaw - frame.pose[2], TURN)
+                moved = math.hypot(x - frame.pose[0], y - frame.pose[1])
+        known = robot is not None if robot is not None or self._knows_base else None
+        error = no_odometry or (None if known is None else no_robot)
+        missing, cure = ("", "") if error is None else (error.message, self._cure(name, error))
+        return ScanTransforms(frame_id, odometry is not None, known, up, turned, moved, missing, cure)
+
+    def _lookup(self, frame: str, target: str, stamp_ns: int) -> tuple[Rigid | None, TransformError | None]:
+        """Return the transform to a frame at a stamp, or why there is none."""
+        if frame == target:
+            return Rigid.identity(), None
+        if not self._known:
+            return None, TransformError("the recording has no transforms")
+        try:
+            return self._buffer.lookup(target, frame, stamp_ns), None
+        except TransformError as err:
+            if err.gap_ns:
+                # A tolerance places scans, but does not give consumers a transform at their stamps.
+                err.hint = self._gap_cure
+            return None, err
+
+    def _up(self, base_from_scan: Rigid, stamp_ns: int) -> float:
+        """See `ScanTransforms.up`; counts how the sensor is tilted."""
+        ahead, left, up = base_from_scan.matrix[:, 2].tolist()
+        # A sensor that is upside down is level, too.
+        level = min(abs(up), 1.0)
+        self._looked += 1
+        if level < _SIDEWAYS:
+            self._sideways.add(stamp_ns)
+        if level < 1 - _TILT:
+            self._tilted.add(stamp_ns)
+        self._tilt = max(self._tilt, math.degrees(math.acos(level)))
+        # Like gmapping, which transforms (0, 0, 1 + the sensor's height) from the robot's frame to the scan's.
+        x, y, _ = base_from_scan.translation.tolist()
+        return float(up - x * ahead - y * left)
+
+    def _cure(self, frame: str, error: TransformError) -> str:
+        """Return what gives scans the transforms that they lack; empty if only recording transforms does."""
+        if not frame or not self._known:
+            return ""
+        if frame not in self._known:
+            if near := nearest(frame, self._known):
+                return f"did you mean {near}? For scans made from clouds: pc2scan convert `source_frame={near}`"
+            return f"for scans made from clouds: pc2scan convert {mount_text(frame, self._known)}"
+        return self._naming("odom_frame", self._odom) if self._odom not in self._known else error.hint or ""
+
+    @property
+    def _gap_cure(self) -> str:
+        """What to do if there are no transforms at the time of scans."""
+        if self._clock is not None:
+            offset = f"`time_offset={self._clock.time_offset}`"
+            return f"the clocks differ; pc2scan convert {offset} for scans made from clouds"
+        return f"record /tf as long as the scans; pc2scan convert `start` and `end` leave out clouds without; {_HINT}"
+
+    def _naming(self, option: str, name: str) -> str:
+        """Return what to do if there is no frame of this name."""
+        if namesake := named_in_namespace(name, self._known):
+            return f"`{option}={namesake}`"
+        if option == "odom_frame" and any(self._base in tree.roots for tree in self._buffer.trees):
+            how = "pc2scan convert `odom_topic` or `trajectory` adds odometry, `tf_from` that of another recording"
+            return f"no transform moves {self._base}: {how}"
+        return f"`{option}` names the right one; {_HINT}"
+
+    def findings(self, interval_ns: float | None) -> Iterator[Finding]:
+        """Yield the problems, given the median interval between scans."""
+        if not self._known:
+            text = "the recording has no transforms: SLAM and navigation drop scans that they cannot place"
+            yield Finding("no-transforms", "notice", text, NO_TRANSFORMS)
+            return
+        if self._clock is not None:
+            yield Finding("clock", "notice", self._clock.text, self._gap_cure)
+        yield from self._name_findings()
+        if fault := odometry_of(self._buffer, self._odom, self._base).fault:
+            yield Finding("odometry-direction", "defect", fault, f"pc2scan convert {OTHER_ODOMETRY}")
+        for name, frame in self._frames.items():
+            # An empty name is reported with the scans themselves.
+            if name:
+                yield from self._frame_findings(name, frame, interval_ns)
+        scans = sum(frame.scans for frame in self._frames.values())
+        if self._late.count and not few_unplaced(self._late.count, scans, interval_ns):
+            which = f"{self._late.count:,} of {counted(scans, 'scan')}"
+            text = f"{which} have their transform to {self._odom!r} logged after the next scan: slam_toolbox drops them"
+            level: Level = "defect" if 2 * self._late.count >= scans else "notice"
+            hint = "publish the transforms sooner, or give slam_toolbox a larger scan_queue_size"
+            yield self._late.finding("transforms-late", level, text, hint)
+        hint = "for scans made from clouds: pc2scan convert `target_frame=base_link`; a scan lies in the x-y plane"
+        # A tilting lidar points sideways for a moment.
+        if 2 * self._sideways.count > self._looked:
+            which = counted(self._sideways.count, "scan", "are")
+            text = f"{which} in a frame like a camera's: z is {self._tilt:.1f} deg from that of {self._base}"
+            yield self._sideways.finding("optical-frame", "defect", text, hint)
+        elif self._tilted.count:
+            which = counted(self._tilted.count, "scan", "are")
+            text = f"{which} tilted against {self._base}, by up to {self._tilt:.1f} deg: 2D SLAM treats them as level"
+            yield self._tilted.finding("tilted", "notice", text, hint)
+
+    def _name_findings(self) -> Iterator[Finding]:
+        roots = ", ".join(root for tree in self._buffer.trees for root in tree.roots)
+        named: tuple[tuple[str, str, str, Level], ...] = (
+            (self._odom, "odometry", "odom_frame", "defect"),
+            (self._base, "robot", "base_frame", "notice"),
+        )
+        for name, role, option, level in named:
+            if name not in self._known:
+                text = f"there is no frame {name!r} ({role}) in the transforms; their roots: {roots}"
+                yield Finding(f"no-{role}-frame", level, text, self._naming(option, name))
+
+    def _frame_findings(self, name: str, frame: _Frame, interval_ns: float | None) -> Iterator[Finding]:
+        if moving := find_body_motion(self._buffer, name, self._base):
+            text = f"the scan's frame {name!r} is one that {moving.body} moves in (by {moving.metres:.2f} m)"
+            hint = f"for scans made from clouds: pc2scan convert `target_frame={moving.body}`"
+            yield Finding("moving-frame", "defect", text, hint, frame.scans)
+        if frame.error is not None:
+            missing = frame.missing.count
+            text = f"{missing:,} of {frame.scans:,} scans have no transform from {name!r} to {self._odom!r}"
+            hint, why = self._cure(name, frame.error) or _HINT, f": {frame.error.message}"
+            level: Level = "defect"
+            if few_unplaced(missing, frame.scans, interval_ns):
+                level, why = "notice", ""
+                hint = f"a few at the beginning and the end are usual, and SLAM drops them; {_HINT}"
+            yield frame.missing.finding("no-transform", level, f"{text} at their stamp{why}", hint)

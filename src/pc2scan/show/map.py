@@ -410,10 +410,11 @@ class _Drawing:
         """Return the error that the frame of the map does not exist, with a hint what to type."""
         frame, frames = scan.frame.removeprefix("/"), self._buffer.frames
         roots = next((tree.roots for tree in self._buffer.trees if frame in tree.frames), ())
-        if other := named_in_namespace(self._odom, frames) or next(iter(roots), ""):
-            hint = f"`odom_frame={other}` draws the map in that frame"
-        else:
-            hint = f"`tf_from` adds transforms; `odom_frame={frame}` draws all scans as if the robot stood still"
+        other = named_in_namespace(self._odom, frames) or next(iter(roots), "")
+        hint = f"`odom_frame={other}` draws the map in that frame"
+        if not other or other in BODIES:
+            still = f"`odom_frame={other or frame}` draws all scans as if the robot stood still"
+            hint = f"`odom_topic`, `trajectory` or `tf_from` adds what moves the robot; {still}"
         known = f"the frames are {name_list(sorted(frames))}" if frames else "the recording has no transforms"
         return UsageError(f"there is no frame {self._odom!r} to draw a map in; {known}", hint=hint)
 

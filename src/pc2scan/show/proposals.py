@@ -21,8 +21,7 @@ from pc2scan.transforms.frames import BODIES, WORLDS
 from pc2scan.transforms.motion import spread_of_up
 from pc2scan.transforms.mounting import sensor_exclusion
 
-from .lidar import EDGE_NS, TOLERANCE, Lidar, stamp_faults
-from .trial import tried
+from .lidar import EDGE_NS, TOLERANCE, Lidar, stamp_faults, tried
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -33,7 +32,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.transforms.motion import SensorMotion
 
-    from .trial import Trial
+    from .lidar import Trial
 
 #: The preset whose scans all consumers accept.
 _PRESET = "slam_toolbox"
@@ -79,20 +78,8 @@ _LONG_NS = 5_000_000_000
 _DIGITS = 2
 
 
-class Box(NamedTuple):
-    """The place of the robot's own body: the limits of x, y and z, metres."""
-
-    x: tuple[float, float]
-    y: tuple[float, float]
-    z: tuple[float, float]
-
-    def text(self, frame: str) -> str:
-        """Return it as `exclude_box` has it."""
-        return " ".join((frame, *(f"{value:g}" for limits in self for value in limits)))
-
-
-def body_of(clouds: Iterable[NDArray[np.float64]], low: float, high: float) -> Box | None:
-    """Return the box around returns of the robot's own body; None if there are none, or if nothing tells them apart.
+def body_of(clouds: Iterable[NDArray[np.float64]], low: float, high: float) -> Sequence[float]:
+    """Return the limits of x, y and z of returns of the robot's own body; empty if nothing tells these apart.
 
     Parameters
     ----------
@@ -118,14 +105,13 @@ def body_of(clouds: Iterable[NDArray[np.float64]], low: float, high: float) -> B
         # Not held while the next one is transformed.
         del points
     if count < _FEWEST_CLOUDS:
-        return None
+        return ()
     body, beyond = (np.argwhere(counts >= _PERSIST * count) - _CELLS for counts in (small, large))
     cells = np.count_nonzero(large)
     if len(body) < 3 or cells < 20 or len(beyond) > _STAYS * cells:
-        return None
+        return ()
     (x0, y0), (x1, y1) = body.min(axis=0) * _CELL - 0.05, (body.max(axis=0) + 1) * _CELL + 0.05
-    limits = ((x0, x1), (y0, y1), (low - 0.1, high + 0.1))
-    return Box(*((round(float(one), 2), round(float(other), 2)) for one, other in limits))
+    return [round(float(limit), 2) for limit in (x0, x1, y0, y1, low - 0.1, high + 0.1)]
 
 
 def _filled_cells(points: NDArray[np.float64], size: float) -> NDArray[np.bool_]:
@@ -454,7 +440,8 @@ def _exclusions(group: Sequence[Lidar]) -> Iterator[Choice]:
     if (heights := lidar.mounting.heights) is not None:
         long = [each for each in group if each.span_ns[1] - each.span_ns[0] >= _LONG_NS]
         for body in filter(None, (body_of(each.placed, heights.low, heights.high) for each in long)):
-            boxes[body.text(lidar.target or lidar.mounting.frame)] = "returns of the robot's own body"
+            box = " ".join((lidar.target or lidar.mounting.frame, *map("{:g}".format, body)))
+            boxes[box] = "returns of the robot's own body"
     # The preset rejects points at the origin of the scans' own frame.
     origins = (sensor_exclusion(each.mounting.frame, lidar.target) for each in group if each.has_zeros)
     boxes |= {value: "(0, 0, 0) is no return" for option, value in origins if option == "exclude_box"}
