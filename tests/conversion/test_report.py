@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from pc2scan.conversion.items import Item, Tally
+from pc2scan.conversion.engine import Item, Tally
 from pc2scan.conversion.plan import Output, Route
 from pc2scan.conversion.report import Report, TopicReport
 from pc2scan.conversion.result_checks import result_findings

@@ -10,7 +10,7 @@ import pytest
 
 import pc2scan
 from benchmarks.clouds import CLOUD_BYTES, FORMS, write_recording
-from pc2scan.conversion import cloud_to_scan
+from pc2scan.conversion import conversions
 from pc2scan.core.project import Projector
 from pc2scan.files.compression import decompress
 
@@ -42,7 +42,7 @@ def test_the_thread_that_decompressed_clouds_projects_them(
     how: dict[str, Any] = {"min_height": -2, "max_height": 2, "only_scans": True}
     alone = pc2scan.convert(source, tmp_path / "alone.mcap", jobs=1, **how)
     monkeypatch.setattr("pc2scan.bags.chunks.decompress", spying)
-    monkeypatch.setattr(cloud_to_scan, "Projector", Spy)
+    monkeypatch.setattr(conversions, "Projector", Spy)
     together = pc2scan.convert(source, tmp_path / "together.mcap", jobs=2, **how)
     # The first clouds are converted once more before, to be judged.
     assert len(borrowed) > together.converted[0].messages_out

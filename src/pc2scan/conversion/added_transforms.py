@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple, cast
 
@@ -19,29 +18,24 @@ from pc2scan.core.rule import NO_POINTS
 from pc2scan.errors import MessageError
 from pc2scan.messages.poses import decode_pose
 from pc2scan.messages.tfmessage import decode_transforms, encode_transforms
-from pc2scan.model import TF_QOS, StoredChunk
-from pc2scan.transforms.reading import tf_connections
+from pc2scan.model import StoredChunk
 
-from .declarations import new_connection
-from .plan import Output
-from .report import TopicReport
-from .steps import ConvertedMessage, as_it_is
+from .stages import ConvertedMessage
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
 
     from pc2scan.advice.survey import Span
-    from pc2scan.bags.destinations import Destination
-    from pc2scan.bags.reader import Reader
     from pc2scan.core.rigid import Pose, TransformRow
     from pc2scan.model import Buffer, Connection, Writer
-    from pc2scan.transforms.placing import FrameOptions, LevelTransform
+    from pc2scan.transforms.placing import LevelTransform
     from pc2scan.transforms.sources import AddedPoses, Attachment, PoseReading
 
-    from .declarations import RecordingTopics
-    from .items import Item
-    from .plan import Route
-    from .preparation import Preparation
+    from .engine import Item
+    from .report import TopicReport
+
+
+TFMESSAGE = "tf2_msgs/msg/TFMessage"
 
 
 @dataclass(slots=True)
@@ -90,57 +84,6 @@ class AddedTrajectory(NamedTuple):
     first_ns: int
 
 
-def add_poses(
-    prepared: Preparation,
-    added: Sequence[AddedPoses],
-    routes: Mapping[int, Route],
-    entries: list[TopicReport],
-    topics: RecordingTopics,
-) -> AddedTrajectory | None:
-    """Let routes write poses as transforms, before the topics are declared; return the transforms of a trajectory.
-
-    Parameters
-    ----------
-    added
-        The poses that were used.
-    routes, entries
-        The routes, and the report's entries, which are changed.
-    topics
-        The topics of the destination.
-    """
-    reader, frames, form = prepared.reader, prepared.options.frames, topics.target.serialization
-    children = {name for poses in added for attachment in poses.attachments.values() for name in attachment.replaced}
-    for connection in tf_connections(reader.connections, frames.tf_topics):
-        route = routes[connection.id]
-        if route.handle >= 0 and not connection.is_static:
-            route.reencode = partial(_without, children, connection.serialization, form)
-    shared = tf_connection(reader, frames, topics.target)
-    trajectory = None
-    owners: list[Output | AddedTransforms] = []
-    for poses in added:
-        if poses.reading is None:
-            entry = TopicReport(shared.topic, TFMESSAGE, shared.topic, "added", f"from {poses.name}")
-            entries.append(entry)
-            owners.append(topic := AddedTransforms(entry, form))
-            rows = _rows_in(poses, prepared.span, reader.summary.end_ns)
-            trajectory = AddedTrajectory(rows, topic, prepared.span.first_ns)
-            continue
-        for connection in poses.reading.connections:
-            entry = TopicReport(connection.topic, connection.ros_type, shared.topic, "added", "its poses as transforms")
-            entries.append(entry)
-            route = routes[connection.id]
-            if route.handle < 0 and route.report is not None:
-                # Only counted until now.
-                entries.remove(route.report)
-                route.report = None
-            step = partial(_as_transform, poses.reading, poses.attachments, connection, form)
-            route.decode, route.steps = as_it_is, [(step,)]
-            route.outputs.append(Output(None, shared.topic, report=entry))
-            owners.append(route.outputs[-1])
-    topics.add(shared, *owners)
-    return trajectory
-
-
 def between(
     items: Generator[Item | StoredChunk], trajectory: AddedTrajectory, writer: Writer
 ) -> Generator[Item | StoredChunk]:
@@ -157,7 +100,7 @@ def between(
             yield item
 
 
-def _as_transform(
+def as_transform(
     reading: PoseReading,
     attachments: Mapping[tuple[str, str], Attachment],
     connection: Connection,
@@ -172,13 +115,13 @@ def _as_transform(
     return ConvertedMessage(message, NO_POINTS, empty=False, size=len(message))
 
 
-def _without(children: Collection[str], source: str, target: str, data: Buffer) -> Buffer:
+def without(children: Collection[str], source: str, target: str, data: Buffer) -> Buffer:
     """Return a message with transforms without those of some frames."""
     rows = decode_transforms(data, source)
     return encode_transforms([row for row in rows if row[1].removeprefix("/") not in children], target)
 
 
-def _rows_in(added: AddedPoses, span: Span, end_ns: int | None) -> Iterator[TransformRow]:
+def rows_in(added: AddedPoses, span: Span, end_ns: int | None) -> Iterator[TransformRow]:
     """Yield the transforms of a trajectory during the cut, by stamp, with the last one before and the first after.
 
     Rows are made one by one: a million of them would take half a gigabyte.
@@ -195,19 +138,3 @@ def _rows_in(added: AddedPoses, span: Span, end_ns: int | None) -> Iterator[Tran
         trajectory = used[owners[place]]
         attachment = added.attachments[trajectory.parent, trajectory.child]
         yield attachment.row(int(stamps_ns[place]), cast("Pose", tuple(poses[place].tolist())))
-
-
-TFMESSAGE = "tf2_msgs/msg/TFMessage"
-
-
-def tf_connection(reader: Reader, frames: FrameOptions, target: Destination) -> Connection:
-    """Return the connection of new transforms: one more publisher of the topic that has the moving ones."""
-    moving = [c for c in tf_connections(reader.connections, frames.tf_topics) if not c.is_static]
-    if not moving:
-        return new_connection(target, "/tf", TFMESSAGE, qos=TF_QOS)
-    first = moving[0]
-    if first.ros_version == target.ros_version and first.definition.data:
-        # ROS 1 has two types with the same layout; all publishers of a topic have the same type.
-        declared = first.definition, first.digest
-        return new_connection(target, first.topic, first.msgtype, declared, qos=TF_QOS)
-    return new_connection(target, first.topic, TFMESSAGE, qos=TF_QOS)

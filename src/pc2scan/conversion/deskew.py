@@ -23,8 +23,6 @@ from pc2scan.core.timing import AZIMUTH, IN_SECONDS, LONGEST, TIME_FIELDS, TIME_
 from pc2scan.errors import DecodeError, TransformError
 from pc2scan.request.point_time import BY_AZIMUTH, PointTime
 
-from .steps import Motion
-
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
@@ -78,6 +76,17 @@ class _LazyTimes(Mapping[str, "NDArray[Any]"]):
 
     def __len__(self) -> int:
         return 1
+
+
+class Motion(NamedTuple):
+    """The largest distance of the sensor from its pose at the scan's time: metres and radians.
+
+    ``gap`` is the longest time that transforms were interpolated over, seconds.
+    """
+
+    distance: float
+    angle: float
+    gap: float = 0.0
 
 
 class MovingCloud(NamedTuple):

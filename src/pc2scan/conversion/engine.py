@@ -5,35 +5,41 @@ thread, and what becomes of the items.
 
 A thread that loads a chunk also works on its messages before it returns the chunk. So a cloud of 4 MB is still in the
 core's own cache, and the memory of a chunk is released as soon as its scans exist.
+
+Messages of one scan are grouped in order; their scan is made on any thread, and follows the message that completes it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import closing
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from pc2scan.bags.loading import Chunk, merge_by_time
 from pc2scan.bags.reader import Wanted
-from pc2scan.errors import DecodeError, MessageError
+from pc2scan.errors import DecodeError, MessageError, TransformError, UnconnectedError
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
 from pc2scan.model import RawMessage, StoredChunk, copied_message, own_data
+from pc2scan.result import MAX_LISTED, Skipped
+from pc2scan.threads import InOrder
 
-from .combine.combiner import add_groups
-from .items import Item
-from .steps import ConvertedMessage
+from .combine.conversion import Contribution
+from .stages import ConvertedMessage, as_it_is
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Generator, Hashable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Collection, Generator, Hashable, Iterable, Iterator, Mapping, Sequence
 
     from pc2scan.advice.survey import Span
     from pc2scan.bags.reader import Reader
-    from pc2scan.model import ChunkRule, Connection
+    from pc2scan.model import Buffer, ChunkRule, Connection
     from pc2scan.progress import Meter
     from pc2scan.threads import Threads
 
-    from .combine.conversion import Contribution
-    from .plan import Route
+    from .combine.conversion import MessagesToScan
+    from .combine.grouping import Group, Grouper
+    from .plan import Output, Route
+    from .report import TopicReport
 
 
 def items_of(
@@ -182,3 +188,332 @@ def _names(message: RawMessage) -> Collection[Hashable]:
     except DecodeError:
         pass
     return [(connection.id, bytes(message.data))]
+
+
+#: The destination stores everything.
+NOTHING_REFUSED: Mapping[int, MessageError] = {}
+
+
+class Item(NamedTuple):
+    """What a message became, or what a group of messages became together.
+
+    Attributes
+    ----------
+    route
+        The route of the message; of a group, that of its leading message.
+    log_time_ns, publish_time_ns, sequence
+        Of the message. A group has the log time of the message that completes it, and the leading one's sequence.
+    results
+        Each output with its result, or with the error in its place. The message of an output that makes one scan of
+        several waits for its group.
+    passing
+        The message as it is written to its own topic; None if it is not.
+    error
+        Why nothing could be made of the message, or why it cannot pass.
+    is_group
+        Whether it is a group.
+    """
+
+    route: Route
+    log_time_ns: int
+    publish_time_ns: int
+    sequence: int
+    results: Sequence[tuple[Output, ConvertedMessage | Contribution | MessageError]] = ()
+    passing: Buffer | None = None
+    error: MessageError | None = None
+    is_group: bool = False
+
+    @property
+    def size(self) -> int:
+        """The size of what was made, in bytes."""
+        results = (result for output, result in self.results if not (output.used or isinstance(result, MessageError)))
+        return len(self.passing or b"") + sum(result.size for result in results)
+
+    @property
+    def errors(self) -> Sequence[MessageError]:
+        """Why results are missing; each error once."""
+        return list({each.message: each for _, each in self.results if isinstance(each, MessageError)}.values())
+
+    @property
+    def failure(self) -> MessageError | None:
+        """The error of a message without any result; None if it has one."""
+        errors = [result for _, result in self.results if isinstance(result, MessageError)]
+        return errors[0] if errors and len(errors) == len(self.results) else self.error
+
+
+class Tally:
+    """The counts of a conversion: those of the routes, and those of the entries that the report has for each topic.
+
+    Parameters
+    ----------
+    routes
+        The routes by the id of their connection.
+    strict
+        Whether a message that cannot be converted is an error; otherwise it is skipped.
+
+    Attributes
+    ----------
+    skipped
+        The first `MAX_LISTED` messages that were not converted; the last of them is the one that is farthest from any
+        transform, if that came later.
+    failures
+        How many messages, or groups, have an error.
+    is_connected
+        Whether transforms connect at least one message with the target frame, or none are needed. Frames may differ
+        from message to message, so that it is certain only after the last one.
+    """
+
+    def __init__(self, routes: Mapping[int, Route], *, strict: bool) -> None:
+        self.skipped: list[Skipped] = []
+        self.failures = 0
+        self._farthest_ns = 0
+        self.is_connected = False
+        self._routes = routes
+        self._strict = strict
+        self._first_unconnected: tuple[str, UnconnectedError] | None = None
+
+    @property
+    def messages(self) -> int:
+        """How many messages were read, of all topics that are not skipped."""
+        return sum(route.messages for route in self._routes.values())
+
+    def count(self, item: Item, refused: Mapping[int, MessageError] = NOTHING_REFUSED) -> None:
+        """Count an item.
+
+        Parameters
+        ----------
+        refused
+            Why the destination cannot store a result, by the number of its output among the item's results; -1 is the
+            message as it passes.
+
+        Raises
+        ------
+        MessageError
+            With ``strict``: the first error.
+        """
+        route = item.route
+        failed: list[tuple[MessageError, TopicReport]] = []
+        if not item.is_group:
+            if not route.writes:
+                for entry in route.reports:
+                    entry.skip(1)
+                return
+            route.messages += 1
+            if route.report is not None:
+                error = item.error or refused.get(-1)
+                route.report.messages_in += 1
+                if error is None:
+                    route.report.messages_out += 1
+                else:
+                    route.report.skipped += 1
+                    failed.append((error, route.report))
+        for number, (output, result) in enumerate(item.results):
+            entry = output.report
+            entry.messages_in += not item.is_group
+            if isinstance(result, ConvertedMessage) and number not in refused:
+                entry.messages_out += 1
+                if not output.used:
+                    if output.first is None:
+                        output.first = result.message
+                    entry.count(result)
+                    if result.stamp_ns is not None:
+                        entry.stamps.add(result.stamp_ns, item.log_time_ns)
+            elif isinstance(result, MessageError) or number in refused:
+                entry.skipped += 1
+                failed.append((result if isinstance(result, MessageError) else refused[number], entry))
+        if failed:
+            self._skip(item, failed)
+        if not (self.is_connected or item.is_group) and route.outputs and route.outputs[0].spec is not None:
+            error = item.failure
+            self.is_connected = not isinstance(error, UnconnectedError)
+            if self._first_unconnected is None and isinstance(error, UnconnectedError):
+                self._first_unconnected = route.connection.topic, error
+
+    def count_chunk(self, chunk: StoredChunk) -> None:
+        """Count the messages of a chunk that passes as a whole."""
+        for connection_id, entries in chunk.index.items():
+            route = self._routes[connection_id]
+            route.messages += len(entries)
+            (entry,) = route.reports
+            entry.messages_in += len(entries)
+            entry.messages_out += len(entries)
+
+    def finish(self) -> None:
+        """Raise if no message could be converted because no transforms connect any with the target frame.
+
+        Raises
+        ------
+        TransformError
+            The first error.
+        """
+        if not self.is_connected and self._first_unconnected is not None:
+            topic, first = self._first_unconnected
+            raise UnconnectedError(f"nothing can be converted: {first.message}", topic=topic, hint=first.hint)
+
+    def _skip(self, item: Item, failed: Sequence[tuple[MessageError, TopicReport]]) -> None:
+        """List the errors of an item, or raise the first one."""
+        topic = item.route.connection.topic
+        self.failures += 1
+        # Equal errors are listed once, with all topics that miss the message.
+        errors: dict[str, tuple[MessageError, list[str]]] = {}
+        for error, entry in failed:
+            errors.setdefault(error.message, (error, []))[1].append(entry.target or "")
+        for error, targets in errors.values():
+            error.topic = topic
+            if self._strict:
+                raise error
+            gap_ns = error.gap_ns if isinstance(error, TransformError) else 0
+            if len(self.skipped) >= MAX_LISTED:
+                if gap_ns <= self._farthest_ns:
+                    continue
+                del self.skipped[-1]
+            self._farthest_ns = max(self._farthest_ns, gap_ns)
+            fields = (topic, item.log_time_ns, error.stamp_ns, error.message, error.hint or "")
+            self.skipped.append(Skipped(*fields, tuple(filter(None, targets)), gap_ns=gap_ns))
+
+
+#: Bytes that may wait for each thread to be written.
+_AHEAD_BYTES = 6 << 20
+
+
+#: What another thread may do, or the caller's: the function that makes an item, its size in bytes, and whether it takes
+#: longer than handing it to another thread.
+Work: TypeAlias = tuple[Callable[[], "Item | StoredChunk"], int, bool]
+
+#: A message for a scan: its route, the output of the scan if this message leads it, itself, and the sequence number.
+Arrival: TypeAlias = tuple["Route", "Output", Contribution, int]
+
+
+class Combiner:
+    """Combines the messages of several topics to scans.
+
+    A scan has the log time of the message that completed its group, which is when a node would have published it. A
+    group that nothing completes has that of the last message of its topics, whatever else was recorded later.
+
+    Parameters
+    ----------
+    conversion
+        The conversion of the messages.
+    grouper
+        Groups them.
+    last
+        The consumer's last step with each scan.
+
+    Attributes
+    ----------
+    reports
+        The report's entry of each topic, by the topic's number. All publishers of a topic share one.
+    """
+
+    def __init__(
+        self, conversion: MessagesToScan, grouper: Grouper, last: Callable[[ConvertedMessage], ConvertedMessage]
+    ) -> None:
+        self.reports: dict[int, TopicReport] = {}
+        self._conversion = conversion
+        self._last = last
+        self._grouper = grouper
+        self._last_ns = 0
+
+    def add(self, arrival: Arrival, log_time_ns: int) -> list[Work]:
+        """Take a message, and return how the scans are made that are complete now."""
+        self._last_ns, message = log_time_ns, arrival[2]
+        groups = self._grouper.add(message.source, message.stamp_ns, log_time_ns, message.size, arrival)
+        return list(map(self._work, groups))
+
+    def finish(self) -> list[Work]:
+        """Return how the scans are made that are still open, and add the counts to the report."""
+        groups = self._grouper.finish()
+        for number, entry in self.reports.items():
+            entry.joined = self._grouper.counts[number]
+            if number:
+                entry.messages_out = entry.joined.used
+        return list(map(self._work, groups))
+
+    def alone(self, contribution: Contribution) -> ConvertedMessage:
+        """Make the scan of one message alone, for dry runs."""
+        return self._last(self._conversion.alone(contribution))
+
+    def _work(self, group: Group) -> Work:
+        # Points that are projected already are soon a scan.
+        takes_long = any(member.item[2].nearest is None for member in group.members)
+        size = sum(member.size for member in group.members)
+        return partial(self._make, group, self._last_ns), size, takes_long
+
+    def _make(self, group: Group, log_time_ns: int) -> Item:
+        route, output, contribution, sequence = group.lead.item
+        result: ConvertedMessage | MessageError
+        try:
+            result = self._last(self._conversion.scan(contribution, [member.item[2] for member in group.members]))
+        except MessageError as err:
+            result = err
+            err.stamp_ns = err.stamp_ns or contribution.stamp_ns
+        return Item(route, log_time_ns, log_time_ns, sequence, [(output, result)], is_group=True)
+
+
+def add_groups(
+    items: Generator[Item | StoredChunk], combiners: Iterable[Combiner], threads: Threads | None
+) -> Generator[Item | StoredChunk]:
+    """Add the scans of several messages to the items of single messages.
+
+    Parameters
+    ----------
+    items
+        Those of single messages, in the order of writing.
+    combiners
+        All combiners of the outputs.
+    threads
+        The threads that make the scans, or None for the caller's alone. The scans do not depend on it.
+
+    Yields
+    ------
+    Item | StoredChunk
+        Each group follows the item that completes it.
+    """
+    if threads is None:
+        with closing(items):
+            for work, _, _ in _work(items, combiners):
+                done = work()
+                # The next message is read into the buffer that this scan's points were in.
+                del work
+                yield done
+        return
+    # Of scans with very many points, only one may wait.
+    queue: InOrder[Any] = InOrder(threads, _AHEAD_BYTES, 1)
+    try:
+        for work, size, takes_long in _work(items, combiners):
+            while len(queue) and not queue.has_room(size):
+                yield queue.take()
+            queue.put(work, size, at_its_turn=not takes_long)
+            # Only the queue refers to the points, so that their buffer is free as soon as the scan is made.
+            del work
+            while queue.is_ready():
+                yield queue.take()
+        while len(queue):
+            yield queue.take()
+    finally:
+        queue.cancel()
+        # Stops loading ahead.
+        items.close()
+
+
+def _work(items: Iterable[Item | StoredChunk], combiners: Iterable[Combiner]) -> Generator[Work]:
+    """Yield the work in order."""
+    for item in items:
+        arrivals: list[tuple[Combiner, Arrival]] = []
+        if isinstance(item, StoredChunk):
+            log_time_ns, size = 0, len(item.stored)
+        else:
+            log_time_ns, size = item.log_time_ns, item.size
+            arrivals = [
+                (output.combiner, (item.route, output, result, item.sequence))
+                for output, result in item.results
+                if output.combiner is not None and isinstance(result, Contribution)
+            ]
+        yield partial(as_it_is, item), size, False
+        # This frame must hold neither the item nor its points while the next message is read.
+        del item
+        for combiner, arrival in arrivals:
+            yield from combiner.add(arrival, log_time_ns)
+        arrivals.clear()
+    for combiner in combiners:
+        yield from combiner.finish()

@@ -14,7 +14,7 @@ from pc2scan.errors import MessageError, UnconnectedError
 from .combine.conversion import Contribution
 from .engine import convert
 from .result_checks import result_findings
-from .steps import ConvertedMessage
+from .stages import ConvertedMessage
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pc2scan.model import RawMessage
     from pc2scan.request.options import ScanSpec
 
-    from .items import Item, Tally
+    from .engine import Item, Tally
     from .plan import Output, Route
     from .preparation import Preparation
     from .report import Report

@@ -20,10 +20,9 @@ from pc2scan.request.point_time import PointTime
 from pc2scan.transforms.placing import Placer, UpByFrame, UpByImu
 from pc2scan.transforms.reading import read_robot_transforms
 
-from .cloud_to_scan import CloudToScan
 from .combine.conversion import MessagesToScan, SourceFacts, measure_sources
+from .conversions import CloudToScan, ScanToCloud
 from .deskew import Deskew
-from .scan_to_cloud import ScanToCloud
 from .source_checks import check_fixed_frame, check_given_frames
 
 if TYPE_CHECKING:
@@ -40,7 +39,7 @@ if TYPE_CHECKING:
     from pc2scan.transforms.reading import FoundTransforms
 
     from .plan import Plan
-    from .steps import Conversion
+    from .stages import Conversion
 
 
 @dataclass(slots=True, eq=False)

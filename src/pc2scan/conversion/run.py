@@ -42,9 +42,8 @@ from pc2scan.result import BEGINNING, Result, tell_early
 from pc2scan.threads import Threads, cores
 
 from .corrections import corrected_for, scaled
-from .engine import items_of
+from .engine import Tally, items_of
 from .first_clouds import count_by_index, judge_first
-from .items import Tally
 from .plan import make_plan
 from .preparation import prepare, span_of
 from .recording import open_output, write_items

@@ -21,7 +21,7 @@ from pc2scan.advice.first_clouds import FirstCloud, judge
 from pc2scan.advice.measurements import Measurements, regular_step, shapes_of
 from pc2scan.advice.point_times import time_warnings, times_of
 from pc2scan.advice.survey import Fact
-from pc2scan.conversion.cloud_to_scan import CloudToScan
+from pc2scan.conversion.conversions import CloudToScan
 from pc2scan.conversion.report import StampCounts
 from pc2scan.conversion.stages import PlaceStage
 from pc2scan.core.params import ProjectionParams

@@ -20,7 +20,7 @@ from pc2scan.bags.damage import mention
 from pc2scan.bags.observers import Spread
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import by_topic
-from pc2scan.conversion.cloud_to_scan import CloudToScan
+from pc2scan.conversion.conversions import CloudToScan
 from pc2scan.conversion.corrections import corrected_for, scaled
 from pc2scan.conversion.plan import make_plan
 from pc2scan.conversion.preparation import prepare, span_of

@@ -16,16 +16,15 @@ from pc2scan.bags.damage import mention
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import by_topic, find_topics, short_types, types_by_topic
 from pc2scan.conversion.corrections import corrected, corrected_for, scaled
-from pc2scan.conversion.engine import items_of
+from pc2scan.conversion.engine import Tally, items_of
 from pc2scan.conversion.first_clouds import judge_first
-from pc2scan.conversion.items import Tally
 from pc2scan.conversion.plan import Output, Route, make_plan
 from pc2scan.conversion.preparation import prepare, span_of
 from pc2scan.conversion.recording import open_routes
 from pc2scan.conversion.report import Report, TopicReport
 from pc2scan.conversion.result_checks import result_findings
 from pc2scan.conversion.source_checks import refuse_no_messages
-from pc2scan.conversion.steps import ConvertedMessage, as_it_is
+from pc2scan.conversion.stages import ConvertedMessage, as_it_is
 from pc2scan.core.rule import NO_POINTS
 from pc2scan.errors import NothingToConvertError, Pc2ScanError, RecordingWarning, TopicError, name_list, visible
 from pc2scan.messages.clouds import CLOUDS, usual_topics
@@ -48,7 +47,7 @@ if TYPE_CHECKING:
     from pc2scan.advice.survey import Span
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
-    from pc2scan.conversion.items import Item as EngineItem
+    from pc2scan.conversion.engine import Item as EngineItem
     from pc2scan.messages.pointcloud2 import PointCloud2
     from pc2scan.model import Buffer, Connection
     from pc2scan.progress import Meter

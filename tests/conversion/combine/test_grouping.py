@@ -13,8 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan.conversion.combine import grouping
-from pc2scan.conversion.combine.grouping import Grouper
-from pc2scan.conversion.combine.rules import Interval, Nearest, Recent, Rule
+from pc2scan.conversion.combine.grouping import Grouper, Interval, Nearest, Recent, Rule
 from pc2scan.errors import UsageError
 from support import sampled
 from support.tables import rows

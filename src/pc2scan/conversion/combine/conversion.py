@@ -16,9 +16,9 @@ import numpy as np
 
 from pc2scan.advice.clocks import MEASURES, are_doubtful
 from pc2scan.advice.measurements import Measurements, measure, require_fields, unknown_step
-from pc2scan.conversion.cloud_to_scan import Beams, remove_beams
-from pc2scan.conversion.stages import SelectStage
-from pc2scan.conversion.steps import ConvertedMessage, Motion, Steps
+from pc2scan.conversion.conversions import Beams, remove_beams
+from pc2scan.conversion.deskew import Motion
+from pc2scan.conversion.stages import ConvertedMessage, SelectStage, Steps
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import median_low
 from pc2scan.core.points import Points
@@ -33,8 +33,7 @@ from pc2scan.messages.laserscan import LaserScan
 from pc2scan.request.filters import Frame
 from pc2scan.transforms.placing import Placement
 
-from .grouping import Grouper
-from .rules import Interval, Nearest, Recent
+from .grouping import Grouper, Interval, Nearest, Recent
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -51,7 +50,7 @@ if TYPE_CHECKING:
     from pc2scan.request.options import ScanSpec
     from pc2scan.transforms.placing import LevelFrame, Placer
 
-    from .rules import Rule
+    from .grouping import Rule
 
 #: Bytes that a message takes besides its arrays.
 _OVERHEAD = 2_000

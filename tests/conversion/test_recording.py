@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from pc2scan.conversion.declarations import declare
+from pc2scan.conversion.recording import declare
 from pc2scan.model import Connection, Definition
 from support.tables import rows
 
