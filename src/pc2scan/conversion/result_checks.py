@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from pc2scan.advice.checks.clouds import notable_share
 from pc2scan.bags.damage import RECOVER, Damage, count_details
-from pc2scan.core.consumers import CONSUMERS, judge
+from pc2scan.core.consumers import judge
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import DamageError, ResultError, name_list, stamp_text
 from pc2scan.messages.laserscan import decode_laserscan, scan_for_consumers
@@ -22,6 +21,7 @@ from pc2scan.text import agreeing, counted
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
+    from pc2scan.bags.reader import Reader
     from pc2scan.core.rule import Rejection
     from pc2scan.core.verdicts import Outcome
     from pc2scan.messages.laserscan import LaserScan
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from pc2scan.request.options import ConvertOptions, ScanSpec
 
     from .plan import Route
-    from .preparation import Preparation
     from .report import Report, TopicReport
 
 warning, note = partial(Remark, "warning"), partial(Remark, "note")
@@ -79,27 +78,16 @@ _DOES: dict[Outcome, str] = {
 
 
 def _refusal(topic: TopicReport, scan: LaserScan) -> str:
-    """Return a warning that names the consumers that would ignore scans like this one, or abort; empty if none would.
+    """Return a warning if the consumer that scans are made for would not use scans like this one as they are meant.
 
-    The consumer that the scans are made for is checked by all its rules. The others are checked only by what a
-    scan's header advertises; `pc2scan check` judges the ranges. Infinite ranges with an infinite range_max, as
-    upstream's own defaults have them, are misplaced by most consumers, and gmapping aborts.
+    Without a preset, this is slam_toolbox, and only whether it ignores them: `pc2scan check` judges for all consumers.
     """
-    judged = scan_for_consumers(scan)
     chosen = next(filter(None, map(preset_of, topic.spec.origins.values() if topic.spec else ())), "")
-    if chosen:
-        verdicts = [judge(chosen, judged)]
-        verdicts = [each for each in verdicts if each.outcome != "accepted"]
-    else:
-        judged = replace(judged, infinite=0, short=0)
-        verdicts = [verdict for name in CONSUMERS if (verdict := judge(name, judged)).refused]
-    if not verdicts:
+    verdict = judge(chosen or "slam_toolbox", scan_for_consumers(scan))
+    if verdict.outcome == "accepted" or not (chosen or verdict.refused):
         return ""
-    first, *others = verdicts
-    does = _DOES[first.outcome] if chosen else _DOES["ignored"]
-    others_too = f" (so would {', '.join(verdict.consumer for verdict in others)})" if others else ""
-    cure = f"{first.cure[:1].upper()}{first.cure[1:]}"
-    return f"{first.consumer} {does}{others_too}: {first.observed} where it allows {first.allowed}. {cure}"
+    cure = f"{verdict.cure[:1].upper()}{verdict.cure[1:]}"
+    return f"{verdict.consumer} {_DOES[verdict.outcome]}: {verdict.observed} where it allows {verdict.allowed}. {cure}"
 
 
 def _shared_beams(topic: TopicReport, scan: LaserScan) -> Iterator[str]:
@@ -370,7 +358,7 @@ def result_findings(
     return warnings, list(dict.fromkeys(remark.text for remark in remarks if remark.label == "note"))
 
 
-def compare_counts(prepared: Preparation, routes: Collection[Route], report: Report) -> None:
+def compare_counts(reader: Reader, options: ConvertOptions, routes: Collection[Route], report: Report) -> None:
     """Compare how many messages were read with how many the sources declare, for each connection of a whole recording.
 
     The report then has how many they declare, and the damage of a difference that nothing else explains.
@@ -380,7 +368,7 @@ def compare_counts(prepared: Preparation, routes: Collection[Route], report: Rep
     DamageError
         With ``strict``, if there is such a difference.
     """
-    reader, options, read = prepared.reader, prepared.options, report.messages_read
+    read = report.messages_read
     written = [route for route in routes if route.writes]
     known = [(route.connection.topic, route.connection.message_count, route.messages) for route in written]
     counts = [(topic, declared, own) for topic, declared, own in known if declared is not None]

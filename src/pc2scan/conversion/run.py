@@ -43,9 +43,8 @@ from pc2scan.threads import Threads, cores
 
 from .corrections import corrected_for, scaled
 from .engine import Tally, items_of
-from .first_clouds import count_by_index, judge_first
 from .plan import make_plan
-from .preparation import prepare, span_of
+from .preparation import count_by_index, judge_first, prepare, span_of
 from .recording import open_output, write_items
 from .report import Report
 from .result_checks import compare_counts, refuse_nothing, refuse_unsatisfied, result_findings
@@ -307,7 +306,8 @@ def _writing(
         except BaseException:
             writer.abort()
             raise
-        report.bytes_written = _size_on_disk(unfinished)
+        files = unfinished.iterdir() if unfinished.is_dir() else [unfinished]
+        report.bytes_written = sum(file.stat().st_size for file in files)
 
 
 def _judge(prepared: Preparation, recording: OpenRecording, target: Destination, report: Report) -> None:
@@ -328,18 +328,8 @@ def _judge(prepared: Preparation, recording: OpenRecording, target: Destination,
         clocks = Clocks(survey, survey.topics(doubtful).values())
         survey.read()
         report.add(clocks.warnings())
-    compare_counts(prepared, recording.routes.values(), report)
+    compare_counts(reader, options, recording.routes.values(), report)
     if prepared.plan.specs:
         refuse_nothing(report)
     if not options.repair:
         refuse_unsatisfied(report, options)
-
-
-def _size_on_disk(path: Path) -> int:
-    """Return the size in bytes of a file, or of all files in a folder."""
-    try:
-        if path.is_dir():
-            return sum(file.stat().st_size for file in path.iterdir())
-        return path.stat().st_size
-    except OSError as err:
-        raise OutputError(f"cannot be read after it was written: {err.strerror}", path=path) from err

@@ -17,9 +17,8 @@ from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import by_topic, find_topics, short_types, types_by_topic
 from pc2scan.conversion.corrections import corrected, corrected_for, scaled
 from pc2scan.conversion.engine import Tally, items_of
-from pc2scan.conversion.first_clouds import judge_first
 from pc2scan.conversion.plan import Output, Route, make_plan
-from pc2scan.conversion.preparation import prepare, span_of
+from pc2scan.conversion.preparation import judge_first, prepare, span_of
 from pc2scan.conversion.recording import open_routes
 from pc2scan.conversion.report import Report, TopicReport
 from pc2scan.conversion.result_checks import result_findings
