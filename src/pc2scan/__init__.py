@@ -53,8 +53,8 @@ if TYPE_CHECKING:
     from .api import scans as scans
     from .api import tf as tf
     from .api import view as view
-    from .compare.golden.check import GoldenReport as GoldenReport
-    from .compare.result import Difference as Difference
+    from .compare.differences import Difference as Difference
+    from .compare.golden import GoldenReport as GoldenReport
     from .conversion.report import Report as Report
     from .core.params import ProjectionParams as ProjectionParams
     from .core.project import ProjectedScan as ProjectedScan
@@ -99,8 +99,8 @@ _PUBLIC = {
         "tf",
         "view",
     ),
-    "compare.golden.check": ("GoldenReport",),
-    "compare.result": ("Difference",),
+    "compare.golden": ("GoldenReport",),
+    "compare.differences": ("Difference",),
     "conversion.report": ("Report",),
     "core.params": ("ProjectionParams",),
     "core.project": ("ProjectedScan", "project"),

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 from .arguments import names_in
 from .cli.in_process import run_command
 from .compare.diff import diff as compare
-from .compare.golden.check import check_cases
-from .compare.golden.init import make_case
-from .datasets.run import run_batch
+from .compare.golden import check_cases, make_case
+from .datasets.batch import run_batch
 from .errors import UsageError
 from .exports.run import export as write
 from .files.urls import path_of, paths_in
@@ -36,8 +35,8 @@ if TYPE_CHECKING:
 
     from typing_extensions import Unpack
 
-    from .compare.golden.check import GoldenReport
-    from .compare.result import Difference
+    from .compare.differences import Difference
+    from .compare.golden import GoldenReport
     from .conversion.report import Report
     from .datasets.summary import BatchReport
     from .exports.run import ExportReport

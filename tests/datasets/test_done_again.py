@@ -123,7 +123,7 @@ class World:
             yield
 
         if kind == "killed" and "convert" in expected.values():
-            with patch("pc2scan.datasets.run.run_jobs", killed), pytest.raises(KeyboardInterrupt):
+            with patch("pc2scan.datasets.batch.run_jobs", killed), pytest.raises(KeyboardInterrupt):
                 pc2scan.batch(self.root / "in", self.out, **{**KEYWORDS, **options}, **how)
             converted = begun
         else:

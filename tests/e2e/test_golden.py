@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 import pc2scan
-from pc2scan.compare.golden.case import load_case
-from pc2scan.compare.rules import Rules
+from pc2scan.compare.golden import load_case
+from pc2scan.compare.messages import Rules
 from support import GOLDEN, ROOT, sampled
 from support.command import run
 from support.outputs import opened

@@ -43,7 +43,7 @@ def in_this_process() -> Iterator[list[str]]:
     Yields the keys of the jobs that were begun.
     """
     jobs: list[str] = []
-    with patch("pc2scan.datasets.run.run_jobs", partial(_execute, jobs=jobs)):
+    with patch("pc2scan.datasets.batch.run_jobs", partial(_execute, jobs=jobs)):
         yield jobs
 
 

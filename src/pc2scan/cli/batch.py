@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pc2scan.datasets.run import run_batch
+from pc2scan.datasets.batch import run_batch
 from pc2scan.files.urls import path_or_url
 from pc2scan.options.call import Options
 from pc2scan.text import counted, size
@@ -12,7 +12,7 @@ from pc2scan.text import counted, size
 from .render import as_typed, progress_bar, say, show
 
 if TYPE_CHECKING:
-    from pc2scan.datasets.plan import BatchPlan
+    from pc2scan.datasets.planning import BatchPlan
     from pc2scan.datasets.summary import Outcome
 
 

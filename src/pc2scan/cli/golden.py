@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pc2scan.compare.golden.check import check_cases
-from pc2scan.compare.golden.init import make_case
+from pc2scan.compare.golden import check_cases, make_case
 from pc2scan.errors import UsageError
 from pc2scan.options.call import Options
 from pc2scan.options.effects import refuse_idle
@@ -16,7 +15,7 @@ from .in_process import run_command
 from .render import as_typed, progress_bar, say, show, show_parts
 
 if TYPE_CHECKING:
-    from pc2scan.compare.golden.check import CaseResult
+    from pc2scan.compare.golden import CaseResult
 
 
 def golden(folder: Path, pattern: str | None, *, options: Options) -> int:

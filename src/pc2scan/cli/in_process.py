@@ -7,7 +7,7 @@ from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from typing import TYPE_CHECKING
 
-from pc2scan.compare.golden.check import CommandResult
+from pc2scan.compare.golden import CommandResult
 from pc2scan.errors import UsageError
 from pc2scan.options.option import Scope
 from pc2scan.options.table import options_of
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def run_command(arguments: Sequence[str], chosen: Sequence[str] = ()) -> CommandResult:
-    """Run ``pc2scan`` with arguments, and return what it prints. See `pc2scan.compare.golden.check.Command`.
+    """Run ``pc2scan`` with arguments, and return what it prints. See `pc2scan.compare.golden.Command`.
 
     Raises
     ------

@@ -11,23 +11,22 @@ from contextlib import ExitStack, closing
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.opening import open_recording
+from pc2scan.bags.topics import by_topic
 from pc2scan.errors import TopicError, UsageError, name_list
 from pc2scan.files.urls import fetched
 from pc2scan.messages.schema import canonical_type
 from pc2scan.progress import Meter
 from pc2scan.text import did_you_mean
 
+from .differences import Difference, MessageTimes, TopicDifference
 from .match import OpenRecording, TopicStream, header_stamp_ns, match_messages
-from .messages import DECODED_TYPES, compare_bytes, compare_messages
-from .result import Difference, MessageTimes, TopicDifference
-from .rules import Rules
+from .messages import DECODED_TYPES, Rules, compare_bytes, compare_messages
 from .scan_text import is_scan_text, open_scan_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from pc2scan.model import Connection
     from pc2scan.options.call import Options
     from pc2scan.progress import Progress
 
@@ -98,19 +97,16 @@ def _streams(
     sources: Sequence[OpenRecording], topics: Sequence[tuple[str, str]], *, all_topics: bool
 ) -> tuple[list[list[TopicStream]], int]:
     """Return the topics to compare, of both sides, and how many others there are."""
-    by_topic: list[dict[str, list[Connection]]] = [{}, {}]
-    for connections, source in zip(by_topic, sources, strict=True):
-        for connection in source.connections:
-            connections.setdefault(connection.topic, []).append(connection)
+    topics_of = [by_topic(source.connections) for source in sources]
     for pair in topics:
-        for topic, known, source in zip(pair, by_topic, sources, strict=True):
+        for topic, known, source in zip(pair, topics_of, sources, strict=True):
             if topic not in known:
                 hint = f"{did_you_mean(topic, sorted(known))} the recording's topics are: {name_list(sorted(known))}"
                 raise TopicError("there is no such topic", path=source.path, topic=topic, hint=hint.strip())
-    rest = {*by_topic[0], *by_topic[1]} - {name for pair in topics for name in pair}
+    rest = {*topics_of[0], *topics_of[1]} - {name for pair in topics for name in pair}
     named, others = [], []
     for pair in (*topics, *((name, name) for name in sorted(rest))):
-        sides = [tuple(known.get(topic, ())) for topic, known in zip(pair, by_topic, strict=True)]
+        sides = [tuple(known.get(topic, ())) for topic, known in zip(pair, topics_of, strict=True)]
         stamped = any(connection.ros_type in DECODED_TYPES for side in sides for connection in side)
         streams = [TopicStream(source, side, stamped) for source, side in zip(sources, sides, strict=True)]
         if pair in topics or (stamped and not topics):

@@ -1,20 +1,21 @@
-"""Compares two scans or two clouds, each in any wire format: values of beams and points, geometry, layout, header."""
+"""Compares two scans or two clouds, each in any wire format, by rules: tolerances, and names to ignore."""
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import struct
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pc2scan.core.compare import compare_arrays
-from pc2scan.errors import DecodeError
+from pc2scan.core.compare import Tolerance, compare_arrays
+from pc2scan.errors import DecodeError, UsageError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
 from pc2scan.messages.pointcloud2 import DATATYPES, CloudFields, recorded_cloud
 from pc2scan.messages.transcode import transcoder
-
-from .rules import GEOMETRY
+from pc2scan.text import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -24,8 +25,21 @@ if TYPE_CHECKING:
     from pc2scan.core.compare import ArrayDifference
     from pc2scan.messages.pointcloud2 import PointCloud2, PointField
     from pc2scan.model import Buffer, RawMessage
+    from pc2scan.options.call import Options
 
-    from .rules import Rules
+#: The types that are compared field by field, in ROS 2's spelling.
+DECODED_TYPES = frozenset({LASERSCAN, *CLOUDS})
+
+#: The single numbers of a LaserScan; they are compared bit for bit.
+GEOMETRY = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time", "range_min", "range_max")
+
+#: The names that `Rules.ignore` may have: of all messages, of scans, of clouds, and of clouds of other types.
+IGNORABLE = (
+    *("log_time", "seq", "frame_id", "order"),
+    *(*GEOMETRY, "ranges", "intensities"),
+    *("shape", "layout", "padding", "is_dense"),
+    *("format", "packets", "timebase", "point_num", "lidar_id", "rsvd"),
+)
 
 
 class Change(NamedTuple):
@@ -164,10 +178,6 @@ def _differing_padding(a: PointCloud2, b: PointCloud2) -> int:
     return int(np.count_nonzero(differs))
 
 
-#: The types that are compared field by field, in ROS 2's spelling.
-DECODED_TYPES = frozenset({LASERSCAN, *CLOUDS})
-
-
 def compare_messages(a: RawMessage, b: RawMessage, rules: Rules) -> MessageDifference:
     """Compare two messages of one type of `DECODED_TYPES`.
 
@@ -250,3 +260,56 @@ def _header_changes(a: LaserScan | PointCloud2, b: LaserScan | PointCloud2, *, n
         yield Change("seq", str(a.sequence), str(b.sequence))
     if a.frame_id != b.frame_id:
         yield Change("frame_id", repr(a.frame_id), repr(b.frame_id))
+
+
+@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+class Rules:
+    """The rules of a comparison. By default all bits must be equal.
+
+    Attributes
+    ----------
+    atol, rtol
+        Tolerances by name: ``ranges``, ``intensities``, or a field of a cloud; the empty name is for all others.
+        See `pc2scan.core.compare.Tolerance`; A is the reference.
+    allow_beams
+        The share of a topic's beams (of a cloud: points), over all its messages, that may be beyond the tolerance.
+    ignore
+        Names of `IGNORABLE` that are not compared.
+
+    Raises
+    ------
+    UsageError
+        If a tolerance is negative, the share not within 0 and 1, or a name unknown.
+    """
+
+    atol: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    rtol: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    allow_beams: float = 0.0
+    ignore: frozenset[str] = frozenset()
+
+    @classmethod
+    def of(cls, options: Options) -> Rules:
+        """Return the rules among the options of a call."""
+        return cls(
+            atol=options.atol or {},
+            rtol=options.rtol or {},
+            allow_beams=options.allow_beams,
+            ignore=frozenset(options.ignore),
+        )
+
+    def __post_init__(self) -> None:
+        for name in {*self.atol, *self.rtol}:
+            self.tolerance(name)
+        if not (math.isfinite(self.allow_beams) and 0 <= self.allow_beams <= 1):
+            raise UsageError(
+                f"allow_beams is {self.allow_beams}, it must be a share from 0 to 1",
+                hint="0.001 allows one beam in a thousand",
+            )
+        if unknown := sorted(self.ignore - {*IGNORABLE}):
+            near = did_you_mean(unknown[0], IGNORABLE)
+            hint = f"{near} these can be ignored: {', '.join(IGNORABLE)}".strip()
+            raise UsageError(f"{unknown[0]!r} cannot be ignored", hint=hint)
+
+    def tolerance(self, name: str) -> Tolerance:
+        """Return the tolerance of ``ranges``, ``intensities`` or a field."""
+        return Tolerance(self.atol.get(name, self.atol.get("", 0.0)), self.rtol.get(name, self.rtol.get("", 0.0)))

@@ -6,7 +6,7 @@ stays, and is named in an error. ``metadata.yaml`` has no sizes, so a file that 
 
 The manifest of a batch has names, sizes and times of modification of each result's files. A result that is as it was
 recorded is replaced without ``overwrite``, too; one that was edited since stays, and its recording has failed
-(`pc2scan.datasets.plan`).
+(`pc2scan.datasets.planning`).
 
 An input of the run is never replaced, removed or hidden, by any of its names (`refuse_overlap`). A symbolic link is
 replaced, never followed.

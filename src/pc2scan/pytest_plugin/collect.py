@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pc2scan.cli.in_process import run_command
-from pc2scan.compare.golden.case import is_case
-from pc2scan.compare.golden.check import check_case
+from pc2scan.compare.golden import check_case, is_case
 from pc2scan.errors import visible
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from pc2scan.compare.golden.check import CaseResult
+    from pc2scan.compare.golden import CaseResult
 
 
 def check(folder: Path, config: pytest.Config) -> CaseResult:

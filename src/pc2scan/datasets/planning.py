@@ -26,9 +26,8 @@ if TYPE_CHECKING:
     from pc2scan.files.ownership import InputPath
 
     from .find import Recording
-    from .folder import BatchFolder
     from .jobs import Request
-    from .manifest import Identity, ManifestRecord
+    from .manifest import BatchFolder, Identity, ManifestRecord
 
 
 class BatchPlan(NamedTuple):

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from .messages import MessageDifference
 
+
 #: Maximum number of messages that are listed; all of them are counted.
 _MAX_LISTED = 100
 

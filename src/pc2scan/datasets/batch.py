@@ -19,13 +19,11 @@ from pc2scan.files.urls import UrlPath, absolute, refuse_without_room
 from pc2scan.result import BEGINNING
 from pc2scan.threads import cores
 
-from .cluster import run_jobs_on_dask
 from .dataset_file import Choices, DatasetFile, load_dataset_file
+from .executors import run_jobs, run_jobs_on_dask
 from .find import find, natural_key
-from .folder import open_folder
-from .manifest import BEGUN, MANIFEST
-from .plan import have_same_outcome, make_plan
-from .processes import run_jobs
+from .manifest import BEGUN, MANIFEST, open_folder
+from .planning import have_same_outcome, make_plan
 from .summary import BatchReport, Outcome
 
 if TYPE_CHECKING:
@@ -33,10 +31,10 @@ if TYPE_CHECKING:
 
     from pc2scan.options.call import Options
 
-    from .folder import BatchFolder
     from .jobs import Job
-    from .manifest import ManifestRecord
-    from .plan import BatchPlan
+    from .manifest import BatchFolder, ManifestRecord
+    from .planning import BatchPlan
+
 
 _NO_ROOM = "make room on that disk, and run the same command again"
 
