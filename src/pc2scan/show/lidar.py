@@ -177,8 +177,9 @@ class Lidar:
         What is wrong with its clock; None if nothing is.
     ups
         The direction of up by each IMU that shows it.
-    ground
-        Which points of the clouds that a command is tried on are ground, once it is known.
+    ground, samples
+        Of the clouds that a command is tried on, once they are known: which points are ground, and what the checks of
+        first clouds read.
     """
 
     facts: TopicFacts
@@ -191,6 +192,7 @@ class Lidar:
     clock: ClockFinding | None
     ups: Mapping[str, UpEstimate]
     ground: list[NDArray[np.bool_]] = field(default_factory=list)
+    samples: list[CloudSample] = field(default_factory=list)
 
     @property
     def topic(self) -> str:
@@ -436,10 +438,17 @@ def tried(options: Mapping[str, Any], lidar: Lidar) -> Trial:
             clouds = levelled
         if not clouds:
             return Trial(findings=tuple(findings))
-        scans, first = _scans(spec, lidar, clouds, is_placed=is_placed, merges=merges)
+        scans, counts = _scans(spec, lidar, clouds, is_placed=is_placed, merges=merges)
     except Pc2ScanError as err:
         return Trial(findings=(str(err),))
     if not is_placed:
+        frame = lidar.mounting.judged_in
+        place = Placer(spec.params.target_frame, "", lidar.buffer).place(frame, 0)
+        lidar.samples = lidar.samples or [
+            CloudSample.of(_as_points(each, frame)).placed_in(place.frame_id, place.target_from_source)
+            for each in clouds
+        ]
+        first = [FirstCloud(*both) for both in zip(lidar.samples, counts, strict=True)]
         known = KnownTransforms("", lambda: lidar.buffer, lidar.buffer if spec.needs_transforms else None)
         findings += judge(lidar.topic, spec, first, known).warnings
     if merges:
@@ -481,8 +490,8 @@ def _levelled(points: NDArray[np.floating[Any]]) -> NDArray[np.float64] | None:
 
 def _scans(
     spec: ScanSpec, lidar: Lidar, clouds: Sequence[NDArray[Any]], *, is_placed: bool, merges: bool
-) -> tuple[list[NDArray[np.float64]], list[FirstCloud]]:
-    """Return the ranges of each cloud's scan, infinite without a return, and what the checks of first clouds read.
+) -> tuple[list[NDArray[np.float64]], list[PointCounts]]:
+    """Return the ranges of each cloud's scan, infinite without a return, and what became of its points.
 
     The clouds are in their own frame, or placed in that of the scans; they may make one scan together.
     """
@@ -491,23 +500,24 @@ def _scans(
     filters = [each for each in spec.filters if not is_placed or each.name in {"ground", "min_height_slope"}]
     measured = {lidar.topic: Measurements(0.0, azimuth_step=lidar.step or 0.0)}
     _, *select, project = CloudToScan(replace(spec, filters=tuple(filters)), placer, measured).steps(lidar.topic)
-    whole = [Points(0, 0, frame, dict(zip("xyz", xyz, strict=True))) for xyz in clouds]
-    chosen = [PlaceStage(placer)(points) for points in whole]
+    chosen = [PlaceStage(placer)(_as_points(xyz, frame)) for xyz in clouds]
     for step in select:
         chosen = [step(each) for each in chosen]
     if merges:
         rejected = sum((Counter(each.rejected) for each in chosen), Counter())
         xyz = [np.concatenate([each.points.field(axis).ravel() for each in chosen]) for axis in "xyz"]
-        points = Points(0, 0, frame, dict(zip("xyz", xyz, strict=True)))
+        points = _as_points(xyz, frame)
         chosen = [replace(chosen[0], points=points, rejected=rejected)]
     ranges: list[NDArray[np.float64]] = []
-    counts = [PointCounts()] * len(whole)
+    counts = [PointCounts()] * len(clouds)
     for number, selected in enumerate(chosen):
         scan = project(selected)
         read = scan.message.ranges.astype(np.float64)
         read[~((read >= params.range_min) & (read <= params.range_max))] = np.inf
         ranges.append(read)
         counts[number] = scan.counts
-    place = placer.place(frame, 0)
-    samples = [CloudSample.of(points).placed_in(place.frame_id, place.target_from_source) for points in whole]
-    return ranges, [FirstCloud(*both) for both in zip(samples, counts, strict=True)]
+    return ranges, counts
+
+
+def _as_points(xyz: Iterable[NDArray[Any]], frame: str) -> Points:
+    return Points(0, 0, frame, dict(zip("xyz", xyz, strict=True)))
