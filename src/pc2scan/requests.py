@@ -18,9 +18,8 @@ from .options.conversion import ConversionFrames
 from .options.effects import refuse_idle
 from .options.table import PARAMETERS, options_about_scans
 from .request.options import TRAJECTORY, ConvertOptions, ScanSpec, StampOptions, TopicRequest
-from .request.param_sources import parse_params, resolve_sources
+from .request.param_sources import parse_params, read_remaps, resolve_sources
 from .request.parameters import ParamsFile, ResolvedParams, Setting, refuse_degrees
-from .request.remappings import read_remaps
 from .request.scans_file import Outputs, load_scans, refuse_beside
 from .result import Failure, tell_early
 from .transforms.placing import FrameOptions
@@ -161,8 +160,8 @@ def _output(options: Options, settings: list[Setting]) -> Outputs:
         )
     file = resolved.file
     if remaps := (*file.remaps, *(text for text in options.remap if not text.startswith("__"))):
-        moved = read_remaps(remaps, reverse=resolved.reverse)
-        topics, tf_topics = topics or moved.topics, moved.tf_topics
+        moved, tf_topics = read_remaps(remaps, reverse=resolved.reverse)
+        topics = topics or moved
     more = {"channels": _channels(options.channels)} if options.channels else {}
     spec = ScanSpec.of(options.given, resolved, topics=tuple(map(TopicRequest.parse, topics)), **more)
     return Outputs((spec,), file.files, file.ignored, tf_topics)

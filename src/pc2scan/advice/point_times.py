@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.core.percentiles import median
 from pc2scan.core.timing import IN_SECONDS, TIME_UNITS, increment_doubt, is_brief, median_interval_ns
-from pc2scan.request.point_time import BY_AZIMUTH
-from pc2scan.request.turn import TURN_CLOUDS, measure_turn, turn_sample
+from pc2scan.request.point_time import BY_AZIMUTH, TURN_CLOUDS, measure_turn, turn_sample
 
 from .survey import Fact
 
@@ -16,8 +15,7 @@ if TYPE_CHECKING:
 
     from pc2scan.core.points import Points
     from pc2scan.model import RawMessage
-    from pc2scan.request.point_time import PointTime
-    from pc2scan.request.turn import Turn, TurnSample
+    from pc2scan.request.point_time import PointTime, Turn, TurnSample
 
     from .survey import TopicFacts
 

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.errors import UsageError
 from pc2scan.options.table import dataset_options
 from pc2scan.options.values import FLAG, texts
-from pc2scan.request.entries import entries_in, naming_place, read_text
+from pc2scan.request.entries import entries_in, naming_place, not_quoting, read_text
 from pc2scan.request.parameters import RIVALS
-from pc2scan.request.redaction import not_quoting
 from pc2scan.requests import NAMED_FILES
 
 from .jobs import Request, request_of

@@ -1,6 +1,6 @@
 """Reads YAML as values with their places: parameter, scans and dataset files, or the same of Python's dicts and lists.
 
-Scalars are read as ROS does.
+Scalars are read as ROS does. A file that another file names may be any file: errors about it are not quoted.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from pc2scan.transforms.text_files import text_of
 from .parameters import plain_scalar, value_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Generator
+    from collections.abc import Callable, Collection, Generator, Iterable
+    from os import PathLike
 
     from pc2scan.options.values import Value
 
@@ -95,7 +96,7 @@ def read_text(path: Path, example: str) -> str:
     try:
         return text_of(path, MAX_FILE_BYTES, "a file of options").removeprefix("\ufeff")
     except UsageError as err:
-        # `pc2scan.request.redaction` asks whether the cause is an OSError.
+        # `not_quoting` asks whether the cause is an OSError.
         raise ParameterError(f"{path}: {err.message}", hint=err.hint or example) from err.__cause__
 
 
@@ -223,4 +224,31 @@ def naming_place(places: Mapping[str, str], default: str) -> Generator[None]:
         named = (place for key, place in places.items() if key == own or f"`{key}`" in said or f"`{key}=" in said)
         if default and default.partition(",")[0] not in err.message:
             err.message += f" (from {next(named, default)})"
+        raise
+
+
+@contextmanager
+def not_quoting(files: Iterable[tuple[str | PathLike[str], str, str]]) -> Generator[None]:
+    """Replace errors about files by such with the line and column, but nothing of the content.
+
+    Parameters
+    ----------
+    files
+        The files, as errors show them; the place that names each; and the option with which the user can name it, and
+        then errors may quote it.
+    """
+    try:
+        yield
+    except UsageError as err:
+        said = f"{err.where}: {err.message}"
+        for file, named_in, option in files:
+            # If the file cannot be read, there is nothing to quote.
+            if str(file) in said and not isinstance(err.__cause__, OSError):
+                position = re.search(re.escape(str(file)) + r"(?:, |: )((?:line|entry) \d+(?:, column \d+)?)", said)
+                # Any other name is content.
+                name = err.name if isinstance(err, ParameterError) and err.name in PARAMETERS else ""
+                what = f"{name}: expected another value" if name else "not valid"
+                message = f"{file}{f', {position[1]}' if position else ''}: {what} (named in {named_in}"
+                hint = f"`{option}={file}` shows what is wrong"
+                raise ParameterError(f"{message}, so nothing of it is shown)", name=name, hint=hint) from None
         raise

@@ -47,7 +47,7 @@ _CHANGEABLE = ast.List | ast.Tuple | ast.Dict
 
 
 def python_nodes(text: str, path: Path, arguments: Mapping[str, str]) -> LaunchFile:
-    """Read a Python launch file; see `pc2scan.request.launch_file.launch_node`."""
+    """Read a Python launch file; see `pc2scan.request.params_file.launch_node`."""
     if len(text) > _MAX_CHARACTERS:
         raise ParameterError(f"{path}: has more than {_MAX_CHARACTERS:,} characters, which no launch file has")
     try:

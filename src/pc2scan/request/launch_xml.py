@@ -38,7 +38,7 @@ _ATTRIBUTES = {
 
 
 def xml_nodes(text: str, path: Path, arguments: Mapping[str, str]) -> LaunchFile:
-    """Read an XML launch file; see `pc2scan.request.launch_file.launch_node`."""
+    """Read an XML launch file; see `pc2scan.request.params_file.launch_node`."""
     reader = _XmlReader(path, arguments)
     try:
         root = xml_tree(text)

@@ -1,4 +1,4 @@
-"""Collects the parameters of a conversion from every place where a user can give them; reads ``name:=value``."""
+"""Collects the parameters of a conversion from every place where a user can give them; reads ROS's ``name:=value``."""
 
 from __future__ import annotations
 
@@ -6,13 +6,16 @@ from typing import TYPE_CHECKING
 
 from pc2scan.core.presets import PRESETS
 from pc2scan.errors import ParameterError, UsageError
+from pc2scan.options.table import PARAMETERS
+from pc2scan.text import did_you_mean
 
 from .entries import compose, scalar_value
+from .options import TopicRequest
 from .parameters import ALIASES, ParamsFile, Setting, expected_message, is_every_nodes, resolve
 from .params_file import load_params_file
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Collection, Iterable, Sequence
     from pathlib import Path
 
     from .parameters import Direction, ResolvedParams
@@ -125,3 +128,59 @@ def parse_param(text: str) -> Setting:
         raise ParameterError(expected_message(name, f"a {node.id.replace('sequence', 'list')}", origin), name=name)
     value = None if node is None else scalar_value(node, name, origin, ros1=True)
     return Setting(name, value, origin, "param")
+
+
+#: The nodes' names for the topic that they read and the topic that they write, by whether scans become clouds.
+_NAMES = {False: ("cloud_in", "scan"), True: ("scan_in", "cloud")}
+
+#: The topics of transforms, which may be remapped.
+_TF = ("tf", "tf_static")
+
+
+def read_remaps(texts: Iterable[str], *, reverse: bool = False) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Read remappings of the nodes' topics.
+
+    Parameters
+    ----------
+    texts
+        ``cloud_in:=/points``, ``scan:=/front/scan``, ``/tf:=/robot/tf``; a node's name in front is ignored. The names
+        of ``laserscan_to_pointcloud`` are ``scan_in`` and ``cloud``.
+    reverse
+        Whether scans become clouds.
+
+    Returns
+    -------
+    topics, tf_topics
+        Topics to convert (a remapping of ``scan`` alone is for the only PointCloud2 topic), and those of transforms.
+
+    Raises
+    ------
+    UsageError
+        If a text is not a remapping, or the node has no such topic.
+    """
+    source_name, target_name = _NAMES[reverse]
+    remaps: dict[str, str] = {}
+    for text in texts:
+        left, assigned, right = text.partition(":=")
+        name = left.rpartition(":")[2].strip().lstrip("~/")
+        right = right.strip()
+        if not assigned or not name or not right:
+            raise UsageError(
+                f"{text!r} is not a remapping", hint=f"write {source_name}:=/points or {target_name}:=/scan"
+            )
+        if name not in (source_name, target_name, *_TF):
+            node = "laserscan_to_pointcloud" if reverse else "pointcloud_to_laserscan"
+            known = (source_name, target_name, *_TF)
+            hint = f"{did_you_mean(name, known)} its topics are {', '.join(known)}".strip()
+            if name in PARAMETERS:
+                hint = f"it is a parameter: `param={name}:={right}`"
+            raise UsageError(f"{text!r}: {node} has no topic {name!r}", hint=hint)
+        remaps[name] = right if right.startswith(("/", "~")) else f"/{right}"
+    topics: tuple[str, ...] = ()
+    if source_name in remaps or target_name in remaps:
+        source, target = remaps.get(source_name, "*"), remaps.get(target_name)
+        topics = (str(source) if target is None else f"{source}:={target}",)
+        TopicRequest.parse(topics[0])
+    # If only one of the two topics is remapped, the other one keeps its name.
+    moved = [remaps[name] for name in _TF if name in remaps]
+    return topics, tuple(remaps.get(name, f"/{name}") for name in _TF) if len(moved) == 1 else tuple(moved)

@@ -10,9 +10,10 @@ from pc2scan.errors import ParameterError, name_list
 from pc2scan.options.table import PARAMETERS
 from pc2scan.text import did_you_mean, nearest
 
-from .entries import Entry, entries_in, read_text, scalar_value
-from .launch_file import is_launch_xml, launch_node
+from .entries import Entry, entries_in, not_quoting, read_text, scalar_value
 from .launch_node import ELSEWHERE, UnreadError, qualified
+from .launch_python import python_nodes
+from .launch_xml import xml_nodes
 from .parameters import (
     ALIASES,
     TOPICS,
@@ -26,12 +27,11 @@ from .parameters import (
     resolve,
     unknown_parameter,
 )
-from .redaction import not_quoting
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping
 
-    from .launch_node import LaunchNode, LaunchValue
+    from .launch_node import LaunchFile, LaunchNode, LaunchValue
 
 #: The hint where no parameter file is found.
 _EXAMPLE = "name a ROS parameter file or a launch file; each parameter is an option, too, such as `min_height=-0.3`"
@@ -69,7 +69,7 @@ def load_params_file(
     node
         Name of the node whose section to read, with or without its namespace.
     arguments
-        Arguments of a launch file; see `pc2scan.request.launch_file`.
+        Arguments of a launch file; the others have the defaults in the file.
     overridden
         Parameters, and topics in the node's names such as ``cloud_in``, whose values are given elsewhere: a launch file
         need not have them.
@@ -86,7 +86,7 @@ def load_params_file(
         match, the node has no such parameter, or a value is not a scalar.
     """
     text = read_text(path, _EXAMPLE)
-    if path.suffix == ".py" or is_launch_xml(text):
+    if path.suffix == ".py" or _is_launch_xml(text):
         return _from_launch(text, path, node, arguments or {}, overridden)
     if arguments:
         raise ParameterError(f"{path}: only launch files have arguments", hint="remove `launch_args`")
@@ -97,7 +97,7 @@ def _from_launch(
     text: str, path: Path, node: str | None, arguments: Mapping[str, str], overridden: Collection[str]
 ) -> ParamsFile:
     """Read a node's parameters from a launch file; a later value replaces an earlier one."""
-    chosen, file = launch_node(text, path, arguments, node)
+    chosen, file = _launch_node(text, path, arguments, node)
     settings: dict[str, Setting] = {}
     remaps: list[str] = []
     ignored, files = file.ignored, list[Path]()
@@ -132,6 +132,60 @@ def _from_launch(
     return ParamsFile(read, "pointcloud_to_laserscan", chosen.name, tuple(ignored), tuple(remaps), tuple(files))
 
 
+def _is_launch_xml(text: str) -> bool:
+    """Whether the text of a parameter file is XML: no YAML file of parameters begins with ``<``."""
+    return re.match(r"\s*<[?!a-zA-Z]", text) is not None
+
+
+def _launch_node(
+    text: str, path: Path, arguments: Mapping[str, str], node: str | None
+) -> tuple[LaunchNode, LaunchFile]:
+    """Find the node of a launch file.
+
+    Parameters
+    ----------
+    text, path
+        The file: Python if its name ends in ``.py``, otherwise XML.
+    arguments
+        Values of its arguments; the others have the defaults in the file.
+    node
+        Name of the node, with or without its namespace; None: the only node in the file.
+
+    Raises
+    ------
+    ParameterError
+        If the text is not a launch file, a text that it needs is not read, there is no node of
+        pointcloud_to_laserscan, or more than one.
+    """
+    try:
+        file = (python_nodes if path.suffix == ".py" else xml_nodes)(text, path, arguments)
+    except (RecursionError, MemoryError) as err:
+        raise ParameterError(f"{path}: nested too deeply") from err
+    for unused in sorted(arguments.keys() - file.arguments):
+        known = f"{did_you_mean(unused, file.arguments)} its arguments are {name_list(sorted(file.arguments))}"
+        raise ParameterError(f"{path}: it has no argument {unused!r}", hint=known.strip())
+    if not file.nodes and (file.ignored or not file.unread):
+        hint = f"not followed: {name_list(file.ignored)}; name the file that has the node" if file.ignored else None
+        raise ParameterError(f"{path}: no node of pointcloud_to_laserscan in it", hint=hint)
+    for unread in file.unread:
+        message = f"what may be the node or change it: {unread.problem} (from {path}, line {unread.line})"
+        raise ParameterError(message, hint=unread.hint or ELSEWHERE)
+    names = [candidate.name for candidate in file.nodes]
+    chosen = [each for each in file.nodes if node is None or f"{each.name}/".endswith(f"/{node.strip('/')}/")]
+    if not chosen:
+        message = f"{path}: no node {node!r} (from `node`); found {name_list(names)}"
+        raise ParameterError(message, hint=did_you_mean(str(node), names) or None)
+    for candidate in chosen if node is None else ():
+        if candidate.doubt:
+            message = f"{path}, line {candidate.line}: {candidate.name} is {candidate.doubt}"
+            raise ParameterError(f"{message}, and read only if `node` names it", hint=f"`node={candidate.name}`")
+    if len(chosen) > 1:
+        nodes = [candidate.name for candidate in chosen]
+        hint = f"choose one, for example `node={nodes[0]}`" if len({*nodes}) == len(nodes) else ELSEWHERE
+        raise ParameterError(f"{path}: several nodes match: {name_list(nodes)}", hint=hint)
+    return chosen[0], file
+
+
 def _unread(param: LaunchValue, name: str, err: UnreadError, path: Path) -> ParameterError:
     """Return the error about a value that is not read of a launch file."""
     hint = f"give its value: `{name}=...`" if name in PARAMETERS else ELSEWHERE
@@ -144,7 +198,7 @@ def _named_file(file: Path, place: str, node: LaunchNode) -> ParamsFile:
     """Read a parameter file that a launch file names. Errors do not quote it, because it may be any file."""
     with not_quoting([(file, place, "params_file")]):
         text = read_text(file, _EXAMPLE)
-        if not is_launch_xml(text):
+        if not _is_launch_xml(text):
             try:
                 params = _from_yaml(text, file, node.name)
             except ParameterError:

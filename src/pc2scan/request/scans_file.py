@@ -11,12 +11,10 @@ from pc2scan.options.call import Options
 from pc2scan.options.table import PARAMETERS, output_options
 from pc2scan.options.values import texts
 
-from .entries import Entry, entries_in, entries_of, naming_place, read_text
+from .entries import Entry, entries_in, entries_of, naming_place, not_quoting, read_text
 from .options import ScanSpec, TopicRequest
-from .param_sources import resolve_sources
+from .param_sources import read_remaps, resolve_sources
 from .parameters import ALIASES, Setting, names_of
-from .redaction import not_quoting
-from .remappings import read_remaps
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -131,7 +129,7 @@ def _output(
         if resolved.reverse:
             raise UsageError(f"{file} is for laserscan_to_pointcloud, scans are made of clouds")
         if sources is None:
-            sources = [name.partition(":=")[0] for name in read_remaps(resolved.file.remaps).topics]
+            sources = [name.partition(":=")[0] for name in read_remaps(resolved.file.remaps)[0]]
         for source in sources:
             if ":=" in source or not source:
                 message = f"'sources' has {source!r}, which is not a topic"
