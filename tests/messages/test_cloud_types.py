@@ -20,7 +20,7 @@ from pc2scan.errors import DecodeError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.pointcloud2 import recorded_cloud
 from support import builders, clouds
-from support.builders import CLOUD, SECOND, T0, Mcap, Recording, Stream
+from support.builders import CLOUD, NEW, SECOND, T0, Mcap, Recording, Stream
 from support.clouds import COMPRESSED, COMPRESSORS, DRACO, OLD_CLOUD, VELODYNE, draco_points
 from support.outputs import opened
 
@@ -66,7 +66,13 @@ def _compressed(name: str, points: NDArray[Any], ros_version: int, stamp_ns: int
 LOSSLESS: dict[str, tuple[str, Callable[[NDArray[Any], int, int], bytes]]] = {
     "PointCloud": (OLD_CLOUD, lambda points, ros, at: clouds.old_cloud(points, ros, stamp_ns=at)),
     **{name: (COMPRESSED, partial(_compressed, name)) for name in COMPRESSORS},
+    "a new type": (NEW, lambda points, ros, at: clouds.structured(points, ros, stamp_ns=at)),
 }
+
+
+@pytest.fixture(autouse=True)
+def a_new_type_is_one_decoder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(CLOUDS, NEW, CLOUDS[CLOUD])
 
 
 @pytest.mark.parametrize("form", FORMS)

@@ -36,6 +36,7 @@ SECOND = 1_000_000_000
 CLOUD, SCAN = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/LaserScan"
 TF, STRING, IMU = "tf2_msgs/msg/TFMessage", "std_msgs/msg/String", "sensor_msgs/msg/Imu"
 BATTERY = "custom_msgs/msg/Battery"
+NEW = "custom_msgs/msg/NewCloud"
 
 _RULE = "=" * 80
 _TF_TEXT = "geometry_msgs/TransformStamped[] transforms\n"
@@ -73,6 +74,7 @@ def typestore(ros_version: int) -> Any:
         added |= get_types_from_msg(head + _LIVOX_CLOUD, f"{package}/msg/CustomMsg")
     head = "Header header\n" if ros_version == 1 else "std_msgs/Header header\n"
     added |= get_types_from_msg(head + _COMPRESSED_CLOUD, "point_cloud_interfaces/msg/CompressedPointCloud2")
+    added |= get_types_from_msg(head + "uint8[] data\n", NEW)
     stamp = "time" if ros_version == 1 else "builtin_interfaces/Time"
     added |= get_types_from_msg(f"{stamp} stamp\nuint8[1206] data\n", "velodyne_msgs/msg/VelodynePacket")
     added |= get_types_from_msg(head + "VelodynePacket[] packets\n", "velodyne_msgs/msg/VelodyneScan")
