@@ -121,16 +121,12 @@ def _sparse_points(points: Points, _: RawMessage) -> NDArray[np.float32] | None:
         return np.stack([np.ravel(axis).astype(np.float32) for axis in xyz])
 
 
-def _directions(points: Points, _: RawMessage) -> int:
-    return directions_of(points)
-
-
 def _are_whole(found: Sequence[int]) -> bool:
     """Whether the first clouds are no packets, whatever directions further ones have."""
     return len(found) >= _SEVERAL and all(each.bit_count() >= _PART * DIRECTIONS for each in found[:_SEVERAL])
 
 
-_DIRECTIONS = Fact(_directions, HEADERS, are_enough=_are_whole)
+_DIRECTIONS = Fact(lambda points, _: directions_of(points), HEADERS, are_enough=_are_whole)
 _PATTERN = Fact(_sparse_points, HEADERS)
 _TIMES = times_of(PointTime())
 _SHAPE = shapes_of(step=True, sweep=True, most=_SHAPES)
@@ -305,7 +301,8 @@ class Lidar:
         if len(clouds) < _MOST_CLOUDS:
             return Pattern()
         every = np.logical_or.reduce(clouds)
-        if every.sum() < 20 or _lower_quartile(each.sum() for each in clouds) >= _FILLED * every.sum():
+        quarter = sorted(each.sum() for each in clouds)[len(clouds) // 4]
+        if every.sum() < 20 or quarter >= _FILLED * every.sum():
             return Pattern()
         for width in _WIDTHS:
             wide = [each.reshape(-1, width).any(axis=1) for each in clouds]
@@ -352,11 +349,6 @@ class Lidar:
         if (placed := self.transform(target, frame, stamp_ns)) is None:
             return xyz[:0] if self.is_registered else xyz
         return np.asarray(placed.apply(xyz))
-
-
-def _lower_quartile(counts: Iterable[int]) -> int:
-    ordered = sorted(counts)
-    return ordered[len(ordered) // 4]
 
 
 def _middle(directions: int) -> float:
