@@ -127,6 +127,7 @@ def test_odometry_of_a_mounted_lidar_moves_the_robot(tmp_path: Path) -> None:
 
     path = written(tmp_path, recording("odometry", frames=("odom", "lidar"), pose=of_lidar))
     tree = pc2scan.tf(path, odom_topic="/odometry")
+    assert tree.warnings == ("lidar, which has the poses of /odometry, is fixed to base_link: they become its poses",)
     for stamp_ns in SAMPLES:
         assert np.allclose(tree.lookup("odom", "base_link", stamp_ns).pose, pose_at(stamp_ns), rtol=0, atol=1e-12)
 
