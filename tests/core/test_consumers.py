@@ -13,9 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.core.consumers import CONSUMERS, judge
+from pc2scan.core.consumers import CONSUMERS, ConsumerScan, ScanTransforms, Verdict, judge
 from pc2scan.core.params import ProjectionParams
-from pc2scan.core.verdicts import ConsumerScan, ScanTransforms, Verdict
 from support.consumer_rules import RULES
 from support.tables import rows
 

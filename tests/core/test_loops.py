@@ -15,9 +15,8 @@ from hypothesis import strategies as st
 
 from pc2scan import ProjectionParams
 from pc2scan.core import kernel, plain
-from pc2scan.core.moving import MovingTransform
 from pc2scan.core.project import ProjectedScan, Projector
-from pc2scan.core.rigid import Rigid
+from pc2scan.core.rigid import MovingTransform, Rigid
 from pc2scan.core.rule import rule_of
 from support.loops import BOTH_LOOPS, loops_in_numpy, needs_compiled, points_at_a_time
 

@@ -10,11 +10,10 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from pc2scan.core.consumers import CONSUMERS, judge
+from pc2scan.core.consumers import CONSUMERS, ConsumerScan, ScanTransforms, judge
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.presets import PRESETS
 from pc2scan.core.project import project
-from pc2scan.core.verdicts import ConsumerScan, ScanTransforms
 from support.consumer_rules import RULES
 
 PI = math.pi

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from pc2scan.core.consumers import ConsumerScan, ScanTransforms
 from pc2scan.core.presets import PRESETS
-from pc2scan.core.verdicts import ConsumerScan, ScanTransforms
 from support import ROOT
 from support.command import run
 from support.consumer_rules import RULES

@@ -17,9 +17,9 @@ import numpy as np
 
 from pc2scan import ProjectionParams
 from pc2scan.core import kernel, plain
-from pc2scan.core.moving import MovingTransform
 from pc2scan.core.presets import PRESETS
 from pc2scan.core.project import Projector
+from pc2scan.core.rigid import MovingTransform
 from pc2scan.messages.pointcloud2 import PointCloud2, PointField
 from support.loops import loops_in_numpy
 

@@ -15,7 +15,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pc2scan.core.verdicts import ConsumerScan, ScanTransforms
+    from pc2scan.core.consumers import ConsumerScan, ScanTransforms
 
 f = np.float32
 

@@ -28,9 +28,9 @@ from .stages import ConvertedMessage, PlacedCloud, PlaceStage, SelectStage, Step
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from pc2scan.core.moving import MovingTransform
     from pc2scan.core.params import ProjectionParams
     from pc2scan.core.project import ProjectedScan, Transform
+    from pc2scan.core.rigid import MovingTransform
     from pc2scan.request.options import ScanSpec
     from pc2scan.transforms.placing import Placer
 

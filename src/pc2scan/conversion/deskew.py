@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pc2scan.core import kernel
-from pc2scan.core.moving import MovingTransform
 from pc2scan.core.points import TIME, Points
+from pc2scan.core.rigid import MovingTransform
 from pc2scan.core.rule import NO_TIME, NO_TRANSFORM
 from pc2scan.core.timing import AZIMUTH, IN_SECONDS, LONGEST, TIME_FIELDS, TIME_UNITS
 from pc2scan.errors import DecodeError, TransformError

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
     from pc2scan.bags.reader import Reader
+    from pc2scan.core.consumers import Outcome
     from pc2scan.core.rule import Rejection
-    from pc2scan.core.verdicts import Outcome
     from pc2scan.messages.laserscan import LaserScan
     from pc2scan.model import Buffer
     from pc2scan.request.options import ConvertOptions, ScanSpec

@@ -17,9 +17,8 @@ from pc2scan.request.filters import Frame
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from pc2scan.core.moving import MovingTransform
     from pc2scan.core.points import Points
-    from pc2scan.core.rigid import Rigid
+    from pc2scan.core.rigid import MovingTransform, Rigid
     from pc2scan.core.rule import PointCounts
     from pc2scan.model import Buffer
     from pc2scan.request.filters import Filter

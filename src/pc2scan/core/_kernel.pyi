@@ -2,7 +2,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from .moving import MovingTransform
+from .rigid import MovingTransform
 
 def project(
     x: NDArray[Any],

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from . import fdlibm
-from .moving import MovingTransform
-from .rigid import rotation_matrices
+from .rigid import MovingTransform, rotation_matrices
 from .rule import REJECTIONS
 
 if TYPE_CHECKING:

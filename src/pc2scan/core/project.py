@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from .moving import MovingTransform
+    from .rigid import MovingTransform
 
 #: The rows of a rotation, then a translation, (4, 3): ``target = rotation @ source + translation``; see
 #: `pc2scan.core.rigid.Rigid.as_float32`.

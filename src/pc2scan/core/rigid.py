@@ -4,8 +4,9 @@ A transform is named by its direction: ``target_from_source`` takes coordinates 
 returns them in the frame ``target``, ``p_target = target_from_source.apply(p_source)``. The transform that
 ROS publishes with ``header.frame_id`` parent and ``child_frame_id`` child is ``parent_from_child``.
 
-There are two forms: `Rigid` is the general one; a `Pose`, a tuple of seven floats, is used to compute a chain of
-lookups, because a call of NumPy takes longer than multiplying four numbers.
+There are three forms: `Rigid` is the general one; a `Pose`, a tuple of seven floats, is used to compute a chain of
+lookups, because a call of NumPy takes longer than multiplying four numbers; a `MovingTransform` is that of a cloud that
+was measured while its sensor moved.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from __future__ import annotations
 import math
 import struct
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -408,3 +409,39 @@ class Rigid:
             for column, (row, offset) in enumerate(zip(rotation, translation, strict=True)):
                 result[:, column] = x * row[0] + y * row[1] + z * row[2] + offset
         return result
+
+
+class MovingTransform(NamedTuple):
+    """Transforms over time, and the time of each point of a cloud.
+
+    Between two nodes, the transform is a polynomial of second degree through three rows: those of both nodes, and that
+    of the middle between them. Its error is 0.008 times the third power of the angle by which the sensor turns between
+    the nodes. A moved point is ``start p + s * (rate p + s * bend p)``: the first product in float64, the others, which
+    are small, in float32.
+
+    Attributes
+    ----------
+    times
+        One value for each point, of the shape of the coordinates and of any of PointField's datatypes.
+    offset, unit
+        A point was measured at ``(value - offset) * unit`` seconds. NaN: its time is unknown.
+    node_times
+        (N,) seconds, increasing, at least two.
+    rows
+        (2 N - 1, 12): transforms at the nodes, and in the middle between each node and the next. A row holds the rows
+        of the rotation, then the translation in metres; NaN where there is no transform.
+    timed
+        Whether every point with coordinates has a time between the first and the last node. The compiled loops then
+        drop points that are too high or too low at any of these times without reading their own.
+    """
+
+    times: NDArray[Any]
+    offset: float
+    unit: float
+    node_times: NDArray[np.float64]
+    rows: NDArray[np.float64]
+    timed: bool = False
+
+    def as_float32(self) -> MovingTransform:
+        """Return itself: it is as the loops apply it, like the result of `Rigid.as_float32`."""
+        return self

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pc2scan.core.verdicts import ConsumerScan
+from pc2scan.core.consumers import ConsumerScan
 
 from .wire import Cursor, Packer, seconds_of
 

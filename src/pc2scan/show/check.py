@@ -16,10 +16,9 @@ from pc2scan.bags.damage import mention
 from pc2scan.bags.observers import Observer
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import by_topic, find_topics, types_by_topic, unheard
-from pc2scan.core.consumers import CONSUMERS, NO_TRANSFORMS
+from pc2scan.core.consumers import CONSUMERS, NO_TRANSFORMS, OUTCOMES, ScanTransforms
 from pc2scan.core.layout import TURN
 from pc2scan.core.rigid import Rigid
-from pc2scan.core.verdicts import OUTCOMES, ScanTransforms
 from pc2scan.errors import DecodeError, TopicError, TransformError
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.other_clouds import without

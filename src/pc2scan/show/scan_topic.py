@@ -9,10 +9,19 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from pc2scan.core.consumers import CONSUMERS, has_angles, judge
+from pc2scan.core.consumers import (
+    CONSUMERS,
+    OUTCOMES,
+    ConsumerScan,
+    Outcome,
+    ScanTransforms,
+    Verdict,
+    are_returns,
+    has_angles,
+    judge,
+)
 from pc2scan.core.layout import TURN
 from pc2scan.core.timing import IN_SECONDS, increment_doubt
-from pc2scan.core.verdicts import OUTCOMES, ConsumerScan, Outcome, ScanTransforms, Verdict, are_returns
 from pc2scan.errors import DecodeError, leading, stamp_text
 from pc2scan.messages.clouds import SCANS
 from pc2scan.messages.laserscan import scan_for_consumers

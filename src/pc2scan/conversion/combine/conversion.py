@@ -44,8 +44,8 @@ if TYPE_CHECKING:
     from pc2scan.advice.survey import Header, TopicFacts
     from pc2scan.conversion.deskew import Deskew, Track
     from pc2scan.conversion.plan import Output
-    from pc2scan.core.moving import MovingTransform
     from pc2scan.core.project import Transform
+    from pc2scan.core.rigid import MovingTransform
     from pc2scan.request.filters import Filter
     from pc2scan.request.options import ScanSpec
     from pc2scan.transforms.placing import LevelFrame, Placer

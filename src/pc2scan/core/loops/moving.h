@@ -1,4 +1,4 @@
-/* How a sensor moved while it measured a cloud, and where points are at their own times. moving.py describes both. */
+/* How a sensor moved while it measured a cloud, and where points are at their own times. rigid.py describes both. */
 
 #ifndef PC2SCAN_MOVING_H
 #define PC2SCAN_MOVING_H
@@ -53,7 +53,7 @@ typedef struct {
     int32_t number[PADDED];
 } Moved;
 
-/* Take a motion from Python: a MovingTransform; see moving.py. It must be released even if this fails. */
+/* Take a motion from Python: a MovingTransform; see rigid.py. It must be released even if this fails. */
 HIDDEN int take_motion(Motion *motion, const Cloud *cloud, PyObject *tuple);
 HIDDEN void release_motion(Motion *motion);
 
