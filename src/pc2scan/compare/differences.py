@@ -148,9 +148,9 @@ class TopicDifference:
             return f"{self.topic_a} and {self.topic_b}"
         return self.topic_a or self.topic_b or ""
 
-    def allows(self, found: ValuesFound) -> bool:
+    def allows(self, values: ValuesFound) -> bool:
         """Whether values that differ are within the allowed share."""
-        return found.differing <= self.allow_beams * self.elements
+        return values.differing <= self.allow_beams * self.elements
 
     @property
     def same(self) -> bool:
@@ -279,30 +279,30 @@ def _lines(topic: TopicDifference, names: tuple[str, str]) -> Iterator[tuple[str
             yield "", f"worst {_worst_text(values, element, names)}"
 
 
-def _values(found: ValuesFound, topic: TopicDifference, element: str, message: str) -> str:
+def _values(values: ValuesFound, topic: TopicDifference, element: str, message: str) -> str:
     parts = [
-        f"{found.changed:,} changed" if found.changed else "",
-        f"{found.shifted:,} one {element} over" if found.shifted else "",
+        f"{values.changed:,} changed" if values.changed else "",
+        f"{values.shifted:,} one {element} over" if values.shifted else "",
     ]
-    share = found.differing / topic.elements if topic.elements else 1.0
+    share = values.differing / topic.elements if topic.elements else 1.0
     shown = f"{share:.2%}" if share >= 0.0001 else "under 0.01%"
-    differing = f"{counted(found.differing, element)} of {topic.elements:,} ({shown})"
-    text = f"in {counted(found.messages, message)}: {differing}, {' and '.join(filter(None, parts))}"
+    differing = f"{counted(values.differing, element)} of {topic.elements:,} ({shown})"
+    text = f"in {counted(values.messages, message)}: {differing}, {' and '.join(filter(None, parts))}"
     if topic.allow_beams:
-        text += f"; {'within' if topic.allows(found) else 'more than'} the allowed {topic.allow_beams:.2%}"
+        text += f"; {'within' if topic.allows(values) else 'more than'} the allowed {topic.allow_beams:.2%}"
     return text
 
 
-def _worst_text(found: ValuesFound, element: str, names: tuple[str, str]) -> str:
-    worst = found.worst
+def _worst_text(values: ValuesFound, element: str, names: tuple[str, str]) -> str:
+    worst = values.worst
     assert worst is not None
     angle = "" if worst.angle is None else f" ({math.degrees(worst.angle):.2f} deg)"
-    values = f"{worst.a:.9g} in {names[0]}, {worst.b:.9g} in {names[1]}"
+    both = f"{worst.a:.9g} in {names[0]}, {worst.b:.9g} in {names[1]}"
     if not worst.difference:
-        values += ": other bits of one value"
+        both += ": other bits of one value"
     elif math.isfinite(worst.difference):
-        values += f": {worst.difference:.3g} apart"
-    return f"{element} {worst.index}{angle}, {_times_text(worst.times)}: {values}"
+        both += f": {worst.difference:.3g} apart"
+    return f"{element} {worst.index}{angle}, {_times_text(worst.times)}: {both}"
 
 
 def _advice(topics: Sequence[TopicDifference]) -> Iterator[str]:

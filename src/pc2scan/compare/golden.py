@@ -458,5 +458,5 @@ def _needed_topics(reader: Reader, topics: Sequence[str]) -> list[str]:
     types = types_by_topic(reader.connections)
     kinds = (*CLOUDS, *SCANS)
     candidates = sorted(topic for topic, names in types.items() if names & {*kinds})
-    chosen = {name for asked in topics for name in find_topics(asked, types, candidates, *kinds)} or {*candidates}
+    chosen = {name for topic in topics for name in find_topics(topic, types, candidates, *kinds)} or {*candidates}
     return sorted(chosen | {topic for topic, names in types.items() if names & _ALSO_READ})

@@ -194,12 +194,12 @@ def compare_messages(a: RawMessage, b: RawMessage, rules: Rules) -> MessageDiffe
     """
     times = [Change("log_time", str(a.log_time_ns), str(b.log_time_ns))] if a.log_time_ns != b.log_time_ns else []
     try:
-        elements, found, values = _compare_fields(a, b, rules)
+        elements, own_changes, values = _compare_fields(a, b, rules)
     except DecodeError as err:
         alike = a.connection.serialization == b.connection.serialization and a.data == b.data
         unreadable = Change("bytes", f"{len(a.data)} bytes", f"{len(b.data)} bytes; not decoded: {err.message}")
-        elements, found, values = MessageDifference(changes=() if alike else (unreadable,))
-    changes = tuple(change for change in (*times, *found) if change.name not in rules.ignore)
+        elements, own_changes, values = MessageDifference(changes=() if alike else (unreadable,))
+    changes = tuple(change for change in (*times, *own_changes) if change.name not in rules.ignore)
     return MessageDifference(elements, changes, values)
 
 

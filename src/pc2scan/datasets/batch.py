@@ -211,11 +211,11 @@ def _records(plan: BatchPlan, folder: BatchFolder, options: BatchOptions) -> Ite
     with ExitStack() as stack:
         if options.dry_run:
             # Nothing is written there either. It is needed because the folders of the outputs may not exist yet.
-            there = Path(stack.enter_context(TemporaryDirectory(prefix="pc2scan-")))
-            jobs = [replace(job, destination=there / job.destination.name) for job in jobs]
+            temporary = Path(stack.enter_context(TemporaryDirectory(prefix="pc2scan-")))
+            jobs = [replace(job, destination=temporary / job.destination.name) for job in jobs]
         try:
             if not options.dry_run:
-                begun = [job.record(outcome=BEGUN, exit_status=0, output_identity=job.there) for job in jobs]
+                begun = [job.record(outcome=BEGUN, exit_status=0, output_identity=job.present) for job in jobs]
                 stack.enter_context(folder.writing(begun))
             for job in plan.of("refuse"):
                 record = _refusal(job, earlier := folder.records.get(job.key))

@@ -139,10 +139,10 @@ def _place(source: str, out: Path) -> tuple[Path, list[Path]]:
         matches = folder.listed("glob", path)
     else:
         matches = [Path(match) for match in glob.glob(text, recursive=True)]  # noqa: PTH207  # the text may be absolute
-    found = sorted(matches)
-    if not found:
+    paths = sorted(matches)
+    if not paths:
         raise UsageError(f"{source!r} matches nothing")
-    return folder, [match for match in found if not is_dir(match) or _is_rosbag2(match)]
+    return folder, [match for match in paths if not is_dir(match) or _is_rosbag2(match)]
 
 
 def _common_folder(folders: Sequence[Path]) -> Path | None:
@@ -216,9 +216,9 @@ def _sniff(path: Path) -> str:
         return sniff(copy)
 
 
-def _join_parts(found: Sequence[Recording]) -> Iterator[Recording]:
+def _join_parts(recordings: Sequence[Recording]) -> Iterator[Recording]:
     """Join the parts of split recordings."""
-    by_path = {recording.paths[0]: recording for recording in found if recording.container}
+    by_path = {recording.paths[0]: recording for recording in recordings if recording.container}
     joined: dict[Path, Recording] = {}
     parts: set[Path] = set()
     for group in groups_of_parts(by_path):
@@ -228,7 +228,7 @@ def _join_parts(found: Sequence[Recording]) -> Iterator[Recording]:
                 paths = tuple(recording.paths[0] for recording in chain)
                 joined[paths[0]] = Recording(first.key, paths, first.container, identity_of(paths))
                 parts.update(paths[1:])
-    for recording in found:
+    for recording in recordings:
         if recording.paths[0] not in parts:
             yield joined.get(recording.paths[0], recording)
 

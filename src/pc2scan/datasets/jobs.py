@@ -168,7 +168,7 @@ class Job:
         Why it is refused.
     owned
         Whether an earlier run has recorded the output: it is replaced without ``overwrite``, too.
-    there
+    present
         The output as the plan found it; None: it is not compared.
     threads
         The number of threads of the conversion.
@@ -186,7 +186,7 @@ class Job:
     why: str = ""
     error: Pc2ScanError | None = None
     owned: bool = False
-    there: Identity | None = None
+    present: Identity | None = None
     threads: int = 1
     dry_run: bool = False
     scratch: Path | None = None
@@ -203,9 +203,9 @@ class Job:
 
     def retried(self) -> Job:
         """Return the job for another attempt: one that died may have completed the output, which may be replaced."""
-        return replace(self, owned=True, there=None)
+        return replace(self, owned=True, present=None)
 
-    def record(self, **found: Any) -> ManifestRecord:
+    def record(self, **values: Any) -> ManifestRecord:
         """Return the line of the manifest, with what the conversion says."""
         known: dict[str, Any] = {
             "identity": self.recording.identity,
@@ -213,12 +213,12 @@ class Job:
             "options": self.request.digest,
             "output": self.output,
         }
-        return ManifestRecord(key=self.key, sources=tuple(map(str, self.recording.paths)), **(known | found))
+        return ManifestRecord(key=self.key, sources=tuple(map(str, self.recording.paths)), **(known | values))
 
-    def failure(self, error: Pc2ScanError, /, **found: Any) -> ManifestRecord:
+    def failure(self, error: Pc2ScanError, /, **values: Any) -> ManifestRecord:
         """Return the line of a recording that cannot be converted, with what is known of it."""
         known = {"outcome": "failed", "exit_status": error.exit_status, "error": error.as_dict()}
-        return self.record(**(known | found))
+        return self.record(**(known | values))
 
     def death(self, why: str) -> ManifestRecord:
         """Return the line of a recording whose process died."""
@@ -259,9 +259,9 @@ def convert_one(job: Job) -> ManifestRecord:
 def _run_job(job: Job) -> Report | ExportReport:
     """Convert or export; raises the errors of that."""
     request, sources, destination = job.request, job.recording.paths, job.destination
-    if job.there is not None and not request.output.overwrite:
+    if job.present is not None and not request.output.overwrite:
         now = identity_of([destination])
-        if now.files and now != job.there:
+        if now.files and now != job.present:
             hint = "move it away, or `overwrite=True` replaces it"
             raise DestinationError("was edited since the batch began", path=destination, hint=hint)
     options = replace(request.options, jobs=job.threads)

@@ -117,12 +117,12 @@ def _files_in(folder: Path) -> list[tuple[str, int, int | str]]:
     return _summed_up(files)
 
 
-def _summed_up(found: list[tuple[str, int, int | str]]) -> list[tuple[str, int, int | str]]:
+def _summed_up(files: list[tuple[str, int, int | str]]) -> list[tuple[str, int, int | str]]:
     """Return the files of a folder; very many as one entry."""
-    if len(found) <= _MOST:
-        return found
-    digest = hashlib.sha256(repr(found).encode()).hexdigest()
-    return [(f"{len(found)} files", sum(size for _, size, _ in found), digest)]
+    if len(files) <= _MOST:
+        return files
+    digest = hashlib.sha256(repr(files).encode()).hexdigest()
+    return [(f"{len(files)} files", sum(size for _, size, _ in files), digest)]
 
 
 # --- Lines ---
@@ -349,10 +349,10 @@ class BatchFolder:
         """The outputs that were written by earlier runs, or may be."""
         return {*self.left, *self.unfinished}
 
-    def may_replace(self, output: str, there: Identity) -> bool:
+    def may_replace(self, output: str, present: Identity) -> bool:
         """Whether an output that is there may be replaced: no one else has written or edited it."""
-        is_begun = output in self.unfinished and there != self.unfinished[output]
-        return is_begun or not there.files or there == self.left.get(output)
+        is_begun = output in self.unfinished and present != self.unfinished[output]
+        return is_begun or not present.files or present == self.left.get(output)
 
     @contextmanager
     def writing(self, begun: Iterable[ManifestRecord]) -> Iterator[None]:
@@ -363,10 +363,10 @@ class BatchFolder:
         """
         begun = list(begun)
         folders = {folder for line in begun for folder in PurePosixPath(line.output).parents}
-        made = [self.path / folder for folder in sorted(folders) if not (self.path / folder).is_dir()]
+        new_folders = [self.path / folder for folder in sorted(folders) if not (self.path / folder).is_dir()]
         self.append(*begun)
         try:
-            for folder in made:
+            for folder in new_folders:
                 # If it cannot be made, the conversions that write into it report why.
                 with suppress(OSError):
                     folder.mkdir()
@@ -380,7 +380,7 @@ class BatchFolder:
             with suppress(OSError):
                 if not (self.records or self.unfinished):
                     self._manifest.unlink()
-            for folder in reversed(made):
+            for folder in reversed(new_folders):
                 with suppress(OSError):
                     folder.rmdir()
 

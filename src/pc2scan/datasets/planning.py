@@ -122,7 +122,7 @@ def make_plan(
         why, error = "", recording.error
         if error is None:
             present = folder.present(output)
-            job = replace(job, owned=output in folder.outputs, there=present)
+            job = replace(job, owned=output in folder.outputs, present=present)
             why = "asked for" if again else _reason(job, record, folder, present)
         if why:
             error = (
@@ -172,13 +172,13 @@ def _clash(key: str, others: Sequence[str], outputs: Mapping[str, str]) -> Pc2Sc
     )
 
 
-def _ownership_error(path: Path, there: Identity, left: Identity | None) -> Pc2ScanError:
+def _ownership_error(path: Path, present: Identity, left: Identity | None) -> Pc2ScanError:
     """Return the error of an output that somebody else has written, or edited since it was recorded."""
     if left is None:
         return DestinationError(
             "exists already, and was not written by this batch", path=path, hint="`overwrite=True` replaces it"
         )
-    names = sorted({name for name, _, _ in {*there.files} - {*left.files}} - {path.name})
+    names = sorted({name for name, _, _ in {*present.files} - {*left.files}} - {path.name})
     return DestinationError(
         f"was edited since{f': {name_list(names, 3)}' if names else ''}",
         path=path,
@@ -186,7 +186,7 @@ def _ownership_error(path: Path, there: Identity, left: Identity | None) -> Pc2S
     )
 
 
-def _reason(job: Job, record: ManifestRecord | None, folder: BatchFolder, there: Identity) -> str:
+def _reason(job: Job, record: ManifestRecord | None, folder: BatchFolder, present: Identity) -> str:
     """Return why a recording is converted; empty if its result is up to date."""
     if record is None:
         return "interrupted before" if job.output in folder.unfinished else "new"
@@ -203,9 +203,9 @@ def _reason(job: Job, record: ManifestRecord | None, folder: BatchFolder, there:
         return f"{record.outcome} before{f': {message}' if message else ''}"
     if record.output != job.output:
         return f"written to {record.output} before"
-    if not there.files:
+    if not present.files:
         return "its output is missing"
-    return "" if there == record.output_identity else "its output was changed"
+    return "" if present == record.output_identity else "its output was changed"
 
 
 def have_same_outcome(record: ManifestRecord, other: ManifestRecord) -> bool:

@@ -41,11 +41,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Store the folders; those of the command line are always collected."""
-    asked = [(config.invocation_params.dir / folder).resolve() for folder in config.getoption("--pc2scan-golden")]
-    folders = frozenset((*asked, *(folder.resolve() for folder in config.getini("pc2scan_golden"))))
+    typed = [(config.invocation_params.dir / folder).resolve() for folder in config.getoption("--pc2scan-golden")]
+    folders = frozenset((*typed, *(folder.resolve() for folder in config.getini("pc2scan_golden"))))
     config.stash[_FOLDERS] = folders
     # Workers of pytest-xdist get arguments that include the folders already.
-    config.args += [str(folder) for folder in asked if str(folder) not in config.args]
+    config.args += [str(folder) for folder in typed if str(folder) not in config.args]
 
 
 # Optional: older versions of pytest do not have this hook.

@@ -153,9 +153,9 @@ class TransformReading:
             observers.append(Observer(models, copied_message, 1, keep=self.add_model))
         return observers
 
-    def _pose_observer(self, asked: PoseTopic, reader: Reader) -> Observer[Any]:
-        connections = asked.connections(reader.connections)
-        reading = PoseReading(asked, connections)
+    def _pose_observer(self, request: PoseTopic, reader: Reader) -> Observer[Any]:
+        connections = request.connections(reader.connections)
+        reading = PoseReading(request, connections)
         self._poses.append(reading)
         return Observer(connections, copied_message, keep=reading.add)
 

@@ -124,7 +124,7 @@ class PoseReading:
 
     Parameters
     ----------
-    asked
+    request
         The topic.
     connections
         Its connections, for the output.
@@ -135,19 +135,19 @@ class PoseReading:
         Its name.
     """
 
-    def __init__(self, asked: PoseTopic, connections: Sequence[Connection]) -> None:
-        self.topic = connections[0].topic if connections else asked.topic
+    def __init__(self, request: PoseTopic, connections: Sequence[Connection]) -> None:
+        self.topic = connections[0].topic if connections else request.topic
         self.connections = connections
-        self._asked = asked
+        self._request = request
         #: By the frames: stamps, and seven numbers a pose.
-        self._found: dict[tuple[str, str], tuple[array[int], array[float]]] = {}
+        self._poses: dict[tuple[str, str], tuple[array[int], array[float]]] = {}
         self._wrong = 0
 
     def frames_of(self, parent: str, child: str) -> tuple[str, str]:
         """Return the frames of the poses of a message with these frames."""
         return (
-            self._asked.parent or parent.removeprefix("/") or _UNNAMED,
-            self._asked.child or child.removeprefix("/") or self._asked.unnamed,
+            self._request.parent or parent.removeprefix("/") or _UNNAMED,
+            self._request.child or child.removeprefix("/") or self._request.unnamed,
         )
 
     def add(self, message: RawMessage) -> None:
@@ -159,7 +159,7 @@ class PoseReading:
             self._wrong += 1
             return
         parent, child, stamp_ns, *pose = row
-        stamps, poses = self._found.setdefault(self.frames_of(parent, child), (array("q"), array("d")))
+        stamps, poses = self._poses.setdefault(self.frames_of(parent, child), (array("q"), array("d")))
         stamps.append(stamp_ns)
         poses.extend(pose)
 
@@ -168,7 +168,7 @@ class PoseReading:
         texts = [f"{self.topic}: {counted(self._wrong, 'message')} cannot be decoded"] if self._wrong else []
         trajectories = [
             Trajectory(self.topic, *frames, np.frombuffer(stamps, np.int64), np.frombuffer(poses).reshape(-1, 7))
-            for frames, (stamps, poses) in self._found.items()
+            for frames, (stamps, poses) in self._poses.items()
         ]
         return trajectories, texts
 
