@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import MissingError, RecordingError
 from pc2scan.files.compression import ZSTD_MAGIC, CompressionError, zstd_head
-from pc2scan.files.source import LFS_HINT, LFS_POINTER, missing_hint, open_bytes
+from pc2scan.files.source import LFS_HINT, LFS_POINTER, file_beside, missing_hint, open_bytes
 from pc2scan.files.urls import UrlPath, fetched
 
 from . import zstd
@@ -59,6 +59,9 @@ def sniff(path: Path) -> str:
             return _sniff_directory(path)
         if not stat.S_ISREG(mode):
             raise RecordingError("is neither a file nor a directory", path=path, hint="save it as a file first")
+        # The log beside a database may have its first page.
+        if path.suffix == FORMATS["sqlite3"].suffix and file_beside(path, "-wal"):
+            return "sqlite3"
         with open_bytes(path) as file:
             head, packed = file.read(64), ""
             if head.startswith(ZSTD_MAGIC):

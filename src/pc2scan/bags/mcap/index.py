@@ -28,6 +28,7 @@ from .records import (
     OP_CHUNK,
     OP_MESSAGE,
     OP_MESSAGE_INDEX,
+    OP_PRIVATE,
     RECORD,
     UINT64,
     parse,
@@ -322,7 +323,7 @@ class RecordWalk:
         elif opcode == 0:
             raise self._file.damage(f"the record at byte {offset} has opcode 0, which no record may have")
         elif opcode <= Opcode.DATA_END:
-            # Unknown records end neither a run nor the message indexes after a chunk.
+            # Others end neither a run nor the message indexes after a chunk.
             self._close()
             if opcode == OP_CHUNK:
                 self._segment = chunk_at(self._file.nearby(offset, min(CHUNK_HEAD_SIZE, size)), offset, self._file)
@@ -335,6 +336,9 @@ class RecordWalk:
                 index.data_end = offset, int.from_bytes(head[RECORD.size : RECORD.size + 4], "little")
             elif index.data_end is None:
                 raise self._file.damage(f"the record at byte {offset} is of kind {opcode}, which no data may have")
+        elif opcode < OP_PRIVATE:
+            unknown = self._file.damage(f"the record at byte {offset} is of kind {opcode}, which MCAP does not have")
+            index.log.note(unknown, offset=offset, bytes_lost=size)
 
     def _message(self, head: bytes, offset: int, following: int) -> None:
         if following - offset < MESSAGE.size:

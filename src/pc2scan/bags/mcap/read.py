@@ -21,7 +21,7 @@ from pc2scan.model import Attachment, Connection, Definition, Metadata, StoredCh
 
 from .chunks import read_chunk, whole_chunk
 from .index import McapIndex, find_declarations, find_index, indexed_entries
-from .records import ANY_TIME, DECLARATIONS, RECORD, RecordFile, parse, parse_fields, scan_messages
+from .records import ANY_TIME, DECLARATIONS, OP_PRIVATE, RECORD, RecordFile, parse, parse_fields, scan_messages
 from .recover import displaced_chunks, is_at_its_place, payload_prefix, record_at, recover_index
 
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ class McapReader(ChunkedReader):
             yield data[start], data[start + RECORD.size : stop]
 
     def _declare(self, data: memoryview, chunk: Segment, position: int) -> None:
-        """Compare a schema or a channel in a chunk with the rest of the file; unknown records are ignored.
+        """Compare a schema or a channel in a chunk with the rest of the file; private records are ignored.
 
         Raises
         ------
@@ -135,7 +135,7 @@ class McapReader(ChunkedReader):
         opcode, length = RECORD.unpack_from(data, position)
         start = position + RECORD.size
         self._index.declare(opcode, data[start : start + length], chunk.record_offset, self._file)
-        if opcode not in DECLARATIONS and opcode <= Opcode.DATA_END:
+        if opcode not in DECLARATIONS and opcode < OP_PRIVATE:
             raise self._file.damage(f"the chunk at byte {chunk.record_offset} has a record of kind {opcode} in it")
 
     def _times_in(self, segment: Segment) -> list[int]:

@@ -44,6 +44,8 @@ UINT64 = struct.Struct("<Q")
 
 # Plain integers: comparing an IntEnum member costs a method call for each message.
 OP_MESSAGE, OP_CHUNK, OP_MESSAGE_INDEX = 0x05, 0x06, 0x07
+#: Opcodes from here on are free for private records, which are passed over.
+OP_PRIVATE = 0x80
 DECLARATIONS: Mapping[int, type[Schema | Channel]] = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}
 
 #: Bytes that are read at a time for a CRC.
