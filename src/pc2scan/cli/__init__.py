@@ -1,4 +1,4 @@
-"""The command line. The module of each command parses, calls one function of the library, and shows the result."""
+"""The command line. Each command calls one function of the library, and its result is shown."""
 
 from __future__ import annotations
 

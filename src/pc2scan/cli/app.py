@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from importlib import import_module
 from inspect import Parameter as Keyword
-from inspect import Signature
+from inspect import Signature, signature
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -17,8 +17,11 @@ from typer.main import get_command
 
 from pc2scan.core.kernel import COMPILED
 from pc2scan.errors import OutputError, Pc2ScanError, UsageError
+from pc2scan.files.urls import local_path, path_or_url
+from pc2scan.options.call import Options
 from pc2scan.options.option import Parameter
 from pc2scan.options.table import options_of
+from pc2scan.request.parameters import plain_scalar
 from pc2scan.text import did_you_mean, shell_word
 from pc2scan.version import __version__
 
@@ -26,11 +29,10 @@ from .commands import COMMANDS
 from .completion import offered
 from .failures import in_our_words, show_failure
 from .help import ABOUT, help_of
-from .options import arguments_of, call_options
-from .render import say
+from .render import LiveWarnings, progress_bar, say, show
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from types import FrameType
 
     from pc2scan.options.option import Option
@@ -53,9 +55,7 @@ def run(words: Sequence[str]) -> int:
                     say(line, err=is_question)
                 return 2 if is_question else 0
             typed = parse(words)
-            command = getattr(import_module(f".{words[0]}", __package__), words[0])
-            status: int = command(**arguments_of(words[0], typed), options=call_options(words[0], typed))
-            return status
+            return _run_command(words[0], _arguments_of(words[0], typed), _call_options(words[0], typed))
     except Pc2ScanError as err:
         return show_failure(err, words)
     except KeyboardInterrupt as err:
@@ -75,6 +75,21 @@ def run(words: Sequence[str]) -> int:
         if err.filename is not None:
             raise
         return show_failure(OutputError("the current folder was deleted", hint="cd to another one"), words)
+
+
+def _run_command(name: str, arguments: Mapping[str, Any], options: Options) -> int:
+    """Open the door of a command, show the result, and return the exit status."""
+    module, _, function = COMMANDS[name].door.partition(":")
+    door = getattr(import_module(f"pc2scan.{module}"), function)
+    if module.startswith("cli."):
+        status: int = door(**arguments, options=options)
+        return status
+    warn = LiveWarnings()
+    with progress_bar(options) as progress:
+        told = {"warn": warn, "progress": progress}
+        taken = {key: told[key] for key in told if key in signature(door).parameters}
+        result = door(**arguments, options=options, **taken)
+    return show(result, options, known=warn)
 
 
 @contextmanager
@@ -137,6 +152,55 @@ def parse(words: Sequence[str]) -> dict[str, Any]:
     except typer.TyperException as err:
         raise in_our_words(err.format_message(), name) from err
     return typed
+
+
+def _arguments_of(command: str, typed: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of a command's function that are not in the table of options.
+
+    Sources are paths and URLs. The destination stays text, because a slash at its end makes it a folder.
+
+    Raises
+    ------
+    UsageError
+        If one is missing or empty, or if an option is typed twice.
+    """
+    arguments: dict[str, Any] = {}
+    for argument in COMMANDS[command].arguments:
+        value, shown = typed.get(argument.name), argument.shown
+        if value is None and argument.required:
+            raise UsageError(f"{shown} is missing", hint=f"pc2scan {command} --help shows what it takes")
+        if argument.spellings and isinstance(value, list):
+            if len(value) > 1:
+                raise UsageError(f"{shown} is given twice, but has only one value", hint="type only one of them")
+            value = value[0]
+        if value is not None and argument.is_path:
+            name = shown.removesuffix("...")
+            texts = [local_path(text, name) for text in (value if isinstance(value, list) else [value])]
+            paths = texts if argument.spellings else list(map(path_or_url, texts))
+            value = paths if isinstance(value, list) else paths[0]
+        arguments[argument.name] = value
+    return arguments
+
+
+def _call_options(name: str, typed: Mapping[str, Any]) -> Options:
+    """Return what was typed as the options of a call."""
+    words: dict[str, Any] = {}
+    origins: dict[str, str] = {}
+    for key, option in options_of(name).items():
+        if key not in typed:
+            continue
+        words[key] = text = typed[key]
+        if isinstance(option, Parameter):
+            if number := {"int": int, "float": float}.get(option.value.kind):
+                try:
+                    words[key] = number(text)
+                except ValueError:
+                    # In the notation of a parameter file.
+                    words[key] = plain_scalar(text)
+            origins[key] = option.negation if text is False else option.spelling
+        elif option.value.kind == "switch":
+            words[key] = text == "local" or text
+    return Options(name, words, origins)
 
 
 @cache

@@ -42,10 +42,14 @@ class Argument(NamedTuple):
 
 
 class Command:
-    """What the help of a command says: a text whose first line stands in the list of commands, and examples."""
+    """What does a command, and what its help says: a text whose first line is in the list of commands, and examples.
 
-    def __init__(self, text: str, *arguments: Argument, examples: dict[str, str]) -> None:
-        self.help, self.arguments, self.examples = text, arguments, examples
+    The door is ``module:function``: one of the library, whose result is shown, or one of the command line, which
+    returns the exit status.
+    """
+
+    def __init__(self, door: str, text: str, *arguments: Argument, examples: dict[str, str]) -> None:
+        self.door, self.help, self.arguments, self.examples = door, text, arguments, examples
 
 
 def _sources(text: str) -> Argument:
@@ -65,9 +69,10 @@ _DST = _output(
     "next to SRC, in SRC's format, with _scan (repair: _repaired) in its name",
 )
 
-#: The commands in the order of the help; each is a function in the module of its name.
+#: The commands in the order of the help.
 COMMANDS = {
     "convert": Command(
+        "cli.convert:convert",
         """Convert recorded clouds to laser scans, or back.
 
         PointCloud2 becomes LaserScan, with the results of ROS's pointcloud_to_laserscan. All other topics are copied.
@@ -81,6 +86,7 @@ COMMANDS = {
         },
     ),
     "batch": Command(
+        "cli.batch:batch",
         """Convert every recording of a dataset, each on its own, in several processes.
 
         If a recording fails, the others are still converted. A second run converts only what is missing, has changed or
@@ -94,6 +100,7 @@ COMMANDS = {
         },
     ),
     "export": Command(
+        "exports.run:export",
         """Write scans with poses, the trajectory, or clouds as files for learning and evaluation.
 
         With any parameter of the projection, clouds are converted to scans first. Poses are interpolated as in tf2:
@@ -107,6 +114,7 @@ COMMANDS = {
         },
     ),
     "view": Command(
+        "cli.pictures:view",
         """Write a page that shows clouds and the scans made of them, to tune the parameters by eye.
 
         The page is one HTML file that needs no network. It computes the same scans as `pc2scan convert`, to the bit,
@@ -119,6 +127,7 @@ COMMANDS = {
         },
     ),
     "plot": Command(
+        "cli.pictures:plot",
         """Draw clouds from above and from the side, with the height band and the scan, for reports.
 
         Needs matplotlib: pip install "pc2scan[plot]". To tune parameters, use `pc2scan view`.""",
@@ -130,6 +139,7 @@ COMMANDS = {
         },
     ),
     "map": Command(
+        "cli.pictures:draw_map",
         """Draw the scans of a recording into a map, placed by the recorded odometry: a preview, not SLAM.
 
         Nothing is matched or corrected: doubled walls show that mounts, stamps or odometry do not fit together. Clouds
@@ -142,6 +152,7 @@ COMMANDS = {
         },
     ),
     "check": Command(
+        "show.check:check",
         """Check whether SLAM and navigation accept a recording's scans.
 
         The verdict for each topic and consumer: accepted, shifted (by up to one beam), misplaced (beams or ranges in
@@ -156,6 +167,7 @@ COMMANDS = {
         },
     ),
     "info": Command(
+        "show.info:info",
         """Describe a recording, its clouds and its scans.
 
         For clouds: fields, points, frame, and limits of their coordinates. For scans: beams, limits, and the
@@ -167,6 +179,7 @@ COMMANDS = {
         },
     ),
     "tf": Command(
+        "cli.tf:tf",
         """Show the frames of a recording.
 
         It shows the tree, and the rate, first and last times, and largest gap of each frame. Unconnected parts are
@@ -180,6 +193,7 @@ COMMANDS = {
         },
     ),
     "repair": Command(
+        "cli.convert:repair",
         """Write everything that can be recovered of a damaged recording, of any type, byte for byte.
 
         The exit status is 0 if nothing was damaged (DST is then a complete copy), 3 if something was. SRC is never
@@ -192,6 +206,7 @@ COMMANDS = {
         },
     ),
     "diff": Command(
+        "compare.diff:diff",
         """Show the differences between two recordings.
 
         Scans and clouds are compared message by message, matched by their header's stamp: repeated stamps in order,
@@ -207,6 +222,7 @@ COMMANDS = {
         },
     ),
     "golden": Command(
+        "cli.golden:golden",
         """Check conversions against their expected output.
 
         A case is a folder with input.bag (or input.mcap, input.db3, input/), params.yaml, and the expected output of

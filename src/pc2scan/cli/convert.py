@@ -1,4 +1,4 @@
-"""``pc2scan convert``."""
+"""``pc2scan convert`` and ``pc2scan repair``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from pc2scan.bags.formats import FORMATS
 from pc2scan.files.urls import is_url
 from pc2scan.options.call import Options
 from pc2scan.request.parameters import preset_of
-from pc2scan.requests import convert as run
+from pc2scan.requests import convert as convert_by
+from pc2scan.requests import repair as repair_by
 from pc2scan.text import shell_word
 
 from .render import LiveWarnings, progress_bar, say, show
@@ -29,14 +30,23 @@ def convert(sources: list[Path], destination: str | None, *, options: Options) -
     recordings = [source for source in sources if ":=" not in str(source)]
     warn = LiveWarnings()
     with progress_bar(options) as progress:
-        result = run(recordings, destination, options, warn=warn, progress=progress)
+        result = convert_by(recordings, destination, options, warn=warn, progress=progress)
     status = show(result, options, known=warn)
     if not result.dry_run:
-        say_next(result, options)
+        _say_next(result, options)
     return status
 
 
-def say_next(report: Report, options: Options) -> None:
+def repair(source: Path, destination: str | None, *, options: Options) -> int:
+    """Write what can be recovered of a damaged recording."""
+    with progress_bar(options) as progress:
+        result = repair_by(source, destination, options, progress=progress)
+    status = show(result, options)
+    _say_next(result, options)
+    return status
+
+
+def _say_next(report: Report, options: Options) -> None:
     """Show the command that most users run after a recording was written: scans are checked, clouds are played."""
     if not options.given.keys() & {"quiet", "as_json"}:
         say(f"next: {_next_command(report)}")
