@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 from contextlib import contextmanager, suppress
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from inspect import Parameter as Keyword
 from inspect import Signature, signature
@@ -55,7 +55,8 @@ def run(words: Sequence[str]) -> int:
                     say(line, err=is_question)
                 return 2 if is_question else 0
             typed = parse(words)
-            return _run_command(words[0], _arguments_of(words[0], typed), _call_options(words[0], typed))
+            command = _command_of(words[0])
+            return command(**_arguments_of(words[0], typed), options=_call_options(words[0], typed))
     except Pc2ScanError as err:
         return show_failure(err, words)
     except KeyboardInterrupt as err:
@@ -77,13 +78,15 @@ def run(words: Sequence[str]) -> int:
         return show_failure(OutputError("the current folder was deleted", hint="cd to another one"), words)
 
 
-def _run_command(name: str, arguments: Mapping[str, Any], options: Options) -> int:
-    """Open the door of a command, show the result, and return the exit status."""
+def _command_of(name: str) -> Callable[..., int]:
+    """Return the function that does what a command does, and returns its exit status."""
     module, _, function = COMMANDS[name].door.partition(":")
-    door = getattr(import_module(f"pc2scan.{module}"), function)
-    if module.startswith("cli."):
-        status: int = door(**arguments, options=options)
-        return status
+    door: Callable[..., Any] = getattr(import_module(f"pc2scan.{module}"), function)
+    return door if module.startswith("cli.") else partial(_show_result, door)
+
+
+def _show_result(door: Callable[..., Any], *, options: Options, **arguments: Any) -> int:
+    """Call a function of the library, show its result, and return the exit status."""
     warn = LiveWarnings()
     with progress_bar(options) as progress:
         told = {"warn": warn, "progress": progress}
