@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from functools import cache, partial
 from importlib import import_module
 from inspect import Parameter as Keyword
@@ -88,10 +88,13 @@ def _command_of(name: str) -> Callable[..., int]:
 def _show_result(door: Callable[..., Any], *, options: Options, **arguments: Any) -> int:
     """Call a function of the library, show its result, and return the exit status."""
     warn = LiveWarnings()
-    with progress_bar(options) as progress:
-        told = {"warn": warn, "progress": progress}
-        taken = {key: told[key] for key in told if key in signature(door).parameters}
-        result = door(**arguments, options=options, **taken)
+    keywords = signature(door).parameters
+    if "warn" in keywords:
+        arguments["warn"] = warn
+    with progress_bar(options) if "progress" in keywords else nullcontext() as progress:
+        if "progress" in keywords:
+            arguments["progress"] = progress
+        result = door(**arguments, options=options)
     return show(result, options, known=warn)
 
 
