@@ -16,7 +16,7 @@ class Meter:
     Parameters
     ----------
     report
-        The function to report to.
+        The function to report to; None if nobody asks.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class Meter:
         How many messages were read, without those that were read ahead.
     """
 
-    def __init__(self, report: Progress) -> None:
+    def __init__(self, report: Progress | None) -> None:
         self._report = report
         self._done = self._total = self._next = 0
         self.following = self.messages = 0
@@ -47,5 +47,6 @@ class Meter:
         self._tell(self._total)
 
     def _tell(self, done: int) -> None:
-        self._report(done, self._total, self.messages)
+        if self._report is not None:
+            self._report(done, self._total, self.messages)
         self._next = self._done + self._total // 1000

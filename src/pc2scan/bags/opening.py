@@ -59,9 +59,6 @@ def sniff(path: Path) -> str:
             return _sniff_directory(path)
         if not stat.S_ISREG(mode):
             raise RecordingError("is neither a file nor a directory", path=path, hint="save it as a file first")
-        # The log beside a database may have its first page.
-        if path.suffix == FORMATS["sqlite3"].suffix and file_beside(path, "-wal"):
-            return "sqlite3"
         with open_bytes(path) as file:
             head, packed = file.read(64), ""
             if head.startswith(ZSTD_MAGIC):
@@ -137,6 +134,9 @@ def _content_hint(head: bytes, path: Path, state: str = "") -> str:
     for magic, description, hint in _LOOKALIKES:
         if head.startswith(magic):
             raise RecordingError(f"is not a recording: it is {description}{state}", path=path, hint=hint)
+    # The first page of a database may be damaged, and sound in the log beside it.
+    if path.suffix == FORMATS["sqlite3"].suffix and file_beside(path, "-wal"):
+        return "sqlite3"
     readable = f"a recording is a {and_list([entry.readable for entry in FORMATS.values()], 'or')}"
     # Bytes of unknown origin for a terminal: printable ASCII as it is, everything else escaped.
     raise RecordingError(f"is not a recording: it begins with {repr(head[:16])[1:]}{state}", path=path, hint=readable)

@@ -89,12 +89,9 @@ def _show_result(door: Callable[..., Any], *, options: Options, **arguments: Any
     """Call a function of the library, show its result, and return the exit status."""
     warn = LiveWarnings()
     keywords = signature(door).parameters
-    if "warn" in keywords:
-        arguments["warn"] = warn
     with progress_bar(options) if "progress" in keywords else nullcontext() as progress:
-        if "progress" in keywords:
-            arguments["progress"] = progress
-        result = door(**arguments, options=options)
+        told = {"warn": warn, "progress": progress}
+        result = door(**arguments, options=options, **{name: told[name] for name in told if name in keywords})
     return show(result, options, known=warn)
 
 

@@ -53,7 +53,7 @@ def diff(a: Path, b: Path | None, options: Options, *, progress: Progress | None
             path=a,
             hint="give a second recording, or two topics: `topics=/scan:=/scan2`",
         )
-    meter = Meter(progress or (lambda *_: None))
+    meter = Meter(progress)
     with ExitStack() as stack:
         paths = stack.enter_context(fetched((a, a if b is None else b)))
         sources = [stack.enter_context(closing(open_source(path))) for path in paths]

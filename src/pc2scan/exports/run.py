@@ -194,8 +194,7 @@ def export(
     form = ExportOptions.of(options, conversion)
     place = path or folder
     assert place is not None
-    how = {"in_folder": path is None, "overwrite": options.overwrite}
-    report = run(sources, place, conversion, form, warn, progress, **how)
+    report = run(sources, place, conversion, form, warn, progress, in_folder=path is None, overwrite=options.overwrite)
     report.warnings += conversion.notes
     return report
 

@@ -189,7 +189,7 @@ def check(sources: Sequence[Path], options: Options, progress: Progress | None =
         arrivals = Arrivals()
         moving = [each for each in tf_connections(reader.connections, known.tf_topics) if not each.is_static]
         survey.observers.append(Observer(moving, copied_message, keep=arrivals.add))
-        meter = Meter(progress or (lambda *_: None))
+        meter = Meter(progress)
         meter.following = reader.stored_bytes(wanted)
         survey.read(meter)
         transforms = reading.finish()

@@ -96,7 +96,7 @@ class CloudInfo:
             yield f"  metres  {limits}" + (f" in {self.target_frame}" if self.target_frame else "")
 
 
-class CloudSample(NamedTuple):
+class ShownCloud(NamedTuple):
     """What is kept of a cloud: its size, some of its points.
 
     Attributes
@@ -118,7 +118,7 @@ class CloudSample(NamedTuple):
     layout: tuple[tuple[int, int], int, tuple[tuple[str, str, int], ...]]
 
 
-def sample_cloud(most: int, message: RawMessage) -> CloudSample | str:
+def sample_cloud(most: int, message: RawMessage) -> ShownCloud | str:
     """Return what is kept of a cloud, so many points at most, or why it cannot be described."""
     try:
         cloud = CLOUDS[message.connection.ros_type](message.connection.serialization)(message.data)
@@ -134,12 +134,12 @@ def sample_cloud(most: int, message: RawMessage) -> CloudSample | str:
     except DecodeError as err:
         return _problem(err)
     points, zeros = np.stack([x[good], y[good], z[good]]), int(np.count_nonzero(zero))
-    return CloudSample(cloud.frame_id, cloud.stamp_ns, count, points, x.size - zeros, zeros, layout)
+    return ShownCloud(cloud.frame_id, cloud.stamp_ns, count, points, x.size - zeros, zeros, layout)
 
 
 def describe_clouds(
-    topic: str, sampled: list[CloudSample | str], places: Placer, mounting: Mounting | None
-) -> tuple[CloudInfo, list[CloudSample]]:
+    topic: str, sampled: list[ShownCloud | str], places: Placer, mounting: Mounting | None
+) -> tuple[CloudInfo, list[ShownCloud]]:
     """Return the properties of a topic's clouds, and the clouds, which leave ``sampled``, in the frame of scans.
 
     Parameters
@@ -155,7 +155,7 @@ def describe_clouds(
     """
     count = len(sampled)
     problems: dict[str, None] = {}
-    placed: list[CloudSample] = []
+    placed: list[ShownCloud] = []
     while sampled:
         sample = sampled.pop(0)
         if isinstance(sample, str):

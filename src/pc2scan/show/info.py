@@ -35,7 +35,7 @@ from pc2scan.transforms.motion import find_body_motion
 from pc2scan.transforms.placing import FrameOptions, Placer
 from pc2scan.transforms.sources import PoseTopic
 
-from .cloud_info import CloudInfo, CloudSample, describe_clouds, sample_cloud
+from .cloud_info import CloudInfo, ShownCloud, describe_clouds, sample_cloud
 from .lidar import EDGE_NS, HEADERS, Lidar, ask_facts, stamp_faults
 from .proposals import missing_mounts, odometry_doubts, proposals
 from .scan_topic import ScanTopic, TopicCheck
@@ -524,12 +524,12 @@ def _described(topics: Sequence[TopicInfo], names: Sequence[str], types: dict[st
 
 def _sampled(
     survey: Survey, topics: Sequence[TopicInfo], samples: int, start_ns: int | None, end_ns: int | None
-) -> tuple[dict[str, list[CloudSample | str]], dict[str, ScanTopic]]:
+) -> tuple[dict[str, list[ShownCloud | str]], dict[str, ScanTopic]]:
     """Ask for samples of each topic, spread over the recording; return what collects them.
 
     A topic with clouds and scans counts as one of clouds.
     """
-    clouds: dict[str, list[CloudSample | str]] = {topic.topic: [] for topic in topics if topic.msgtype in CLOUDS}
+    clouds: dict[str, list[ShownCloud | str]] = {topic.topic: [] for topic in topics if topic.msgtype in CLOUDS}
     scans = {topic.topic: ScanTopic() for topic in topics if topic.topic not in clouds}
     if not topics or start_ns is None or end_ns is None:
         return {}, {}

@@ -48,7 +48,7 @@ from pc2scan.transforms.buffer import named_in_namespace
 from pc2scan.transforms.frames import BODIES
 from pc2scan.transforms.motion import find_body_motion
 
-from .shots import damage_of, open_recording
+from .shots import damage_of, open_as_one
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -296,7 +296,7 @@ def _draw(
     tell = partial(tell_early, warnings, warn)
     frames = (asked.odom_frame, asked.base_frame)
     grid = OccupancyGrid(asked.resolution, _MAX_CELLS)
-    with open_recording(sources, options) as (reader, stack):
+    with open_as_one(sources, options) as (reader, stack):
         topics, converted = _topics(reader, options)
         meter = None if progress is None else Meter(progress)
         reading = replace(options, only_scans=True, keep=(), keep_clouds=False) if converted else options

@@ -21,7 +21,7 @@ from pc2scan.requests import conversion_of, first_output
 from pc2scan.result import Part, Result
 from pc2scan.text import size
 
-from .shots import open_recording, take_shots, title_of
+from .shots import open_as_one, take_shots, title_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -105,7 +105,7 @@ def plot(sources: Sequence[Path], destination: Path, options: Options, *, warn: 
     refuse_overlap(inputs_of(sources, options.tf_from, request.files), [destination])
     with (
         files_output([destination], overwrite=options.overwrite) as deliver,
-        open_recording(sources, request) as (reader, stack),
+        open_as_one(sources, request) as (reader, stack),
     ):
         try:
             taken = take_shots(reader, request, options, stack, warn, level=True)

@@ -122,7 +122,7 @@ class Shots(NamedTuple):
 
 
 @contextmanager
-def open_recording(sources: Sequence[Path], options: ConvertOptions) -> Iterator[tuple[Reader, ExitStack]]:
+def open_as_one(sources: Sequence[Path], options: ConvertOptions) -> Iterator[tuple[Reader, ExitStack]]:
     """Open recordings as one, and yield what closes them, too."""
     with ExitStack() as stack:
         reader = scaled(as_one(open_recordings(sources, stack, strict=options.strict)), options.cloud_scale)

@@ -20,7 +20,7 @@ from pc2scan.transforms.static import added_transforms
 
 from .info import info_of
 from .pages import BEGINNING, check_page_name, clouds_page, html, scans_page
-from .shots import moment_text, open_recording, title_of
+from .shots import moment_text, open_as_one, title_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -116,7 +116,7 @@ def _page(sources: Sequence[Path], options: ConvertOptions, asked: Options, warn
     """Make a page of a recording: of its clouds and their projection, or of its scans if it has no clouds."""
     if not 1 <= asked.clouds <= _MOST_CLOUDS:
         raise UsageError(f"`clouds` is {asked.clouds:,}, it must be from 1 to {_MOST_CLOUDS:,}")
-    with open_recording(sources, options) as (reader, stack):
+    with open_as_one(sources, options) as (reader, stack):
         if any(connection.ros_type in CLOUDS for connection in reader.connections) and not options.scan.reverse:
             # The node's heights are part of its parameters, also where a file of these does not have them.
             is_given = bool(asked.given.keys() & {"params", "params_file", "param", "scans"})

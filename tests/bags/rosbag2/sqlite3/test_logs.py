@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from pc2scan.bags.rosbag2.sqlite3.read import Sqlite3Reader
+from pc2scan.bags.opening import open_recording
 from pc2scan.errors import DamageError
 from support import sampled
 from support.sqlite3_files import Rows, build, hot_log, recovered, rosbag2_pages
@@ -77,6 +77,13 @@ def changed(hot: Path, folder: Path, data: bytes) -> Path:
     return path
 
 
+def test_the_first_page_of_a_database_may_be_in_its_log(hot: tuple[Path, Rows, list[int]], tmp_path: Path) -> None:
+    path = changed(hot[0], tmp_path, Path(f"{hot[0]}-wal").read_bytes())
+    path.write_bytes(b"\xff" + path.read_bytes()[1:])
+    with closing(open_recording(path)) as reader:
+        assert len(list(reader.messages())) == len(hot[1])
+
+
 @pytest.mark.parametrize("length", [1, 512, 10_000])
 def test_behind_damage_in_a_log_nothing_is_read_and_that_is_reported(
     length: int, hot: tuple[Path, Rows, list[int]], tmp_path: Path
@@ -96,4 +103,4 @@ def test_behind_damage_in_a_log_nothing_is_read_and_that_is_reported(
         assert damage[0].path.name == "a.db3-wal", place
         assert damage[0].bytes_lost, place
         with pytest.raises(DamageError, match="not used"):
-            Sqlite3Reader(path, strict=True)
+            open_recording(path, strict=True)
