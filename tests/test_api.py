@@ -19,10 +19,9 @@ import pytest
 import pc2scan
 from pc2scan.errors import ParameterError, Pc2ScanError, TransformError, UsageError
 from pc2scan.model import own_data
-from support import ROOT
+from support import HALL, ROOT
 from support.command import run
 
-HALL = ROOT / "fixtures" / "hall.bag"
 CASES = ROOT / "fixtures" / "golden"
 
 #: What each function takes besides a recording.

@@ -11,12 +11,11 @@ import pytest
 import pc2scan
 from pc2scan.cli.commands import COMMANDS
 from pc2scan.options.table import options_of
-from support import ROOT
+from support import HALL
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-HALL = ROOT / "fixtures" / "hall.bag"
 
 #: Arguments that a command types as options, and options that only the command has because they are results in Python.
 ARGUMENTS = {"sources", "source", "destination", "a", "b", "folder", "pattern"}

@@ -10,12 +10,11 @@ import pytest
 
 from benchmarks.clouds import CLOUD_BYTES, FORMS, write_recording, write_two
 from benchmarks.long import Long, measured
-from support import ROOT
+from support import HALL
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-HALL = ROOT / "fixtures" / "hall.bag"
 
 on_glibc = pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="measured with glibc")
 

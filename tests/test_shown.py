@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pc2scan
 from pc2scan.messages.laserscan import encode_laserscan
-from support import ROOT
+from support import HALL, ROOT
 from support.builders import SCAN, Item, Recording, Stream, write_mcap
 from support.scan_recordings import scans
 
@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     import pytest
-
-HALL = ROOT / "fixtures" / "hall.bag"
 
 
 def results(folder: Path) -> dict[str, tuple[Any, str]]:

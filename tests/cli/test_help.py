@@ -17,14 +17,13 @@ from pc2scan.cli import app, completion
 from pc2scan.cli.app import parse
 from pc2scan.cli.commands import COMMANDS
 from pc2scan.options.table import options_of, spelling_of
-from support import ROOT
+from support import HALL, ROOT
 from support.command import run
 from support.tables import rows
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-HALL = ROOT / "fixtures" / "hall.bag"
 TABLES = Path(__file__).with_name("help.txt")
 PACKAGE = ROOT / "src" / "pc2scan"
 

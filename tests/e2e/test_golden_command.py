@@ -11,11 +11,9 @@ import pytest
 
 import pc2scan
 from pc2scan.cli.in_process import run_command
-from support import ROOT
+from support import HALL
 from support.command import run
 from support.tables import rows
-
-HALL = ROOT / "fixtures" / "hall.bag"
 
 REFUSED: dict[str, str] = dict(rows(Path(__file__).with_name("golden_command.txt"), "arguments that no case may have"))
 

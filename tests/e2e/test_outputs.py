@@ -10,11 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from support import ROOT, sampled
+from support import HALL, ROOT, sampled
 from support.builders import POINTS, T0, Recording, cloud, item, points_of, write_rosbag1
 from support.command import run
-
-HALL = ROOT / "fixtures" / "hall.bag"
 
 #: What each path below a folder is: of a file its numbers and content, of a link where it leads to.
 State = dict[str, tuple[object, ...]]

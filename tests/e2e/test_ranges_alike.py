@@ -9,14 +9,13 @@ import pytest
 
 import pc2scan
 from pc2scan.cli.in_process import run_command
-from support import ROOT, sampled
+from support import HALL, sampled
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-HALL = ROOT / "fixtures" / "hall.bag"
 NEAR = ("--range-max", "4", "--min-height", "-0.3", "-p", "use_inf:=false")
 EPSILONS = ["-1", "0", "1", "-inf"]
 

@@ -14,11 +14,10 @@ from pathlib import Path
 
 import pytest
 
-from support import ROOT, sampled
+from support import HALL, ROOT, sampled
 from support.command import COMMAND, environment
 from support.tables import rows
 
-HALL = ROOT / "fixtures" / "hall.bag"
 GOLDEN = ROOT / "fixtures" / "golden"
 TABLES = Path(__file__).with_name("standard_output.txt")
 PLACES = {"HALL": str(HALL), "GOLDEN": str(GOLDEN), "MCAP": str(HALL.with_suffix(".mcap"))}

@@ -18,14 +18,12 @@ from pc2scan.errors import TransformError, UsageError, stamp_text
 from pc2scan.exports.formats import FORMATS
 from pc2scan.exports.run import file_names
 from pc2scan.options.table import options_of
-from support import ROOT
+from support import HALL
 from support.builders import write_mcap
 from support.scan_recordings import recording as recording_of
 from support.tables import rows
 
 TABLES = Path(__file__).with_name("requests.txt")
-
-HALL = ROOT / "fixtures" / "hall.bag"
 
 
 @pytest.fixture

@@ -9,13 +9,12 @@ import pytest
 
 import pc2scan
 from pc2scan.errors import UsageError
-from support import ROOT, sampled
+from support import HALL, sampled
 from support.command import run
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-HALL = ROOT / "fixtures" / "hall.bag"
 SECRET = "hunter2secret"
 
 #: Files of somebody else, with a secret in each place that an error could quote.

@@ -4,8 +4,8 @@ By hand::
 
     PYTHONPATH=tests python tests/planted/campaign.py --count 200 --seed 1 --json planted.json
 
-Beside the extra of tests, it needs coverage, pytest-cov and setuptools. First, the quick tests are run once, to note
-which lines each of them runs. Of each fault, the tests that run its line are run until one fails: those that run the
+Beside the extra of tests, it needs setuptools. First, the quick tests are run once, to note which lines each of them
+runs. Of each fault, the tests that run its line are run until one fails: those that run the
 fewest lines first. ``--again planted.json`` plants the faults of an earlier run, as far as the source still has them: a
 fault is found again by its text.
 """
@@ -30,10 +30,8 @@ from planted.faults import Fault, faults_in, plant, sample
 
 ROOT = Path(__file__).resolve().parents[2]
 
-#: How many tests of a line are run, chosen evenly; and tests of the loops in
-#: C, whose lines are not noted.
+#: How many tests of a line are run, chosen evenly.
 _MOST_TESTS = 150
-_OF_LOOPS = ("tests/core", "tests/e2e/test_golden.py")
 
 
 def main() -> None:
@@ -82,7 +80,8 @@ def _lines_of_tests(copy: Path, path: Path) -> tuple[CoverageData, Counter[str]]
 def _tests_of(fault: Fault, lines: CoverageData, sizes: Counter[str]) -> list[str]:
     """Return the tests that run a fault's lines; those of its module, if they run as it is imported."""
     if fault.path.endswith(".c"):
-        return list(_OF_LOOPS)
+        # Lines in C are not noted.
+        return ["tests/core", "tests/e2e/test_golden.py"]
     module = next((path for path in lines.measured_files() if path.endswith(fault.path)), "")
     tests = lines.contexts_by_lineno(module)
     last = fault.line + fault.old.count("\n")

@@ -13,7 +13,7 @@ from ruamel.yaml import YAML
 
 import pc2scan
 from pc2scan.errors import Pc2ScanError, UsageError
-from support import ROOT
+from support import HALL
 from support.builders import T0, Item, Recording, write_mcap
 from support.command import run
 from support.scan_recordings import recording as recording_of
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-HALL = ROOT / "fixtures" / "hall.bag"
 CELL = 0.05
 
 

@@ -12,7 +12,7 @@ import pytest
 from pc2scan.bags.opening import open_recording
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
 from show.browser import needs_chromium
-from support import ROOT
+from support import HALL
 from support.builders import CLOUD, T0, Item, Recording, Stream, cloud, write_mcap
 from support.command import run
 from support.scan_recordings import GOOD, recording, scans
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
 pytestmark = needs_chromium
 slow = pytest.mark.slow
-
-HALL = ROOT / "fixtures" / "hall.bag"
 
 
 @pytest.fixture

@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from support import ROOT, sampled
+from support import HALL, sampled
 from support.builders import CLOUD, T0, Item, Recording, Stream, cloud, write_mcap
 from support.command import run
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-HALL = ROOT / "fixtures" / "hall.bag"
 
 needs_matplotlib = pytest.mark.skipif(find_spec("matplotlib") is None, reason="needs matplotlib")
 

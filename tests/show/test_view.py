@@ -10,15 +10,13 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import pc2scan
-from support import ROOT
+from support import HALL
 from support.builders import write_mcap
 from support.command import run
 from support.scan_recordings import recording, scans
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-HALL = ROOT / "fixtures" / "hall.bag"
 
 
 def description(page: Path) -> Any:

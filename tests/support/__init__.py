@@ -11,6 +11,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 ROOT = Path(__file__).resolve().parents[2]
+
+#: Half a second of a small robot in a hall.
+HALL = ROOT / "fixtures" / "hall.bag"
 SHARED = ROOT.parent / "shared"
 RECORDINGS = SHARED / "recordings"
 # All the cases where they are, and otherwise those that the project carries.
