@@ -6,7 +6,7 @@ import os
 from contextlib import AbstractContextManager, nullcontext
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import pytest
 
@@ -171,20 +171,20 @@ def test_what_a_dead_run_left_is_removed(
 
 @pytest.mark.parametrize("failing", [0, 1, 2, 3])
 def test_several_files_appear_all_or_none(failing: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_bytes, calls = Path.write_bytes, iter(range(1, 4))
+    opened, calls = Path.open, iter(range(1, 4))
 
-    def fails(self: Path, data: bytes) -> int:
-        if next(calls) == failing:
+    def fails(self: Path, mode: str) -> IO[Any]:
+        if mode == "wb" and next(calls) == failing:
             raise OSError(28, "no space")
-        return write_bytes(self, data)
+        return opened(self, mode)
 
-    monkeypatch.setattr(Path, "write_bytes", fails)
+    monkeypatch.setattr(Path, "open", fails)
     paths = [tmp_path / name for name in "abc"]
 
     def run() -> None:
         with files_output(paths, overwrite=False) as write:
             assert not any(path.exists() for path in paths)
-            write([b"1", b"2", b"3"])
+            write(["1", b"2", [b"", b"3"]])
 
     if failing:
         with pytest.raises(OutputError, match="no space") as caught:

@@ -82,11 +82,11 @@ def staged_output(
 @contextmanager
 def files_output(
     paths: Sequence[Path], *, overwrite: bool, beginning: bytes | None = None
-) -> Iterator[Callable[[Sequence[str | bytes]], None]]:
+) -> Iterator[Callable[[Sequence[str | bytes | Sequence[bytes]]], None]]:
     """Check that small files can be written, and yield the function that writes them; see `staged_output`.
 
-    No file gets its final name before all are complete. Then they get their names in the given order. Without a call of
-    the function there are none.
+    A file is a text, bytes, or pieces of bytes. No file gets its final name before all are complete. Then they get
+    their names in the given order. Without a call of the function there are none.
     """
     for path in paths:
         check_destination(path, overwrite=overwrite, beginning=beginning)
@@ -96,10 +96,12 @@ def files_output(
             for path in reversed(paths)
         ]
 
-        def write(contents: Sequence[str | bytes]) -> None:
+        def write(contents: Sequence[str | bytes | Sequence[bytes]]) -> None:
             for path, place, content in zip(paths, reversed(places), contents, strict=True):
+                whole = content.encode() if isinstance(content, str) else content
                 try:
-                    place.write_bytes(content.encode() if isinstance(content, str) else content)
+                    with place.open("wb") as file:
+                        file.writelines([whole] if isinstance(whole, bytes) else whole)
                 except OSError as err:
                     raise OutputError(f"cannot be written: {err.strerror}", path=path) from err
 

@@ -105,8 +105,8 @@ def check_page_name(path: Path) -> None:
         raise UsageError("is not the name of a page", path=path, hint="pages are *.html; pc2scan plot draws figures")
 
 
-def html(description: Mapping[str, Any], blobs: dict[str, bytes]) -> str:
-    """Return the page.
+def html(description: Mapping[str, Any], blobs: dict[str, bytes]) -> tuple[bytes, ...]:
+    """Return the page, in pieces: as one text, it would be in memory twice.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def html(description: Mapping[str, Any], blobs: dict[str, bytes]) -> str:
         "<!-- data -->": _data(description, blobs),
     }
     pieces = re.split(f"({'|'.join(map(re.escape, parts))})", (_folder() / "index.html").read_text("utf-8"))
-    return "".join(text for piece in pieces for text in parts.get(piece, [piece]))
+    return tuple(text.encode() for piece in pieces for text in parts.get(piece, [piece]))
 
 
 def script() -> str:

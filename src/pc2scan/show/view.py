@@ -42,8 +42,8 @@ class Page(Result):
 
     Attributes
     ----------
-    html
-        The whole HTML file.
+    pieces
+        The HTML file, in pieces.
     notes
         What the page says above the pictures.
     warnings
@@ -57,7 +57,7 @@ class Page(Result):
     kind: ClassVar[str] = "page"
     json_names: ClassVar[tuple[str, ...]] = ("path", "bytes")
 
-    html: str
+    pieces: tuple[bytes, ...]
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     damage: tuple[Damage, ...] = ()
@@ -66,7 +66,12 @@ class Page(Result):
     @property
     def bytes(self) -> int:
         """The size of the file."""
-        return len(self.html) if self.html.isascii() else len(self.html.encode())
+        return sum(map(len, self.pieces))
+
+    @property
+    def html(self) -> str:
+        """The whole HTML file."""
+        return b"".join(self.pieces).decode()
 
     def body(self, *, verbose: bool = False) -> Iterator[Part]:
         """Yield the file and its size."""
@@ -95,7 +100,7 @@ class Page(Result):
         path = path_of("destination", destination)
         check_page_name(path)
         with files_output([path], beginning=BEGINNING, overwrite=overwrite) as deliver:
-            deliver([self.html])
+            deliver([self.pieces])
         return path
 
 
@@ -108,7 +113,7 @@ def view(sources: Sequence[Path], destination: Path | None, options: Options, *,
     refuse_overlap(inputs_of(sources, options.tf_from, request.files), [destination])
     with files_output([destination], beginning=BEGINNING, overwrite=options.overwrite) as deliver:
         page = _page(sources, request, options, warn)
-        deliver([page.html])
+        deliver([page.pieces])
     return replace(page, path=str(destination))
 
 
