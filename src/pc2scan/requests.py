@@ -9,18 +9,14 @@ from typing import TYPE_CHECKING
 
 from .arguments import refuse_unknown
 from .conversion.run import OutputOptions, report_failure, run
-from .core.params import ProjectionParams
-from .core.unproject import UnprojectParams
 from .errors import Pc2ScanError, UsageError, name_list
-from .files.urls import path_of, path_or_url, path_text
-from .options.call import CALL, Options
+from .files.urls import path_or_url, path_text
+from .options.call import Options
 from .options.conversion import ConversionFrames
 from .options.effects import refuse_idle
 from .options.table import PARAMETERS, options_about_scans
 from .request.options import TRAJECTORY, ConvertOptions, ScanSpec, StampOptions, TopicRequest
-from .request.param_sources import parse_params, read_remaps, resolve_sources
-from .request.parameters import ParamsFile, ResolvedParams, Setting, refuse_degrees
-from .request.scans_file import Outputs, load_scans, refuse_beside
+from .request.outputs import load_scans, parse_params, read_output, refuse_beside
 from .result import Failure, tell_early
 from .transforms.placing import FrameOptions
 from .transforms.sources import PoseTopic, frames_of_trajectory, load_trajectory
@@ -31,6 +27,7 @@ if TYPE_CHECKING:
     from typing import Any, TypeAlias
 
     from .conversion.report import Report
+    from .core.params import ProjectionParams
     from .files.urls import PathText
     from .progress import Progress
 
@@ -109,13 +106,16 @@ def conversion_of(options: Options, warn: Warn | None = None) -> ConvertOptions:
     """
     if options.clouds_as != "recorded" and not options.keep_clouds:
         _refuse_scans(options)
-    given = options.among(PARAMETERS)
-    settings = [Setting(name, value, options.origins.get(name, CALL)) for name, value in given.items()]
-    if options.scans is None:
-        outputs, where = _output(options, settings), "params_file"
-    else:
+    given = [options, parse_params(options.param)]
+    if options.scans is not None:
         refuse_beside(options.of_one_output)
-        outputs, where = load_scans(options.scans, [*settings, *parse_params(options.param)]), "scans"
+        outputs, where = load_scans(options.scans, given), "scans"
+    elif options.remap and options.topics:
+        raise UsageError(
+            "`topics` and `remap` both name the topics; give only one of them", hint="such as `topics=/points:=/scan`"
+        )
+    else:
+        outputs, where = read_output(options, given), "params_file"
     notes: list[str] = []
     reason = "ignored, because no parameter of the projection is read there"
     tell_early(notes, warn, *(f"{reason}: {place}" for place in outputs.ignored))
@@ -137,43 +137,6 @@ def _refuse_scans(options: Options) -> None:
         )
 
 
-def _output(options: Options, settings: list[Setting]) -> Outputs:
-    """Return the output of a call without `scans`."""
-    topics: tuple[str, ...] = options.topics
-    tf_topics: tuple[str, ...] = ()
-    if options.remap and topics:
-        raise UsageError(
-            "`topics` and `remap` both name the topics; give only one of them", hint="such as `topics=/points:=/scan`"
-        )
-    if options.params is not None:
-        resolved = _changed_params(options)
-    else:
-        resolved = resolve_sources(
-            settings,
-            assignments=options.param,
-            file=options.params_file,
-            node=options.node,
-            launch_args=options.launch_args,
-            preset=options.preset,
-            reverse=options.reverse,
-            remapped=_remapped(options),
-        )
-    file = resolved.file
-    if remaps := (*file.remaps, *(text for text in options.remap if not text.startswith("__"))):
-        moved, tf_topics = read_remaps(remaps, reverse=resolved.reverse)
-        topics = topics or moved
-    more = {"channels": _channels(options.channels)} if options.channels else {}
-    spec = ScanSpec.of(options.given, resolved, topics=tuple(map(TopicRequest.parse, topics)), **more)
-    return Outputs((spec,), file.files, file.ignored, tf_topics)
-
-
-def _remapped(options: Options) -> set[str]:
-    """Return the topics that are given, in the nodes' names for them."""
-    if options.topics:
-        return {"cloud_in", "scan", "scan_in", "cloud"}
-    return {text.partition(":=")[0].rpartition(":")[2].strip("~/ ") for text in options.remap}
-
-
 def named_files(options: Options) -> dict[str, Path]:
     """Return the files that options name and that are read, by option."""
     files = {}
@@ -185,33 +148,14 @@ def named_files(options: Options) -> dict[str, Path]:
     return files
 
 
-def _changed_params(options: Options) -> ResolvedParams:
-    """Return the argument ``params``, with the parameters that are given by name."""
-    params = options.params
-    if not isinstance(params, ProjectionParams):
-        raise TypeError(f"params is {type(params).__name__}, it must be ProjectionParams")
-    if given := [f"`{name}`" for name in ("preset", "params_file", "node") if name in options.given]:
-        raise UsageError(
-            f"params has all parameters, so {' and '.join(given)} would have no effect",
-            hint="use ProjectionParams.preset() or ProjectionParams.from_file(), which take changes by name",
-        )
-    changes = options.among(PARAMETERS)
-    angles = {name: getattr(params, name) for name in ("angle_min", "angle_max", "geometry")}
-    refuse_degrees(angles | changes, dict.fromkeys(PARAMETERS, CALL))
-    origins = {name: CALL if getattr(params, name) != row.default else "default" for name, row in PARAMETERS.items()}
-    origins |= dict.fromkeys(changes, CALL)
-    return ResolvedParams(replace(params, **changes), origins, options.reverse, ParamsFile())
-
-
 def params_from_file(path: PathText, node: str | None, changes: Mapping[str, Any]) -> ProjectionParams:
     """See `pc2scan.ProjectionParams.from_file`."""
     refuse_unknown("ProjectionParams.from_file", changes, PARAMETERS)
-    given = Options("convert", changes).among(PARAMETERS)
-    settings = [Setting(name, value, CALL) for name, value in given.items()]
-    resolved = resolve_sources(settings, file=path_of("params_file", path), node=node)
-    if resolved.reverse:
+    options = Options("convert", {**changes, "params_file": path, "node": node})
+    spec = read_output(options, [options]).specs[0]
+    if spec.reverse:
         raise UsageError("its parameters are for laserscan_to_pointcloud", path=path)
-    return resolved.params
+    return spec.params
 
 
 def output_of(options: Options, *, folder: Path | None = None, like_source: bool = False) -> OutputOptions:
@@ -232,13 +176,6 @@ def destination_of(destination: PathText | None) -> tuple[Path | None, Path | No
     if text.endswith(tuple(filter(None, (os.sep, os.altsep)))) or os.path.basename(text) in {".", ".."}:  # noqa: PTH119
         return None, path_or_url(text)
     return path_or_url(text), None
-
-
-def _channels(channels: tuple[str, ...] | UnprojectParams) -> UnprojectParams:
-    """Return the fields of clouds that are added."""
-    if isinstance(channels, UnprojectParams):
-        return channels
-    return UnprojectParams(**{name: name in channels for name in ("distances", "stamps", "viewpoint")})
 
 
 def reading_of(topics: tuple[str, ...], options: Options) -> ConvertOptions:

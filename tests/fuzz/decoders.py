@@ -196,7 +196,7 @@ def _qos(data: bytes) -> None:
 
 
 def _parameters(data: bytes) -> None:
-    _file("params.yaml", data, lambda path: _ignored(resolve(load_params_file(path).settings)))
+    _file("params.yaml", data, lambda path: _ignored(resolve([load_params_file(path).options])))
 
 
 def _ignored(_: object) -> None:

@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 
 from pc2scan.errors import ParameterError
-from pc2scan.request.param_sources import resolve_sources
+from pc2scan.options.call import Options
+from pc2scan.request.outputs import read_output
 from pc2scan.request.params_file import load_params_file
 from support.tables import rows
 
@@ -56,17 +57,17 @@ def described(folder: Path, body: str) -> Path:
 
 
 @pytest.mark.parametrize(("body", "node", "remaps", "values"), rows(TABLE, "read", text=True))
-def test_what_is_read(body: str, node: str, remaps: tuple[str, ...], values: dict[str, Any], tmp_path: Path) -> None:
+def test_what_is_read(body: str, node: str, remaps: dict[str, str], values: dict[str, Any], tmp_path: Path) -> None:
     found = load_params_file(described(tmp_path, body))
     assert (found.node, found.remaps) == (node, remaps)
-    assert {setting.name: setting.value for setting in found.settings} == values
+    assert found.options.given == values
 
 
 @pytest.mark.parametrize(("body", "said", "hint"), rows(TABLE, "refused", text=True))
 def test_what_is_not_read_is_refused_by_name(body: str, said: str, hint: str | None, tmp_path: Path) -> None:
     path = described(tmp_path, body)
     with pytest.raises(ParameterError) as caught:
-        resolve_sources((), file=path)
+        read_output(Options("convert", {"params_file": path}), [])
     assert said.format(path=path) in caught.value.message
     assert (caught.value.hint or "").startswith((hint or "").format(path=path))
 

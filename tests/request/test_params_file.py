@@ -9,8 +9,8 @@ import pytest
 
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import ParameterError
-from pc2scan.request.parameters import ParamsFile, resolve
-from pc2scan.request.params_file import load_params_file
+from pc2scan.request.parameters import resolve
+from pc2scan.request.params_file import ParamsFile, load_params_file
 from support.tables import rows
 
 if TYPE_CHECKING:
@@ -36,16 +36,18 @@ def load(tmp_path: Path) -> Load:
 @pytest.mark.parametrize(("text", "node", "values"), rows(TABLES / "params_files.txt", "files", text=True))
 def test_a_file_has_the_parameters_of_its_node(load: Load, text: str, node: str, values: dict[str, Any]) -> None:
     file = load(text)
-    assert (file.node, {setting.name: setting.value for setting in file.settings}) == (node, values)
+    assert (file.node, file.options.given) == (node, values)
     assert file.direction == "pointcloud_to_laserscan"
-    assert [type(setting.value) for setting in file.settings] == [type(value) for value in values.values()]
-    assert resolve(file.settings).params == ProjectionParams(**values)
+    assert {name: type(value) for name, value in file.options.given.items()} == {
+        name: type(value) for name, value in values.items()
+    }
+    assert resolve([file.options])[0] == ProjectionParams(**values)
 
 
 @pytest.mark.parametrize(("text", "chosen", "node"), rows(TABLES / "params_files.txt", "chosen", text=True))
 def test_one_of_several_nodes_can_be_chosen(load: Load, text: str, chosen: str, node: str) -> None:
     file = load(text, chosen)
-    assert (file.node, resolve(file.settings).params.min_height) == (node, -2)
+    assert (file.node, resolve([file.options])[0].min_height) == (node, -2)
 
 
 @pytest.mark.parametrize(("text", "ignored"), rows(TABLES / "params_files.txt", "ignored", text=True))
@@ -55,7 +57,7 @@ def test_what_is_left_aside_is_told(load: Load, text: str, ignored: list[str]) -
 
 @pytest.mark.parametrize(("written", "value"), rows(TABLES / "values.txt", "angles of ROS 1", text=True))
 def test_angles_of_ros1_to_the_last_bit(load: Load, written: str, value: float) -> None:
-    assert load(f"angle_max: {written}").settings[0].value == value
+    assert load(f"angle_max: {written}").options.given["angle_max"] == value
 
 
 @pytest.mark.parametrize("line", ["a{0}: &a{0} {{p: *a{1}, q: *a{1}}}", "a{0}: &a{0} [*a{1}, *a{1}]"])
@@ -68,4 +70,4 @@ def test_aliases_do_not_multiply(load: Load, line: str) -> None:
 def test_the_way_back_has_parameters_of_its_own(load: Load) -> None:
     file = load("/ns/laserscan_to_pointcloud: {ros__parameters: {target_frame: odom, queue_size: 4}}")
     assert file.direction == "laserscan_to_pointcloud"
-    assert resolve(file.settings).params == ProjectionParams(target_frame="odom", queue_size=4)
+    assert resolve([file.options])[0] == ProjectionParams(target_frame="odom", queue_size=4)

@@ -80,7 +80,7 @@ def request_of(keywords: Mapping[str, Any], origins: Mapping[str, str] | None = 
     UsageError
         If an option has a wrong value, or contradicts another one.
     """
-    options = Options("batch", keywords, origins, known=conversion_options())
+    options = Options("batch", keywords, origins)
     _check_export(options)
     output = output_of(options, like_source=True)
     conversion = conversion_of(options)

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from pc2scan.result import Call
 
-    from .option import Option
-
 #: The origin of parameters that are given as keywords in Python.
 CALL = "the call"
 
@@ -33,8 +31,6 @@ class Options:
         What was given, by name; None means nothing.
     origins
         Where parameters of the projection come from, for errors and reports; missing ones were given in Python.
-    known
-        The options that there are, if not those of the command.
 
     Attributes
     ----------
@@ -55,12 +51,10 @@ class Options:
         command: str,
         values: Mapping[str, Any],
         origins: Mapping[str, str] | None = None,
-        *,
-        known: Mapping[str, Option] | None = None,
     ) -> None:
         self.command = command
         self.origins = origins or {}
-        self._known = options_of(command) if known is None else known
+        self._known = options_of(command)
         self.given: dict[str, Any] = {}
         for name, value in values.items():
             option = self._known[name]

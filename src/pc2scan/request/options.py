@@ -15,13 +15,11 @@ from pc2scan.errors import ParameterError, UsageError
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
-from pc2scan.options.conversion import CloudCombination, PointSelection
-from pc2scan.options.effects import refuse_idle
 from pc2scan.options.values import nanoseconds_of
 from pc2scan.transforms.attitude import ImuRequest
 from pc2scan.transforms.placing import FrameOptions
 
-from .filters import as_dict, filters_of, rejection_of
+from .filters import as_dict, rejection_of
 from .point_time import PointTime
 
 if TYPE_CHECKING:
@@ -33,7 +31,6 @@ if TYPE_CHECKING:
     from pc2scan.options.moment import TimeBound
 
     from .filters import Filter
-    from .parameters import ResolvedParams
 
 #: The largest number of messages that one scan may be made of.
 _MOST_MESSAGES = 100_000
@@ -45,9 +42,6 @@ TRAJECTORY = "trajectory"
 _MOST_OFFSET_NS = 2**63 - 1
 
 _CLOUDS = r"(\d+) ?(?:clouds?|scans?|messages?)"
-
-#: Attributes of an output that are made of options. All others are options as they are given.
-_MADE = frozenset({"topics", "params", "reverse", "channels", "filters"})
 
 
 class TopicRequest(NamedTuple):
@@ -193,25 +187,6 @@ class ScanSpec:
     remove: tuple[str, ...] = ()
     keep_used: str = ""
     echo: str = "first"
-
-    @classmethod
-    def of(cls, values: Mapping[str, Any], found: ResolvedParams, **more: Any) -> ScanSpec:
-        """Return an output by the options of a call, or the keys of a scans file; others are ignored.
-
-        Parameters
-        ----------
-        found
-            The parameters of the projection.
-        **more
-            Attributes that are no options.
-        """
-        refuse_idle({*values, "reverse"} if found.reverse else values)
-        read = {name: values[name] for name in cls.__dataclass_fields__ if name in values and name not in _MADE}
-        if values.keys() & CloudCombination.__annotations__.keys():
-            read["combining"] = Combining.of(values)
-        if values.keys() & PointSelection.__annotations__.keys():
-            read["filters"] = (*filters_of(values, found.params.min_height), *values.get("filters", ()))
-        return cls(params=found.params, origins=found.origin, reverse=found.reverse, **read, **more)
 
     def __post_init__(self) -> None:
         if self.keep_used:

@@ -1,8 +1,8 @@
-"""The choice between several settings of one parameter of the projection.
+"""The parameters of the projection: their names in ROS, and the choice between several sources of one.
 
-Every source (command line, ``--param name:=value``, parameter file) yields `Setting` values, which say where
-they were written. `resolve` takes the setting with the highest precedence, checks names, types and values, and builds
-`ProjectionParams`. An error names the parameter, the value and its origin.
+Every source (a call, ``--param name:=value``, a parameter file, a preset) is `Options`, which say where each value was
+written. `resolve` takes each parameter from the source with the highest precedence, checks names, types and values, and
+builds `ProjectionParams`. An error names the parameter, the value and its origin.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 from pc2scan.core.layout import FULL_TURN
 from pc2scan.core.params import ProjectionParams
@@ -22,84 +22,12 @@ from pc2scan.text import did_you_mean, nearest
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
-    from pathlib import Path
 
+    from pc2scan.options.call import Options
     from pc2scan.options.option import Parameter
 
 #: Upstream's two nodes; each direction has the name of its node.
 Direction = Literal["pointcloud_to_laserscan", "laserscan_to_pointcloud"]
-
-
-class Setting(NamedTuple):
-    """The value of a parameter in one source, not checked yet.
-
-    Attributes
-    ----------
-    name
-        The ROS name; ``concurrency_level`` (ROS 1) means ``queue_size``.
-    value
-        As read: bool, int, float, str, or None for nothing.
-    origin
-        For the user: ``--range-min``, ``--param range_min:=5``, or
-        ``params.yaml, line 3, pointcloud_to_laserscan.ros__parameters.range_min``.
-    source
-        Which kind of source it is: ``option``, ``param``, ``file`` or ``preset``.
-    """
-
-    name: str
-    value: object
-    origin: str
-    source: str = "option"
-
-
-class ParamsFile(NamedTuple):
-    """What is read of a parameter file or a launch file.
-
-    Attributes
-    ----------
-    settings
-        One for each parameter, in the order of the file.
-    direction
-        The direction, by the node's name, or for a renamed node by its parameters; None if it is unknown.
-    node
-        Fully qualified name of the node (or the wildcard) whose section was read; ``/`` for the
-        flat mapping of a ROS 1 file.
-    ignored
-        Origins of entries that were ignored: names of topics, wildcard parameters of another node, a
-        ``concurrency_level`` together with a ``queue_size``. A warning lists them.
-    remaps
-        The remappings of a launch file, ``cloud_in:=/points``, of the node's topics and of the transforms'.
-    files
-        Other files that a launch file names, and that were read.
-    """
-
-    settings: tuple[Setting, ...] = ()
-    direction: Direction | None = None
-    node: str = ""
-    ignored: tuple[str, ...] = ()
-    remaps: tuple[str, ...] = ()
-    files: tuple[Path, ...] = ()
-
-
-class ResolvedParams(NamedTuple):
-    """The parameters of a run, and where each was given.
-
-    Attributes
-    ----------
-    params
-        The checked parameters.
-    origin
-        For each name of `PARAMETERS`, the origin of the setting that is used, or ``default``.
-    reverse
-        Whether scans become clouds.
-    file
-        The parameter file.
-    """
-
-    params: ProjectionParams
-    origin: Mapping[str, str]
-    reverse: bool
-    file: ParamsFile
 
 
 #: ROS 1's names for parameters that ROS 2 renamed.
@@ -154,7 +82,7 @@ def unknown_parameter(name: str, origin: str, direction: Direction | None) -> Pa
 
 def expected_message(name: str, found: str, origin: str) -> str:
     """Return the message that a value is not of the parameter's kind."""
-    parameter = PARAMETERS.get(ALIASES.get(name, name))
+    parameter = PARAMETERS.get(name)
     return f"{name}: expected {parameter.value.expected if parameter else 'a value'}, got {found} (from {origin})"
 
 
@@ -186,23 +114,22 @@ def _type_hint(parameter: Parameter, value: object) -> str | None:
 
 
 def resolve(
-    settings_by_precedence: Iterable[Setting], *, direction: Direction = "pointcloud_to_laserscan"
-) -> ResolvedParams:
-    """Take the setting with the highest precedence for each parameter, check everything, and build the parameters.
+    sources: Iterable[Options], direction: Direction = "pointcloud_to_laserscan"
+) -> tuple[ProjectionParams, Mapping[str, str]]:
+    """Take each parameter from the first source that has it, and check everything.
 
     Parameters
     ----------
-    settings_by_precedence
-        The highest precedence first: command-line options, then ``--param`` **from the last to the first**, then
-        the file's, then the preset's. The name and type of overridden settings are checked, too.
+    sources
+        The highest precedence first: the call, ``param``, a file, a preset. What is overridden is checked, too.
     direction
         The node; ``laserscan_to_pointcloud`` has three of the parameters, and the others keep their
         defaults.
 
     Returns
     -------
-    ResolvedParams
-        A parameter that is not set has upstream's default.
+    params, origins
+        A parameter that is not given has upstream's default. For each name, where its value comes from, or ``default``.
 
     Raises
     ------
@@ -210,60 +137,43 @@ def resolve(
         If a name is not one of the node's, or a value has the wrong type or is not allowed. The message names the
         parameter, the value and its origin; for contradicting values it names both origins.
     """
-    reverse = direction == "laserscan_to_pointcloud"
     values: dict[str, Any] = {}
-    origin = dict.fromkeys(PARAMETERS, "default")
-    winners: dict[str, Setting] = {}
-    for setting in settings_by_precedence:
-        name = ALIASES.get(setting.name, setting.name)
-        parameter = PARAMETERS.get(name)
-        if parameter is None or (reverse and not parameter.is_shared):
-            raise unknown_parameter(setting.name, setting.origin, direction)
-        # A whole number is accepted where a float is expected; ROS 2 itself requires `30.0`. A number may have a unit,
-        # or be arithmetic (`180deg`, `pi/2`, `50cm`). Nothing else is converted.
-        value = parameter.value.accept(setting.value)
-        if value is None:
-            raise ParameterError(
-                expected_message(setting.name, value_text(setting.value), setting.origin),
-                name=name,
-                hint=_type_hint(parameter, setting.value),
-            )
-        rival = winners.get(RIVALS.get(name, ""))
-        if rival is not None:
-            if rival.source == setting.source:
-                message = f"{rival.name} and {setting.name} set the same thing in two ways; give one of them"
-                places = f"{rival.name} from {rival.origin}; {setting.name} from {setting.origin}"
-                raise ParameterError(f"{message} ({places})", name=rival.name)
-            continue
-        if name not in values:
-            values[name] = value
-            origin[name] = setting.origin
-            winners[name] = setting
+    written: dict[str, object] = {}
+    origins = dict.fromkeys(PARAMETERS, "default")
+    for source in sources:
+        chosen: dict[str, Any] = {}
+        for name, text in source.among(PARAMETERS).items():
+            parameter, origin, rival = PARAMETERS[name], source.origins.get(name, CALL), RIVALS.get(name, "")
+            if direction == "laserscan_to_pointcloud" and not parameter.is_shared:
+                raise unknown_parameter(name, origin, direction)
+            # A whole number is accepted where a float is expected; ROS 2 itself requires `30.0`. A number may have a
+            # unit, or be arithmetic (`180deg`, `pi/2`, `50cm`). Nothing else is converted.
+            value = parameter.value.accept(text)
+            if value is None:
+                message, hint = expected_message(name, value_text(text), origin), _type_hint(parameter, text)
+                raise ParameterError(message, name=name, hint=hint)
+            if rival in chosen:
+                message = f"{rival} and {name} set the same thing in two ways; give one of them"
+                raise ParameterError(f"{message} ({rival} from {origins[rival]}; {name} from {origin})", name=rival)
+            if name not in values and rival not in values:
+                chosen[name], written[name], origins[name] = value, text, origin
+        values |= chosen
     if values.keys() & {"angle_min", "angle_max"}:
-        refuse_degrees(values, origin, {name: setting.value for name, setting in winners.items()})
+        _refuse_degrees(values, origins, written)
     try:
         params = ProjectionParams(**values)
     except ParameterError as err:
-        raise _with_origin(err, origin) from err
+        raise _with_origin(err, origins) from err
     if params.beams:
-        origin["angle_increment"] = f"follows from {origin['beams']}"
-    return ResolvedParams(params, origin, reverse, ParamsFile())
+        origins["angle_increment"] = f"follows from {origins['beams']}"
+    return params, origins
 
 
-def refuse_degrees(
-    values: Mapping[str, Any], origin: Mapping[str, str], written: Mapping[str, object] | None = None
-) -> None:
+def _refuse_degrees(values: Mapping[str, Any], origin: Mapping[str, str], written: Mapping[str, object]) -> None:
     """Raise if the angles are too large for a sector: they are nearly always degrees.
 
     A sector may be a full turn with any limits, such as 1 to 1 + 2 pi. A sector of more than a turn is an error if the
-    geometry would replace it by a full circle.
-
-    Parameters
-    ----------
-    values
-        Radians, by parameter.
-    written
-        The same values as text of the user; some may have the unit degrees.
+    geometry would replace it by a full circle. The values are radians, and ``written`` what the user wrote for them.
     """
     names = ("angle_min", "angle_max")
     low, high = (values.get(name, PARAMETERS[name].default) for name in names)
@@ -278,7 +188,7 @@ def refuse_degrees(
     if not beyond:
         return
     hint = "a full circle is `angle_min=-180deg`, `angle_max=180deg`"
-    if not all(re.search("deg|°", str((written or {}).get(name))) for name in beyond):
+    if not all(re.search("deg|°", str(written.get(name))) for name in beyond):
         cures = ", ".join(f"`{name}={values[name]:g}deg`" for name in beyond)
         numbers = ", ".join(f"{math.radians(values[name]):.6g}" for name in beyond)
         hint = f"for degrees write {cures}, which is {numbers} rad"

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, get_args
 
 from pc2scan.errors import ParameterError, name_list
+from pc2scan.options.call import Options
 from pc2scan.options.table import PARAMETERS
 from pc2scan.text import did_you_mean, nearest
 
@@ -18,8 +19,6 @@ from .parameters import (
     ALIASES,
     TOPICS,
     Direction,
-    ParamsFile,
-    Setting,
     expected_message,
     is_every_nodes,
     names_of,
@@ -42,6 +41,35 @@ _OF_UPSTREAM = {name for name, parameter in PARAMETERS.items() if parameter.upst
 
 #: Topics of the node whose remappings in launch files are read.
 _REMAPPED = {"cloud_in", "scan", "tf", "tf_static"}
+
+
+class ParamsFile(NamedTuple):
+    """What is read of a parameter file or a launch file.
+
+    Attributes
+    ----------
+    options
+        The parameters, and where they are written.
+    direction
+        The direction, by the node's name, or for a renamed node by its parameters; None if it is unknown.
+    node
+        Fully qualified name of the node (or the wildcard) whose section was read; ``/`` for the
+        flat mapping of a ROS 1 file.
+    ignored
+        Origins of entries that were ignored: names of topics, wildcard parameters of another node, a
+        ``concurrency_level`` together with a ``queue_size``. A warning lists them.
+    remaps
+        What a launch file remaps of the node's topics, such as ``cloud_in``, and of the transforms'.
+    files
+        Other files that a launch file names, and that were read.
+    """
+
+    options: Options
+    direction: Direction | None = None
+    node: str = ""
+    ignored: tuple[str, ...] = ()
+    remaps: Mapping[str, str] = {}
+    files: tuple[Path, ...] = ()
 
 
 def load_params_file(
@@ -98,8 +126,8 @@ def _from_launch(
 ) -> ParamsFile:
     """Read a node's parameters from a launch file; a later value replaces an earlier one."""
     chosen, file = _launch_node(text, path, arguments, node)
-    settings: dict[str, Setting] = {}
-    remaps: list[str] = []
+    values, origins = dict[str, object](), dict[str, str]()
+    remaps: dict[str, str] = {}
     ignored, files = file.ignored, list[Path]()
     for param in chosen.values:
         place, name = f"{path}, line {param.line}", param.name.strip("~/")
@@ -110,26 +138,27 @@ def _from_launch(
             if name not in overridden and (param.kind != "value" or name in PARAMETERS):
                 raise _unread(param, name, param.value, path)
         elif param.kind == "remap":
-            remaps.append(f"{name}:={qualified(chosen.namespace, param.value)}")
+            remaps[name] = qualified(chosen.namespace, param.value)
         elif param.kind == "file":
             named = Path(param.value)
             loaded = _named_file(named, place, chosen)
             files.append(named)
             # Their names are content of the file.
             ignored += [re.sub(r"(, line \d+), .*", r"\1", origin) for origin in loaded.ignored]
-            settings |= {setting.name: setting for setting in loaded.settings}
+            values |= loaded.options.given
+            origins |= loaded.options.origins
         else:
             for written, value in _launch_values(param, param.value, place):
                 name, origin = ALIASES.get(written, written), f"{place}, {written}"
                 if name in PARAMETERS:
-                    settings[name] = Setting(name, _as_bool(name, value), origin, "file")
+                    values[name], origins[name] = _as_bool(name, value), origin
                 elif written not in TOPICS and nearest(written, PARAMETERS):
                     raise unknown_parameter(written, origin, None)
                 elif not is_every_nodes(written):
                     # The node ignores a parameter that it does not declare.
                     ignored.append(origin)
-    read = tuple(settings.values())
-    return ParamsFile(read, "pointcloud_to_laserscan", chosen.name, tuple(ignored), tuple(remaps), tuple(files))
+    options = Options("convert", values, origins)
+    return ParamsFile(options, "pointcloud_to_laserscan", chosen.name, tuple(ignored), remaps, tuple(files))
 
 
 def _is_launch_xml(text: str) -> bool:
@@ -203,7 +232,7 @@ def _named_file(file: Path, place: str, node: LaunchNode) -> ParamsFile:
                 params = _from_yaml(text, file, node.name)
             except ParameterError:
                 params = _from_yaml(text, file, None)
-            resolve(params.settings)
+            resolve([params.options])
             return params
     raise ParameterError(f"{file}: is a launch file, where parameters are expected (from {place})")
 
@@ -369,7 +398,7 @@ def _merge_sections(sections: _Sections, target: str, *, ros1: bool) -> ParamsFi
     if direction is None and any(PARAMETERS[name].upstreams and not PARAMETERS[name].is_shared for name in given):
         direction = "pointcloud_to_laserscan"
     known = names_of(direction)
-    settings: dict[str, Setting] = {}
+    values, origins = dict[str, object](), dict[str, str]()
     ignored: list[str] = []
     for full, parameters in applying.items():
         # In a section for several nodes, an unknown name belongs to another node.
@@ -380,9 +409,9 @@ def _merge_sections(sections: _Sections, target: str, *, ros1: bool) -> ParamsFi
             if is_ours and (name == written or name not in parameters):
                 value = leaf.read(name, ros1=ros1)
                 # roscpp reads 0 and 1 as a bool, rclcpp does not.
-                settings[name] = Setting(name, _as_bool(name, value) if ros1 else value, leaf.origin, "file")
+                values[name], origins[name] = _as_bool(name, value) if ros1 else value, leaf.origin
             elif written in TOPICS or name in known or not is_own:
                 ignored += [leaf.origin] * (not is_every_nodes(written))
             elif not is_every_nodes(written):
                 raise unknown_parameter(written, leaf.origin, direction)
-    return ParamsFile(tuple(settings.values()), direction, target, tuple(ignored))
+    return ParamsFile(Options("convert", values, origins), direction, target, tuple(ignored))
