@@ -114,8 +114,8 @@ def batch(
     Parameters
     ----------
     sources
-        Folders, which are searched; recordings; globs. Recordings are recognised by content. Any of these may be a URL
-        (``s3://``, ``gs://``, ``az://``; single files at ``https://``).
+        Folders, which are searched; recordings; globs. Recordings are recognised by content. Folders and recordings may
+        be URLs (``s3://``, ``gs://``, ``az://``; single files at ``https://``).
     destination
         The folder for the results, in the same subfolders as the sources, and for ``manifest.jsonl``. A second call
         converts only recordings whose results are missing, out of date or failed.

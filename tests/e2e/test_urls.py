@@ -180,7 +180,7 @@ def test_an_s3_server(monkeypatch: pytest.MonkeyPatch) -> None:
             done = run(*words.split(), *("--min-height", "0.1") * words.startswith("convert"))
             assert (done.status, said in done.stdout + done.stderr) == (status, True), done
             assert "testing-secret" not in done.stdout + done.stderr
-    for endpoint, said in (("http://127.0.0.1:9", "the download failed"), ("", "no credentials")):
+    for endpoint, said in (("http://127.0.0.1:9", "the download failed"), ("", "NoCredentialsError")):
         monkeypatch.setenv("AWS_ENDPOINT_URL", endpoint or "http://127.0.0.1:9")
         if not endpoint:
             monkeypatch.setenv("AWS_EC2_METADATA_DISABLED", "true")

@@ -19,7 +19,7 @@ from pc2scan.bags.zstd import without_suffix
 from pc2scan.errors import Pc2ScanError, RecordingError, UsageError
 from pc2scan.files.ownership import working_names
 from pc2scan.files.source import open_bytes
-from pc2scan.files.urls import UrlPath, absolute, exists, fetched, is_dir, is_file, local_path, path_or_url
+from pc2scan.files.urls import UrlPath, absolute, exists, fetched, is_dir, local_path, path_or_url
 
 from .manifest import Identity, identity_of
 
@@ -76,7 +76,7 @@ def find(sources: Sequence[str], out: Path, *, outputs: Iterable[Path] = ()) -> 
     Parameters
     ----------
     sources
-        Folders, which are searched; recordings; globs (``**`` for any folders). All of these may be URLs.
+        Folders, which are searched; recordings; globs (``**`` for any folders). Folders and recordings may be URLs.
     out
         The folder that the batch writes into. It is not searched.
     outputs
@@ -128,18 +128,13 @@ def _place(source: str, out: Path) -> tuple[Path, list[Path]]:
         return path, [path]
     if path.exists():
         return path.parent, [path]
-    if not _GLOB & set(text):
+    if isinstance(path, UrlPath) or not _GLOB & set(text):
         # The path does not exist: raises an error with a suggestion.
         _sniff(path)
     folder = path.parent
     while _GLOB & set(str(folder)):
         folder = folder.parent
-    matches: Iterable[Path]
-    if isinstance(path, UrlPath) and isinstance(folder, UrlPath):
-        matches = folder.listed("glob", path)
-    else:
-        matches = [Path(match) for match in glob.glob(text, recursive=True)]  # noqa: PTH207  # the text may be absolute
-    paths = sorted(matches)
+    paths = sorted(map(Path, glob.glob(text, recursive=True)))  # noqa: PTH207  # the text may be absolute
     if not paths:
         raise UsageError(f"{source!r} matches nothing")
     return folder, [match for match in paths if not is_dir(match) or _is_rosbag2(match)]
@@ -174,7 +169,7 @@ def _recordings_at(path: Path, root: Path, search: _Search) -> Iterator[Recordin
             continue
         if is_dir(entry):
             yield from _recordings_at(entry, root, search)
-        elif is_file(entry) or (entry.is_symlink() and not entry.exists()):
+        else:
             yield from _recognise(entry, root, search, named=is_named_as_recording(entry.name))
 
 

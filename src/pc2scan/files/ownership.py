@@ -177,7 +177,7 @@ def check_existing(
         raise DestinationError(f"exists already{other}", path=dst, hint="`overwrite=True` replaces it")
     if is_folder and record_in is not None:
         _refuse_others(dst, record_in(dst), written)
-    elif dst.exists() and not dst.is_file():
+    elif not isinstance(dst, UrlPath) and dst.exists() and not dst.is_file():
         # A link itself is replaced, not its target; but a link to a device means the device.
         raise DestinationError("is neither a file nor a directory, and cannot be overwritten", path=dst)
 

@@ -13,9 +13,8 @@ import posixpath
 import shutil
 import tempfile
 from collections.abc import Iterable
-from concurrent.futures import wait
 from contextlib import ExitStack, contextmanager, suppress
-from functools import cache, cached_property
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from socket import gethostname
@@ -27,10 +26,10 @@ from pc2scan.arguments import value_and_type
 from pc2scan.errors import MissingError, OutputError, Pc2ScanError, RecordingError, UsageError
 from pc2scan.text import size
 
-from .system import files_below, is_full, private_folder, scratch
+from .system import files_below, private_folder, scratch
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterator
+    from collections.abc import Generator, Iterator
     from typing import TypeAlias
 
     from typing_extensions import Self
@@ -47,13 +46,13 @@ SLOWEST_SECONDS = 60.0
 #: Attributes that distinguish versions of an object, the best first. Stores differ in which of these they have.
 _VERSION = ("ETag", "etag", "generation", "Last-Modified", "created")
 
-_DENIED, _NOT_FOUND = (401, 403), 404
+_NOT_FOUND = 404
 
-_NO_RIGHTS = (
-    "check the permissions, and the credentials that the store's own tools use (environment, configuration files)"
+_AGAIN = (
+    "try again; if it fails again, check the network, the store, your permissions there, and the credentials that the "
+    "store's own tools use (environment, configuration files)"
 )
-AGAIN = "try again; if it fails again, check the network and the store"
-NO_SPACE = "set the environment variable TMPDIR to a folder with enough space, or give one as `scratch`"
+_NO_SPACE = "set the environment variable TMPDIR to a folder with enough space, or give one as `scratch`"
 
 
 def is_url(path: str | PathLike[str] | None) -> bool:
@@ -176,11 +175,6 @@ def is_dir(path: Path) -> bool:
     return path.is_dir() if isinstance(path, UrlPath) else os.path.isdir(path)  # noqa: PTH112
 
 
-def is_file(path: Path) -> bool:
-    """Return whether a path is a file; False if that cannot be found out."""
-    return path.is_file() if isinstance(path, UrlPath) else os.path.isfile(path)  # noqa: PTH113
-
-
 def shown_url(url: str) -> str:
     """Return a URL without its parts that may be secret: user and password, and over HTTP query and fragment.
 
@@ -246,12 +240,8 @@ class UrlPath(_LocalPath):
         """A path that is equal for URLs of one object, however they are written."""
         return UrlPath(f"{self.scheme}:/{posixpath.normpath(str(self).partition('://')[2])}")
 
-    def absolute(self) -> Self:
-        """Return the path itself."""
-        return self
-
     @cached_property
-    def _store(self) -> tuple[Any, str]:
+    def store(self) -> tuple[Any, str]:
         """The file system of fsspec, and what it calls the file; a UsageError if a library is not installed."""
         scheme = self.scheme
         try:
@@ -259,7 +249,7 @@ class UrlPath(_LocalPath):
 
             with translated_errors(self):
                 # A listing that is cached by one thread lacks what another one writes meanwhile.
-                options = _patience(scheme, fsspec.config.conf.get(scheme, {}))
+                options = _options(scheme, fsspec.config.conf.get(scheme, {}))
                 file_system, key = fsspec.url_to_fs(self.url, use_listings_cache=False, **options)
         except ImportError as err:
             hint = f'pip install "pc2scan[remote]" {LIBRARIES[scheme]}'.rstrip()
@@ -269,13 +259,9 @@ class UrlPath(_LocalPath):
     @cached_property
     def entry(self) -> StoredObject:
         """What is there: from a listing, or else from the store; raises MissingError if nothing is."""
-        file_system, key = self._store
+        file_system, key = self.store
         with translated_errors(self):
-            stored = stored_object(call(file_system, "info", key))
-        if stored.size < 0:
-            hint = "download it, and convert the copy"
-            raise RecordingError("the server does not report its size", path=self, hint=hint)
-        return stored
+            return stored_object(file_system.info(key), self)
 
     def exists(self, *, follow_symlinks: bool = True) -> bool:  # noqa: ARG002  # the signature of Path
         """Return whether anything is there."""
@@ -288,58 +274,46 @@ class UrlPath(_LocalPath):
         """Return whether it is a folder."""
         return self.exists() and self.entry.is_folder
 
-    def is_file(self, *, follow_symlinks: bool = True) -> bool:  # noqa: ARG002  # the signature of Path
-        """Return whether it is a file."""
-        return self.exists() and not self.entry.is_folder
-
     def iterdir(self) -> Generator[Self]:
-        """Yield what is in a folder."""
-        yield from self.listed("ls", self)
-
-    def listed(self, method: str, place: UrlPath) -> Generator[Self]:
-        """Yield what ``ls`` or ``glob`` of fsspec lists of a place in this folder, in order, without hidden files.
-
-        Long listings take long: only silence ends them.
-        """
-        (file_system, key), folder = place._store, self._store[1].strip("/")
+        """Yield what is in a folder, in order."""
+        file_system, key = self.store
         with translated_errors(self):
-            listing = getattr(file_system, method)(key, detail=True)
-        objects = listing.values() if isinstance(listing, dict) else listing
-        named = {str(each["name"]).strip("/").removeprefix(folder).lstrip("/"): each for each in objects}
+            objects = file_system.ls(key, detail=True)
+        named = {str(each["name"]).strip("/").removeprefix(key.strip("/")).strip("/"): each for each in objects}
         for name in sorted(named):
             # Some stores list the folder itself, as an empty file.
-            if name and "/." not in f"/{name}":
+            if name:
                 child = self / name
-                child.entry = stored_object(named[name])
+                child.entry = stored_object(named[name], child)
                 yield child
 
     def download(self, target: Path) -> None:
         """Write the whole file to a local one; an error if it does not have the size that the store says."""
-        file_system, key = self._store
-        size = self.entry.size
+        from fsspec.callbacks import Callback  # noqa: PLC0415  # only an extra
 
-        def arrived(*, is_all: bool = False) -> int:
-            received = target.stat().st_size if target.exists() else 0
-            if received > size or (is_all and received < size):
-                message = f"the download failed: the server declares {size:,} bytes, and {received:,} arrived"
-                raise RecordingError(message, path=self, hint=AGAIN)
-            return received
+        file_system, key = self.store
+        size = most = self.entry.size
+        wanted, deadline = 0, 0.0
+        other_size = f"the download does not have the {size:,} bytes that the server declares"
+
+        def arrived(_: object, received: int) -> None:
+            nonlocal wanted, deadline
+            if received > most:
+                raise TransferError(other_size)
+            if received >= wanted:
+                wanted, deadline = received + LEAST_BYTES, monotonic() + SLOWEST_SECONDS
+            elif monotonic() > deadline:
+                least = f"fewer than {LEAST_BYTES:,} bytes arrived in {SLOWEST_SECONDS:g} seconds"
+                raise TransferError(f"the transfer is too slow to finish: {least}")
 
         with translated_errors(self):
-            call(file_system, "get_file", key, os.fspath(target), arrived=arrived)
-            arrived(is_all=True)
-
-    def upload(self, source: Path) -> None:
-        """Upload a file. It is visible when it is complete."""
-        file_system, key = self._store
-        with translated_errors(self, OutputError):
-            file_system.put_file(os.fspath(source), key)
-
-    def delete(self) -> None:
-        """Remove a file if it exists."""
-        file_system, key = self._store
-        with translated_errors(self, OutputError), suppress(FileNotFoundError):
-            file_system.rm_file(key)
+            try:
+                file_system.get_file(key, os.fspath(target), callback=Callback(hooks={"arrived": arrived}))
+            finally:
+                # After Ctrl-C, the library's thread would go on.
+                most = -1
+            if target.stat().st_size != size:
+                raise TransferError(other_size)
 
 
 class CopyPath(_LocalPath):
@@ -405,12 +379,12 @@ def fetched(paths: Iterable[Path]) -> Iterator[list[Path]]:
 def _files_of(path: UrlPath) -> list[UrlPath]:
     """Return the files in a folder, or a file with the logs beside a database."""
     if path.entry.is_folder:
-        return [file for file in path.iterdir() if file.is_file()]
+        return [file for file in path.iterdir() if not file.entry.is_folder]
     logs = [path.with_name(path.name + suffix) for suffix in ("-wal", "-journal") if path.suffix == ".db3"]
     return [path, *(log for log in logs if not path.is_read_only and log.exists())]
 
 
-def refuse_without_room(needed: int, path: Path | None, hint: str = NO_SPACE) -> None:
+def refuse_without_room(needed: int, path: Path | None, hint: str = _NO_SPACE) -> None:
     """Raise if so many bytes have no room in the folder for local copies."""
     folder = scratch.get() or Path(tempfile.gettempdir())
     # If there is no such folder, making the copy raises.
@@ -428,20 +402,22 @@ def upload(local: Path, dst: UrlPath) -> None:
     OutputError
         If it cannot be written. What was uploaded of a folder is removed.
     """
-    if not local.is_dir():
-        dst.upload(local)
-        return
-    begun: list[UrlPath] = []
-    try:
-        # A recording is complete when its metadata.yaml is there.
-        for name in sorted(files_below(local), key=lambda name: name.endswith("metadata.yaml")):
-            begun.append(dst / name)
-            begun[-1].upload(local / name)
-    except BaseException:
-        for place in begun:
-            with suppress(Exception):
-                place.delete()
-        raise
+    file_system, key = dst.store
+    begun: list[str] = []
+    with translated_errors(dst, OutputError):
+        if not local.is_dir():
+            file_system.put_file(os.fspath(local), key)
+            return
+        try:
+            # A recording is complete when its metadata.yaml is there.
+            for name in sorted(files_below(local), key=lambda name: name.endswith("metadata.yaml")):
+                begun.append(f"{key}/{name}")
+                file_system.put_file(os.fspath(local / name), begun[-1])
+        except BaseException:
+            for place in begun:
+                with suppress(Exception):
+                    file_system.rm_file(place)
+            raise
 
 
 # --- The stores' libraries ---
@@ -457,7 +433,7 @@ class StoredObject(NamedTuple):
     Attributes
     ----------
     size
-        Its bytes; -1 if the server does not report them.
+        Its bytes.
     version
         Text that changes if the file does; empty if the store has none.
     is_folder
@@ -469,65 +445,59 @@ class StoredObject(NamedTuple):
     is_folder: bool = False
 
 
-def call(file_system: Any, name: str, *args: str, arrived: Callable[[], int] = int) -> Any:
-    """Call a method of a file system; it ends if fewer than `LEAST_BYTES` arrive in `SLOWEST_SECONDS`."""
-    if not file_system.async_impl:
-        return getattr(file_system, name)(*args)
-    # fsspec has loaded it; all that reads no URL would take 5 MB for it.
-    from asyncio import run_coroutine_threadsafe  # noqa: PLC0415
-
-    future = run_coroutine_threadsafe(getattr(file_system, f"_{name}")(*args), file_system.loop)
-    try:
-        wanted = deadline = 0.0
-        while not wait([future], 1).done:
-            if (done := arrived()) >= wanted:
-                wanted, deadline = done + LEAST_BYTES, monotonic() + SLOWEST_SECONDS
-            elif monotonic() > deadline:
-                least = f"fewer than {LEAST_BYTES:,} bytes arrived in {SLOWEST_SECONDS:g} seconds"
-                raise TransferError(f"the transfer is too slow to finish: {least}")
-        return future.result()
-    finally:
-        future.cancel()
-
-
 @contextmanager
-def translated_errors(shown: object, kind: type[Pc2ScanError] = RecordingError) -> Iterator[None]:
-    """Turn errors of fsspec and the stores' libraries into our own: one line, without secrets."""
+def translated_errors(path: UrlPath, kind: type[Pc2ScanError] = RecordingError) -> Iterator[None]:
+    """Turn errors of fsspec and the stores' libraries into our own; their texts may have the URL with its signature."""
     try:
         yield
     except (Pc2ScanError, ImportError):
         raise
-    except Exception as err:  # noqa: BLE001  # each store's library has errors of its own
-        raise _translated(err, str(shown), kind) from None
+    except Exception as error:  # noqa: BLE001  # each store's library has errors of its own
+        # fsspec raises FileNotFoundError for every error of a web server.
+        err = (error.__cause__ if path.is_read_only else None) or error
+        status = getattr(err, "status", None)
+        if kind is RecordingError and (isinstance(err, FileNotFoundError) or status == _NOT_FOUND):
+            hint = "check its spelling (case matters), and the bucket's; some stores say so if permissions are missing"
+            raise MissingError("does not exist", path=path, hint=hint) from None
+        if isinstance(err, TransferError):
+            raise kind(str(err), path=path, hint=_AGAIN) from None
+        errno = getattr(err, "errno", None)
+        why = f"status {status}" if status else os.strerror(errno) if errno else type(err).__name__
+        action = "upload" if kind is OutputError else "download"
+        raise kind(f"the {action} failed ({why})", path=path, hint=_AGAIN) from None
 
 
-def stored_object(found: dict[str, Any]) -> StoredObject:
+def stored_object(found: dict[str, Any], path: UrlPath) -> StoredObject:
     """Return what fsspec says of a file or a folder."""
-    version = next((str(found[name]) for name in _VERSION if found.get(name) is not None), "")
-    is_folder = found.get("type") == "directory"
-    size = 0 if is_folder else -1 if found.get("size") is None else int(found["size"])
-    return StoredObject(size, version.strip('"'), is_folder)
+    version = next((str(found[name]) for name in _VERSION if found.get(name) is not None), "").strip('"')
+    if found["type"] == "directory":
+        return StoredObject(0, version, is_folder=True)
+    if found.get("size") is None:
+        hint = "download it, and convert the copy"
+        raise RecordingError("the server does not report its size", path=path, hint=hint)
+    return StoredObject(int(found["size"]), version)
 
 
-def _patience(scheme: str, configured: dict[str, Any]) -> dict[str, Any]:
-    """Return options of a store with our patience; what the user has configured wins.
+def _options(scheme: str, configured: dict[str, Any]) -> dict[str, Any]:
+    """Return options of a store with our patience.
 
-    By default S3 takes minutes to give up, and a web server's file may not take longer than five minutes.
+    By default S3 takes minutes to give up, and fetches ten parts of 50 MB at once.
     """
     if scheme in {"http", "https"}:
-        name, ours = "client_kwargs", _web_client()
-    elif scheme == "s3":
+        from aiohttp import ClientTimeout  # noqa: PLC0415  # only where it is needed
+
+        timeout = ClientTimeout(total=None, sock_connect=SLOWEST_SECONDS, sock_read=SLOWEST_SECONDS)
+        return {"get_client": _web_client, "timeout": timeout}
+    if scheme == "s3":
         # No retries of the S3 library: s3fs itself tries five times.
-        name, ours = "config_kwargs", {"connect_timeout": 10, "read_timeout": 20, "retries": {"max_attempts": 0}}
-    else:
-        return {}
-    return {name: ours | configured.get(name, {})}
+        ours = {"connect_timeout": 10, "read_timeout": 20, "retries": {"max_attempts": 0}}
+        return {"max_concurrency": 1, "config_kwargs": ours | configured.get("config_kwargs", {})}
+    return {}
 
 
-@cache
-def _web_client() -> dict[str, Any]:
-    """Return the options of aiohttp's client: no timeout beside `SLOWEST_SECONDS`, no redirects to other hosts."""
-    from aiohttp import ClientTimeout, TraceConfig  # noqa: PLC0415  # only where it is needed
+async def _web_client(**options: Any) -> Any:
+    """Return aiohttp's client, which follows no redirects to other hosts."""
+    from aiohttp import ClientSession, TraceConfig  # noqa: PLC0415  # only where it is needed
 
     async def stay(_session: object, _context: object, redirect: Any) -> None:
         response = redirect.response
@@ -538,28 +508,4 @@ def _web_client() -> dict[str, Any]:
     traces = TraceConfig()
     traces.on_request_redirect.append(stay)
     # What a server compresses would have another size than it declares.
-    headers = {"Accept-Encoding": "identity"}
-    return {"timeout": ClientTimeout(total=None), "trace_configs": [traces], "headers": headers}
-
-
-def _translated(err: BaseException, shown: str, kind: type[Pc2ScanError]) -> Pc2ScanError:
-    """Return our error for one of a store's library. Its text is not shown: it may have the URL with its signature."""
-    response = getattr(cause := err.__cause__, "response", None)
-    # fsspec raises FileNotFoundError for every error of a web server, not only for 404.
-    if isinstance(err, FileNotFoundError) and cause and response is None and getattr(cause, "status", 0) != _NOT_FOUND:
-        err = cause
-    metadata = response.get("ResponseMetadata", {}) if isinstance(response, dict) else {}
-    name, status = type(err).__name__, getattr(err, "status", metadata.get("HTTPStatusCode"))
-    if isinstance(err, FileNotFoundError) or "NoSuchBucket" in name:
-        if kind is OutputError:
-            return kind("there is no such bucket or folder", path=shown, hint=_NO_RIGHTS)
-        hint = "check its spelling (case matters), and the bucket's; some stores answer this if permissions are missing"
-        return MissingError("does not exist", path=shown, hint=hint)
-    if isinstance(err, TransferError):
-        return kind(str(err), path=shown, hint=AGAIN)
-    if isinstance(err, PermissionError) or status in _DENIED or "Credential" in name:
-        return kind(f"access is refused ({status or 403}, or no credentials)", path=shown, hint=_NO_RIGHTS)
-    if is_full(err):
-        return kind("no space for its local copy", path=shown, hint=NO_SPACE)
-    what = f"status {status}" if status else "no answer in time" if "Timeout" in name else name
-    return kind(f"the {'upload' if kind is OutputError else 'download'} failed ({what})", path=shown, hint=AGAIN)
+    return ClientSession(**{"trace_configs": [traces], "headers": {"Accept-Encoding": "identity"}, **options})
