@@ -158,7 +158,8 @@ class CloudSample:
     def placed_in(self, frame: str, transform: Rigid | None) -> CloudSample:
         """Return the sample in another frame, in which it is judged; without a transform, only the name differs."""
         if transform is None:
-            return replace(self, judged_in=frame)
+            # The ground is found once.
+            return self if frame == self.judged_in else replace(self, judged_in=frame)
         return replace(self, judged_in=frame, points=transform.rotation.apply(self.points), transform=transform)
 
     def seen_from(self, rigid: Rigid) -> CloudSample:
