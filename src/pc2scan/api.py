@@ -11,6 +11,8 @@ from .arguments import names_in
 from .cli.in_process import run_command
 from .compare.diff import diff as compare
 from .compare.golden import check_cases, make_case
+from .conversion.run import convert as convert_by
+from .conversion.run import repair as repair_by
 from .datasets.batch import run_batch
 from .errors import UsageError
 from .exports.run import export as write
@@ -20,8 +22,6 @@ from .options.effects import refuse_idle
 from .options.keywords import takes_options
 from .options.table import options_of
 from .requests import conversion_of, frames_of, reading_of
-from .requests import convert as convert_by
-from .requests import repair as repair_by
 from .show.check import check as judge
 from .show.info import info as describe
 from .show.map import draw_map

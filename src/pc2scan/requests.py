@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .arguments import refuse_unknown
-from .conversion.run import OutputOptions, report_failure, run
-from .errors import Pc2ScanError, UsageError, name_list
+from .errors import UsageError, name_list
 from .files.urls import path_or_url, path_text
 from .options.call import Options
 from .options.conversion import ConversionFrames
@@ -17,19 +16,17 @@ from .options.effects import refuse_idle
 from .options.table import PARAMETERS, options_about_scans
 from .request.options import TRAJECTORY, ConvertOptions, ScanSpec, StampOptions, TopicRequest
 from .request.outputs import load_scans, parse_params, read_output, refuse_beside
-from .result import Failure, tell_early
+from .result import tell_early
 from .transforms.placing import FrameOptions
 from .transforms.sources import PoseTopic, frames_of_trajectory, load_trajectory
 from .transforms.static import added_transforms, model_in_file
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Mapping
     from typing import Any, TypeAlias
 
-    from .conversion.report import Report
     from .core.params import ProjectionParams
     from .files.urls import PathText
-    from .progress import Progress
 
     Warn: TypeAlias = Callable[[str], None]
 
@@ -158,11 +155,6 @@ def params_from_file(path: PathText, node: str | None, changes: Mapping[str, Any
     return spec.params
 
 
-def output_of(options: Options, *, folder: Path | None = None, like_source: bool = False) -> OutputOptions:
-    """Return the options of the destination."""
-    return OutputOptions(folder=folder, like_source=like_source, **options.among(OutputOptions._fields))
-
-
 def destination_of(destination: PathText | None) -> tuple[Path | None, Path | None]:
     """Return the path of the destination, or the folder to write into if it ends with a slash or is a dot.
 
@@ -182,30 +174,3 @@ def reading_of(topics: tuple[str, ...], options: Options) -> ConvertOptions:
     """Return the options of messages that are read as they are."""
     scan = ScanSpec(topics=tuple(map(TopicRequest, topics)))
     return ConvertOptions(scans=(scan,), clock=clock_of(options), **options.among(_OF_ALL))
-
-
-def convert(
-    sources: Sequence[Path],
-    destination: PathText | None,
-    options: Options,
-    *,
-    warn: Warn | None = None,
-    progress: Progress | None = None,
-) -> Report:
-    """Convert a recording; see `pc2scan.convert`. Options that contradict each other are in the report's file, too."""
-    path, folder = destination_of(destination)
-    output = output_of(options, folder=folder)
-    try:
-        conversion = conversion_of(options, warn)
-    except Pc2ScanError as err:
-        failure = Failure([err], [str(source) for source in sources], str(path or folder or "") or None)
-        report_failure(failure, sources, output, named_files(options))
-        raise
-    return run(sources, path, conversion, output, progress=progress, warn=warn)
-
-
-def repair(source: Path, destination: PathText | None, options: Options, *, progress: Progress | None = None) -> Report:
-    """Write what can be recovered of a recording; see `pc2scan.repair`."""
-    path, folder = destination_of(destination)
-    conversion = ConvertOptions(repair=True)
-    return run([source], path, conversion, output_of(options, folder=folder), progress=progress)

@@ -45,9 +45,10 @@ class Spread(NamedTuple):
     parts: int
 
     @classmethod
-    def of(cls, start_ns: int, stop_ns: int, samples: int, messages: int | None = None) -> Spread | None:
-        """Return the parts for so many samples; None if all messages are wanted, because there are no more of them."""
-        if messages is not None and samples >= messages:
+    def of(cls, connections: Iterable[Connection], start_ns: int, stop_ns: int, samples: int) -> Spread | None:
+        """Return the parts for so many samples of connections; None if all their messages are wanted."""
+        counts = [each.message_count for each in connections]
+        if None not in counts and samples >= sum(each or 0 for each in counts):
             return None
         return cls(start_ns, stop_ns, max(1, min(samples, stop_ns - start_ns)))
 

@@ -25,7 +25,7 @@ from pc2scan.messages.stamps import STAMPED, move_times, set_stamp, stamp_in, wr
 from pc2scan.request.options import TRAJECTORY
 from pc2scan.transforms.reading import read_transforms
 
-from .preparation import span_of
+from .source_checks import span_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence

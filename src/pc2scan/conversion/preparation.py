@@ -21,7 +21,7 @@ from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import by_topic
 from pc2scan.core.points import Points
 from pc2scan.core.scene import JUDGED_CLOUDS, PARTS, WHOLE_POINTS, CloudSample
-from pc2scan.errors import MessageError, Pc2ScanError, UnconnectedError, UsageError
+from pc2scan.errors import MessageError, Pc2ScanError, UnconnectedError
 from pc2scan.messages.tfmessage import TF_TYPES
 from pc2scan.request.point_time import PointTime
 from pc2scan.transforms.placing import Placer, UpByFrame, UpByImu
@@ -101,19 +101,6 @@ class Preparation:
         """Add warnings and notes about an output."""
         self.tell(*(spec.label + text for text in warnings))
         self.notes += (spec.label + text for text in notes)
-
-
-def span_of(reader: Reader, options: ConvertOptions) -> Span:
-    """Return the cut in log times; relative times count from the recording's beginning."""
-    beginning = reader.summary.start_ns
-    if beginning is None:
-        first = next(reader.messages(), None)
-        beginning = first.log_time_ns if first is not None else 0
-    start = None if options.start is None else options.start.resolve(beginning)
-    stop = None if options.end is None else options.end.resolve(beginning)
-    if start is not None and stop is not None and start >= stop:
-        raise UsageError("the cut is empty: start is not before end")
-    return Span(start, stop, beginning if start is None else max(start, beginning))
 
 
 def prepare(

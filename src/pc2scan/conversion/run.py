@@ -1,4 +1,4 @@
-"""Runs one conversion from beginning to end: opens the sources, plans, streams, and writes the report."""
+"""Runs one conversion from beginning to end: reads the request, opens, plans, streams, and writes the report."""
 
 from __future__ import annotations
 
@@ -38,29 +38,32 @@ from pc2scan.files.staging import check_destination, files_output, output_folder
 from pc2scan.files.system import copying_to
 from pc2scan.files.urls import UrlPath, exists
 from pc2scan.progress import Meter
-from pc2scan.result import BEGINNING, Result, tell_early
+from pc2scan.request.options import ConvertOptions
+from pc2scan.requests import conversion_of, destination_of, named_files
+from pc2scan.result import BEGINNING, Failure, Result, tell_early
 from pc2scan.threads import Threads, cores
 
 from .corrections import corrected_for, scaled
 from .engine import Tally, items_of
 from .plan import make_plan
-from .preparation import count_by_index, judge_first, prepare, span_of
+from .preparation import count_by_index, judge_first, prepare
 from .recording import open_output, write_items
 from .report import Report
 from .result_checks import compare_counts, refuse_nothing, refuse_unsatisfied, result_findings
-from .source_checks import refuse_no_messages
+from .source_checks import refuse_no_messages, span_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Mapping, Sequence
+    from collections.abc import Generator, Sequence
     from pathlib import Path
 
     from pc2scan.bags.destinations import Destination
     from pc2scan.bags.reader import Reader
     from pc2scan.files.ownership import InputPath
+    from pc2scan.files.urls import PathText
     from pc2scan.model import Writer
+    from pc2scan.options.call import Options
     from pc2scan.progress import Progress
-    from pc2scan.request.options import ConvertOptions
-    from pc2scan.result import Failure
+    from pc2scan.requests import Warn
 
     from .preparation import Preparation
     from .recording import OpenRecording
@@ -106,6 +109,38 @@ class OutputOptions(NamedTuple):
     like_source: bool = False
     scratch: Path | None = None
 
+    @classmethod
+    def of(cls, options: Options) -> OutputOptions:
+        """Return those among the options of a call."""
+        return cls(**options.among(cls._fields))
+
+
+def convert(
+    sources: Sequence[Path],
+    destination: PathText | None,
+    options: Options,
+    *,
+    warn: Warn | None = None,
+    progress: Progress | None = None,
+) -> Report:
+    """Convert a recording; see `pc2scan.convert`. Options that contradict each other are in the report's file, too."""
+    path, folder = destination_of(destination)
+    output = OutputOptions.of(options)._replace(folder=folder)
+    try:
+        conversion = conversion_of(options, warn)
+    except Pc2ScanError as err:
+        failure = Failure([err], [str(source) for source in sources], str(path or folder or "") or None)
+        _deliver(failure, inputs_of(sources, (), named_files(options)), output)
+        raise
+    return run(sources, path, conversion, output, progress=progress, warn=warn)
+
+
+def repair(source: Path, destination: PathText | None, options: Options, *, progress: Progress | None = None) -> Report:
+    """Write what can be recovered of a recording; see `pc2scan.repair`."""
+    path, folder = destination_of(destination)
+    output = OutputOptions.of(options)._replace(folder=folder)
+    return run([source], path, ConvertOptions(repair=True), output, progress=progress)
+
 
 def run(
     sources: Sequence[Path],
@@ -114,7 +149,7 @@ def run(
     output: OutputOptions,
     *,
     progress: Progress | None = None,
-    warn: Callable[[str], None] | None = None,
+    warn: Warn | None = None,
 ) -> Report:
     """Convert recordings; see `pc2scan.convert`.
 
@@ -187,13 +222,6 @@ def run(
                     raise changed_while_read(path)
             _judge(prepared, recording, target, report)
     return report
-
-
-def report_failure(
-    failure: Failure, sources: Sequence[Path], output: OutputOptions, also_read: Mapping[str, Path]
-) -> None:
-    """Write the report of a run that failed, if possible; the error itself is raised in any case."""
-    _deliver(failure, inputs_of(sources, (), also_read), output)
 
 
 @contextmanager

@@ -6,6 +6,7 @@ from contextlib import closing
 from typing import TYPE_CHECKING
 
 from pc2scan.advice.checks.request import in_another_unit
+from pc2scan.advice.survey import Span
 from pc2scan.errors import ParameterError, TopicError, UsageError, name_list
 from pc2scan.text import did_you_mean, nearest, stamp
 from pc2scan.transforms.buffer import frames_text
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection
-    from pc2scan.request.options import ScanSpec
+    from pc2scan.request.options import ConvertOptions, ScanSpec
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.placing import FrameOptions
     from pc2scan.transforms.static import StaticTransform
@@ -26,6 +27,19 @@ if TYPE_CHECKING:
     from .plan import Plan
 
 _MOST_NAMES = 5
+
+
+def span_of(reader: Reader, options: ConvertOptions) -> Span:
+    """Return the cut in log times; relative times count from the recording's beginning."""
+    beginning = reader.summary.start_ns
+    if beginning is None:
+        first = next(reader.messages(), None)
+        beginning = first.log_time_ns if first is not None else 0
+    start = None if options.start is None else options.start.resolve(beginning)
+    stop = None if options.end is None else options.end.resolve(beginning)
+    if start is not None and stop is not None and start >= stop:
+        raise UsageError("the cut is empty: start is not before end")
+    return Span(start, stop, beginning if start is None else max(start, beginning))
 
 
 def check_given_frames(

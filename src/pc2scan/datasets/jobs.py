@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.opening import open_recordings
-from pc2scan.conversion.run import run
+from pc2scan.conversion.run import OutputOptions, run
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import DestinationError, NothingToConvertError, OutputError, Pc2ScanError, UsageError
 from pc2scan.exports.formats import FORMATS
@@ -25,7 +25,7 @@ from pc2scan.files.system import copying_to, is_full
 from pc2scan.files.urls import absolute
 from pc2scan.options.call import Options
 from pc2scan.options.table import conversion_options, options_of
-from pc2scan.requests import conversion_of, output_of
+from pc2scan.requests import conversion_of
 from pc2scan.result import json_value
 
 from .manifest import NO_CLOUDS, Identity, ManifestRecord, identity_of
@@ -33,7 +33,6 @@ from .manifest import NO_CLOUDS, Identity, ManifestRecord, identity_of
 if TYPE_CHECKING:
     from pc2scan.bags.damage import Damage
     from pc2scan.conversion.report import Report
-    from pc2scan.conversion.run import OutputOptions
     from pc2scan.request.options import ConvertOptions
 
     from .find import Recording
@@ -82,7 +81,7 @@ def request_of(keywords: Mapping[str, Any], origins: Mapping[str, str] | None = 
     """
     options = Options("batch", keywords, origins)
     _check_export(options)
-    output = output_of(options, like_source=True)
+    output = OutputOptions.of(options)._replace(like_source=True)
     conversion = conversion_of(options)
     export = None if options.format is None else ExportOptions.of(options, conversion)
     # Absolute: another process may have another current folder.

@@ -13,7 +13,7 @@ from pc2scan.advice.checks.request import log_times_of_centuries
 from pc2scan.advice.clocks import Clocks
 from pc2scan.advice.point_times import increment_warning, time_warnings
 from pc2scan.advice.survey import Span, Survey
-from pc2scan.bags.observers import Observer
+from pc2scan.bags.observers import Observer, Spread
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics, types_by_topic
 from pc2scan.conversion.corrections import scaled
@@ -39,7 +39,6 @@ from .cloud_info import CloudInfo, ShownCloud, describe_clouds, sample_cloud
 from .lidar import EDGE_NS, HEADERS, Lidar, ask_facts, stamp_faults
 from .proposals import missing_mounts, odometry_doubts, proposals
 from .scan_topic import ScanTopic, TopicCheck
-from .shots import spread_over
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -540,7 +539,7 @@ def _sampled(
         kinds = CLOUDS if topic in clouds else SCANS
         own = [each for each in survey.reader.connections if each.topic == topic and each.ros_type in kinds]
         observer: Observer[Any] = Observer(own, copied_message, start_ns=start_ns, stop_ns=end_ns + 1)
-        observer.spread = spread_over(own, samples, start_ns, end_ns + 1)
+        observer.spread = Spread.of(own, start_ns, end_ns + 1, samples)
         if topic in clouds:
             observer.take, observer.keep = partial(sample_cloud, most), clouds[topic].append
         else:

@@ -23,8 +23,8 @@ from pc2scan.bags.topics import by_topic
 from pc2scan.conversion.conversions import CloudToScan
 from pc2scan.conversion.corrections import corrected_for, scaled
 from pc2scan.conversion.plan import make_plan
-from pc2scan.conversion.preparation import prepare, span_of
-from pc2scan.conversion.source_checks import refuse_outside
+from pc2scan.conversion.preparation import prepare
+from pc2scan.conversion.source_checks import refuse_outside, span_of
 from pc2scan.conversion.stages import PlaceStage, SelectStage
 from pc2scan.core.points import NUMBER
 from pc2scan.core.rule import PointCounts
@@ -199,7 +199,7 @@ def chosen_messages(
         return
 
     def first_messages(own: Sequence[Connection]) -> Iterator[RawMessage]:
-        spread = spread_over(own, count, start_ns, stop_ns)
+        spread = Spread.of(own, start_ns, stop_ns, count)
         if spread is None:
             yield from reader.messages(own, start_ns, stop_ns)
             return
@@ -207,13 +207,6 @@ def chosen_messages(
             yield from islice(reader.messages(own, spread.begin_ns(part), spread.begin_ns(part + 1)), 1)
 
     yield from heapq.merge(*map(first_messages, topics.values()), key=attrgetter("log_time_ns"))
-
-
-def spread_over(connections: Sequence[Connection], samples: int, start_ns: int, stop_ns: int) -> Spread | None:
-    """Return the parts of a time for so many samples of connections; None if they have no more messages."""
-    counts = [each.message_count for each in connections]
-    messages = None if None in counts else sum(each or 0 for each in counts)
-    return Spread.of(start_ns, stop_ns, samples, messages)
 
 
 def take_shots(
