@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,7 +19,7 @@ from pc2scan.files.urls import UrlPath, absolute, refuse_without_room
 from pc2scan.result import BEGINNING
 from pc2scan.threads import cores
 
-from .dataset_file import Choices, DatasetFile, load_dataset_file
+from .dataset_file import Choices, load_dataset_file
 from .executors import run_jobs, run_jobs_on_dask
 from .find import find, natural_key
 from .manifest import BEGUN, MANIFEST, open_folder
@@ -39,52 +39,10 @@ if TYPE_CHECKING:
 _NO_ROOM = "make room on that disk, and run the same command again"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BatchOptions:
-    """How a batch runs. None of these options affects the outputs.
-
-    Attributes
-    ----------
-    dataset
-        The dataset file; None for none.
-    jobs
-        How many recordings are converted at a time; 0: one for each core.
-    again
-        Whether recordings are converted again whose results are up to date.
-    dry_run
-        Whether nothing is written; the report then says what would be.
-    dask
-        The address of a Dask scheduler whose workers convert; True: a Dask cluster is started on this machine.
-    report
-        A file for the report, as JSON; None for none.
-    scratch
-        The folder for local copies of what is at URLs; None: the system's folder for temporary files.
-    """
-
-    dataset: Path | None = None
-    jobs: int = 0
-    again: bool = False
-    dry_run: bool = False
-    dask: bool | str = False
-    report: Path | None = None
-    scratch: Path | None = None
-
-    @classmethod
-    def of(cls, options: Options) -> BatchOptions:
-        """Return how a batch runs, by the options of a call."""
-        return cls(**options.among(cls.__dataclass_fields__))
-
-    def __post_init__(self) -> None:
-        if isinstance(self.dask, str) and "://" not in self.dask:
-            raise UsageError(f"`dask={self.dask}`: the address of a scheduler is tcp://HOST:PORT")
-        if isinstance(self.dask, str) and self.jobs:
-            raise UsageError(f"`jobs={self.jobs}` has no effect with `dask={self.dask}`", hint="give only one of them")
-
-
 def run_batch(
     sources: Sequence[str],
     out: Path,
-    call: Options,
+    options: Options,
     *,
     planned: Callable[[BatchPlan], object] | None = None,
     done: Callable[[Outcome], object] | None = None,
@@ -98,7 +56,7 @@ def run_batch(
         See `pc2scan.datasets.find.find`.
     out
         The folder that is written into.
-    call
+    options
         The options of the call: those of the conversions, and how the batch runs.
     planned, done
         Called with the plan, and with the outcome of each recording as it ends.
@@ -108,9 +66,12 @@ def run_batch(
     began = time.monotonic()
     if not sources:
         raise UsageError("no source given")
-    options = BatchOptions.of(call)
-    dataset = DatasetFile() if options.dataset is None else load_dataset_file(options.dataset)
-    choices = Choices(dataset, call.of_conversions, call.origins)
+    if isinstance(dask := options.dask, str) and "://" not in dask:
+        raise UsageError(f"`dask={dask}`: the address of a scheduler is tcp://HOST:PORT")
+    if isinstance(dask, str) and options.jobs:
+        raise UsageError(f"`jobs={options.jobs}` has no effect with `dask={dask}`", hint="give only one of them")
+    entries = [] if options.dataset is None else load_dataset_file(options.dataset)
+    choices = Choices(entries, options.of_conversions, options.origins)
     with ExitStack() as stack:
         folder = stack.enter_context(open_folder(out, dry_run=options.dry_run))
         write_report = _open_report(options, folder, stack)
@@ -147,7 +108,7 @@ def run_batch(
 
 
 def _open_report(
-    options: BatchOptions, folder: BatchFolder, stack: ExitStack
+    options: Options, folder: BatchFolder, stack: ExitStack
 ) -> Callable[[Sequence[str | bytes]], None] | None:
     """Make sure that the report can be written, before anything is converted; return the function that writes it."""
     path = options.report
@@ -166,7 +127,7 @@ def _open_report(
         raise
 
 
-def _plan(sources: Sequence[str], folder: BatchFolder, choices: Choices, options: BatchOptions) -> BatchPlan:
+def _plan(sources: Sequence[str], folder: BatchFolder, choices: Choices, options: Options) -> BatchPlan:
     """Find the recordings, and decide what is done with each."""
     recordings = find(sources, folder.path, outputs=[folder.path / output for output in folder.outputs])
     if not recordings:
@@ -182,12 +143,12 @@ def _plan(sources: Sequence[str], folder: BatchFolder, choices: Choices, options
     return make_plan(recordings, requests, folder, inputs, again=options.again)
 
 
-def _workers(plan: BatchPlan, options: BatchOptions) -> int:
+def _workers(plan: BatchPlan, options: Options) -> int:
     """Return how many recordings are converted at a time."""
     return max(1, min(options.jobs or cores(), len(plan.of("convert"))))
 
 
-def _records(plan: BatchPlan, folder: BatchFolder, options: BatchOptions) -> Iterator[ManifestRecord]:
+def _records(plan: BatchPlan, folder: BatchFolder, options: Options) -> Iterator[ManifestRecord]:
     """Refuse and convert recordings, write the manifest, and yield their lines; a dry run writes nothing.
 
     Raises

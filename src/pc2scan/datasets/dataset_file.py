@@ -61,16 +61,8 @@ class DatasetEntry:
         return not self.patterns or any(expression.fullmatch(key) for expression in self._expressions)
 
 
-@dataclass(frozen=True)
-class DatasetFile:
-    """The content of a dataset file: its entries, the defaults first."""
-
-    path: Path | None = None
-    entries: tuple[DatasetEntry, ...] = ()
-
-
-def load_dataset_file(path: Path) -> DatasetFile:
-    """Read a dataset file.
+def load_dataset_file(path: Path) -> list[DatasetEntry]:
+    """Return the entries of a dataset file, the defaults first.
 
     Raises
     ------
@@ -86,7 +78,7 @@ def load_dataset_file(path: Path) -> DatasetFile:
             message = f"{recordings.place}: recordings must be a list, got {recordings.shown}"
             raise UsageError(message, hint="write '- match: PATTERN' for each entry")
         entries += [_entry(entry, path.parent, "match", "skip") for entry in recordings.value]
-    return DatasetFile(path, tuple(entries))
+    return entries
 
 
 def _entry(entry: Entry, folder: Path, *more: str) -> DatasetEntry:
@@ -132,8 +124,8 @@ class Choices:
 
     Parameters
     ----------
-    dataset
-        The dataset file.
+    entries
+        Those of the dataset file.
     keywords
         Options of the call. They override those of the file.
     origins
@@ -145,11 +137,11 @@ class Choices:
         If the options of the call alone, or with the defaults of the file, are wrong.
     """
 
-    def __init__(self, dataset: DatasetFile, keywords: Mapping[str, Any], origins: Mapping[str, str]) -> None:
-        self._dataset = dataset
+    def __init__(self, entries: list[DatasetEntry], keywords: Mapping[str, Any], origins: Mapping[str, str]) -> None:
+        self._entries = entries
         self._call = DatasetEntry("", keywords=keywords, origins=origins)
         self._made: dict[tuple[int, ...], Request | None] = {}
-        self._request(tuple(number for number, entry in enumerate(dataset.entries) if not entry.patterns))
+        self._request(tuple(number for number, entry in enumerate(entries) if not entry.patterns))
 
     def of(self, keys: Iterable[str]) -> dict[str, Request | None]:
         """Return the options of recordings, by key; None for those that are skipped.
@@ -159,7 +151,7 @@ class Choices:
         UsageError
             If options are wrong; the message names the line of the dataset file.
         """
-        entries = list(enumerate(self._dataset.entries))
+        entries = list(enumerate(self._entries))
         return {key: self._request(tuple(number for number, entry in entries if entry.matches(key))) for key in keys}
 
     def warnings(self, keys: Iterable[str]) -> list[str]:
@@ -167,7 +159,7 @@ class Choices:
         listed = list(keys)
         unused = [
             f"{entry.place}: matches no recording: {', '.join(entry.patterns)}"
-            for entry in self._dataset.entries
+            for entry in self._entries
             if not any(map(entry.matches, listed))
         ]
         notes = [note for request in self._made.values() if request for note in request.options.notes]
@@ -179,7 +171,7 @@ class Choices:
             keywords: dict[str, Any] = {}
             origins: dict[str, str] = {}
             skip = False
-            for entry in (*(self._dataset.entries[number] for number in numbers), self._call):
+            for entry in (*(self._entries[number] for number in numbers), self._call):
                 for name in entry.keywords:
                     # Another option that means the same is overridden, too.
                     keywords.pop(RIVALS.get(name, ""), None)
@@ -187,7 +179,7 @@ class Choices:
                 keywords |= entry.keywords
                 origins |= entry.origins
                 skip = skip if entry.skip is None else entry.skip
-            last = self._dataset.entries[numbers[-1]].place if numbers else ""
+            last = self._entries[numbers[-1]].place if numbers else ""
             files = (
                 (path, origins[name], name)
                 for name in NAMED_FILES

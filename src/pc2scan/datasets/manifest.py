@@ -97,7 +97,7 @@ def _file_and_logs(path: Path) -> list[tuple[str, int, int | str]]:
 def _stored_files(path: UrlPath) -> list[tuple[str, int, int | str]]:
     """Return the entries of a file at a URL, or of the files in a folder; none if it does not exist."""
     files = path.iterdir() if path.is_dir() else [path] * path.exists()
-    return sorted((file.name, *file.entry[:2]) for file in files)
+    return sorted((file.name, file.size, file.version) for file in files if not file.is_dir())
 
 
 def _files_in(folder: Path) -> list[tuple[str, int, int | str]]:

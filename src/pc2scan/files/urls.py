@@ -19,7 +19,7 @@ from os import PathLike
 from pathlib import Path
 from socket import gethostname
 from time import monotonic
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar
 from urllib.parse import unquote, urlsplit
 
 from pc2scan.arguments import value_and_type
@@ -257,22 +257,36 @@ class UrlPath(_LocalPath):
         return file_system, key
 
     @cached_property
-    def entry(self) -> StoredObject:
-        """What is there: from a listing, or else from the store; raises MissingError if nothing is."""
+    def found(self) -> dict[str, Any]:
+        """What fsspec says of it, in a listing or else when asked; raises MissingError if nothing is there."""
         file_system, key = self.store
         with translated_errors(self):
-            return stored_object(file_system.info(key), self)
+            found: dict[str, Any] = file_system.info(key)
+        return found
+
+    @property
+    def size(self) -> int:
+        """The bytes of a file."""
+        if (size := self.found.get("size")) is None:
+            hint = "download it, and convert the copy"
+            raise RecordingError("the server does not report its size", path=self, hint=hint)
+        return int(size)
+
+    @property
+    def version(self) -> str:
+        """Text that changes if the file does; empty if the store has none."""
+        return next((str(self.found[name]).strip('"') for name in _VERSION if self.found.get(name) is not None), "")
 
     def exists(self, *, follow_symlinks: bool = True) -> bool:  # noqa: ARG002  # the signature of Path
         """Return whether anything is there."""
         try:
-            return bool(self.entry)
+            return bool(self.found)
         except MissingError:
             return False
 
     def is_dir(self, *, follow_symlinks: bool = True) -> bool:  # noqa: ARG002  # the signature of Path
         """Return whether it is a folder."""
-        return self.exists() and self.entry.is_folder
+        return self.exists() and self.found["type"] == "directory"
 
     def iterdir(self) -> Generator[Self]:
         """Yield what is in a folder, in order."""
@@ -284,7 +298,7 @@ class UrlPath(_LocalPath):
             # Some stores list the folder itself, as an empty file.
             if name:
                 child = self / name
-                child.entry = stored_object(named[name], child)
+                child.found = named[name]
                 yield child
 
     def download(self, target: Path) -> None:
@@ -292,7 +306,7 @@ class UrlPath(_LocalPath):
         from fsspec.callbacks import Callback  # noqa: PLC0415  # only an extra
 
         file_system, key = self.store
-        size = most = self.entry.size
+        size = most = self.size
         wanted, deadline = 0, 0.0
         other_size = f"the download does not have the {size:,} bytes that the server declares"
 
@@ -362,13 +376,13 @@ def fetched(paths: Iterable[Path]) -> Iterator[list[Path]]:
     """
     paths = list(paths)
     sources = {path: _files_of(path) for path in paths if isinstance(path, UrlPath)}
-    refuse_without_room(sum(file.entry.size for files in sources.values() for file in files), next(iter(sources), None))
+    refuse_without_room(sum(file.size for files in sources.values() for file in files), next(iter(sources), None))
     with ExitStack() as stack:
         copies: dict[Path, Path] = {}
         for path, files in sources.items():
             place = Path(stack.enter_context(private_folder(path)))
             copies[path] = CopyPath.of(path, str(place))
-            if path.entry.is_folder:
+            if path.is_dir():
                 place /= path.name
                 place.mkdir()
             for file in files:
@@ -378,8 +392,8 @@ def fetched(paths: Iterable[Path]) -> Iterator[list[Path]]:
 
 def _files_of(path: UrlPath) -> list[UrlPath]:
     """Return the files in a folder, or a file with the logs beside a database."""
-    if path.entry.is_folder:
-        return [file for file in path.iterdir() if not file.entry.is_folder]
+    if path.is_dir():
+        return [file for file in path.iterdir() if not file.is_dir()]
     logs = [path.with_name(path.name + suffix) for suffix in ("-wal", "-journal") if path.suffix == ".db3"]
     return [path, *(log for log in logs if not path.is_read_only and log.exists())]
 
@@ -424,25 +438,7 @@ def upload(local: Path, dst: UrlPath) -> None:
 
 
 class TransferError(Exception):
-    """A transfer is too slow, or a web server names another host."""
-
-
-class StoredObject(NamedTuple):
-    """A file or a folder of a store.
-
-    Attributes
-    ----------
-    size
-        Its bytes.
-    version
-        Text that changes if the file does; empty if the store has none.
-    is_folder
-        Whether it is a folder.
-    """
-
-    size: int
-    version: str
-    is_folder: bool = False
+    """A transfer is too slow, or has another size than declared."""
 
 
 @contextmanager
@@ -467,19 +463,8 @@ def translated_errors(path: UrlPath, kind: type[Pc2ScanError] = RecordingError) 
         raise kind(f"the {action} failed ({why})", path=path, hint=_AGAIN) from None
 
 
-def stored_object(found: dict[str, Any], path: UrlPath) -> StoredObject:
-    """Return what fsspec says of a file or a folder."""
-    version = next((str(found[name]) for name in _VERSION if found.get(name) is not None), "").strip('"')
-    if found["type"] == "directory":
-        return StoredObject(0, version, is_folder=True)
-    if found.get("size") is None:
-        hint = "download it, and convert the copy"
-        raise RecordingError("the server does not report its size", path=path, hint=hint)
-    return StoredObject(int(found["size"]), version)
-
-
 def _options(scheme: str, configured: dict[str, Any]) -> dict[str, Any]:
-    """Return options of a store with our patience.
+    """Return options of a store: with our patience, and for one stream at a time.
 
     By default S3 takes minutes to give up, and fetches ten parts of 50 MB at once.
     """
@@ -487,25 +472,10 @@ def _options(scheme: str, configured: dict[str, Any]) -> dict[str, Any]:
         from aiohttp import ClientTimeout  # noqa: PLC0415  # only where it is needed
 
         timeout = ClientTimeout(total=None, sock_connect=SLOWEST_SECONDS, sock_read=SLOWEST_SECONDS)
-        return {"get_client": _web_client, "timeout": timeout}
+        # What a server compresses would have another size than it declares.
+        return {"timeout": timeout, "headers": {"Accept-Encoding": "identity"} | configured.get("headers", {})}
     if scheme == "s3":
         # No retries of the S3 library: s3fs itself tries five times.
         ours = {"connect_timeout": 10, "read_timeout": 20, "retries": {"max_attempts": 0}}
         return {"max_concurrency": 1, "config_kwargs": ours | configured.get("config_kwargs", {})}
     return {}
-
-
-async def _web_client(**options: Any) -> Any:
-    """Return aiohttp's client, which follows no redirects to other hosts."""
-    from aiohttp import ClientSession, TraceConfig  # noqa: PLC0415  # only where it is needed
-
-    async def stay(_session: object, _context: object, redirect: Any) -> None:
-        response = redirect.response
-        target = response.url.join(type(response.url)(response.headers.get("Location", "")))
-        if target.host != response.url.host:
-            raise TransferError(f"the server redirects to another host, {target.host}")
-
-    traces = TraceConfig()
-    traces.on_request_redirect.append(stay)
-    # What a server compresses would have another size than it declares.
-    return ClientSession(**{"trace_configs": [traces], "headers": {"Accept-Encoding": "identity"}, **options})

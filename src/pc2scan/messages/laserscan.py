@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pc2scan.core.consumers import ConsumerScan
 
-from .wire import Cursor, Packer, seconds_of
+from .wire import Cursor, Packer
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -135,32 +135,6 @@ def _pack_geometry(scan: LaserScan) -> bytes:
     except OverflowError:
         with np.errstate(over="ignore"):
             return np.array(geometry).astype("<f4").tobytes()
-
-
-def as_message(scan: LaserScan, serialization: str) -> LaserScan:
-    """Return a scan with the numbers that its message has: float32, and in ROS 2 no sequence number.
-
-    Parameters
-    ----------
-    serialization
-        ``ros1`` or ``cdr``.
-
-    Returns
-    -------
-    LaserScan
-        What `decode_laserscan` returns for `encode_laserscan` of the scan, which is not changed.
-
-    Raises
-    ------
-    DecodeError
-        If the stamp does not fit into a message.
-    """
-    ros1 = serialization == "ros1"
-    seconds_of(scan.stamp_ns, ros1=ros1)
-    geometry: Any = _GEOMETRY.unpack(_pack_geometry(scan))
-    values: list[Any] = [scan.sequence if ros1 else 0, scan.stamp_ns, scan.frame_id, *geometry]
-    values += (each.astype(_FLOAT32, copy=False) for each in (scan.ranges, scan.intensities))
-    return LaserScan(*values)
 
 
 def scan_for_consumers(message: LaserScan) -> ConsumerScan:

@@ -10,7 +10,7 @@ from pc2scan.errors import name_list
 from .clouds import CLOUDS, SCANS
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
+    from collections.abc import Collection, Sequence
 
     from pc2scan.model import Connection
 
@@ -72,42 +72,31 @@ def instead_of_clouds(connections: Sequence[Connection]) -> tuple[str, str] | No
     >>> instead_of_clouds([Connection(0, "/map", "octomap_msgs/msg/Octomap", "cdr")])[0]
     'OctoMaps: /map'
     """
-    kinds = list(_kinds(connections))
+    others = [each for each in connections if each.ros_version is None or each.ros_type not in (*CLOUDS, *SCANS)]
+    topics: dict[_Kind, dict[str, None]] = {}
+    for each in sorted(others, key=lambda each: each.topic):
+        if kind := _kind_of(each.topic, _type(each)):
+            topics.setdefault(kind, {})[each.topic] = None
+    kinds = [kind for kind in _KINDS if kind in topics][:3]
     if not kinds:
         return None
-    what = "; ".join(f"{kind.name}: {name_list(topics, _MOST_TOPICS)}" for kind, topics in kinds)
+    what = "; ".join(f"{kind.name}: {name_list(list(topics[kind]), _MOST_TOPICS)}" for kind in kinds)
     if len(kinds) == 1:
-        return what, kinds[0][0].advice
-    return what, "; ".join(f"{kind.name}: {kind.advice}" for kind, _ in kinds)
-
-
-def _kinds(connections: Sequence[Connection]) -> Iterator[tuple[_Kind, list[str]]]:
-    """Yield the kinds that there are, with their topics; three at most."""
-    others = [each for each in connections if each.ros_version is None or each.ros_type not in (*CLOUDS, *SCANS)]
-    left = {connection.topic: connection for connection in reversed(others)}
-    count = 0
-    for kind in _KINDS:
-        topics = [topic for topic, first in left.items() if _is(kind, topic, _type(first))]
-        for topic in topics:
-            del left[topic]
-        if topics:
-            yield kind, sorted(topics)
-            count += 1
-        if count == 3:
-            return
+        return what, kinds[0].advice
+    return what, "; ".join(f"{kind.name}: {kind.advice}" for kind in kinds)
 
 
 def instead_of_topic(topic: str, types: Collection[str]) -> str:
     """Return what makes clouds of the messages of a topic; empty if nothing is known."""
-    kind = next((kind for kind in _KINDS if any(_is(kind, topic, name) for name in types)), None)
+    kind = next(filter(None, (_kind_of(topic, name) for name in types)), None)
     return f"these are {kind.name}: {kind.advice}" if kind else ""
 
 
-def _is(kind: _Kind, topic: str, msgtype: str) -> bool:
-    """Whether a topic is of a kind; images are depth images if its name says so."""
-    if kind is _DEPTH and "depth" not in topic.lower():
-        return False
-    return re.fullmatch(kind.types, msgtype.replace("/msg/", "/")) is not None
+def _kind_of(topic: str, msgtype: str) -> _Kind | None:
+    """Return the kind of a topic's messages; images are depth images if the topic's name says so."""
+    name = msgtype.replace("/msg/", "/")
+    kind = next((kind for kind in _KINDS if re.fullmatch(kind.types, name)), None)
+    return None if kind is _DEPTH and "depth" not in topic.lower() else kind
 
 
 def without(wanted: str, connections: Sequence[Connection]) -> tuple[str, str]:

@@ -27,7 +27,7 @@ from pc2scan.conversion.stages import ConvertedMessage, as_it_is
 from pc2scan.core.rule import NO_POINTS
 from pc2scan.errors import NothingToConvertError, Pc2ScanError, RecordingWarning, TopicError, name_list, visible
 from pc2scan.messages.clouds import CLOUDS, usual_topics
-from pc2scan.messages.laserscan import LASERSCAN, LaserScan, as_message, decode_laserscan
+from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan, encode_laserscan
 from pc2scan.messages.other_clouds import without
 from pc2scan.messages.pointcloud2 import recorded_cloud
 from pc2scan.model import StoredChunk, own_data
@@ -521,6 +521,6 @@ def _decode(serialization: str, data: Buffer) -> LaserScan:
 
 def _as_in_message(serialization: str, result: ConvertedMessage) -> ConvertedMessage:
     """Do the last step of a conversion to `Scan`: the numbers of the arrays become those of a message."""
-    result.message = as_message(result.message, serialization)
+    result.message = _decode(serialization, encode_laserscan(result.message, serialization))
     result.size = result.message.ranges.nbytes + result.message.intensities.nbytes
     return result
