@@ -1,4 +1,4 @@
-"""Results: data with one description, from which text, HTML, JSON and the command's output are made.
+"""Results: data with one description, from which text, JSON and the command's output are made.
 
 A result is a data class. ``body`` and ``remarks`` describe it; ``print``, notebooks and the command show these parts.
 `as_dict` has its attributes.
@@ -11,16 +11,17 @@ import math
 from abc import abstractmethod
 from dataclasses import dataclass, field, fields, is_dataclass
 from enum import Enum
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
 
-from .errors import Pc2ScanError, stamp_text, visible
-from .tables import Table, escaped
-from .text import counted, size, stamp
+from .errors import Pc2ScanError, visible
+from .tables import Table
+from .text import stamp
 from .version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from .bags.damage import Damage
 
@@ -106,11 +107,15 @@ class Skipped(NamedTuple):
     messages: int = 1
     gap_ns: int = 0
 
-    def __str__(self) -> str:
+    @property
+    def message(self) -> str:
+        """The topic, and the stamp or else the log time, as far as they are known."""
         if self.stamp_ns is not None:
-            return f"{self.topic}, stamp {stamp_text(self.stamp_ns)}: {self.reason}"
-        when = "" if self.log_time_ns is None else f", log time {stamp_text(self.log_time_ns)}"
-        return f"{self.topic}{when}: {self.reason}"
+            return f"{self.topic}, stamp {stamp(self.stamp_ns)}"
+        return self.topic + ("" if self.log_time_ns is None else f", log time {stamp(self.log_time_ns)}")
+
+    def __str__(self) -> str:
+        return f"{self.message}: {self.reason}"
 
 
 class Result:
@@ -130,6 +135,8 @@ class Result:
         Values that were measured, or chosen by default.
     damage
         Damaged places in the parts of the recordings that were read.
+    skipped
+        The first messages that were skipped.
     """
 
     __slots__ = ()
@@ -141,6 +148,12 @@ class Result:
     warnings: Sequence[str] = ()
     notes: Sequence[str] = ()
     damage: Sequence[Damage] = ()
+    skipped: Sequence[Skipped] = ()
+
+    @property
+    def skipped_count(self) -> int:
+        """How many messages were skipped, listed or not."""
+        return sum(entry.messages for entry in self.skipped)
 
     @property
     def exit_status(self) -> int:
@@ -152,7 +165,8 @@ class Result:
         """Yield what was found or done; ``verbose`` for everything."""
 
     def remarks(self, *, verbose: bool = False) -> Iterator[Remark]:
-        """Yield what is not as it should be; ``verbose`` for every damaged place."""
+        """Yield what is not as it should be; ``verbose`` for every reason and every damaged place."""
+        yield from skipped_remarks(self.skipped, self.skipped_count, verbose=verbose)
         yield from self.usual_remarks(verbose=verbose)
 
     def usual_remarks(self, recovered: str = "", *, verbose: bool = False) -> Iterator[Remark]:
@@ -161,12 +175,6 @@ class Result:
         if recovered:
             yield Remark("recovered", recovered)
         yield from (Remark("warning", warning) for warning in self.warnings)
-
-    def parts(self) -> Iterator[Part]:
-        """Yield everything that is shown."""
-        yield from self.body()
-        yield from (Remark("note", note) for note in self.notes)
-        yield from self.remarks()
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as JSON's types; infinities and NaNs are text."""
@@ -181,29 +189,15 @@ class Result:
 
     def __str__(self) -> str:
         lines: list[str] = []
-        for part in self.parts():
-            lines += part.lines() if isinstance(part, Table) else [visible(_line(part))]
+        for part in (*self.body(), *(Remark("note", note) for note in self.notes), *self.remarks()):
+            # Calls are indented, like the commands that they stand for.
+            text = f"  {part}" if isinstance(part, Call) else str(part)
+            lines += part.lines() if isinstance(part, Table) else [visible(text)]
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
-        """Return the HTML that notebooks show."""
-        parts: list[str] = []
-        lines: list[str] = []
-        for part in [*self.parts(), Table((), ())]:
-            if not isinstance(part, Table):
-                lines.append(escaped(_line(part)))
-                continue
-            # Without empty lines at the ends: HTML has space around tables anyway.
-            if text := "\n".join(lines).strip("\n"):
-                parts.append(f"<pre>{text}</pre>")
-            lines.clear()
-            parts += part.html() if part.columns else []
-        return f"<div>{''.join(parts)}</div>"
-
-
-def _line(part: str | Call | Remark) -> str:
-    """Return a part as a line of text; calls are indented, like the commands that they stand for."""
-    return f"  {part}" if isinstance(part, Call) else str(part)
+        """Return what notebooks show."""
+        return f"<pre>{escape(str(self))}</pre>"
 
 
 @dataclass(slots=True)
@@ -308,12 +302,8 @@ def skipped_remarks(
     for (topic, reason, missing), entries in list(reasons.items())[: None if verbose else SHOWN]:
         first, count = entries[0], sum(entry.messages for entry in entries)
         more = f" and {count - 1:,} more" if count > 1 else ""
-        if first.stamp_ns is not None:
-            of = f"{topic}, stamp {stamp(first.stamp_ns)}{more}"
-        elif first.log_time_ns is not None:
-            of = f"{topic}, log time {stamp(first.log_time_ns)}{more}"
-        else:
-            of = f"{count:,} of {topic}"
+        is_one = first.stamp_ns is not None or first.log_time_ns is not None
+        of = first.message + more if is_one else f"{count:,} of {topic}"
         to = f" (for {', '.join(missing)})" if targets and missing else ""
         yield Remark("skipped", f"{of}{to}: {reason}")
         # A message counts once for each output that lacks it, like in the counts of the topics.
@@ -323,45 +313,3 @@ def skipped_remarks(
     # What helps the farthest helps the others, too.
     if hinted := [(-entry.gap_ns, number) for number, entry in enumerate(skipped) if entry.hint]:
         yield Remark("hint", skipped[min(hinted)[1]].hint)
-
-
-def recovery_text(damage: Sequence[Damage], read: int, declared: int | None) -> str:
-    """Return how much was recovered of damaged recordings, and what is missing.
-
-    Parameters
-    ----------
-    damage
-        Their damaged places.
-    read, declared
-        How many messages were read, and how many the recordings declare; None if that is unknown.
-    """
-    recovered = counted(read, "message")
-    if declared is not None and declared > read:
-        recovered = f"{read:,} of the {declared:,} messages that the source declares"
-    missing = [place for place in damage if place.loses]
-    lost = _lost(missing) if missing else "no bytes are known to be lost"
-    span = _spanned(missing) if missing else "no message is known to be missing"
-    return f"{recovered}; {lost}; {span}"
-
-
-def _lost(damage: Sequence[Damage]) -> str:
-    """Return how much is missing in all damaged places together."""
-    if stored := sum(place.bytes_lost for place in damage):
-        return f"{size(stored)} lost"
-    counts = [place.messages_lost for place in damage if place.messages_lost is not None]
-    if len(counts) == len(damage):
-        return f"{counted(sum(counts), 'message')} lost"
-    return "it is unknown how much is lost"
-
-
-def _spanned(damage: Iterable[Damage]) -> str:
-    """Return the times between which messages may be missing, for all damaged places together."""
-    places = list(damage)
-    first = min((place.first_ns for place in places if place.first_ns is not None), default=None)
-    lasts = [place.last_ns for place in places]
-    last = None if None in lasts else max((time for time in lasts if time is not None), default=None)
-    if first is None:
-        return "it is unknown at which times messages are missing"
-    return f"messages may be missing from log time {stamp_text(first)} " + (
-        "on" if last is None else f"to {stamp_text(last)}"
-    )

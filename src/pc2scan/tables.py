@@ -1,11 +1,10 @@
-"""Tables: as lines that fit a terminal, as HTML for notebooks, and cells for CSV files.
+"""Tables as lines that fit a terminal, and cells of CSV files.
 
 To fit a width, empty columns are dropped, then text is wrapped, then columns on the right are dropped.
 """
 
 from __future__ import annotations
 
-from html import escape
 from textwrap import wrap
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -38,23 +37,6 @@ class Table(NamedTuple):
         rows = ([visible(cell, _MAX_CELL, ascii_only=ascii_only) for cell in row] for row in self.rows)
         safe = ([leading(cell) for cell in row[:1]] + row[1:] for row in rows)
         return fitted([self.columns, *safe], self.left, width)
-
-    def html(self) -> Iterator[str]:
-        """Yield the table as HTML."""
-        styles = [f' style="text-align: {"left" if name in self.left else "right"}"' for name in self.columns]
-
-        def row(tag: str, cells: Sequence[str]) -> str:
-            parts = (f"<{tag}{style}>{escaped(cell)}</{tag}>" for style, cell in zip(styles, cells, strict=True))
-            return f"<tr>{''.join(parts)}</tr>"
-
-        yield f"<table><thead>{row('th', self.columns)}</thead><tbody>"
-        yield from (row("td", cells) for cells in self.rows)
-        yield "</tbody></table>"
-
-
-def escaped(text: str) -> str:
-    """Return text for HTML, with control characters made visible."""
-    return escape(visible(text))
 
 
 def csv_cell(text: str) -> str:

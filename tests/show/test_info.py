@@ -35,8 +35,8 @@ def test_the_fixture() -> None:
         "/tf_static": ("tf2_msgs/msg/TFMessage", 1, True),
     }
     (cloud,) = found.clouds
-    assert (cloud.frames, cloud.shape, cloud.point_step, cloud.points_max) == (("lidar",), (1, 3840), 22, 3840)
-    assert cloud.fields[-1] == ("time", "float32", 18)
+    assert (cloud.frames, cloud.shape, cloud.points_max) == (("lidar",), (1, 3840), 3840)
+    assert cloud.fields[-1] == ("time", "float32")
     json.dumps(found.as_dict(), allow_nan=False)
 
 

@@ -177,4 +177,4 @@ def test_a_recording_without_transforms(tmp_path: Path) -> None:
     drive = write_mcap(tmp_path / "a.mcap", drive_recording(seconds=1.0, beams=91, odom="robot1/odom"))
     assert "hint: --odom-frame robot1/odom draws" in run("map", drive, "-o", tmp_path / "other.png").stderr
     mount = write_mcap(tmp_path / "b.mcap", recording_of({"/scan": scans_of(3)}, [("base_link", "laser")]))
-    assert "--odom-topic, --trajectory or --tf-from adds" in run("map", mount, "-o", tmp_path / "other.png").stderr
+    assert "--odom-topic or --trajectory adds odometry" in run("map", mount, "-o", tmp_path / "other.png").stderr

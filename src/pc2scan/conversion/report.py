@@ -12,7 +12,7 @@ from pc2scan.core.rule import REJECTIONS, PointCounts, Rejection
 from pc2scan.errors import leading
 from pc2scan.options.table import PARAMETERS
 from pc2scan.options.values import in_words
-from pc2scan.result import Part, Remark, Result, Skipped, recovery_text, skipped_remarks
+from pc2scan.result import Part, Remark, Result, Skipped, skipped_remarks
 from pc2scan.tables import Table
 from pc2scan.text import count, counted, duration, size
 
@@ -394,5 +394,11 @@ class Report(Result):
         # Topics that are skipped completely are not counted here: they have their own warning.
         single = sum(topic.skipped for topic in self.topics if topic.action != "skipped")
         yield from skipped_remarks(self.skipped, single, targets=len(self.scans) > 1, verbose=verbose)
-        recovered = recovery_text(self.damage, self.messages_read, self.messages_declared) if self.damage else ""
-        yield from self.usual_remarks(recovered, verbose=verbose)
+        yield from self.usual_remarks(self._recovered() if self.damage else "", verbose=verbose)
+
+    def _recovered(self) -> str:
+        """Return how much was read of a damaged recording."""
+        declared, text = self.messages_declared, counted(self.messages_read, "message")
+        if declared is not None and declared > self.messages_read:
+            text = f"{self.messages_read:,} of the {declared:,} messages that the source declares"
+        return text + ("" if any(place.loses for place in self.damage) else "; nothing is known to be lost")

@@ -17,7 +17,7 @@ from pc2scan.files.staging import staged_output
 from pc2scan.files.system import remove
 from pc2scan.progress import Meter
 from pc2scan.requests import conversion_of, destination_of
-from pc2scan.result import MAX_LISTED, Part, Remark, Result, Skipped, skipped_remarks, tell_early
+from pc2scan.result import MAX_LISTED, Part, Result, Skipped, tell_early
 from pc2scan.streams.stream import Clouds, Scans
 from pc2scan.tables import Table
 from pc2scan.text import count, counted
@@ -126,11 +126,6 @@ class ExportReport(Result):
             poses = f"{topic.base_frame} in {topic.pose_frame}" if topic.pose_frame else ""
             rows.append([topic.topic, topic.path or "", count(topic.written), count(topic.skipped), poses])
         yield Table(("topic", "file", "written", "skipped", "poses"), rows, left=("topic", "file", "poses"))
-
-    def remarks(self, *, verbose: bool = False) -> Iterator[Remark]:
-        """Yield why messages were skipped, damage and warnings."""
-        yield from skipped_remarks(self.skipped, self.skipped_count, verbose=verbose)
-        yield from self.usual_remarks(verbose=verbose)
 
     def __repr__(self) -> str:
         return f"<ExportReport: {counted(self.messages, 'message')} as {self.format} in {visible(self.destination)}>"

@@ -27,8 +27,8 @@ from pc2scan.model import copied_message
 from pc2scan.progress import Meter
 from pc2scan.requests import frames_of
 from pc2scan.result import Part, Result
-from pc2scan.text import counted, nearest
-from pc2scan.transforms.buffer import mount_text, named_in_namespace
+from pc2scan.text import counted
+from pc2scan.transforms.buffer import ADDS_ODOMETRY, named_in_namespace, other_odometry
 from pc2scan.transforms.frames import BODIES
 from pc2scan.transforms.motion import find_body_motion
 from pc2scan.transforms.reading import tf_connections
@@ -58,9 +58,7 @@ _WORST = (*OUTCOMES, _NOTHING)
 #: and needs no odometry; only slam_toolbox has a queue of one.
 _NAV2 = frozenset({"nav2"})
 _USEFUL_TO: dict[str, frozenset[str]] = {
-    **dict.fromkeys(
-        ("angles", "full-circle", "moving-frame", "no-returns", "optical-frame", "parts", "static-unheard"), frozenset()
-    ),
+    **dict.fromkeys(("moving-frame", "no-returns", "optical-frame", "parts", "static-unheard"), frozenset()),
     **dict.fromkeys(("odometry-direction", "stamps-back", "stamps-zero"), _NAV2),
     "transforms-late": frozenset(CONSUMERS) - {"slam_toolbox"},
 }
@@ -387,13 +385,20 @@ class ScanFrames:
 
     def _cure(self, frame: str, error: TransformError) -> str:
         """Return what gives scans the transforms that they lack; empty if only recording transforms does."""
-        if not frame or not self._known:
+        if not self._known:
             return ""
         if frame not in self._known:
-            if near := nearest(frame, self._known):
-                return f"did you mean {near}? For scans made from clouds: pc2scan convert `source_frame={near}`"
-            return f"for scans made from clouds: pc2scan convert {mount_text(frame, self._known)}"
-        return self._naming("odom_frame", self._odom) if self._odom not in self._known else error.hint or ""
+            # What the transforms say about the scan's frame alone.
+            target = self._base if self._base in self._known else min(self._known)
+            error = self._lookup(frame, target, 0)[1] or error
+            return f"{error.hint}; for scans made from clouds, with pc2scan convert"
+        return self._odometry_cure if self._odom not in self._known else error.hint or ""
+
+    @property
+    def _odometry_cure(self) -> str:
+        """What to do if there is no frame of the odometry's name."""
+        other = other_odometry(self._buffer, self._odom)
+        return f"`odom_frame={other}`" if other else f"no transform moves {self._base}: pc2scan convert {ADDS_ODOMETRY}"
 
     @property
     def _gap_cure(self) -> str:
@@ -402,15 +407,6 @@ class ScanFrames:
             offset = f"`time_offset={self._clock.time_offset}`"
             return f"the clocks differ; pc2scan convert {offset} for scans made from clouds"
         return f"record /tf as long as the scans; pc2scan convert `start` and `end` leave out clouds without; {_HINT}"
-
-    def _naming(self, option: str, name: str) -> str:
-        """Return what to do if there is no frame of this name."""
-        if namesake := named_in_namespace(name, self._known):
-            return f"`{option}={namesake}`"
-        if option == "odom_frame" and any(self._base in tree.roots for tree in self._buffer.trees):
-            how = "pc2scan convert `odom_topic` or `trajectory` adds odometry, `tf_from` that of another recording"
-            return f"no transform moves {self._base}: {how}"
-        return f"`{option}` names the right one; {_HINT}"
 
     def findings(self, interval_ns: float | None) -> Iterator[Finding]:
         """Yield the problems, given the median interval between scans."""
@@ -447,14 +443,15 @@ class ScanFrames:
 
     def _name_findings(self) -> Iterator[Finding]:
         roots = ", ".join(root for tree in self._buffer.trees for root in tree.roots)
-        named: tuple[tuple[str, str, str, Level], ...] = (
-            (self._odom, "odometry", "odom_frame", "defect"),
-            (self._base, "robot", "base_frame", "notice"),
-        )
-        for name, role, option, level in named:
-            if name not in self._known:
-                text = f"there is no frame {name!r} ({role}) in the transforms; their roots: {roots}"
-                yield Finding(f"no-{role}-frame", level, text, self._naming(option, name))
+        there_is_none = "there is no frame {!r} ({}) in the transforms; their roots: {}"
+        if self._odom not in self._known:
+            text = there_is_none.format(self._odom, "odometry", roots)
+            yield Finding("no-odometry-frame", "defect", text, self._odometry_cure)
+        if self._base not in self._known:
+            namesake = named_in_namespace(self._base, self._known)
+            hint = f"`base_frame={namesake}`" if namesake else f"`base_frame` names the right one; {_HINT}"
+            text = there_is_none.format(self._base, "robot", roots)
+            yield Finding("no-robot-frame", "notice", text, hint)
 
     def _frame_findings(self, name: str, frame: _Frame, interval_ns: float | None) -> Iterator[Finding]:
         if moving := find_body_motion(self._buffer, name, self._base):

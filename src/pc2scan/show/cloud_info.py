@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from pc2scan.errors import DecodeError, TransformError, leading
 from pc2scan.messages.clouds import CLOUDS
-from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, decode_pointcloud2
 from pc2scan.text import counted
 
 from .scan_topic import count_range
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pc2scan.core.points import Points
     from pc2scan.model import RawMessage
     from pc2scan.result import Part
     from pc2scan.transforms.mounting import Mounting
@@ -38,11 +37,9 @@ class CloudInfo:
     frames
         All ``frame_id`` of these clouds.
     fields
-        Name, datatype and offset in bytes (0 for messages other than PointCloud2), in the message's order.
+        Name and datatype, in the message's order.
     shape
         Height and width of the first cloud.
-    point_step
-        Bytes of a point; 0 for messages other than PointCloud2.
     points_min, points_max
         Points per cloud.
     nan_share
@@ -64,9 +61,8 @@ class CloudInfo:
     topic: str
     sampled: int = 0
     frames: tuple[str, ...] = ()
-    fields: tuple[tuple[str, str, int], ...] = ()
+    fields: tuple[tuple[str, str], ...] = ()
     shape: tuple[int, int] = (0, 0)
-    point_step: int = 0
     points_min: int = 0
     points_max: int = 0
     nan_share: float = 0.0
@@ -86,10 +82,8 @@ class CloudInfo:
         points = count_range(self.points_min, self.points_max)
         height, width = self.shape
         yield f"  frame   {', '.join(map(repr, self.frames))}"
-        is_laid_out = self.point_step > 0
-        yield f"  points  {points} a cloud ({height} x {width})" + f", {self.point_step} bytes each" * is_laid_out
-        fields = [f"{name} {kind}" + f" @{offset}" * is_laid_out for name, kind, offset in self.fields]
-        yield f"  fields  {', '.join(fields)}"
+        yield f"  points  {points} a cloud ({height} x {width})"
+        yield f"  fields  {', '.join(map(' '.join, self.fields))}"
         yield f"  NaN {self.nan_share:.1%}, (0, 0, 0) {self.zero_share:.1%}, z > 0 {self.above_zero_share:.1%}"
         if self.limits:
             limits = ", ".join(f"{name} {low:.2f} to {high:.2f}" for name, (low, high) in self.limits.items())
@@ -103,38 +97,42 @@ class ShownCloud(NamedTuple):
     ----------
     points
         (3, N), without those at (0, 0, 0) or with NaN.
-    returns, zeros
-        How many are not at (0, 0, 0), with NaN or not, and how many are.
-    layout
-        The attributes of `CloudInfo`: shape, point_step and fields.
+    nans, zeros
+        How many of the points that were examined have NaN, and how many are at (0, 0, 0).
+    shape, fields
+        As in `CloudInfo`.
     """
 
     frame_id: str
     stamp_ns: int
-    size: int
     points: NDArray[np.floating[Any]]
-    returns: int
+    nans: int
     zeros: int
-    layout: tuple[tuple[int, int], int, tuple[tuple[str, str, int], ...]]
+    shape: tuple[int, int]
+    fields: tuple[tuple[str, str], ...]
 
 
 def sample_cloud(most: int, message: RawMessage) -> ShownCloud | str:
     """Return what is kept of a cloud, so many points at most, or why it cannot be described."""
+    fields = []
     try:
         cloud = CLOUDS[message.connection.ros_type](message.connection.serialization)(message.data)
         coordinates = cloud.xyz()
-        count = coordinates[0].size
-        step = -(-count // most) or 1
+        for name in cloud.fields:
+            # Fields that cannot be read are not needed.
+            with suppress(DecodeError):
+                fields.append((name, cloud.field(name).dtype.name))
+        step = -(-coordinates[0].size // most) or 1
         with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
             x, y, z = (_thinned(column, step) for column in coordinates)
             # Points at the sensor are no returns, wherever the sensor is in the target frame.
             zero = (x == 0) & (y == 0) & (z == 0)
-            good = ~(zero | np.isnan(x) | np.isnan(y) | np.isnan(z))
-        layout = _layout(cloud, message)
+            nan = np.isnan(x) | np.isnan(y) | np.isnan(z)
     except DecodeError as err:
         return _problem(err)
-    points, zeros = np.stack([x[good], y[good], z[good]]), int(np.count_nonzero(zero))
-    return ShownCloud(cloud.frame_id, cloud.stamp_ns, count, points, x.size - zeros, zeros, layout)
+    height, width = np.atleast_2d(coordinates[0]).shape
+    points, layout = np.stack([x, y, z])[:, ~(zero | nan)], ((height, width), tuple(fields))
+    return ShownCloud(cloud.frame_id, cloud.stamp_ns, points, int(nan.sum()), int(zero.sum()), *layout)
 
 
 def describe_clouds(
@@ -155,35 +153,41 @@ def describe_clouds(
     """
     count = len(sampled)
     problems: dict[str, None] = {}
-    placed: list[ShownCloud] = []
+    clouds: list[ShownCloud] = []
     while sampled:
-        sample = sampled.pop(0)
-        if isinstance(sample, str):
-            problems[sample] = None
+        cloud = sampled.pop(0)
+        if isinstance(cloud, str):
+            problems[cloud] = None
             continue
         try:
-            place = places.place(sample.frame_id, sample.stamp_ns)
+            place = places.place(cloud.frame_id, cloud.stamp_ns)
         except TransformError as err:
             problems[_problem(err)] = None
             continue
         if place.target_from_source is not None:
-            points = place.target_from_source.apply(sample.points.T).T
+            points = place.target_from_source.apply(cloud.points.T).T
             # Of infinite coordinates.
-            sample = sample._replace(points=points[:, ~np.isnan(points).any(axis=0)])
-        placed.append(sample)
-    target, why = places.target_frame, tuple(problems)
-    if not placed:
-        return CloudInfo(topic, count, target_frame=target, problems=why), placed
-    (shape, point_step, fields), sizes = placed[0].layout, [sample.size for sample in placed]
-    frames, parts = dict.fromkeys(sample.frame_id for sample in placed), [sample.points for sample in placed]
-    returns, zeros = (sum(getattr(sample, name) for sample in placed) for name in ("returns", "zeros"))
-    kept, total = sum(part.shape[1] for part in parts), max(1, returns + zeros)
-    shares = (returns - kept) / total, zeros / total
-    above = sum(int((part[2] > 0).sum()) for part in parts) / max(1, kept)
-    layout = fields, shape, point_step, min(sizes), max(sizes)
-    return CloudInfo(
-        topic, count, tuple(frames), *layout, *shares, _limits(parts), above, target, mounting, why
-    ), placed
+            cloud = cloud._replace(points=points[:, ~np.isnan(points).any(axis=0)])
+        clouds.append(cloud)
+    info = CloudInfo(topic, count, target_frame=places.target_frame, problems=tuple(problems))
+    if not clouds:
+        return info, clouds
+    parts, sizes = [cloud.points for cloud in clouds], [math.prod(cloud.shape) for cloud in clouds]
+    kept, nans, zeros = np.sum([(each.points.shape[1], each.nans, each.zeros) for each in clouds], axis=0).tolist()
+    examined = max(1, kept + nans + zeros)
+    return replace(
+        info,
+        frames=tuple(dict.fromkeys(cloud.frame_id for cloud in clouds)),
+        fields=clouds[0].fields,
+        shape=clouds[0].shape,
+        points_min=min(sizes),
+        points_max=max(sizes),
+        nan_share=nans / examined,
+        zero_share=zeros / examined,
+        limits=_limits(parts),
+        above_zero_share=sum(int((part[2] > 0).sum()) for part in parts) / max(1, kept),
+        mounting=mounting,
+    ), clouds
 
 
 def _problem(err: DecodeError | TransformError) -> str:
@@ -197,17 +201,6 @@ def _thinned(column: NDArray[Any], step: int) -> NDArray[np.floating[Any]]:
     """
     column = column[::step] if column.ndim == 1 else column[:, ::step].ravel()
     return column.astype(np.float32 if column.dtype.kind == "f" and column.dtype.itemsize == 4 else np.float64)
-
-
-def _layout(points: Points, message: RawMessage) -> tuple[tuple[int, int], int, tuple[tuple[str, str, int], ...]]:
-    if message.connection.ros_type != POINTCLOUD2:
-        shape = points.field("x").shape
-        fields = tuple((name, values.dtype.name, 0) for name, values in points.fields.items())
-        return (shape[0] if len(shape) > 1 else 1, shape[-1]), 0, fields
-    cloud = decode_pointcloud2(message.data, message.connection.serialization)
-    kinds = {number: np.dtype(code).name for number, code in DATATYPES.items()}
-    fields = tuple((f.name, kinds.get(f.datatype, f"datatype {f.datatype}"), f.offset) for f in cloud.fields)
-    return (cloud.height, cloud.width), cloud.point_step, fields
 
 
 def _limits(parts: Sequence[NDArray[np.floating[Any]]]) -> dict[str, tuple[float, float]]:

@@ -41,14 +41,14 @@ from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.progress import Meter
 from pc2scan.request.options import TopicRequest
 from pc2scan.requests import conversion_of, first_output
-from pc2scan.result import Part, Remark, Result, Skipped, skipped_remarks, tell_early
+from pc2scan.result import Part, Result, Skipped, tell_early
 from pc2scan.streams.stream import Scans
 from pc2scan.text import counted, did_you_mean
-from pc2scan.transforms.buffer import named_in_namespace
+from pc2scan.transforms.buffer import ADDS_ODOMETRY, other_odometry
 from pc2scan.transforms.frames import BODIES
 from pc2scan.transforms.motion import find_body_motion
 
-from .shots import damage_of, open_as_one
+from .shots import damage_of, opened
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -153,11 +153,6 @@ class Map(Result):
         return int(self.cells.shape[0])
 
     @property
-    def skipped_count(self) -> int:
-        """How many scans are not in the map."""
-        return sum(entry.messages for entry in self.skipped)
-
-    @property
     def png(self) -> bytes:
         """The picture: the map, and where the robot was at each scan."""
         pixels = np.select([self.cells == OCCUPIED, self.cells == FREE], [_OCCUPIED, _FREE], _UNKNOWN).astype(np.uint8)
@@ -222,11 +217,6 @@ free_thresh: 0.196
         yield f"robot: {self.robot_frame} drove {self.distance:.1f} m in {self.frame}"
         yield "This is a preview by the recorded odometry: no SLAM, nothing is matched or corrected."
 
-    def remarks(self, *, verbose: bool = False) -> Iterator[Remark]:
-        """Yield why scans were skipped, damage and warnings."""
-        yield from skipped_remarks(self.skipped, self.skipped_count, verbose=verbose)
-        yield from self.usual_remarks(verbose=verbose)
-
 
 def _paths(path: Path) -> list[Path]:
     """Return the files of a map: image, picture, and the YAML file; of ``NAME.png`` only the picture."""
@@ -290,34 +280,34 @@ def draw_map(
 
 
 def _draw(
-    sources: Sequence[Path], options: ConvertOptions, asked: Options, warn: Warn | None, progress: Progress | None
+    sources: Sequence[Path], request: ConvertOptions, options: Options, warn: Warn | None, progress: Progress | None
 ) -> Map:
-    warnings = list(options.notes)
+    warnings = list(request.notes)
     tell = partial(tell_early, warnings, warn)
-    frames = (asked.odom_frame, asked.base_frame)
-    grid = OccupancyGrid(asked.resolution, _MAX_CELLS)
-    with open_as_one(sources, options) as (reader, stack):
-        topics, converted = _topics(reader, options)
+    frames = (options.odom_frame, options.base_frame)
+    grid = OccupancyGrid(options.resolution, _MAX_CELLS)
+    with opened(sources, request, options, warn) as recording:
+        reader = recording.reader
+        topics, converted = _topics(reader, request)
         meter = None if progress is None else Meter(progress)
-        reading = replace(options, only_scans=True, keep=(), keep_clouds=False) if converted else options
+        reading = replace(request, only_scans=True, keep=(), keep_clouds=False) if converted else request
         stream = Scans(sources, reading.with_scan(topics=topics), converted, transform_frames=frames, meter=meter)
         buffer = stream.transforms
         others: Sequence[Reader] = ()
         if buffer is None:
             # Recorded scans are read as they are.
-            transforms, others = corrected_transforms(reader, options, stack, frames, meter)
+            transforms, others = corrected_transforms(reader, request, recording.stack, frames, meter)
             buffer = transforms.buffer
             tell(*transforms.warnings, *transforms.notes)
         damage = damage_of(reader, *others)
-    if not converted and _converts(options):
+    if not converted and _converts(request):
         tell("recorded scans are drawn: options about clouds have no effect")
-    drawing = _Drawing(grid, buffer, asked, options)
+    drawing = _Drawing(grid, buffer, options, request)
     stream.listener = tell
     with stream, closing(stream.results()) as results:
         for item in results:
             for error in item.errors:
-                error.topic = item.route.connection.topic
-                drawing.skip(error.topic, error)
+                drawing.skip(item.route.connection.topic, error)
             for scan, level in stream.objects(item):
                 drawing.add(scan, level)
     return drawing.result((*stream.notes, *warnings), (*damage, *stream.damage), converted=converted)
@@ -386,7 +376,7 @@ class _Drawing:
             self._grid.add(origins, ends, beams.hits)
         except MessageError as err:
             if isinstance(err, TransformError) and not self._scans and self._odom not in self._buffer.frames:
-                raise self._no_frame(scan) from err
+                raise self._no_frame(scan.frame.removeprefix("/")) from err
             self.skip(scan.topic, err)
             return
         self._scans[scan.topic] += 1
@@ -397,6 +387,7 @@ class _Drawing:
 
     def skip(self, topic: str, error: MessageError) -> None:
         """Count a message that is not drawn."""
+        error.topic = topic
         if self._options.strict:
             raise error
         if not self._skipped:
@@ -406,15 +397,12 @@ class _Drawing:
     def _pose(self, frame: str, stamp_ns: int) -> Rigid:
         return self._buffer.lookup(self._odom, frame, stamp_ns, self._options.scan.params.tolerance_ns)
 
-    def _no_frame(self, scan: Scan) -> UsageError:
+    def _no_frame(self, frame: str) -> UsageError:
         """Return the error that the frame of the map does not exist, with a hint what to type."""
-        frame, frames = scan.frame.removeprefix("/"), self._buffer.frames
-        roots = next((tree.roots for tree in self._buffer.trees if frame in tree.frames), ())
-        other = named_in_namespace(self._odom, frames) or next(iter(roots), "")
+        frames, other = self._buffer.frames, other_odometry(self._buffer, self._odom)
         hint = f"`odom_frame={other}` draws the map in that frame"
-        if not other or other in BODIES:
-            still = f"`odom_frame={other or frame}` draws all scans as if the robot stood still"
-            hint = f"`odom_topic`, `trajectory` or `tf_from` adds what moves the robot; {still}"
+        if not other:
+            hint = f"{ADDS_ODOMETRY}; `odom_frame={frame}` draws all scans as if the robot stood still"
         known = f"the frames are {name_list(sorted(frames))}" if frames else "the recording has no transforms"
         return UsageError(f"there is no frame {self._odom!r} to draw a map in; {known}", hint=hint)
 

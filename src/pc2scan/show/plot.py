@@ -21,7 +21,7 @@ from pc2scan.requests import conversion_of, first_output
 from pc2scan.result import Part, Result
 from pc2scan.text import size
 
-from .shots import open_as_one, take_shots, title_of
+from .shots import opened, take_shots, title_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -105,12 +105,12 @@ def plot(sources: Sequence[Path], destination: Path, options: Options, *, warn: 
     refuse_overlap(inputs_of(sources, options.tf_from, request.files), [destination])
     with (
         files_output([destination], overwrite=options.overwrite) as deliver,
-        open_as_one(sources, request) as (reader, stack),
+        opened(sources, request, options, warn) as recording,
     ):
         try:
-            taken = take_shots(reader, request, options, stack, warn, level=True)
+            taken = take_shots(recording, level=True)
         except NothingToConvertError as err:
-            if any(each.ros_type == LASERSCAN for each in reader.connections):
+            if any(each.ros_type == LASERSCAN for each in recording.reader.connections):
                 err.hint = "figures show clouds; pc2scan view shows scans"
             raise
         figure = _figure(taken, title_of(sources), kind)

@@ -17,7 +17,6 @@ from pc2scan.core.consumers import (
     ScanTransforms,
     Verdict,
     are_returns,
-    has_angles,
     judge,
 )
 from pc2scan.core.layout import TURN
@@ -82,8 +81,6 @@ _MAX_SHOWN = 5
 _EACH_SCAN: dict[str, tuple[str, str, str]] = {
     "no-frame": ("have", "an empty frame_id", "pc2scan convert `source_frame` names it for scans made from clouds"),
     "length": ("have", "another number of beams than the first", "pc2scan convert `rebin=True`"),
-    "angles": ("have", "no angles", "beam i is at angle_min + i * angle_increment"),
-    "full-circle": ("cover", "more than a full circle", "angles in degrees? A circle is 2 pi"),
     "stamps-back": ("have", "a stamp before that of the scan before", _BACK),
     "stamps-repeated": ("repeat", "the stamp of the scan before", _BACK),
     "stamps-zero": ("have", "no stamp (0)", _BACK),
@@ -316,12 +313,9 @@ class ScanTopic:
         self.beams.add(scan.beams)
         self._judge(scan, frame, stamp_ns, placed)
         self._zeros += scan.zero if scan.range_min <= 0 else 0
-        angles = has_angles(scan)
         wrong = {
             "no-frame": not frame,
             "length": scan.beams != self._first_of.setdefault(frame, scan).beams,
-            "angles": not angles,
-            "full-circle": angles and _turn(scan) > TURN * _ROUNDING,
             "no-returns": not scan.returns,
             **self._stamp_faults(stamp_ns, log_time_ns),
         }
@@ -397,8 +391,6 @@ class ScanTopic:
     def findings(self) -> Iterator[Finding]:
         """Yield the problems of the scans."""
         yield from self.undecodable()
-        if not (self.scans or self._undecodable.count):
-            yield Finding("no-scans", "defect", "the topic has no messages")
         first = self.first
         if first is None:
             return
@@ -436,10 +428,11 @@ class ScanTopic:
             text = f"scan_time is {first.scan_time:.4g} s, but scans come every {period:.4g} s"
             hint = f"pc2scan convert `scan_time={period:.3g}`, with `rebin` for scans of a 2D lidar"
             yield Finding("scan-time", "notice", text, hint)
-        if not has_angles(first) or not _turn(first):
+        turn = max(abs(first.angle_max - first.angle_min), (first.beams - 1) * abs(first.angle_increment))
+        if not turn > 0:  # nor NaN
             return
         span = abs(first.time_increment) * (first.beams - 1)
-        doubt = increment_doubt(span / min(1.0, _turn(first) / TURN), period)
+        doubt = increment_doubt(span / min(1.0, turn / TURN), period)
         if not doubt and span > period * _ROUNDING:
             doubt = f"by its time_increment a scan takes {span:.3g} s, but scans come every {period:.3g} s"
         if doubt:
@@ -478,8 +471,3 @@ class _Sectors:
             text = f"{parts:,} of {self._pairs:,} scans are parts of a turn: returns are in another sector each time"
             hint = "for scans made from clouds: pc2scan convert `accumulate=0.1`, the time of a turn"
             yield self._parts.finding("parts", "defect", text, hint)
-
-
-def _turn(scan: ConsumerScan) -> float:
-    """Return the angle from a scan's first beam to its last, or between its advertised angles, radians."""
-    return max(abs(scan.angle_max - scan.angle_min), (scan.beams - 1) * abs(scan.angle_increment))

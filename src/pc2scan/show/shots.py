@@ -121,13 +121,40 @@ class Shots(NamedTuple):
     damage: tuple[Damage, ...]
 
 
+class Opened(NamedTuple):
+    """A recording that is open for pictures.
+
+    Attributes
+    ----------
+    sources
+        Its paths as they were given.
+    reader
+        The recording.
+    request
+        The conversion.
+    options
+        The options of the call: how many clouds, or at which moments.
+    stack
+        Closes the recording, and what is opened beside it.
+    warn
+        Called with each warning as soon as it is known; None: nobody waits for them.
+    """
+
+    sources: Sequence[Path]
+    reader: Reader
+    request: ConvertOptions
+    options: Options
+    stack: ExitStack
+    warn: Warn | None
+
+
 @contextmanager
-def open_as_one(sources: Sequence[Path], options: ConvertOptions) -> Iterator[tuple[Reader, ExitStack]]:
-    """Open recordings as one, and yield what closes them, too."""
+def opened(sources: Sequence[Path], request: ConvertOptions, options: Options, warn: Warn | None) -> Iterator[Opened]:
+    """Open recordings as one."""
     with ExitStack() as stack:
-        reader = scaled(as_one(open_recordings(sources, stack, strict=options.strict)), options.cloud_scale)
+        reader = scaled(as_one(open_recordings(sources, stack, strict=request.strict)), request.cloud_scale)
         try:
-            yield reader, stack
+            yield Opened(sources, reader, request, options, stack, warn)
         except TopicError as err:
             mention(reader.damage, err)
             raise
@@ -138,7 +165,56 @@ def damage_of(*readers: Reader) -> tuple[Damage, ...]:
     return tuple(damage for reader in readers for damage in reader.damage)
 
 
-def moments_of(reader: Reader, at: Sequence[TimeBound]) -> list[int]:
+def title_of(sources: Sequence[Path]) -> str:
+    """Return the title of a picture of recordings."""
+    return ", ".join(source.name or str(source) for source in sources)
+
+
+def moment_text(stamp_ns: int) -> str:
+    """Return a stamp as a date and time in UTC, to the millisecond; stamps of simulations in seconds."""
+    if stamp_ns < _FIRST_DATE_NS:
+        return f"{stamp_ns / 1e9:.3f} s"
+    seconds, rest = divmod(stamp_ns, 1_000_000_000)
+    return f"{datetime.fromtimestamp(seconds, timezone.utc):%Y-%m-%d %H:%M:%S}.{rest // 1_000_000:03d} UTC"
+
+
+def chosen_messages(recording: Opened, topics: Mapping[str, Sequence[Connection]]) -> Iterator[RawMessage]:
+    """Yield the first message of each topic at or after each moment of the call.
+
+    Without any, the first message of each of so many equal parts of the recording, or of the cut. If a topic has no
+    more messages, all of them are yielded.
+
+    Raises
+    ------
+    UsageError
+        If a moment is after the end, or the cut is empty, or outside of the recording.
+    """
+    reader, options = recording.reader, recording.options
+    for time_ns in _moments(reader, options.at):
+        for connections in topics.values():
+            yield from islice(reader.messages(connections, time_ns), 1)
+    if options.at:
+        return
+    span = span_of(reader, recording.request)
+    refuse_outside(reader, span.start_ns, span.stop_ns)
+    start_ns, stop_ns = span.first_ns, max(reader.summary.start_ns or 0, reader.summary.end_ns or 0) + 1
+    if span.stop_ns is not None:
+        stop_ns = min(stop_ns, span.stop_ns)
+    if start_ns >= stop_ns:
+        return
+
+    def first_messages(own: Sequence[Connection]) -> Iterator[RawMessage]:
+        spread = Spread.of(own, start_ns, stop_ns, options.clouds)
+        if spread is None:
+            yield from reader.messages(own, start_ns, stop_ns)
+            return
+        for part in range(spread.parts):
+            yield from islice(reader.messages(own, spread.begin_ns(part), spread.begin_ns(part + 1)), 1)
+
+    yield from heapq.merge(*map(first_messages, topics.values()), key=attrgetter("log_time_ns"))
+
+
+def _moments(reader: Reader, at: Sequence[TimeBound]) -> list[int]:
     """Return the log times of given moments.
 
     Raises
@@ -155,84 +231,13 @@ def moments_of(reader: Reader, at: Sequence[TimeBound]) -> list[int]:
     return at_ns
 
 
-def title_of(sources: Sequence[Path]) -> str:
-    """Return the title of a picture of recordings."""
-    return ", ".join(source.name or str(source) for source in sources)
-
-
-def moment_text(stamp_ns: int) -> str:
-    """Return a stamp as a date and time in UTC, to the millisecond; stamps of simulations in seconds."""
-    if stamp_ns < _FIRST_DATE_NS:
-        return f"{stamp_ns / 1e9:.3f} s"
-    seconds, rest = divmod(stamp_ns, 1_000_000_000)
-    return f"{datetime.fromtimestamp(seconds, timezone.utc):%Y-%m-%d %H:%M:%S}.{rest // 1_000_000:03d} UTC"
-
-
-def chosen_messages(
-    reader: Reader,
-    topics: Mapping[str, Sequence[Connection]],
-    options: ConvertOptions,
-    at_ns: Sequence[int],
-    count: int,
-) -> Iterator[RawMessage]:
-    """Yield the first message of each topic at or after each of some moments.
-
-    Without any, the first message of each of ``count`` equal parts of the recording, or of the cut. If a topic has no
-    more messages, all of them are yielded.
-
-    Raises
-    ------
-    UsageError
-        If the cut is empty, or lies outside of the recording.
-    """
-    for time_ns in at_ns:
-        for connections in topics.values():
-            yield from islice(reader.messages(connections, time_ns), 1)
-    if at_ns:
-        return
-    span = span_of(reader, options)
-    refuse_outside(reader, span.start_ns, span.stop_ns)
-    start_ns, stop_ns = span.first_ns, max(reader.summary.start_ns or 0, reader.summary.end_ns or 0) + 1
-    if span.stop_ns is not None:
-        stop_ns = min(stop_ns, span.stop_ns)
-    if start_ns >= stop_ns:
-        return
-
-    def first_messages(own: Sequence[Connection]) -> Iterator[RawMessage]:
-        spread = Spread.of(own, start_ns, stop_ns, count)
-        if spread is None:
-            yield from reader.messages(own, start_ns, stop_ns)
-            return
-        for part in range(spread.parts):
-            yield from islice(reader.messages(own, spread.begin_ns(part), spread.begin_ns(part + 1)), 1)
-
-    yield from heapq.merge(*map(first_messages, topics.values()), key=attrgetter("log_time_ns"))
-
-
-def take_shots(
-    reader: Reader,
-    options: ConvertOptions,
-    asked: Options,
-    stack: ExitStack,
-    warn: Warn | None,
-    *,
-    level: bool,
-    keep: Callable[[Shot], Shot] = lambda shot: shot,
-) -> Shots:
+def take_shots(recording: Opened, *, level: bool, keep: Callable[[Shot], Shot] = lambda shot: shot) -> Shots:
     """Take some clouds of each topic that a conversion converts.
 
     Parameters
     ----------
-    reader
+    recording
         The recording.
-    options
-        The options of the conversion.
-    asked
-        The options of the call: how many clouds, or at which moments.
-    stack
-        Closes the recordings of ``tf_from``.
-    warn
-        Called with each warning of a preparation as soon as it is known; None: nobody waits for them.
     level
         Whether clouds are placed in the frames of level scans; otherwise they are shown as recorded.
     keep
@@ -243,23 +248,25 @@ def take_shots(
     RecordingError
         If no cloud can be shown.
     """
-    options.scan.refuse_combining("pages and figures make")
+    request = recording.request
+    request.scan.refuse_combining("pages and figures make")
     # Pictures have neither times nor intensities.
-    params = replace(options.scan.params, scan_time=0.0, time_increment=0.0, intensity_field="")
-    options = options.with_scan(params=params)
-    at_ns, plan = moments_of(reader, asked.at), make_plan(reader.connections, options)
-    reader, notes = corrected_for(reader, plan, options)
+    params = replace(request.scan.params, scan_time=0.0, time_increment=0.0, intensity_field="")
+    request = request.with_scan(params=params)
+    plan = make_plan(recording.reader.connections, request)
+    reader, notes = corrected_for(recording.reader, plan, request)
     warnings: list[str] = []
-    tell = partial(tell_early, warnings, warn)
-    prepared = prepare(reader, plan, options, span_of(reader, options), stack, tell, transform_frames=())
-    conversion = prepared.conversions[options.scan, ""]
+    tell = partial(tell_early, warnings, recording.warn)
+    span = span_of(reader, request)
+    prepared = prepare(reader, plan, request, span, recording.stack, tell, transform_frames=())
+    conversion = prepared.conversions[request.scan, ""]
     assert isinstance(conversion, CloudToScan)
     topics = by_topic(plan.converted)
     placer = conversion.placer if level else conversion.placer._replace(up=None)
     shots: list[Shot] = []
     samples: dict[str, list[CloudSample]] = {topic: [] for topic in topics}
     failed: list[str] = []
-    for message in chosen_messages(reader, topics, options, at_ns, asked.clouds):
+    for message in chosen_messages(recording._replace(reader=reader), topics):
         topic = message.connection.topic
         try:
             # No name refers to the whole cloud, which would stay in memory while the next one is read.
@@ -273,7 +280,7 @@ def take_shots(
     with np.errstate(all="ignore"):
         for topic, own in samples.items():
             for group, clouds in ((_OF_ONE, own[:1]), (_OF_SEVERAL, own)):
-                facts = checks.CloudFacts(topic, options.scan, prepared.known, clouds, [PointCounts()])
+                facts = checks.CloudFacts(topic, request.scan, prepared.known, clouds, [PointCounts()])
                 warnings += found_by(group, facts)
     if failed:
         warnings.append(f"Not shown: {len(failed)} of {counted(len(failed) + len(shots), 'cloud')}; {failed[0]}.")

@@ -57,6 +57,9 @@ if TYPE_CHECKING:
 #: The most frames above one that are of interest; robots have a dozen.
 _MOST_ABOVE = 100
 
+#: What to do about a recording in which no transform moves the robot.
+ADDS_ODOMETRY = "`odom_topic` or `trajectory` adds odometry, `tf_from` that of another recording"
+
 #: Maximum number of frames that an error message names.
 MAX_NAMES = 20
 
@@ -361,6 +364,12 @@ def named_in_namespace(name: str, frames: Collection[str]) -> str:
     """
     matches = [frame for frame in frames if frame.endswith(f"/{name}")]
     return matches[0] if len(matches) == 1 else ""
+
+
+def other_odometry(buffer: TransformBuffer, odom: str) -> str:
+    """Return the frame in which the robot probably drives, if none is named ``odom``; empty if nothing moves it."""
+    roots = (root for tree in buffer.trees for root in tree.roots if root not in BODIES)
+    return named_in_namespace(odom, buffer.frames) or next(roots, "")
 
 
 def extrapolation_error(query: Query, link: FrameHistory, frames: Sequence[str], time_ns: int | None) -> TransformError:

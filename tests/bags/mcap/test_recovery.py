@@ -59,7 +59,7 @@ def repaired(path: Path) -> tuple[list[int], str, bool]:
     with closing(McapReader(target, strict=True)) as reader:
         times = [row[2] for row in content(reader)]
     said = "\n".join(line for line in ended.stderr.splitlines() if line.startswith(("damaged:", "recovered:")))
-    return times, said, any(words in said for words in ("no bytes are known", "no message is known", "nothing lost"))
+    return times, said, any(words in said for words in ("nothing is known to be lost", "nothing lost"))
 
 
 class Kept(NamedTuple):

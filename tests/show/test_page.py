@@ -7,7 +7,7 @@ import hashlib
 import json
 import re
 
-from pc2scan.show.pages import html, script, style
+from pc2scan.show.view import html, script, style
 
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>\u2028\u202e"
 
