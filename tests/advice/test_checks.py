@@ -80,7 +80,7 @@ def test_a_check_of_the_first_clouds(roll: float, options: dict[str, Any], used:
     counts = PointCounts(len(points), used, height=len(points) - used)
     known = KnownTransforms("", lambda: None, static=static)
     facts = CloudFacts("/points", request.scan, known, [sample], [counts])
-    found = named((*checks.FRAME, *checks.FIRST_CLOUDS, *checks.FIRST_CLOUDS_NOTES), facts)
+    found = named((*checks.FRAME, *checks.FIRST_CLOUDS), facts)
     assert list(found) == [name]
     assert found[name][0].startswith(text)
 

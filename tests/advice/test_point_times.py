@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from pc2scan.advice.point_times import ask_times, time_warnings
+from pc2scan.advice.measurements import ask_times, time_warnings
 from pc2scan.advice.survey import Span, TopicFacts
 from pc2scan.bags.observers import observe
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField

@@ -8,8 +8,6 @@ poses of another time, or by smoother ones.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -183,7 +181,7 @@ def _way(body: FrameHistory, *, is_below: bool) -> tuple[str, bool]:
 
 
 class _Cloud(NamedTuple):
-    """Some points of a cloud, (N, 3), in its own frame, and their times, seconds after its stamp."""
+    """Some points of a cloud, (N, 3), in its own frame, and their times, seconds after the window's begin."""
 
     stamp_ns: int
     frame_id: str
@@ -191,45 +189,41 @@ class _Cloud(NamedTuple):
     seconds: NDArray[np.float64]
 
 
-class _Path(NamedTuple):
-    """The poses of a sensor in a window: seconds after its begin, and fixed_from_source as rows of twelve numbers."""
+class _Seen(NamedTuple):
+    """What a topic shows in a window.
+
+    Attributes
+    ----------
+    times, rows
+        The poses of its sensor: seconds after the window's begin, and fixed_from_source as rows of twelve numbers.
+    points, seconds
+        (N, 3) points in the sensor's frame, and (N,) times of each.
+    here
+        The points in the fixed frame.
+    """
 
     times: NDArray[np.float64]
     rows: NDArray[np.float64]
+    points: NDArray[np.float64]
+    seconds: NDArray[np.float64]
+    here: NDArray[np.float64] = _NOTHING
 
-    def smoothed(self, seconds: float) -> _Path:
-        """Return the path whose poses are the means of some time."""
-        width = round(seconds * 1e9 / _NODE_NS)
+    def smoothed(self) -> _Seen:
+        """Return the same points with poses that are the means of some time."""
+        width = round(_SMOOTH * 1e9 / _NODE_NS)
         sums = np.cumsum(np.pad(self.rows, ((1, 0), (0, 0))), axis=0)
-        means = (sums[width:] - sums[:-width]) / width
-        return _Path(np.lib.stride_tricks.sliding_window_view(self.times, width).mean(axis=1), means)
+        times = np.lib.stride_tricks.sliding_window_view(self.times, width).mean(axis=1)
+        return self._replace(times=times, rows=(sums[width:] - sums[:-width]) / width)
 
-    def place(self, points: NDArray[np.float64], seconds: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return points in the fixed frame, (N, 3); NaN where there is no pose."""
+    def placed(self, later: float = 0.0) -> NDArray[np.float64]:
+        """Return the points in the fixed frame by the poses of so many seconds later, (N, 3); NaN without a pose."""
+        seconds = self.seconds + later
         newer = np.clip(self.times.searchsorted(seconds), 1, len(self.times) - 1)
         share = (seconds - self.times[newer - 1]) / (self.times[newer] - self.times[newer - 1])
         rows = self.rows[newer - 1] + share[:, None] * (self.rows[newer] - self.rows[newer - 1])
         rows[(share < 0) | (share > 1)] = np.nan
-        placed: NDArray[np.float64] = np.einsum("nij,nj->ni", rows[:, :9].reshape(-1, 3, 3), points) + rows[:, 9:]
-        return placed
-
-
-@dataclass(frozen=True, eq=False)
-class _Seen:
-    """What a topic shows in a window: (N, 3) points in the sensor's frame, and (N,) times of each after its begin."""
-
-    path: _Path
-    points: NDArray[np.float64]
-    seconds: NDArray[np.float64]
-
-    @cached_property
-    def here(self) -> NDArray[np.float64]:
-        """The points in the fixed frame, (N, 3)."""
-        return self.placed()
-
-    def placed(self, later: float = 0.0) -> NDArray[np.float64]:
-        """Return the points in the fixed frame, by the poses of so many seconds later."""
-        return self.path.place(self.points, self.seconds + later)
+        placed: NDArray[np.float64] = np.einsum("nij,nj->ni", rows[:, :9].reshape(-1, 3, 3), self.points)
+        return placed + rows[:, 9:]
 
 
 class Surroundings:
@@ -293,6 +287,7 @@ class Surroundings:
             good = np.isfinite(times) & (squares > _NEAREST**2) & (squares < _FARTHEST**2)
         clouds = self._clouds.setdefault((topic, window), [])
         if good.any() and len(clouds) < _MOST_CLOUDS:
+            times += (points.stamp_ns - window.begin_ns) / 1e9
             clouds.append(_Cloud(points.stamp_ns, self._source_frame or points.frame_id, sample[good], times[good]))
 
     @np.errstate(all="ignore")
@@ -315,30 +310,23 @@ class Surroundings:
         """Return what a topic shows of walls in a window; None if that is too little."""
         clouds = sorted(self._clouds.get((topic, window), ()), key=lambda cloud: cloud.stamp_ns)
         own = [each for each in clouds if each.frame_id == clouds[0].frame_id]
-        path = self._path(own[0].frame_id, window) if own else None
-        if path is None:
-            return None
-        points = np.concatenate([each.points for each in own])
-        seconds = np.concatenate([each.seconds + (each.stamp_ns - window.begin_ns) / 1e9 for each in own])
-        some = slice(None, None, 1 + len(points) // _OF_WINDOW)
-        seen = _Seen(path, points[some], seconds[some])
-        walls = _are_walls(seen.here)
-        return _Seen(path, seen.points[walls], seen.seconds[walls]) if walls.sum() >= _FEWEST else None
-
-    def _path(self, frame: str, window: Window) -> _Path | None:
         reach_ns = round((_SHIFTS[-1] + 0.2) * 1e9)
+        begin_ns, end_ns = window.begin_ns - reach_ns, window.end_ns + reach_ns
+        if not own:
+            return None
         try:
             stamps_ns, rows, _ = self._buffer.rows(
-                self._spec.fixed_frame,
-                frame,
-                window.begin_ns - reach_ns,
-                window.end_ns + reach_ns,
-                _NODE_NS,
-                lambda *_: _NODE_NS,
+                self._spec.fixed_frame, own[0].frame_id, begin_ns, end_ns, _NODE_NS, lambda *_: _NODE_NS
             )
         except TransformError:
             return None
-        return _Path((stamps_ns - window.begin_ns) / 1e9, rows[::2])
+        points, seconds = np.concatenate([each.points for each in own]), np.concatenate([each.seconds for each in own])
+        some = slice(None, None, 1 + len(points) // _OF_WINDOW)
+        seen = _Seen((stamps_ns - window.begin_ns) / 1e9, rows[::2], points[some], seconds[some])
+        here = seen.placed()
+        walls = _are_walls(here)
+        seen = seen._replace(points=seen.points[walls], seconds=seen.seconds[walls], here=here[walls])
+        return seen if len(seen.points) >= _FEWEST else None
 
     def _doubts(self, topic: str, windows: Sequence[_Seen]) -> Iterator[str]:
         """Yield a warning if other times, or other poses, of the points of a topic fit better."""
@@ -349,7 +337,7 @@ class Surroundings:
 
         sharper, shift = _best_shift(lambda seconds: gain(lambda each: each, seconds))
         seen = f"{topic}: in {counted(len(windows), 'second')} of the strongest motion, surroundings are"
-        turned = gain(lambda each: replace(each, points=each.points * _TURNED_OVER))
+        turned = gain(lambda each: each._replace(points=each.points * _TURNED_OVER))
         if turned > max(sharper, _SHARPER):
             yield (
                 f"{seen} {turned:.2g} times as sharp if the lidar is turned over: when the robot turns, they "
@@ -362,7 +350,7 @@ class Surroundings:
                 f"{'lags' if shift > 0 else 'is ahead'}, or its clock is another one; `time_offset={shift:.2f}s` "
                 "corrects the clouds' stamps"
             )
-        elif spec.deskew and (smooth := gain(lambda each: replace(each, path=each.path.smoothed(_SMOOTH)))) >= _SHARPER:
+        elif spec.deskew and (smooth := gain(_Seen.smoothed)) >= _SHARPER:
             yield (
                 f"{seen} {smooth:.2g} times as sharp by poses that are smoothed over {_SMOOTH} s: the "
                 f"transforms to {spec.fixed_frame} jitter; a smoother `fixed_frame` deskews better, or none"

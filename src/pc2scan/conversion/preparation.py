@@ -10,17 +10,23 @@ from dataclasses import dataclass, field
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.advice.checks.clouds import KnownTransforms
+from pc2scan.advice.checks import are_enough, judge
+from pc2scan.advice.checks.clouds import CloudFacts, KnownTransforms
 from pc2scan.advice.clocks import CLOCK_HEADERS, Clocks, moving, refuse_other_clock
-from pc2scan.advice.first_clouds import FirstCloud, are_enough, judge
-from pc2scan.advice.measurements import ask_measurements, measure
+from pc2scan.advice.measurements import (
+    ask_measurements,
+    ask_times,
+    duration_warning,
+    measure,
+    measure_turns,
+    time_warnings,
+)
 from pc2scan.advice.odometry import Surroundings, odometry_of
-from pc2scan.advice.point_times import ask_times, duration_warning, measure_turns, time_warnings
 from pc2scan.advice.survey import Span, Survey
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import by_topic
 from pc2scan.core.points import Points
-from pc2scan.core.scene import JUDGED_CLOUDS, PARTS, WHOLE_POINTS, CloudSample
+from pc2scan.core.scene import JUDGED_CLOUDS, PARTS, CloudSample
 from pc2scan.errors import MessageError, Pc2ScanError, UnconnectedError
 from pc2scan.messages.tfmessage import TF_TYPES
 from pc2scan.request.point_time import PointTime
@@ -36,7 +42,7 @@ from .source_checks import check_fixed_frame, check_given_frames
 from .stages import ConvertedMessage
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
     from pc2scan.advice.odometry import Odometry
     from pc2scan.advice.survey import TopicFacts
@@ -318,7 +324,8 @@ def judge_first(routes: Mapping[int, Route], prepared: Preparation, report: Repo
     converted = [route.connection for route in routes.values() if any(each.spec for each in route.outputs)]
     for topic, connections in by_topic(converted).items():
         specs = {each.spec for own in connections for each in routes[own.id].outputs}
-        clouds: dict[ScanSpec, list[FirstCloud]] = {spec: [] for spec in specs if spec and not spec.reverse}
+        known = prepared.known
+        clouds = {spec: CloudFacts(topic, spec, known) for spec in specs if spec and not spec.reverse}
         if tally is None and not clouds:
             continue
         read = successes = 0
@@ -334,22 +341,17 @@ def judge_first(routes: Mapping[int, Route], prepared: Preparation, report: Repo
                 if read == len(unconnected) == _UNCONNECTED:
                     why = f"{unconnected[0].message}{'; ' * bool(unconnected[0].hint)}{unconnected[0].hint or ''}"
                     tell(f"none of the first {read} messages can be converted: {topic}: {why}")
-                wanted = [spec for spec, own in clouds.items() if not are_enough(topic, spec, own, prepared.known)]
-                for spec, cloud in _samples(item, message, wanted, prepared):
-                    clouds[spec].append(cloud)
-                if tally is None and all(are_enough(topic, *each, prepared.known) for each in clouds.items()):
+                _sample(item, message, [own for own in clouds.values() if not are_enough(own)], prepared)
+                if tally is None and all(map(are_enough, clouds.values())):
                     break
-                are_parts = tally is None and any(
-                    own and len(own[0].sample.points) < WHOLE_POINTS for own in clouds.values()
-                )
+                are_parts = tally is None and any(own.are_parts for own in clouds.values())
                 most = PARTS if are_parts else JUDGED_CLOUDS
                 if successes == most or (read >= max(most, _MOST_READ) and (tally is None or tally.is_connected)):
                     break
         for spec, own in clouds.items():
-            if own:
-                judged = judge(topic, spec, own, prepared.known)
+            if own.samples:
+                judged = judge(own)
                 tell(*judged.warnings)
-                report.add((), judged.notes)
                 for entry in report.topics:
                     if entry.topic == topic and entry.spec is spec:
                         entry.advice, entry.no_returns = judged.advice, judged.no_returns
@@ -365,21 +367,21 @@ def _alone(output: Output, result: Any) -> Any:
         return err
 
 
-def _samples(
-    item: Item, message: RawMessage, specs: Collection[ScanSpec], prepared: Preparation
-) -> Iterator[tuple[ScanSpec, FirstCloud]]:
-    """Yield a sample of a cloud for each of these outputs that it became a scan of."""
-    scans = {
-        output.spec: (output, result)
+def _sample(item: Item, message: RawMessage, wanted: Iterable[CloudFacts], prepared: Preparation) -> None:
+    """Add a sample of a cloud to the facts for each output that it became a scan of."""
+    clouds = {own.spec: own for own in wanted}
+    scans = [
+        (output, result)
         for output, result in item.results
-        if output.spec in specs and isinstance(result, ConvertedMessage)
-    }
+        if output.spec in clouds and isinstance(result, ConvertedMessage)
+    ]
     points = item.route.decode(message.data) if scans else None
     if isinstance(points, Points):
         sample = CloudSample.of(points)
-        for spec, (output, scan) in scans.items():
+        for output, scan in scans:
             place = prepared.conversions[output.key].placer.place(points.frame_id, scan.stamp_ns or points.stamp_ns)
-            yield spec, FirstCloud(sample.placed_in(place.frame_id, place.target_from_source), scan.counts)
+            clouds[output.spec].samples.append(sample.placed_in(place.frame_id, place.target_from_source))
+            clouds[output.spec].counts.append(scan.counts)
 
 
 def count_by_index(routes: Mapping[int, Route], prepared: Preparation, report: Report) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from pc2scan.advice.checks.request import log_times_of_centuries
 from pc2scan.advice.clocks import Clocks
-from pc2scan.advice.point_times import increment_warning, time_warnings
+from pc2scan.advice.measurements import increment_warning, time_warnings
 from pc2scan.advice.survey import Span, Survey
 from pc2scan.bags.observers import Observer, Spread
 from pc2scan.bags.opening import as_one, open_recordings

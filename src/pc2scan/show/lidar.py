@@ -15,11 +15,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from pc2scan.advice.checks import request_warnings
-from pc2scan.advice.checks.clouds import KnownTransforms
-from pc2scan.advice.first_clouds import FirstCloud, judge
-from pc2scan.advice.measurements import Measurements, regular_step, shapes_of
-from pc2scan.advice.point_times import time_warnings, times_of
+from pc2scan.advice.checks import judge, request_warnings
+from pc2scan.advice.checks.clouds import CloudFacts, KnownTransforms
+from pc2scan.advice.measurements import Measurements, regular_step, shapes_of, time_warnings, times_of
 from pc2scan.advice.survey import Fact
 from pc2scan.conversion.conversions import CloudToScan
 from pc2scan.conversion.report import StampCounts
@@ -439,9 +437,8 @@ def tried(options: Mapping[str, Any], lidar: Lidar) -> Trial:
             CloudSample.of(_as_points(each, frame)).placed_in(place.frame_id, place.target_from_source)
             for each in clouds
         ]
-        first = [FirstCloud(*both) for both in zip(lidar.samples, counts, strict=True)]
         known = KnownTransforms("", lambda: lidar.buffer, lidar.buffer if spec.needs_transforms else None)
-        findings += judge(lidar.topic, spec, first, known).warnings
+        findings += judge(CloudFacts(lidar.topic, spec, known, lidar.samples, counts)).warnings
     if merges:
         clouds = [np.concatenate(clouds, axis=1)]
     placed = clouds if is_placed else [lidar.in_target(points).T for points in clouds]

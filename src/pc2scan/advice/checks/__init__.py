@@ -1,4 +1,4 @@
-"""The table of checks of requests and first clouds: each reads facts of one kind, and yields warnings with their cure.
+"""Judges requests and first clouds by a table of checks: each reads facts of one kind, and yields warnings with cures.
 
 A check is a function of its group's facts, and yields its warnings, or nothing. It changes nothing. A new one is a
 function, a line in this table, and a row in a test. Users see the warnings of a group in the order of the table.
@@ -6,8 +6,12 @@ function, a line in this table, and a row in a test. Users see the warnings of a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, TypeAlias, TypeVar
+from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
+
+import numpy as np
+
+from pc2scan.core.scene import JUDGED_CLOUDS, PARTS
 
 from . import clouds, request
 from .request import OutputRequest
@@ -26,12 +30,12 @@ REQUEST: Checks[OutputRequest] = (
     request.unused_transforms,
     request.accumulated_without_motion,
     request.returns_without_object,
-    request.times_in_another_unit,
+    request.tolerance_in_milliseconds,
     request.increment_in_degrees,
     request.beams_beyond_half_turn,
 )
 
-#: What each of the first clouds of a topic shows, at once.
+#: What the first clouds of a topic show, each by itself.
 EACH_CLOUD: Checks[CloudFacts] = (
     clouds.target_that_moves,
     clouds.clouds_in_fixed_frame,
@@ -50,7 +54,6 @@ FIRST_CLOUDS: Checks[CloudFacts] = (
     clouds.floor_within_heights,
     clouds.ceiling_within_heights,
 )
-FIRST_CLOUDS_NOTES: Checks[CloudFacts] = (clouds.heights_left_to_user,)
 
 
 def found_by(checks: Checks[Facts], facts: Facts, label: str = "") -> list[str]:
@@ -62,3 +65,45 @@ def request_warnings(options: ConvertOptions, recorded: Summary) -> list[str]:
     """Return the warnings about a request, of each output, and about the recording's extent."""
     warnings = [text for spec in options.scans for text in found_by(REQUEST, OutputRequest(options, spec), spec.label)]
     return [*warnings, *request.cut_in_another_unit(options, recorded), *request.log_times_of_centuries(recorded)]
+
+
+class Judgement(NamedTuple):
+    """What the first clouds of a topic show.
+
+    Attributes
+    ----------
+    warnings
+        Texts for the user.
+    advice
+        Options with heights that suit the clouds; empty if none are needed.
+    no_returns
+        The share of points that are outside the heights, and no returns.
+    """
+
+    warnings: Sequence[str]
+    advice: str = ""
+    no_returns: float = 0.0
+
+
+def are_enough(facts: CloudFacts) -> bool:
+    """Whether no more clouds are needed for a judgement: a level floor in the first one leaves no doubt."""
+    if facts.are_parts:
+        return len(facts.samples) >= PARTS
+    if len(facts.samples) != 1:
+        return len(facts.samples) >= JUDGED_CLOUDS
+    with np.errstate(all="ignore"):
+        return facts.are_fine and not found_by(FIRST_CLOUDS, facts)
+
+
+def judge(facts: CloudFacts) -> Judgement:
+    """Return what the first clouds of a topic, one at least, show for one output."""
+    label = facts.spec.label
+    with np.errstate(all="ignore"):
+        warnings = found_by(EACH_CLOUD, facts, label)
+        facts = facts.gathered
+        no_returns = facts.no_returns / max(facts.total.total, 1)
+        findings = found_by(FIRST_CLOUDS, facts, label)
+        if facts.are_fine and not findings:
+            return Judgement(warnings, no_returns=no_returns)
+        warnings += (*found_by(FRAME, facts), *findings)
+        return Judgement(warnings, facts.advice, no_returns)

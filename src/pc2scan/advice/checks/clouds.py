@@ -1,13 +1,10 @@
-"""Checks of the first clouds of a topic: limits that reject every point, a floor within the heights, wrong units.
-
-`advice.first_clouds` decides which clouds are sampled, and when they are judged.
-"""
+"""Checks of the first clouds of a topic: limits that reject every point, a floor within the heights, wrong units."""
 
 from __future__ import annotations
 
 import math
 import shlex
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -16,8 +13,7 @@ import numpy as np
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import percentiles
 from pc2scan.core.rule import PointCounts
-from pc2scan.core.scene import FEWEST_POINTS, cells_of, outermost, tolerances
-from pc2scan.request.parameters import preset_of
+from pc2scan.core.scene import FEWEST_POINTS, WHOLE_POINTS, CloudSample, gathered, tolerances
 from pc2scan.text import agreeing, counted, height_text
 from pc2scan.transforms.frames import BODIES
 from pc2scan.transforms.motion import find_body_motion
@@ -29,7 +25,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pc2scan.core.scene import CloudSample, Plane
     from pc2scan.request.options import ScanSpec
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.mounting import Mounting
@@ -46,8 +41,6 @@ _NOTABLE_ABOVE_GROUND = 0.05
 
 #: From this share of beams that end on the floor, or on what is overhead, a warning gives other heights.
 _MOST_FLOOR = 0.3
-#: A ceiling is so far above the sensor, metres.
-_OVERHEAD = 0.3
 _FEWEST_BEAMS = 20
 
 #: A transform is taken for swapped if the sensor is at least this far below the robot's frame, metres, and as far as it
@@ -96,14 +89,27 @@ class CloudFacts:
     Attributes
     ----------
     samples, counts
-        A sample of each cloud, and its points, by what became of them; in the order of writing.
+        A sample of each cloud in the frame of its scan, and its points, by what became of them; in the order of
+        writing.
     """
 
     topic: str
     spec: ScanSpec
     transforms: KnownTransforms
-    samples: Sequence[CloudSample]
-    counts: Sequence[PointCounts]
+    samples: list[CloudSample] = field(default_factory=list)
+    counts: list[PointCounts] = field(default_factory=list)
+
+    @property
+    def are_parts(self) -> bool:
+        """Whether the messages are parts of a turn or of a pattern."""
+        return bool(self.samples) and len(self.samples[0].points) < WHOLE_POINTS
+
+    @property
+    def gathered(self) -> CloudFacts:
+        """The facts with parts of a turn or of a pattern together as one cloud."""
+        samples = gathered(self.samples)
+        is_one = len(samples) < len(self.samples)
+        return replace(self, samples=samples, counts=[sum(self.counts, PointCounts())] if is_one else self.counts)
 
     @property
     def source(self) -> str:
@@ -118,11 +124,16 @@ class CloudFacts:
     @cached_property
     def is_level(self) -> bool:
         """Whether the first cloud has a level floor below it, which the transforms leave level."""
-        first, floor = self.samples[0], self.samples[0].floor
+        first, floor, own = self.samples[0], self.samples[0].floor, self.source.removeprefix("/")
         if floor is None:
             return False
-        # The floor may be a ceiling.
-        if 0 < percentiles(first.points[:, 2], 99)[0] < floor.height and self.are_upside_down:
+        # The floor of a cloud that stays in its own frame may be a ceiling.
+        if (
+            0 < percentiles(first.points[:, 2], 99)[0] < floor.height
+            and first.judged_in.removeprefix("/") == own
+            and self.robot is not None
+            and is_upside_down(self.robot, own, first.stamp_ns)
+        ):
             return False
         return self.spec.level or first.floor_tilted_by_transform is None
 
@@ -131,15 +142,7 @@ class CloudFacts:
         """Whether the first cloud is level, or too small to be judged, and the heights need no advice."""
         total, height = self.total.total - self.no_returns, self.total.height - self.no_returns
         cut = height >= notable_share(self.spec) * max(total, 1) and self.is_default("min_height")
-        return (self.is_level or len(self.samples[0].points) < FEWEST_POINTS) and not (cut or self.lack_heights)
-
-    @property
-    def are_upside_down(self) -> bool:
-        """Whether clouds that stay in their own frame are upside down by the robot's transforms."""
-        first, own = self.samples[0], self.source.removeprefix("/")
-        if first.judged_in.removeprefix("/") != own or self.robot is None:
-            return False
-        return is_upside_down(self.robot, own, first.stamp_ns)
+        return (self.is_level or len(self.samples[0].points) < FEWEST_POINTS) and not cut
 
     @property
     def no_returns(self) -> int:
@@ -149,12 +152,6 @@ class CloudFacts:
             return 0  # these come first
         outside = (each.zeros for each in self.samples if not params.min_height <= each.origin[2] <= params.max_height)
         return min(sum(outside), self.total.height)
-
-    @property
-    def lack_heights(self) -> bool:
-        """Whether a preset leaves the heights to the user, who gives none."""
-        presets = any(map(preset_of, self.spec.origins.values()))
-        return presets and self.is_default("min_height") and self.is_default("max_height")
 
     def is_default(self, name: str) -> bool:
         """Return whether a parameter is not given."""
@@ -176,7 +173,7 @@ class CloudFacts:
         mask[order[first]] = True
         return mask
 
-    def share_on(self, up: Sequence[float], height: float) -> float:
+    def share_on(self, up: NDArray[np.float64], height: float) -> float:
         """Return the share of beams, of those with a return of the first cloud, whose closest return is on a plane.
 
         0 if the plane is outside the heights, or if a filter may remove it.
@@ -184,23 +181,12 @@ class CloudFacts:
         if any(each.name in _FLOOR_FILTERS for each in self.spec.filters):
             return 0.0
         sample, params = self.samples[0], self.spec.params
-        distances = sample.points @ np.array(up) + height
+        distances = sample.points @ up + height
         # The plane at the place of each point.
         at = sample.placed[:, 2] - distances / up[2]
         inside = (at > params.min_height - _NOISE) & (at < params.max_height + _NOISE)
         on_plane = (np.abs(distances) < tolerances(sample.points)) & inside
         return float(on_plane[self.nearest].mean()) if self.nearest.sum() >= _FEWEST_BEAMS else 0.0
-
-    @cached_property
-    def ceiling(self) -> Plane | None:
-        """What is overhead, if many beams end on it."""
-        sample, nearest = self.samples[0], self.nearest
-        if len(sample.points) < FEWEST_POINTS or nearest.sum() < _FEWEST_BEAMS:
-            return None
-        if (sample.points[nearest, 2] > _OVERHEAD).mean() < _MOST_FLOOR:
-            return None
-        plane = outermost(cells_of(sample.points), 1)
-        return plane if plane is not None and self.share_on(plane.up, plane.height) >= _MOST_FLOOR else None
 
     @property
     def robot(self) -> TransformBuffer | None:
@@ -257,10 +243,7 @@ def notable_share(spec: ScanSpec) -> float:
 def target_that_moves(clouds: CloudFacts) -> Iterator[str]:
     """Yield a warning if the robot moves in the target frame: scans are then measured from where the robot is not."""
     target, buffer = clouds.spec.params.target_frame, clouds.transforms.buffer
-    if not target or buffer is None or len(clouds.samples) > 1 or buffer.is_rigid(target, clouds.source):
-        return
-    moving = find_body_motion(buffer, target, clouds.source)
-    if moving is not None:
+    if target and buffer is not None and (moving := find_body_motion(buffer, target, clouds.source)) is not None:
         yield moving.of_target(target)
 
 
@@ -269,15 +252,16 @@ def clouds_in_fixed_frame(clouds: CloudFacts) -> Iterator[str]:
 
     There is none if the recording's transforms say that nothing moves in it.
     """
-    if len(clouds.samples) > 1:
-        return
-    if clouds.transforms.source_frame and (said := _said_to_be_fixed(clouds)):
-        yield said
-        return
-    frame = clouds.source.removeprefix("/")
+    frame, own = clouds.source.removeprefix("/"), clouds.samples[0].frame_id.removeprefix("/")
+    if clouds.transforms.source_frame and own and (buffer := clouds.robot) is not None:
+        # If the transforms do not have the clouds' own frame, another one had to be given.
+        moving = find_body_motion(buffer, frame, own)
+        if moving is not None:
+            yield f"{clouds.topic}: {moving.of_source(frame, own)}"
+            return
     if clouds.spec.params.target_frame or frame not in _FIXED:
         return
-    buffer = clouds.transforms.read()
+    buffer = clouds.robot
     bodies = [body for body in BODIES if buffer is not None and body in buffer.frames]
     if buffer is not None and any(buffer.is_rigid(frame, body) for body in bodies):
         return
@@ -292,36 +276,21 @@ def clouds_in_fixed_frame(clouds: CloudFacts) -> Iterator[str]:
     )
 
 
-def _said_to_be_fixed(clouds: CloudFacts) -> str:
-    """Return the warning about a frame that is given for clouds, if their own frame moves in it with the robot.
-
-    Empty if the transforms do not have the clouds' own frame: then it had to be given.
-    """
-    known = clouds.transforms
-    source, own = known.source_frame.removeprefix("/"), clouds.samples[0].frame_id.removeprefix("/")
-    buffer = known.buffer or known.read()
-    if buffer is None or not own:
-        return ""
-    moving = find_body_motion(buffer, source, own)
-    return "" if moving is None else f"{clouds.topic}: {moving.of_source(source, own)}"
-
-
 def returns_at_sensor(clouds: CloudFacts) -> Iterator[str]:
     """Yield a warning if points at (0, 0, 0), which many drivers write for no return, become returns of the scan.
 
     Only the first cloud with such points draws one.
     """
-    shown = [clouds.shows_sensor(sample) for sample in clouds.samples]
-    if not shown[-1] or any(shown[:-1]):
-        return
-    sample, total = clouds.samples[-1], clouds.counts[-1].total
-    x, y, _ = sample.origin
-    yield (
-        f"{clouds.topic}: {sample.zeros:,} of {counted(total, 'point')} of a cloud "
-        f"{agreeing(sample.zeros, 'are')} at (0, 0, 0), as drivers write for no return, and become returns at the "
-        f"sensor itself, at a range of {math.hypot(x, y):.2f} m in {sample.judged_in!r}; "
-        f"{_without_sensor(clouds.source, sample.judged_in)} excludes them"
-    )
+    for sample, counts in zip(clouds.samples, clouds.counts, strict=True):
+        if clouds.shows_sensor(sample):
+            x, y, _ = sample.origin
+            yield (
+                f"{clouds.topic}: {sample.zeros:,} of {counted(counts.total, 'point')} of a cloud "
+                f"{agreeing(sample.zeros, 'are')} at (0, 0, 0), as drivers write for no return, and become returns at "
+                f"the sensor itself, at a range of {math.hypot(x, y):.2f} m in {sample.judged_in!r}; "
+                f"{_without_sensor(clouds.source, sample.judged_in)} excludes them"
+            )
+            return
 
 
 def frame_not_level(clouds: CloudFacts) -> Iterator[str]:
@@ -395,7 +364,7 @@ def floor_within_heights(clouds: CloudFacts) -> Iterator[str]:
     """Yield a warning if many beams end on the floor, with its own height."""
     sample, params = clouds.samples[0], clouds.spec.params
     floor = sample.floor
-    share = 0.0 if floor is None else clouds.share_on(floor.normal, floor.height)
+    share = 0.0 if floor is None else clouds.share_on(np.array(floor.normal), floor.height)
     if floor is None or share < _MOST_FLOOR or any(nearly_empty_scans(clouds)):
         return
     below = f"min_height is {_limit(params.min_height, 'm')}"
@@ -409,25 +378,18 @@ def floor_within_heights(clouds: CloudFacts) -> Iterator[str]:
 
 def ceiling_within_heights(clouds: CloudFacts) -> Iterator[str]:
     """Yield a warning if many beams end on what is overhead, with the height that ends it."""
-    ceiling, sample, params = clouds.ceiling, clouds.samples[0], clouds.spec.params
-    if ceiling is None or any(nearly_empty_scans(clouds)) or any(clouds_in_another_unit(clouds)):
+    sample, params = clouds.samples[0], clouds.spec.params
+    ground, height = sample.ground, sample.ground.ceiling
+    # A ceiling is parallel to the floor.
+    share = 0.0 if height is None else clouds.share_on(-np.array(ground.normal), height)
+    if height is None or share < _MOST_FLOOR or any(nearly_empty_scans(clouds)) or any(clouds_in_another_unit(clouds)):
         return
-    at = sample.origin[2] + ceiling.height
-    share = clouds.share_on(ceiling.up, ceiling.height)
+    at = sample.origin[2] + height
     yield (
         f"{clouds.topic}: the ceiling is within the heights: it is at z = {height_text(at)} m in {sample.judged_in!r}, "
         f"and max_height is {_limit(params.max_height, 'm')}; {share:.0%} of the beams with a return end on it; "
         f"`max_height={math.floor(100 * at - 20) / 100:g}` ends below it"
     )
-
-
-def heights_left_to_user(clouds: CloudFacts) -> Iterator[str]:
-    """Yield a note with heights that suit the clouds, if a preset leaves them to the user, who gives none."""
-    if clouds.advice and clouds.lack_heights:
-        yield (
-            f"{clouds.topic}: no heights are given, presets leave them to you, and the default "
-            f"min_height drops everything at z <= 0; these suit the clouds: {clouds.advice}"
-        )
 
 
 def _limited(

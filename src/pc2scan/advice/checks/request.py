@@ -8,8 +8,6 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.core.layout import FULL_TURN
-from pc2scan.core.timing import is_brief
 from pc2scan.errors import name_list
 from pc2scan.request.parameters import is_given
 from pc2scan.text import stamp
@@ -26,7 +24,7 @@ _COARSE = 0.2
 #: A warning is worth it if this share of the beams is out of reach.
 _NOTABLE_SHARE = 0.01
 
-#: A tolerance of this many seconds or more, or a scan that takes so long, is nearly always meant in milliseconds.
+#: A tolerance of this many seconds or more is nearly always meant in milliseconds.
 _LONG = 5.0
 
 
@@ -92,28 +90,14 @@ def returns_without_object(request: OutputRequest) -> Iterator[str]:
         )
 
 
-def times_in_another_unit(request: OutputRequest) -> Iterator[str]:
-    """Yield a warning for each time that is so long or so short that another unit was probably meant."""
-    spec, params = request.spec, request.spec.params
-    if "transform_tolerance" in request.given and params.transform_tolerance >= _LONG:
-        yield _long(
-            "transform_tolerance", params.transform_tolerance, "a transform of that age is used as if it were current"
+def tolerance_in_milliseconds(request: OutputRequest) -> Iterator[str]:
+    """Yield a warning if a tolerance is so long that milliseconds were probably meant."""
+    seconds = request.spec.params.transform_tolerance
+    if "transform_tolerance" in request.given and seconds >= _LONG:
+        yield (
+            f"transform_tolerance is {seconds:g} s, and a transform of that age is used as if it were current; "
+            f"milliseconds are written `transform_tolerance={seconds:g}ms`"
         )
-    for name in ("scan_time", "time_increment"):
-        value, is_step = getattr(params, name), name == "time_increment"
-        if name not in request.given or isinstance(value, str) or spec.reverse:
-            continue
-        if abs(value) * (params.length if is_step else 1) >= _LONG:
-            yield _long(name, value, "a lidar takes less than a second for a scan")
-        elif not isinstance(params.beams, str):
-            # A sector may be narrow, so this is the time of a whole turn.
-            turn = abs(value) * (FULL_TURN / params.layout.angle_increment if is_step else 1)
-            if is_brief(turn, math.inf):
-                yield f"{name} is {value:g} s: a turn would take {turn:.3g} s; `{name}=auto` measures it"
-
-
-def _long(name: str, value: float, why: str) -> str:
-    return f"{name} is {value:g} s, and {why}; milliseconds are written `{name}={value:g}ms`"
 
 
 def increment_in_degrees(request: OutputRequest) -> Iterator[str]:
