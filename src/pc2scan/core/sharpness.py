@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from .percentiles import median
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -112,5 +114,5 @@ def roughness(stamps_ns: NDArray[np.int64], values: NDArray[np.float64]) -> NDAr
     apart[:, range(_TOGETHER), range(_TOGETHER)] = 1.0
     weights = 1 / apart.prod(axis=2)
     weights /= np.linalg.norm(weights, axis=1, keepdims=True)
-    sizes = np.median(np.abs(np.einsum("np,npk->nk", weights, values[places])), axis=0) / 0.6745
-    return np.asarray(sizes, np.float64)
+    off = np.abs(np.einsum("np,npk->nk", weights, values[places]))
+    return np.array([median(each) / 0.6745 for each in off.T])

@@ -20,6 +20,7 @@ from pc2scan.core.consumers import (
     judge,
 )
 from pc2scan.core.layout import TURN
+from pc2scan.core.percentiles import median
 from pc2scan.core.timing import IN_SECONDS, increment_doubt
 from pc2scan.errors import DecodeError, leading, stamp_text
 from pc2scan.messages.clouds import SCANS
@@ -308,7 +309,7 @@ class ScanTopic:
         if self.first is None:
             self.first = scan
             finite = message.ranges[np.isfinite(message.ranges)]
-            self._median = float(np.median(finite)) if len(finite) else 0.0
+            self._median = median(finite) if len(finite) else 0.0
         self.frames[frame] = None
         self.beams.add(scan.beams)
         self._judge(scan, frame, stamp_ns, placed)

@@ -12,6 +12,7 @@ import numpy as np
 from pc2scan.bags.observers import Observer
 from pc2scan.bags.topics import find_topic, types_by_topic
 from pc2scan.core.gravity import TIME_CONSTANT, up_by_gravity, up_in
+from pc2scan.core.percentiles import median
 from pc2scan.core.sharpness import roughness
 from pc2scan.errors import DecodeError, TopicError, UsageError, name_list
 from pc2scan.messages.imu import IMU, decode_imu
@@ -213,7 +214,7 @@ def _estimate_up(
             hint="give another topic to `imu`, or level by transforms: `fixed_frame=odom`",
         )
     known = np.flatnonzero(felt)
-    interval = float(np.median(np.diff(stamps_ns[known]))) / 1e9 if len(known) > 1 else 0.0
+    interval = median(np.diff(stamps_ns[known])) / 1e9 if len(known) > 1 else 0.0
     rough = float(roughness(stamps_ns[known], turning[known]).max())
     off = math.degrees(rough * math.sqrt(interval * TIME_CONSTANT))
     unit = " (in units of g)" if gravity < 2 else ""
@@ -239,7 +240,7 @@ def _gravity(acceleration: NDArray[np.float64]) -> tuple[float, str]:
     """Return the length of the acceleration at rest, in its own unit; or why it is not usable."""
     if not len(acceleration):
         return 0.0, "none has both an angular velocity and an acceleration"
-    length = float(np.median(np.sqrt(np.square(acceleration).sum(axis=1))))
+    length = median(np.sqrt(np.square(acceleration).sum(axis=1)))
     if any(abs(length / expected - 1) < _GRAVITY_TOLERANCE for expected in (GRAVITY, 1.0)):
         return length, ""
     return 0.0, f"the median of the accelerometer is {length:.3g} m/s^2, gravity is {GRAVITY:.4g} m/s^2"
@@ -247,11 +248,10 @@ def _gravity(acceleration: NDArray[np.float64]) -> tuple[float, str]:
 
 def _disagreement(topic: str, directions: NDArray[np.float64], acceleration: NDArray[np.float64]) -> list[str]:
     """Return a warning if up by orientations differs from up by the accelerometer."""
-    if not len(directions):
-        return []
     with np.errstate(all="ignore"):
         cosines = np.einsum("ni,ni->n", directions, acceleration) / np.sqrt(np.square(acceleration).sum(axis=1))
-        angle = float(np.degrees(np.arccos(np.clip(np.nanmedian(cosines), -1.0, 1.0))))
+    known = cosines[np.isfinite(cosines)]
+    angle = math.degrees(math.acos(max(-1.0, min(1.0, median(known))))) if known.size else 0.0
     if angle < _MAX_DISAGREEMENT:
         return []
     what = f"{topic}: up by its orientations is {angle:.0f} degrees from up by its accelerometer (median)"
