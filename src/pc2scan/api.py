@@ -27,7 +27,7 @@ from .show.info import info as describe
 from .show.map import draw_map
 from .show.plot import plot as draw
 from .show.tf import frame_tree
-from .show.view import view as show
+from .show.view import page_of
 from .streams.stream import Clouds, Scans
 
 if TYPE_CHECKING:
@@ -237,7 +237,7 @@ def view(
     >>> import pc2scan
     >>> pc2scan.view("drive.bag", preset="slam_toolbox", min_height=-0.3).save("page.html")  # doctest: +SKIP
     """
-    return show(paths_in("sources", sources), None, Options("view", options))
+    return page_of(paths_in("sources", sources), Options("view", options))
 
 
 @takes_options

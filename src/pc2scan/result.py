@@ -157,8 +157,8 @@ class Result:
 
     @property
     def exit_status(self) -> int:
-        """The exit status of the command; 3 if a recording is damaged, else 0."""
-        return 3 if self.damage else 0
+        """The exit status of the command; 3 if messages were skipped or a recording is damaged, else 0."""
+        return 3 if self.damage or self.skipped_count else 0
 
     @abstractmethod
     def body(self, *, verbose: bool = False) -> Iterator[Part]:
@@ -171,7 +171,10 @@ class Result:
 
     def usual_remarks(self, recovered: str = "", *, verbose: bool = False) -> Iterator[Remark]:
         """Yield the damaged places, what was recovered of them, and the warnings."""
-        yield from listed("damaged", self.damage, None if verbose else SHOWN)
+        shown = self.damage if verbose else self.damage[:SHOWN]
+        yield from (Remark("damaged", str(place)) for place in shown)
+        if more := len(self.damage) - len(shown):
+            yield Remark("damaged", f"{more:,} more")
         if recovered:
             yield Remark("recovered", recovered)
         yield from (Remark("warning", warning) for warning in self.warnings)
@@ -270,13 +273,6 @@ def tell_early(warnings: list[str], warn: Callable[[str], None] | None, *texts: 
             warnings.append(text)
             if warn is not None:
                 warn(text)
-
-
-def listed(label: str, entries: Sequence[object], most: int | None) -> Iterator[Remark]:
-    """Yield a remark for each of the first entries, and one with the number of the others."""
-    yield from (Remark(label, str(entry)) for entry in entries[:most])
-    if most is not None and len(entries) > most:
-        yield Remark(label, f"{len(entries) - most:,} more")
 
 
 def skipped_remarks(

@@ -5,6 +5,7 @@ To fit a width, empty columns are dropped, then text is wrapped, then columns on
 
 from __future__ import annotations
 
+from itertools import zip_longest
 from textwrap import wrap
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -88,29 +89,18 @@ def fitted(cells: Sequence[Sequence[str]], left: Collection[str], width: int | N
             dropped.insert(0, headings[numbers[-1]])
             kept.remove(numbers[-1])
     for number, line in enumerate(cells):
-        yield from _row(line, headings, kept, widths, gap, left)
+        # Text that is too wide continues on the next line.
+        pieces = [[line[i]] if len(line[i]) <= widths[i] else _broken(line[i], widths[i]) for i in kept]
+        for parts in zip_longest(*pieces, fillvalue=""):
+            aligned = (
+                part.ljust(widths[i]) if headings[i] in left else part.rjust(widths[i])
+                for i, part in zip(kept, parts, strict=True)
+            )
+            yield (" " * gap).join(aligned).rstrip()
         if number == 0:
             yield "-" * needed()
     if dropped:
         yield f"(no room for: {', '.join(dropped)})"
-
-
-def _row(
-    line: Sequence[str],
-    headings: Sequence[str],
-    kept: Sequence[int],
-    widths: Sequence[int],
-    gap: int,
-    left: Collection[str],
-) -> Iterator[str]:
-    """Yield the lines of a row; text that is too wide continues on the next line."""
-    pieces = [[line[i]] if len(line[i]) <= widths[i] else _broken(line[i], widths[i]) for i in kept]
-    for number in range(max(map(len, pieces))):
-        aligned = []
-        for i, parts in zip(kept, pieces, strict=True):
-            part = parts[number] if number < len(parts) else ""
-            aligned.append(part.ljust(widths[i]) if headings[i] in left else part.rjust(widths[i]))
-        yield (" " * gap).join(aligned).rstrip()
 
 
 def _longest_word(text: str) -> int:

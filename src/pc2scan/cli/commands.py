@@ -114,7 +114,7 @@ COMMANDS = {
         },
     ),
     "view": Command(
-        "cli.pictures:view",
+        "show.view:view",
         """Write a page that shows clouds and the scans made of them, to tune the parameters by eye.
 
         The page is one HTML file that needs no network. It computes the same scans as `pc2scan convert`, to the bit,
@@ -127,7 +127,7 @@ COMMANDS = {
         },
     ),
     "plot": Command(
-        "cli.pictures:plot",
+        "cli.plot:plot",
         """Draw clouds from above and from the side, with the height band and the scan, for reports.
 
         Needs matplotlib: pip install "pc2scan[plot]". To tune parameters, use `pc2scan view`.""",
@@ -139,7 +139,7 @@ COMMANDS = {
         },
     ),
     "map": Command(
-        "cli.pictures:draw_map",
+        "show.map:draw_map",
         """Draw the scans of a recording into a map, placed by the recorded odometry: a preview, not SLAM.
 
         Nothing is matched or corrected: doubled walls show that mounts, stamps or odometry do not fit together. Clouds

@@ -108,11 +108,6 @@ class ExportReport(Result):
         """How many messages were written."""
         return sum(topic.written for topic in self.topics)
 
-    @property
-    def exit_status(self) -> int:
-        """The command's exit status: 3 if messages were skipped or a source is damaged, else 0."""
-        return 3 if self.skipped_count or self.damage else 0
-
     def skip(self, entry: Skipped) -> None:
         """Count a message that is not written."""
         self.skipped_count += 1

@@ -35,7 +35,7 @@ from pc2scan.core.unproject import beam_angles, last_beam_ns
 from pc2scan.errors import MessageError, ResultError, TransformError, UsageError, name_list
 from pc2scan.files.ownership import inputs_of, refuse_overlap
 from pc2scan.files.staging import files_output
-from pc2scan.files.urls import path_of
+from pc2scan.files.urls import path_of, path_or_url
 from pc2scan.messages.clouds import CLOUDS, usual_topics
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.progress import Meter
@@ -58,6 +58,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
+    from pc2scan.files.urls import PathText
     from pc2scan.options.call import Options
     from pc2scan.progress import Progress
     from pc2scan.request.options import ConvertOptions
@@ -130,11 +131,6 @@ class Map(Result):
     skipped: tuple[Skipped, ...] = ()
     warnings: tuple[str, ...] = ()
     damage: tuple[Damage, ...] = ()
-
-    @property
-    def exit_status(self) -> int:
-        """The exit status of the command: 0, or 3 if scans were skipped or the recording is damaged."""
-        return 3 if self.skipped or self.damage else 0
 
     @property
     def distance(self) -> float:
@@ -246,7 +242,7 @@ def _png(pixels: NDArray[np.uint8]) -> bytes:
 
 def draw_map(
     sources: Sequence[Path],
-    destination: Path | None,
+    destination: PathText | None,
     options: Options,
     *,
     warn: Warn | None = None,
@@ -271,11 +267,12 @@ def draw_map(
     request = first_output(conversion_of(options, warn), "drawn", warn)
     if destination is None:
         return _draw(sources, request, options, warn, progress)
-    paths = _paths(destination)
+    path = path_or_url(destination)
+    paths = _paths(path)
     refuse_overlap(inputs_of(sources, options.tf_from, request.files), paths)
     with files_output(paths, overwrite=options.overwrite) as deliver:
         result = _draw(sources, request, options, warn, progress)
-        deliver(result.contents(destination))
+        deliver(result.contents(path))
     return result
 
 
@@ -313,28 +310,28 @@ def _draw(
     return drawing.result((*stream.notes, *warnings), (*damage, *stream.damage), converted=converted)
 
 
-def _converts(options: ConvertOptions) -> bool:
+def _converts(request: ConvertOptions) -> bool:
     """Whether any option is about the conversion of clouds."""
-    scan = options.scan
+    scan = request.scan
     # Recorded scans are placed with the tolerance, too.
     params = replace(scan.params, transform_tolerance=ProjectionParams().transform_tolerance)
-    chooses = bool(scan.filters or scan.remove or options.frames.source_frame)
+    chooses = bool(scan.filters or scan.remove or request.frames.source_frame)
     return params != ProjectionParams() or chooses or scan.deskew or scan.level or scan.may_combine
 
 
-def _topics(reader: Reader, options: ConvertOptions) -> tuple[tuple[TopicRequest, ...], bool]:
+def _topics(reader: Reader, request: ConvertOptions) -> tuple[tuple[TopicRequest, ...], bool]:
     """Return the topics to draw, and whether scans are made of them."""
     types = types_by_topic(reader.connections)
     scans = sorted(topic for topic, kinds in types.items() if LASERSCAN in kinds)
     clouds = [topic for topic, kinds in types.items() if not kinds.isdisjoint(CLOUDS)]
-    requests = options.scan.topics
-    names = [request.source for request in requests]
-    if options.scan.may_share or options.scan.combining.rebin:
+    requests = request.scan.topics
+    names = [each.source for each in requests]
+    if request.scan.may_share or request.scan.combining.rebin:
         return requests or tuple(map(TopicRequest, scans)), True
     of_scans, of_clouds = (any(matches(topic, names) for topic in kind) for kind in (scans, clouds))
     if of_scans and of_clouds:
         raise UsageError(f"`topics` has scans and clouds: {name_list(names)}", hint="a map is drawn of either")
-    if of_clouds or (clouds and not names and (_converts(options) or not scans)):
+    if of_clouds or (clouds and not names and (_converts(request) or not scans)):
         return requests or tuple(map(TopicRequest, sorted(usual_topics(types, CLOUDS)))), True
     # Without scans the stream raises an error that lists the topics.
     chosen = [topic for name in names for topic in find_topics(name, types, scans, LASERSCAN)] or scans
@@ -344,10 +341,10 @@ def _topics(reader: Reader, options: ConvertOptions) -> tuple[tuple[TopicRequest
 class _Drawing:
     """Draws scans, and counts them."""
 
-    def __init__(self, grid: OccupancyGrid, buffer: TransformBuffer, asked: Options, options: ConvertOptions) -> None:
-        self._grid, self._buffer, self._options = grid, buffer, options
-        self._longest = LONGEST * asked.resolution
-        self._odom, self._robot = (name.removeprefix("/") for name in (asked.odom_frame, asked.base_frame))
+    def __init__(self, grid: OccupancyGrid, buffer: TransformBuffer, options: Options, request: ConvertOptions) -> None:
+        self._grid, self._buffer, self._request = grid, buffer, request
+        self._longest = LONGEST * options.resolution
+        self._odom, self._robot = (name.removeprefix("/") for name in (options.odom_frame, options.base_frame))
         self._scans, self._skipped = Counter[str](), Counter[tuple[str, str]]()
         self._first_error = MessageError("there are none")
         #: Stamp, x and y.
@@ -388,14 +385,14 @@ class _Drawing:
     def skip(self, topic: str, error: MessageError) -> None:
         """Count a message that is not drawn."""
         error.topic = topic
-        if self._options.strict:
+        if self._request.strict:
             raise error
         if not self._skipped:
             self._first_error = error
         self._skipped[topic, error.reason or error.message] += 1
 
     def _pose(self, frame: str, stamp_ns: int) -> Rigid:
-        return self._buffer.lookup(self._odom, frame, stamp_ns, self._options.scan.params.tolerance_ns)
+        return self._buffer.lookup(self._odom, frame, stamp_ns, self._request.scan.params.tolerance_ns)
 
     def _no_frame(self, frame: str) -> UsageError:
         """Return the error that the frame of the map does not exist, with a hint what to type."""
@@ -440,7 +437,7 @@ class _Drawing:
             moved = find_body_motion(self._buffer, other, self._robot) if other else None
             if moved is not None:
                 drawn = f"{self._robot} does not move: the scans are drawn as if it had stood still"
-                there = f"it moves by {moved.metres:.2f} m in {other}: `odom_frame={shlex.quote(other)}`"
-                yield f"`odom_frame` is {self._odom}, in which {drawn}; {there}"
+                motion = f"it moves by {moved.metres:.2f} m in {other}: `odom_frame={shlex.quote(other)}`"
+                yield f"`odom_frame` is {self._odom}, in which {drawn}; {motion}"
         if doubt := odometry_of(self._buffer, self._odom, self._robot).doubt:
             yield doubt

@@ -42,7 +42,7 @@ from pc2scan.errors import (
 )
 from pc2scan.files.ownership import inputs_of, refuse_overlap
 from pc2scan.files.staging import files_output
-from pc2scan.files.urls import path_of
+from pc2scan.files.urls import path_of, path_or_url
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.options.call import Options, call_words
 from pc2scan.options.table import PARAMETERS
@@ -64,6 +64,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
+    from pc2scan.files.urls import PathText
     from pc2scan.messages.laserscan import LaserScan
     from pc2scan.model import RawMessage
     from pc2scan.request.options import ConvertOptions
@@ -182,17 +183,24 @@ class Page(Result):
         return path
 
 
-def view(sources: Sequence[Path], destination: Path | None, options: Options, *, warn: Warn | None = None) -> Page:
-    """Show a recording as a page, which is written if there is a destination; see `pc2scan.view`."""
+def page_of(sources: Sequence[Path], options: Options) -> Page:
+    """Show a recording as a page that is not written; see `pc2scan.view`."""
+    return _page(sources, first_output(conversion_of(options), "shown", None), options, None)
+
+
+def view(sources: Sequence[Path], destination: PathText | None, options: Options, *, warn: Warn | None = None) -> Page:
+    """Write a page that shows a recording, by default beside it."""
+    # "." and ".." are resolved, because the page has the name of the folder.
+    source = sources[0] if sources[0].name.strip(".") else sources[0].resolve()
+    name = source.stem if source.is_file() else source.name
+    path = source.with_name(f"{name}_view.html") if destination is None else path_or_url(destination)
+    _check_name(path)
     request = first_output(conversion_of(options, warn), "shown", warn)
-    if destination is None:
-        return _page(sources, request, options, warn)
-    _check_name(destination)
-    refuse_overlap(inputs_of(sources, options.tf_from, request.files), [destination])
-    with files_output([destination], beginning=_BEGINNING, overwrite=options.overwrite) as deliver:
+    refuse_overlap(inputs_of(sources, options.tf_from, request.files), [path])
+    with files_output([path], beginning=_BEGINNING, overwrite=options.overwrite) as deliver:
         page = _page(sources, request, options, warn)
         deliver([page.pieces])
-    return replace(page, path=str(destination))
+    return replace(page, path=str(path))
 
 
 def _page(sources: Sequence[Path], request: ConvertOptions, options: Options, warn: Warn | None) -> Page:
