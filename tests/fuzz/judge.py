@@ -72,7 +72,7 @@ def attempt(made: Mutant, folder: Path, *, repair: bool = True) -> str:
         if more:
             raise Finding(f"{more.total()} messages are missing, which another reader finds {words}")
     if status == 0 and messages != sound:
-        if messages.total() < sound.total() and "without-summary" not in made.seed.name:
+        if messages.total() < sound.total():
             raise Finding(f"{sound.total() - messages.total()} messages are missing, and nothing is said")
         return UNDETECTABLE
     return {0: IDENTICAL, 3: REPORTED}.get(status, REFUSED)

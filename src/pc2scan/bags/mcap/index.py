@@ -319,7 +319,11 @@ class RecordWalk:
                 raise self._file.damage(f"the message index at byte {offset} is too short")
             if not self._is_behind_chunk:
                 raise self._file.damage(f"the message index at byte {offset} follows no chunk")
-            self._ids.add(_INDEX_HEAD.unpack_from(head)[2])
+            channel_id = _INDEX_HEAD.unpack_from(head)[2]
+            if channel_id in self._ids:
+                what = f"the message index at byte {offset} is of a chunk that is not there"
+                index.log.note(self._file.damage(what), offset=offset, bytes_lost=size)
+            self._ids.add(channel_id)
         elif opcode == 0:
             raise self._file.damage(f"the record at byte {offset} has opcode 0, which no record may have")
         elif opcode <= Opcode.DATA_END:

@@ -130,7 +130,7 @@ class Database:
             If pages are missing.
         """
         if self._logs:
-            self._file = self._merged_copy()
+            self._merge_logs()
         assert self._file is not None
         declared, stored = _declared_size(self._file), self._file.stat().st_size
         if stored < declared:
@@ -156,15 +156,17 @@ class Database:
         assert self._file is not None
         missing = max(0, _declared_size(self._file) - self._file.stat().st_size)
         try:
-            # SQLite takes missing bytes of a page for zeros.
-            stored = self._file.stat().st_size
-            if rest := stored % (_page_bytes(_header(self._file)) or stored):
-                self._file = self._file if self._copy else self._merged_copy()
-                os.truncate(self._file, stored - rest)
-            damaged = self._connect(self._file)
-            self._recovered = [_Opened(damaged)]
-            # Without it, SQLite reads nothing of a database that is cut off.
-            damaged.execute("PRAGMA writable_schema = ON")
+            files, stored = [self._file], self._file.stat().st_size
+            # SQLite takes missing bytes of a page for zeros: rows that are others with other bytes depend on them.
+            if rest := -stored % (_page_bytes(_header(self._file)) or stored):
+                files.append(self._copied(self._file, "filled.db3", stored))
+                with files[1].open("ab") as file:
+                    file.write(b"\xff" * rest)
+            damaged = [self._connect(file) for file in files]
+            self._recovered = list(map(_Opened, damaged))
+            for database in damaged:
+                # Without it, SQLite reads nothing of a database that is cut off.
+                database.execute("PRAGMA writable_schema = ON")
             columns = {}
             for table, names in _TABLES.items():
                 self.refuse_made_up(table)
@@ -282,13 +284,11 @@ class Database:
 
     # --- Logs ---
 
-    def _merged_copy(self) -> Path:
-        """Copy the database and its logs, and let SQLite merge them."""
-        self._copy = private_folder(self.path)
-        target = Path(self._copy.name, "copy.db3").absolute()
+    def _copied(self, file: Path, name: str, needed: int) -> Path:
+        """Copy a file to the private folder, if there is room for so many bytes."""
+        self._copy = self._copy or private_folder(self.path)
+        target = Path(self._copy.name, name).absolute()
         with copy_errors(self.path, target.parent):
-            # What a write-ahead log has is written into the database.
-            needed = 2 * self.most_bytes - self.size if "-wal" in self._logs else self.most_bytes
             free = shutil.disk_usage(target.parent).free
             if free < needed:
                 raise RecordingError(
@@ -296,15 +296,20 @@ class Database:
                     path=self.path,
                     hint=TEMPORARY_HINT,
                 )
-            shutil.copyfile(self.path, target)
+            shutil.copyfile(file, target)
+        return target
+
+    def _merge_logs(self) -> None:
+        """Copy the database and its logs, and let SQLite merge them."""
+        # What a write-ahead log has is written into the database.
+        needed = 2 * self.most_bytes - self.size if "-wal" in self._logs else self.most_bytes
+        self._file = target = self._copied(self.path, "copy.db3", needed)
+        with copy_errors(self.path, target.parent):
             for suffix, log in self._logs.items():
                 shutil.copyfile(log, f"{target}{suffix}")
             if journal := self._logs.get("-journal"):
                 self._check_journal(Path(f"{target}-journal").read_bytes(), journal)
-            if self._logs:
-                self._file = target
-                self._merge(target)
-        return target
+            self._merge(target)
 
     def _merge(self, target: Path) -> None:
         """Let SQLite merge a copy with its logs, and note the pages of a write-ahead log that it does not take."""
@@ -342,24 +347,20 @@ class Database:
     # --- Damage ---
 
     def _rebuild(
-        self, damaged: sqlite3.Connection, columns: Mapping[str, list[str]]
+        self, damaged: Sequence[sqlite3.Connection], columns: Mapping[str, list[str]]
     ) -> tuple[sqlite3.Connection, int | None]:
-        """Make a database of the rows that can be read, and return the latest log time.
+        """Make a database of the rows that can be read and are the same in all, and return the latest log time.
 
         It lies in a temporary file that SQLite removes itself, and has the messages without their data: these are read
         from the damaged database when they are asked for.
         """
 
         def data(row_id: int) -> Any:
-            # A page with a wrong number of rows is read from the page before it on: SQLite would search it in vain.
-            for first in (row_id, row_id - _ROWS_OF_A_PAGE if row_id > _ROWS_OF_A_PAGE else _LEAST_ID):
-                with suppress(*SQLITE_ERRORS):
-                    for (value,) in damaged.execute(_DATA_OF, (first, row_id, row_id)):
-                        return value
-            return None
+            values = {_data_of(database, row_id) for database in damaged}
+            return values.pop() if len(values) == 1 else None
 
         database = sqlite3.connect("", check_same_thread=False, isolation_level=None)
-        database.text_factory = damaged.text_factory
+        database.text_factory = damaged[0].text_factory
         database.create_function("data_of", 1, data)
         database.execute("BEGIN")
         for table, names in columns.items():
@@ -367,11 +368,26 @@ class Database:
             database.execute(f"CREATE TABLE {place}({', '.join(('id INTEGER PRIMARY KEY', *names))})")
             # A broken tree may lead to a row twice.
             insert = f"INSERT OR IGNORE INTO {place} VALUES (?{', ?' * len(names)})"  # noqa: S608  # constants
-            database.executemany(insert, self.bounded_rows(_readable_rows(damaged, table, names, self.size)))
-        database.execute("CREATE VIEW messages AS SELECT *, data_of(id) AS data FROM places")
+            rows, *others = (_readable_rows(each, table, names, self.size) for each in damaged)
+            if table != "messages":
+                # Of messages, the data come last.
+                same = list(map(set, others))
+                rows = (row for row in rows if all(row in other for other in same))
+            database.executemany(insert, self.bounded_rows(rows))
+        database.execute("CREATE VIEW messages AS SELECT *, id AS rowid, data_of(id) AS data FROM places")
         database.execute("COMMIT")
         last = database.execute("SELECT max(timestamp) FROM places WHERE typeof(timestamp) = 'integer'").fetchone()
         return database, last[0]
+
+
+def _data_of(damaged: sqlite3.Connection, row_id: int) -> Any:
+    """Return the data of a message; None if they cannot be read."""
+    # A page with a wrong number of rows is read from the page before it on: SQLite would search it in vain.
+    for first in (row_id, row_id - _ROWS_OF_A_PAGE if row_id > _ROWS_OF_A_PAGE else _LEAST_ID):
+        with suppress(*SQLITE_ERRORS):
+            for (value,) in damaged.execute(_DATA_OF, (first, row_id, row_id)):
+                return value
+    return None
 
 
 def _readable_rows(damaged: sqlite3.Connection, table: str, names: list[str], size: int) -> Iterator[tuple[Any, ...]]:

@@ -21,9 +21,9 @@ The number of rows is compared with that of the index of their times. Unlike SQL
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
-from itertools import repeat
-from operator import itemgetter
+from itertools import chain, repeat
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags import zstd
@@ -44,21 +44,25 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.reader import Wanted
 
-#: Limits of a chunk's bytes and rows. Loading less takes less time than handing it to another thread.
+#: Limits of a chunk's bytes and rows, and of the data that are read with their row; longer ones are read one by one.
+#: Loading less takes less time than handing it to another thread.
 _CHUNK_BYTES = 1 << 19
 _CHUNK_ROWS = 256
+_SHORT_BYTES = 1 << 12
 _WORTH_A_THREAD = 1 << 20
 
 #: rosbag2's index of messages by time.
 _INDEX = "timestamp_idx"
 
 #: The condition for rows of ``messages`` that have a place in the recording.
-_SOUND = " AND ".join(f"typeof({column}) = 'integer'" for column in ("id", "topic_id", "timestamp"))
+_SOUND = " AND ".join(f"typeof({column}) = 'integer'" for column in ("topic_id", "timestamp"))
 
-#: Topic, log time, id and data of a message.
-Row = tuple[int, int, int, bytes]
+#: The data of a message: where they are short, and those of a row, if they are bytes.
+_SHORT = f"CASE WHEN length(data) < {_SHORT_BYTES} THEN data END"
+_BLOB = "SELECT CASE WHEN typeof(data) = 'blob' THEN data END FROM messages WHERE rowid = ?"
 
-_DATA = itemgetter(3)
+#: Topics, log times, rowids and data of messages.
+Columns = tuple[Sequence[int], Sequence[int], Sequence[int], Sequence[bytes]]
 
 #: Without the constructor, which takes longer than reading a small row.
 _make_message: Callable[[Iterable[object]], RawMessage] = partial(tuple.__new__, RawMessage)
@@ -116,8 +120,8 @@ class Sqlite3Reader(Reader):
             compression=("zstd" if self._packed_topics else "none",),
             size_bytes=database.size,
             message_count=sum(connection.message_count or 0 for connection in self.connections),
-            start_ns=min(span, default=None),
-            end_ns=max(span, default=None),
+            start_ns=span[0],
+            end_ns=span[1],
         )
 
     def chunks(self, wanted: Wanted) -> Iterator[Chunk]:
@@ -127,34 +131,34 @@ class Sqlite3Reader(Reader):
         """
         ids = None if wanted.connections is None else {connection.id for connection in wanted.connections}
         known = {own.id: own for own in self.connections if ids is None or own.id in ids}
-        for number, (rows, size) in enumerate(self._batches(known, wanted)):
-            load = partial(_load, known, rows)
-            yield Chunk(rows[0][1], (number,), size, load, is_quick=size < _WORTH_A_THREAD)
+        for number, (columns, size) in enumerate(self._batches(known, wanted)):
+            load = partial(_load, known, columns)
+            yield Chunk(columns[1][0], (number,), size, load, is_quick=size < _WORTH_A_THREAD)
             # They must not stay in memory while the next ones are read.
-            del rows, load
+            del columns, load
 
-    def _batches(self, known: Mapping[int, Connection], wanted: Wanted) -> Iterator[tuple[list[Row], int]]:
-        """Yield some rows at a time, by log time and id, with the bytes of their data."""
+    def _batches(self, known: Mapping[int, Connection], wanted: Wanted) -> Iterator[tuple[Columns, int]]:
+        """Yield some rows at a time, by log time and rowid, with the bytes of their data."""
         after: tuple[int, int] | None = None
         expected = sum(own.message_count or 0 for own in known.values())
         left = self._database.most_bytes
         while True:
             is_rebuilt = self._database.is_rebuilt
             try:
-                for rows, size in _in_batches(self._select(known, wanted, after)):
-                    after = rows[-1][1:3]
+                selected = self._select(known, wanted, after)
+                for columns, size in chain.from_iterable(map(self._filled, iter(selected, []))):
+                    after = columns[1][-1], columns[2][-1]
                     # Pages of a damaged tree may form a loop.
-                    expected -= len(rows)
+                    expected -= len(columns[0])
                     left -= size
                     if expected < 0:
                         raise RecordingError("has more messages than it counts", path=self.path)
                     if left < 0:
                         raise self._database.too_many_values()
-                    if self._packed_topics or {bytes} != set(map(type, map(_DATA, rows))):
-                        rows = list(self._decompressed(known, rows))  # noqa: PLW2901
-                        size = sum(map(len, map(_DATA, rows)))  # noqa: PLW2901
-                    if rows:
-                        yield rows, size
+                    if self._packed_topics or None in columns[3]:
+                        columns, size = self._decompressed(known, columns)  # noqa: PLW2901
+                    if columns:
+                        yield columns, size
             except (*SQLITE_ERRORS, DamageError) as err:
                 # What was read meanwhile may have rebuilt it.
                 if is_rebuilt or not self._database.is_rebuilt:
@@ -163,18 +167,41 @@ class Sqlite3Reader(Reader):
             else:
                 return
 
-    def _decompressed(self, known: Mapping[int, Connection], rows: list[Any]) -> Iterator[Row]:
-        """Yield rows with decompressed data; those that have none are noted."""
-        for topic_id, time_ns, row_id, data in rows:
+    def _filled(self, rows: list[Any]) -> Iterator[tuple[Any, int]]:
+        """Yield the columns of rows, with the bytes of their data, which are read here where they are long."""
+        columns = tuple(zip(*rows, strict=True))
+        if {bytes} == set(map(type, columns[3])):
+            yield columns, sum(map(len, columns[3]))
+            return
+        batch, size = [], 0
+        for topic_id, time_ns, row_id, short in rows:
+            data = short
+            if not isinstance(data, bytes):
+                (data,) = self._database.query(_BLOB, (row_id,)).fetchone() or (None,)
+            batch.append((topic_id, time_ns, row_id, data))
+            size += len(data or b"")
+            if size >= _CHUNK_BYTES:
+                columns, batch, data = tuple(zip(*batch, strict=True)), [], None
+                yield columns, size
+                del columns
+                size = 0
+        if batch:
+            yield tuple(zip(*batch, strict=True)), size
+
+    def _decompressed(self, known: Mapping[int, Connection], columns: Columns) -> tuple[Any, int]:
+        """Return the columns of rows with decompressed data, and the bytes of these; rows without data are noted."""
+        rows = []
+        for topic_id, time_ns, row_id, data in zip(*columns, strict=True):
             topic = known[topic_id].topic
             try:
-                if not isinstance(data, bytes):
+                if data is None:
                     raise self._database.damage(f"row {row_id} of messages, of topic {topic!r:.80}, has no data")
                 packed = topic_id in self._packed_topics
                 unpacked = bytes(zstd.decompress_message(data, self.path, topic)) if packed else data
-                yield topic_id, time_ns, row_id, unpacked
+                rows.append((topic_id, time_ns, row_id, unpacked))
             except DamageError as err:
                 self._log.note_message(err, row_id, time_ns)
+        return tuple(zip(*rows, strict=True)), sum(len(row[3]) for row in rows)
 
     def counts(
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
@@ -201,53 +228,30 @@ class Sqlite3Reader(Reader):
 
     def _select(
         self, topic_ids: Iterable[int], wanted: Wanted, after: tuple[int, int] | None
-    ) -> Iterator[tuple[int, int, int, Any]]:
-        """Return topic, time, id and data of messages by time and id, those after ``after`` (time and id)."""
+    ) -> Callable[[], list[Any]]:
+        """Return a function for the next rows: topic, time, rowid, and data where they are short, by time and rowid.
+
+        They are those after ``after`` (time and rowid).
+        """
         times, bounds = _time_conditions(wanted.start_ns, wanted.stop_ns)
         # Not as values, of which some builds of SQLite allow 32,766.
         conditions = [f"topic_id IN ({', '.join(map(str, topic_ids))})", _SOUND, *times]
         values = [*bounds, *(after or ())]
         if after is not None:
-            conditions.append("(timestamp, id) > (?, ?)")
-        tail = f"WHERE {' AND '.join(conditions)} ORDER BY timestamp, id"
-        if self._is_indexed:
-            # Without INDEXED BY, SQLite may sort whole messages instead of using the index.
-            sql = f"SELECT topic_id, timestamp, id, data FROM messages INDEXED BY {_INDEX} {tail}"  # noqa: S608
-            return self._database.query(sql, values)
-        # Without an index SQLite has to sort; only ids are sorted, not messages.
-        rows = self._database.query(f"SELECT topic_id, timestamp, id FROM messages {tail}", values)  # noqa: S608
-        data = partial(self._database.query, "SELECT data FROM messages WHERE id = ?")
-        return ((*row, (data((row[2],)).fetchone() or (None,))[0]) for row in rows)
+            conditions.append("(timestamp, rowid) > (?, ?)")
+        # Without INDEXED BY, SQLite may sort whole messages instead of using the index. Without an index it has to
+        # sort; only ids are sorted, not messages.
+        index, data = (f"INDEXED BY {_INDEX}", _SHORT) if self._is_indexed else ("", "NULL")
+        where = " AND ".join(conditions)
+        sql = f"SELECT topic_id, timestamp, rowid, {data} FROM messages {index} WHERE {where} ORDER BY 2, 3"  # noqa: S608
+        return partial(self._database.query(sql, values).fetchmany, _CHUNK_ROWS)
 
 
-def _load(known: Mapping[int, Connection], rows: list[Row], callback: Callable[[RawMessage], Any]) -> list[Any]:
+def _load(known: Mapping[int, Connection], columns: Columns, callback: Callable[[RawMessage], Any]) -> list[Any]:
     """Make messages of rows."""
-    topics, times, _, data = zip(*rows, strict=True)
+    topics, times, _, data = columns
     fields = zip(map(known.__getitem__, topics), times, data, times, repeat(0), strict=False)
     return list(map(callback, map(_make_message, fields)))
-
-
-def _in_batches(rows: Iterable[Any]) -> Iterator[tuple[list[Any], int]]:
-    """Yield rows in lists, with the bytes of their data; those before an error, too."""
-    batch: list[Any] = []
-    size = 0
-    try:
-        for row in rows:
-            batch.append(row)
-            data = row[3]
-            # Faster than isinstance, which shows here.
-            if type(data) is bytes or type(data) is str:
-                size += len(data)
-            if size >= _CHUNK_BYTES or len(batch) == _CHUNK_ROWS:
-                del row, data
-                yield batch, size
-                batch, size = [], 0
-    except SQLITE_ERRORS:
-        if batch:
-            yield batch, size
-        raise
-    if batch:
-        yield batch, size
 
 
 def _time_conditions(start_ns: int | None, stop_ns: int | None) -> tuple[list[str], list[int]]:
@@ -278,30 +282,24 @@ def _check_tables(database: Database) -> None:
 
 def _read_connections(
     database: Database, noted: DamageLog, *, is_indexed: bool
-) -> tuple[tuple[Connection, ...], list[int]]:
-    """Return the connections, and the first and the last log time of each; messages without a topic are noted."""
+) -> tuple[tuple[Connection, ...], tuple[int | None, int | None]]:
+    """Return the connections, and the first and the last log time; messages without a topic are noted."""
     topics = _read_topics(database, noted)
-    counts = {
-        topic_id: numbers
-        for topic_id, *numbers in database.query(
-            f"SELECT CASE WHEN {_SOUND} THEN topic_id END, count(*), min(timestamp), max(timestamp) "  # noqa: S608
-            "FROM messages GROUP BY 1 LIMIT ?",
-            (MAX_CONNECTIONS + 2,),
-        )
-    }
+    sql = f"SELECT topic_id, count(*) FROM messages WHERE {_SOUND} GROUP BY 1 LIMIT ?"  # noqa: S608
+    counts: dict[int, int] = dict(database.query(sql, (MAX_CONNECTIONS + 2,)))
+    ConnectionLimit(database.path).add(count=len(counts))
+    (total,) = database.query("SELECT count(*) FROM messages NOT INDEXED").fetchone()
     if is_indexed:
-        total = sum(numbers[0] for numbers in counts.values())
         (indexed,) = database.query(f"SELECT count(*) FROM messages INDEXED BY {_INDEX}").fetchone()  # noqa: S608
         if indexed != total:
             raise database.damage(f"the index of timestamps has {indexed} messages, the table {total}")
-    if unsound := counts.pop(None, None):
-        what = f"{counted(unsound[0], 'row')} of messages with an id, a topic or a time that is no integer"
-        noted.note(database.damage(f"has {what}"), key="rows", messages_lost=unsound[0])
-    ConnectionLimit(database.path).add(count=len(counts))
-    for topic_id, (count, first_ns, last_ns) in counts.items():
+    if unsound := total - sum(counts.values()):
+        what = f"{counted(unsound, 'row')} of messages with a topic or a time that is no integer"
+        noted.note(database.damage(f"has {what}"), key="rows", messages_lost=unsound)
+    for topic_id, count in counts.items():
         if topic_id not in topics:
             error = database.damage(f"{counted(count, 'message', 'are')} of topic {topic_id}, which is not described")
-            noted.note(error, key=("topic", topic_id), messages_lost=count, first_ns=first_ns, last_ns=last_ns)
+            noted.note(error, key=("topic", topic_id), messages_lost=count)
     definitions = _read_definitions(database)
     connections = tuple(
         Connection(
@@ -313,11 +311,14 @@ def _read_connections(
             digest=digest,
             latching=latches(qos),
             qos=qos,
-            message_count=counts[topic_id][0] if topic_id in counts else 0,
+            message_count=counts.get(topic_id, 0),
         )
         for topic_id, (topic, msgtype, serialization, qos, digest) in topics.items()
     )
-    return connections, [time_ns for topic_id in topics for time_ns in counts.get(topic_id, ())[1:3]]
+    # Each by itself is read from the index.
+    where = f"FROM messages WHERE {_SOUND} AND topic_id IN ({', '.join(map(str, topics))})"
+    sql = f"SELECT (SELECT min(timestamp) {where}), (SELECT max(timestamp) {where})"
+    return connections, database.query(sql).fetchone()
 
 
 def _read_topics(database: Database, noted: DamageLog) -> dict[int, list[str]]:
