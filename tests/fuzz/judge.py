@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from mcap.reader import NonSeekingReader, SeekingReader
 from rosbags.rosbag1 import Reader as Rosbag1LibraryReader
+from rosbags.rosbag2 import Reader as Rosbag2LibraryReader
 
 import pc2scan
 from fuzz.records import stretches
@@ -30,12 +31,7 @@ Messages: TypeAlias = Counter[tuple[str, int, bytes]]
 
 
 #: What may become of a mutant.
-OUTCOMES = IDENTICAL, REPORTED, REFUSED, UNDETECTABLE = (
-    "identical",
-    "damage reported",
-    "refused",
-    "other values, as many messages",
-)
+OUTCOMES = IDENTICAL, REPORTED, REFUSED, UNDETECTABLE = ("identical", "damage reported", "refused", "not to be known")
 
 
 class Finding(Exception):  # noqa: N818 - it is what the campaign looks for
@@ -72,7 +68,7 @@ def attempt(made: Mutant, folder: Path, *, repair: bool = True) -> str:
         if more:
             raise Finding(f"{more.total()} messages are missing, which another reader finds {words}")
     if status == 0 and messages != sound:
-        if messages.total() < sound.total():
+        if messages.total() < sound.total() and not _is_private(made):
             raise Finding(f"{sound.total() - messages.total()} messages are missing, and nothing is said")
         return UNDETECTABLE
     return {0: IDENTICAL, 3: REPORTED}.get(status, REFUSED)
@@ -124,8 +120,8 @@ def _others(made: Mutant, source: Path) -> Iterator[tuple[str, Messages]]:
     if made.name == source.name and source.suffix == ".mcap":
         for words, kind in (("from end to end", NonSeekingReader), ("by the index", SeekingReader)):
             yield words, _taken(_mcap(kind, made.data))
-    elif source.suffix == ".bag":
-        yield "by the index", _taken(_bag(source))
+    else:
+        yield "by rosbags", _taken(_rosbags(source))
 
 
 def _taken(messages: Iterator[tuple[str, int, bytes]]) -> Messages:
@@ -142,8 +138,8 @@ def _mcap(kind: type[NonSeekingReader | SeekingReader], data: bytes) -> Iterator
         yield channel.topic, message.log_time, message.data
 
 
-def _bag(path: Path) -> Iterator[tuple[str, int, bytes]]:
-    with Rosbag1LibraryReader(path) as reader:
+def _rosbags(path: Path) -> Iterator[tuple[str, int, bytes]]:
+    with (Rosbag1LibraryReader if path.suffix == ".bag" else Rosbag2LibraryReader)(path) as reader:
         for connection, log_time_ns, data in reader.messages():
             yield connection.topic, log_time_ns, bytes(data)
 
@@ -164,6 +160,13 @@ def _compare_untouched(made: Mutant, place: tuple[int, int], status: int, ours: 
     if "cut off" in made.how and status == 0:
         raise Finding("it is cut off, and nothing is said")
     return others
+
+
+def _is_private(made: Mutant) -> bool:
+    """Whether a chunk is now a private record, which readers pass over, where nothing counts or indexes chunks."""
+    data = made.seed.files[made.name]
+    starts = [start for start, *_ in stretches(data)] if "without-summary" in made.seed.name else []
+    return any(made.data[:start] == data[:start] and made.data[start : start + 1] >= b"\x80" for start in starts)
 
 
 def _by_data(messages: Messages) -> Counter[bytes]:
