@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.cli.commands import COMMANDS
 from pc2scan.options.option import Parameter
-from pc2scan.options.table import options_of, spelling_of
+from pc2scan.options.table import options_of, spellings
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -168,7 +168,7 @@ def _prose(text: str) -> str:
 def _spelled(named: re.Match[str]) -> str:
     """Return an option that is named as in Python as it is typed."""
     name, value = named.groups()
-    words = [spelling_of(name) or name, *([value] if value not in {None, "True"} else [])]
+    words = [spellings().get(name, name), *([value] if value not in {None, "True"} else [])]
     return f"`{' '.join(words)}`"
 
 

@@ -16,7 +16,7 @@ import pc2scan
 from pc2scan.cli import app, completion
 from pc2scan.cli.app import parse
 from pc2scan.cli.commands import COMMANDS
-from pc2scan.options.table import options_of, spelling_of
+from pc2scan.options.table import options_of, spellings
 from support import HALL, ROOT
 from support.command import run
 from support.tables import rows
@@ -98,5 +98,5 @@ def test_the_library_names_options_and_the_command_spells_them() -> None:
         if not path.startswith(("cli/", "pytest_plugin")) and re.search(r"--([a-z]|$)", text):
             spelled.add(path)
     assert {"overwrite", "topics", "angle_min", "target_frame"} <= named
-    assert {name for name in named if spelling_of(name) not in known} == set()
+    assert {name for name in named if spellings().get(name) not in known} == set()
     assert spelled == dict(rows(TABLES, "options below the command line")).keys()

@@ -12,7 +12,7 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError
 from pc2scan.options.call import Options
 from pc2scan.options.moment import TimeBound
-from pc2scan.options.table import GROUPS, PARAMETERS, options_of, spelling_of
+from pc2scan.options.table import GROUPS, PARAMETERS, options_of, spellings
 from support.command import run
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def test_there_are_few_options() -> None:
 def test_helps_name_options_that_there_are() -> None:
     for _, option in all_options():
         for name in re.findall(r"`([a-z_]+)", option.help):
-            assert spelling_of(name), option
+            assert spellings()[name], option
 
 
 def shown(command: str, how: str) -> set[str]:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, TextIO
 
 from pc2scan.errors import visible
 from pc2scan.options.call import call_words
-from pc2scan.options.table import spelling_of
+from pc2scan.options.table import spellings
 from pc2scan.result import Call
 from pc2scan.tables import Table
 from pc2scan.text import shell_word
@@ -109,7 +109,7 @@ def as_typed(text: str) -> str:
 
 def _spelled(named: re.Match[str]) -> str:
     name, value = named.groups()
-    option = spelling_of(name)
+    option = spellings().get(name)
     if option is None:
         return named[0]
     if value in (None, "True"):

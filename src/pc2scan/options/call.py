@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from .conversion import CloudCombination
 from .option import Parameter, Scope
-from .table import PARAMETERS, conversion_options, options_of, spelling_of
+from .table import PARAMETERS, conversion_options, options_of, spellings
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Iterator, Mapping
@@ -120,7 +120,7 @@ def call_words(call: Call) -> list[str]:
     """Return the words of the command that a result proposes."""
     words = ["pc2scan", call.command, *call.sources]
     for name, value in call.options.items():
-        words += _option_words(spelling_of(name) or f"--{name}", value)
+        words += _option_words(spellings().get(name, f"--{name}"), value)
     return words
 
 

@@ -133,8 +133,8 @@ class Option:
         The type of its values.
     help
         One or two sentences, without the default.
-    spelling
-        How it is typed: ``--min-height``; empty: only Python has it.
+    spelling, negation
+        How it is typed: ``--min-height``; empty: only Python has it. How a parameter is set to false: ``--no-use-inf``.
     panel, scope, default, short, command_only
         See `How`.
     """
@@ -147,6 +147,7 @@ class Option:
         words = [word for part in (kind, *get_args(kind)) if get_origin(part) is Literal for word in get_args(part)]
         self.value: Value = next(iter(parts.values()), text(words=filter(None, words)) if words else FLAG)
         self.spelling = f"--{name.replace('_', '-')}" if how.typed == "--" else how.typed
+        self.negation = f"--no-{name.replace('_', '-')}"
         self.panel = panel if how.panel is None else how.panel
         self.scope = how.scope or scope
         self.short, self.command_only = how.short, how.command_only
@@ -176,21 +177,6 @@ class Option:
 
 class Parameter(Option):
     """A parameter of the projection, upstream's or pc2scan's own; its default is that of `ProjectionParams`."""
-
-    @property
-    def upstreams(self) -> bool:
-        """Whether upstream's node has it."""
-        return self.panel is Section.PARAMS
-
-    @property
-    def is_shared(self) -> bool:
-        """Whether laserscan_to_pointcloud has it, too."""
-        return self.name in {"target_frame", "transform_tolerance", "queue_size"}
-
-    @property
-    def negation(self) -> str:
-        """The command line's spelling that sets it to false: ``--no-use-inf``."""
-        return f"--no-{self.name.replace('_', '-')}"
 
     @property
     def default_text(self) -> str:

@@ -165,13 +165,9 @@ def options_of(command: str) -> Mapping[str, Option]:
 PARAMETERS: Mapping[str, Parameter] = options_in(projection.Projection)
 
 
-def spelling_of(name: str) -> str | None:
-    """Return how an option is typed, by its name in Python; None if no command has it."""
-    return _spellings().get(name)
-
-
 @cache
-def _spellings() -> Mapping[str, str]:
+def spellings() -> Mapping[str, str]:
+    """Return how options are typed, by their names in Python."""
     options = [option for command in GROUPS for option in options_of(command).values()]
     return {option.name: option.spelling for option in options if option.spelling} | {"destination": "-o"}
 

@@ -27,11 +27,7 @@ _MAX_CHARACTERS, _MAX_TEXTS = 40_000, 10_000
 
 _ENTRY = "generate_launch_description"
 
-#: Where the functions and classes are from that are read.
-_PACKAGES = {"launch", "launch_ros", "ament_index_python", "os"}
-
 _NODES = {"Node", "ComposableNode"}
-_PROGRAMS = ("pointcloud_to_laserscan_node", "pointcloud_to_laserscan::")
 
 #: Actions that launch what is among their arguments, once; and the names of such arguments.
 _ACTIONS = {"LaunchDescription", "GroupAction", "TimerAction", "ComposableNodeContainer", "LoadComposableNodes"}
@@ -71,23 +67,22 @@ class _PythonReader:
             raise ParameterError(f"{path}: is not a launch file: it has no function {_ENTRY}(), or several")
         used = (node for node in self._tree if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load))
         changed = {node.id for node in used if self._user(node) not in _READ}
+        imported = (node.asname or node.name for node in self._tree if isinstance(node, ast.alias))
+        bound = self._bound + Counter(imported)
         # What names are assigned that count.
         self._values: dict[str, ast.expr] = {}
         for statement in (*tree.body, *entry.body):
             match statement:
                 case ast.Assign([ast.Name(name)], value) | ast.AnnAssign(ast.Name(name), _, value):
-                    if value and self._bound[name] == 1 and not (isinstance(value, _CHANGEABLE) and name in changed):
+                    if value and bound[name] == 1 and not (isinstance(value, _CHANGEABLE) and name in changed):
                         self._values[name] = value
-        if "*" in self._bound:
-            self._values = {}
         self._declared = self._calls("DeclareLaunchArgument")
         # What is launched once, and under no condition.
         self._launched: set[ast.AST] = set()
-        if not any(map(_returns, entry.body[:-1])):
-            for statement in entry.body:
-                match statement:
-                    case ast.Return(value) | ast.Expr(ast.Call(ast.Attribute(attr="add_action"), [value])):
-                        self._launch(value)
+        for statement in entry.body:
+            match statement:
+                case ast.Return(value) | ast.Expr(ast.Call(ast.Attribute(attr="add_action"), [value])):
+                    self._launch(value)
 
     def _launch(self, node: ast.AST | None) -> None:
         """Collect what a description launches."""
@@ -116,8 +111,6 @@ class _PythonReader:
             self._add_node(call, file)
         for node in self._tree:
             match node:
-                case ast.Constant(str() as text) if text.startswith(_PROGRAMS) and self._user(node) not in _NODES:
-                    file.unread.append(_unread(node))
                 case ast.Name(word) | ast.Attribute(_, word) | ast.keyword(str() as word) | ast.alias(word, str()):
                     if word in _CHANGING and "'use_sim_time'" not in (code := ast.unparse(self._parents[node])):
                         file.unread.append(UnreadError.of(code, node.lineno))
@@ -242,23 +235,12 @@ class _PythonReader:
 
 
 def _bound(node: ast.AST) -> list[str]:
-    """Return the names that a part of the tree binds, but for those that are imported from ROS."""
-    match node:
-        case ast.Name(_, ast.Load()) | ast.alias() | ast.keyword():
-            return []
-        case ast.ImportFrom(str() as module, names, 0) if module.partition(".")[0] in _PACKAGES:
-            return [alias.asname for alias in names if alias.asname]
-        case ast.Import(names) | ast.ImportFrom(_, names):
-            bound = {alias.asname or alias.name.partition(".")[0] for alias in names}
-            return [*(bound - _PACKAGES)]
+    """Return the names that a part of the tree binds, but for those that it imports."""
+    if isinstance(node, ast.keyword | ast.alias) or isinstance(getattr(node, "ctx", None), ast.Load):
+        return []
     # Names, functions, classes, arguments, exceptions that are caught, and patterns.
     candidates = [getattr(node, attribute, None) for attribute in ("id", "name", "arg", "rest")]
     return [name for name in (*candidates, *getattr(node, "names", ())) if isinstance(name, str)]
-
-
-def _returns(statement: ast.stmt) -> bool:
-    is_function = isinstance(statement, ast.FunctionDef)
-    return not is_function and any(isinstance(node, ast.Return) for node in ast.walk(statement))
 
 
 def _unread(node: ast.expr) -> UnreadError:

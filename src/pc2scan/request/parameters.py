@@ -37,6 +37,9 @@ ALIASES = {"concurrency_level": "queue_size"}
 #: last two.
 TOPICS = frozenset({"cloud_in", "scan", "scan_in", "cloud", "point_cloud_topic", "scan_topic"})
 
+#: The parameters of laserscan_to_pointcloud, which pointcloud_to_laserscan has, too.
+SHARED = frozenset({"target_frame", "transform_tolerance", "queue_size"})
+
 #: Pairs of parameters that describe the same thing. The setting with the higher precedence is used, the other ignored.
 RIVALS = {"beams": "angle_increment", "no_return": "use_inf"}
 RIVALS |= {rival: name for name, rival in RIVALS.items()}
@@ -61,7 +64,7 @@ def is_every_nodes(name: str) -> bool:
 
 def names_of(direction: Direction | None) -> list[str]:
     """Return the names of a node's parameters; all names if the direction is not known."""
-    return [p.name for p in PARAMETERS.values() if p.is_shared or direction != "laserscan_to_pointcloud"]
+    return [name for name in PARAMETERS if name in SHARED or direction != "laserscan_to_pointcloud"]
 
 
 def unknown_parameter(name: str, origin: str, direction: Direction | None) -> ParameterError:
@@ -144,7 +147,7 @@ def resolve(
         chosen: dict[str, Any] = {}
         for name, text in source.among(PARAMETERS).items():
             parameter, origin, rival = PARAMETERS[name], source.origins.get(name, CALL), RIVALS.get(name, "")
-            if direction == "laserscan_to_pointcloud" and not parameter.is_shared:
+            if direction == "laserscan_to_pointcloud" and name not in SHARED:
                 raise unknown_parameter(name, origin, direction)
             # A whole number is accepted where a float is expected; ROS 2 itself requires `30.0`. A number may have a
             # unit, or be arithmetic (`180deg`, `pi/2`, `50cm`). Nothing else is converted.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple, get_args
 
 from pc2scan.errors import ParameterError, name_list
 from pc2scan.options.call import Options
+from pc2scan.options.projection import NodeParameters
 from pc2scan.options.table import PARAMETERS
 from pc2scan.text import did_you_mean, nearest
 
@@ -17,6 +18,7 @@ from .launch_python import python_nodes
 from .launch_xml import xml_nodes
 from .parameters import (
     ALIASES,
+    SHARED,
     TOPICS,
     Direction,
     expected_message,
@@ -37,7 +39,7 @@ _EXAMPLE = "name a ROS parameter file or a launch file; each parameter is an opt
 
 #: Names that identify a section as one of upstream's nodes. pc2scan's own names (``geometry``, ``beams``) do not: any
 #: node may use them, also for groups of parameters.
-_OF_UPSTREAM = {name for name, parameter in PARAMETERS.items() if parameter.upstreams} | ALIASES.keys()
+_OF_UPSTREAM = NodeParameters.__annotations__.keys() | ALIASES.keys()
 
 #: Topics of the node whose remappings in launch files are read.
 _REMAPPED = {"cloud_in", "scan", "tf", "tf_static"}
@@ -395,7 +397,7 @@ def _merge_sections(sections: _Sections, target: str, *, ros1: bool) -> ParamsFi
     applying = {full: parameters for full, parameters in sections.items() if _matches(full, target)}
     given = {name for parameters in applying.values() for name in parameters} & PARAMETERS.keys()
     direction = _direction_of(target)
-    if direction is None and any(PARAMETERS[name].upstreams and not PARAMETERS[name].is_shared for name in given):
+    if direction is None and given & _OF_UPSTREAM - SHARED:
         direction = "pointcloud_to_laserscan"
     known = names_of(direction)
     values, origins = dict[str, object](), dict[str, str]()
@@ -405,7 +407,7 @@ def _merge_sections(sections: _Sections, target: str, *, ros1: bool) -> ParamsFi
         is_own = full == target or _direction_of(full) is not None
         for written, leaf in parameters.items():
             name = ALIASES.get(written, written)
-            is_ours = name in known and (is_own or PARAMETERS[name].upstreams)
+            is_ours = name in known and (is_own or name in _OF_UPSTREAM)
             if is_ours and (name == written or name not in parameters):
                 value = leaf.read(name, ros1=ros1)
                 # roscpp reads 0 and 1 as a bool, rclcpp does not.
