@@ -13,9 +13,7 @@ from pc2scan.options.table import PARAMETERS
 from pc2scan.text import did_you_mean, nearest
 
 from .entries import Entry, entries_in, not_quoting, read_text, scalar_value
-from .launch_node import ELSEWHERE, UnreadError, qualified
-from .launch_python import python_nodes
-from .launch_xml import xml_nodes
+from .launch import ELSEWHERE, LaunchFile, UnreadError, qualified
 from .parameters import (
     ALIASES,
     SHARED,
@@ -32,7 +30,7 @@ from .parameters import (
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping
 
-    from .launch_node import LaunchFile, LaunchNode, LaunchValue
+    from .launch import LaunchNode, LaunchValue
 
 #: The hint where no parameter file is found.
 _EXAMPLE = "name a ROS parameter file or a launch file; each parameter is an option, too, such as `min_height=-0.3`"
@@ -142,7 +140,7 @@ def _from_launch(
         elif param.kind == "remap":
             remaps[name] = qualified(chosen.namespace, param.value)
         elif param.kind == "file":
-            named = Path(param.value)
+            named = path.parent / param.value
             loaded = _named_file(named, place, chosen)
             files.append(named)
             # Their names are content of the file.
@@ -189,7 +187,7 @@ def _launch_node(
         pointcloud_to_laserscan, or more than one.
     """
     try:
-        file = (python_nodes if path.suffix == ".py" else xml_nodes)(text, path, arguments)
+        file = LaunchFile(text, path, arguments)
     except (RecursionError, MemoryError) as err:
         raise ParameterError(f"{path}: nested too deeply") from err
     for unused in sorted(arguments.keys() - file.arguments):
