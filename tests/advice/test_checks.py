@@ -85,17 +85,7 @@ def test_a_check_of_the_first_clouds(roll: float, options: dict[str, Any], used:
     assert found[name][0].startswith(text)
 
 
-@pytest.mark.parametrize(
-    ("frame", "moving", "cure"),
-    [
-        ("odom", True, "`target_frame=base_link` moves them to the robot"),
-        ("/odom", True, "`target_frame=base_link` moves them to the robot"),
-        ("camera_init", None, "convert the topic with the lidar's own clouds"),
-        # A lidar at a junction, and one on a robot.
-        ("odom", False, ""),
-        ("lidar", True, ""),
-    ],
-)
+@pytest.mark.parametrize(("frame", "moving", "cure"), rows(TABLE, "fixed frames"))
 def test_clouds_in_a_frame_that_does_not_move_with_the_robot(frame: str, moving: bool | None, cure: str) -> None:
     builder = TransformBuilder()
     rows_of_tf = [("odom", "base_link", stamp, float(stamp), 0.0, 0.0, 0.0, 0.0, 0.0, 1.0) for stamp in (1, 2)]
@@ -109,30 +99,7 @@ def test_clouds_in_a_frame_that_does_not_move_with_the_robot(frame: str, moving:
 
 
 @pytest.mark.parametrize("target", ["", "base_link"])
-@pytest.mark.parametrize(
-    ("own", "source", "moves", "told"),
-    [
-        (
-            "lidar",
-            "odom",
-            True,
-            "/points: `source_frame` is odom, in which lidar, the frame of the clouds, moves with base",
-        ),
-        (
-            "/base_link",
-            "/odom",
-            True,
-            "/points: `source_frame` is odom, in which base_link, the frame of the clouds, moves:",
-        ),
-        # A robot that stands still, a frame that no transform has, as registered clouds may have, and one on the robot.
-        ("lidar", "odom", False, ""),
-        ("cloud", "odom", True, ""),
-        ("", "odom", True, ""),
-        ("cloud", "lidar", True, ""),
-        ("lidar", "base_link", True, ""),
-        ("lidar", "", True, ""),
-    ],
-)
+@pytest.mark.parametrize(("own", "source", "moves", "told"), rows(TABLE, "source frames"))
 def test_a_source_frame_that_the_robot_moves_in(own: str, source: str, moves: bool, told: str, target: str) -> None:
     builder = TransformBuilder()
     builder.add([("base_link", "lidar", 0, 0.0, 0.0, 0.6, 0.0, 0.0, 0.0, 1.0)], static=True)

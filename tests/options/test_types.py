@@ -5,36 +5,14 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
 from support import ROOT
+from support.tables import rows
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-#: Calls, and what mypy finds wrong with each; empty: nothing.
-CALLS = {
-    'pc2scan.convert("a", min_height=1, max_height="50cm")': "",
-    'pc2scan.convert("a", "b.mcap", target_frame="base_link", angle_min="-90deg", scan_time="auto")': "",
-    'pc2scan.convert(["a", Path("b")], topics=["/points:=/scan"], keep="/tf*", start=datetime.now(timezone.utc))': "",
-    'pc2scan.convert("a", where=["ring < 8"], static_tf=pc2scan.StaticTransform.parse("a b 0 0 0 0 0 0"))': "",
-    'pc2scan.scans("a", topics="/points", preset="nav2", deskew=True, fixed_frame="odom")': "",
-    'pc2scan.batch("a/", "b/", min_height=0.1, jobs=2, dask=True, format="npz", pose_frame="odom")': "",
-    'pc2scan.export("a", "b.npz", pose_frame="odom", min_height=0.1, format="npz")': "",
-    'pc2scan.view("a", clouds=3, at=["1", 2.5], reduce="median").save("page.html")': "",
-    'pc2scan.scans("a", reduce="kth")': 'Argument "reduce" to "scans" has incompatible type "Literal[\'kth\']"',
-    'pc2scan.check("a", consumers=["nav2"], tf_from="b")': "",
-    'pc2scan.diff("a", "b", rtol=1e-5, atol={"ranges": 1e-3}, ignore=["seq"])': "",
-    'pc2scan.convert("a", min_hieght=1)': 'Unexpected keyword argument "min_hieght" for "convert"; did you mean',
-    'pc2scan.convert("a", min_height=["x"])': 'Argument "min_height" to "convert" has incompatible type "list[str]"',
-    'pc2scan.convert("a", overwrite="no")': 'Argument "overwrite" to "convert" has incompatible type "str"',
-    'pc2scan.map("a", "map.yaml")': 'Too many positional arguments for "map"',
-    'pc2scan.info("a", min_height=1)': 'Unexpected keyword argument "min_height" for "info"',
-    "pc2scan.convert(5)": 'Argument 1 to "convert" has incompatible type "int"',
-    'pc2scan.convert("a").nothing': '"Report" has no attribute "nothing"',
-}
+CALLS: dict[str, str] = dict(rows(Path(__file__).with_name("types.txt"), "calls", text=True))
 
 
 @pytest.mark.slow

@@ -20,13 +20,7 @@ from support import sampled
 from support.tables import rows
 
 #: Values of each option.
-VALUES: dict[str, Any] = {
-    "where": ("ring in (3, 4)", "intensity > 10"),
-    "exclude_box": ("base_link -0.5 0.5 -inf inf 0 1",),
-    "exclude_polygon": ("base_link 0 0 1 0 1.5 1",),
-    "ground": "remove",
-    "min_height_slope": 0.05,
-}
+VALUES: dict[str, Any] = dict(rows(Path(__file__).with_name("values.txt"), "filters"))
 
 
 @pytest.mark.parametrize("name", VALUES)
