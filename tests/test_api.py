@@ -52,6 +52,10 @@ def test_a_path_is_text_or_an_object(name: str, kind: type, tmp_path: Path, monk
     # "~" is the home folder, as in a shell.
     monkeypatch.setenv("HOME", str(HALL.parent))
     assert pc2scan.info([kind("~/hall.bag")]).messages == 11
+    # A folder of this name comes first.
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "~").symlink_to(HALL.parent)
+    assert pc2scan.info([kind("~/hall.bag")]).messages == 11
 
 
 # --- arguments ---

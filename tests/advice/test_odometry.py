@@ -68,6 +68,13 @@ def test_odometry_that_lags_is_said_with_its_lag(late: float, tmp_path: Path) ->
     )
 
 
+def test_points_at_wrong_times_say_nothing_of_odometry(tmp_path: Path) -> None:
+    lidars = [RINGS, replace(REAR, time_scale=1e-3)]
+    (text,) = warnings(write_weaving(tmp_path / "drive.mcap", lidars, Fault(late=0.1)), lidars)
+    assert "/rear" in text
+    assert "`point_time=t:us`" in text
+
+
 def driven(seed: int, *, wheels: bool) -> list[Rigid]:
     """The poses of a robot for a minute: it goes ahead and back, and turns; without wheels to any side, too."""
     random = np.random.default_rng(seed)

@@ -113,6 +113,12 @@ def test_what_is_loaded_ahead_is_bounded_and_enough(size: int, jobs: int) -> Non
     assert jobs <= most <= max(min(threads.ahead, jobs * AHEAD_BYTES // size), jobs + 1) + 1
 
 
+def test_compressed_messages_may_be_more_than_their_bytes() -> None:
+    file: Any = object()
+    many = chunk(0, range(5_000), size=5_000)._replace(file=file, length=1)
+    assert len(found(merge_by_time([many]))) == 5_000
+
+
 # --- Threads ---
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from pc2scan.core.scene import LEVEL, find_ground
+from pc2scan.core.scene import LEVEL, cells_of, find_ground, on_rising_plane, outermost
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -39,3 +39,25 @@ def test_what_is_no_level_floor() -> None:
     assert height_of(flat) is None
     # A table, with more below it than above.
     assert height_of(np.concatenate([floor(0, 0, 0.5), floor(0, 0, 1.5)])) in (None, pytest.approx(1.5, abs=0.02))
+
+
+def patch(height: float, near: float, far: float, slope: float = 0.0) -> NDArray[np.float64]:
+    """Points of a plane that begins so far ahead."""
+    random = np.random.default_rng(3)
+    x, y = random.uniform(near, far, 2500), random.uniform(-4, 4, 2500)
+    return np.stack([x, y, height + slope * (x - near)], axis=1)
+
+
+@pytest.mark.parametrize(("height", "near"), [(1.0, -4), (0.2, -4), (1.0, 10)])
+def test_what_is_overhead_is_not_just_above_the_sensor_and_not_far_away(height: float, near: float) -> None:
+    found = outermost(cells_of(np.concatenate([patch(-1.0, -4, 4), patch(height, near, near + 8)])), 1)
+    assert (None if found is None else found.height) == (pytest.approx(1.0) if (height, near) == (1.0, -4) else None)
+    # Nor is one ring alone.
+    assert outermost(cells_of(patch(height, near, near + 8)), 1) is None
+
+
+def test_a_ramp_rises_from_the_floor() -> None:
+    ramp = patch(-0.5, 2, 8, slope=0.15)
+    rising = on_rising_plane(np.concatenate([ramp, patch(-0.5, -8, 2)]), -0.5)
+    assert rising[: len(ramp)].all()
+    assert rising[len(ramp) :].mean() < 0.1

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from pc2scan import ProjectionParams
@@ -231,6 +231,7 @@ def test_compiled_loops_equal_those_in_numpy(cloud: Any, apart: bool, params: Pr
     st.sampled_from(["in time", "by ring", "random", "zeros", "level", "tilting"]),
     st.sampled_from([2, 3, 17, 400]),
 )
+@example((7, (2, 2600), ("<f4",) * 3, (4, 3)), "<u4", "tilting", 2)
 def test_moving_points_are_where_they_are_at_their_own_times(
     cloud: Any, times_type: str, kind: str, nodes: int
 ) -> None:

@@ -101,6 +101,14 @@ def test_kerbs_and_slopes_are_ground(place: str, sensor: str, lidar: float) -> N
     assert ground_of(cloud.points)[raised].mean() > RAISED[place]
 
 
+def test_two_steps_within_a_metre_are_stairs() -> None:
+    radius, angle = np.meshgrid(np.linspace(1, 20, 700), np.linspace(-math.pi, math.pi, 360, endpoint=False))
+    height = 0.18 * ((radius > 2.0).astype(float) + (radius > 2.8))
+    found = on_ground((radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel(), height.ravel())
+    assert found[(radius < 2.7).ravel()].all()
+    assert not found[((radius > 2.82) & (radius < 2.9)).ravel()].any()
+
+
 def test_a_planar_lidar_sees_no_ground() -> None:
     angles = np.linspace(-math.pi, math.pi, 1440)
     ranges = 4 + 2 * np.sin(3 * angles)

@@ -54,6 +54,13 @@ def decoded(*args: Any, **kwargs: Any) -> PointCloud2:
 XYZ = [PointField("x", 0, 7), PointField("y", 4, 7), PointField("z", 8, 7)]
 
 
+def test_fields_that_share_their_bytes_are_a_table_up_to_a_limit() -> None:
+    same = [PointField(f"{number}", 0, 7, 3) for number in range(9)]
+    assert decoded(same[:8], bytes(12)).structured_points().size == 1
+    with pytest.raises(DecodeError, match="its fields have 108 bytes, and a point has 12"):
+        decoded(same, bytes(12)).structured_points()
+
+
 @given(
     st.lists(st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=9), max_size=6),
     st.text(max_size=9).filter(lambda s: "\0" not in s),

@@ -211,7 +211,7 @@ def test_a_models_fixed_joints_are_static_transforms(
     assert pc2scan.tf(out).lookup("base_link", "lidar").translation.tolist() == [0, 0, 0.5]
 
 
-@pytest.mark.parametrize(("content", "said"), rows(TABLES, "wrong models"))
+@pytest.mark.parametrize(("content", "said"), rows(TABLES, "wrong models"), ids=lambda text: text[:60])
 def test_a_wrong_model_is_refused_in_a_file_and_passed_over_in_a_recording(
     content: str, said: str, tmp_path: Path
 ) -> None:

@@ -11,6 +11,7 @@ import pytest
 from pc2scan.core.rigid import interpolate_poses
 from pc2scan.errors import RecordingError
 from pc2scan.transforms.builder import TransformBuilder
+from pc2scan.transforms.motion import sensor_motion
 from transforms.small_buffers import EPOCH, SECOND, at, built, refusal, row, x_of
 
 if TYPE_CHECKING:
@@ -67,6 +68,14 @@ def test_a_stamp_of_zero_asks_for_the_latest_common_time() -> None:
         [row("base", "lidar", 99, x=100)],
     )
     assert [x_of(buffer, target, "lidar", 0) for target in ("map", "odom", "base")] == [133, 105.5, 100]
+
+
+def test_what_only_localisation_moves_moves() -> None:
+    driven = [row("map", "odom", number / 10, number / 10) for number in range(20)]
+    motion = sensor_motion(built(driven, [row("odom", "base", 0), row("base", "lidar", 0)]), "lidar", 0.1)
+    assert motion is not None
+    assert motion.fixed == "map"
+    assert motion.metres == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize(("second", "gap"), [(2.8 + 0.1, 0.1), (1.2 - 0.1, 0.1), (3.5, 0.7), (0.5, 0.7)])
