@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from pc2scan.request.options import ScanSpec
     from pc2scan.request.point_time import Times
     from pc2scan.transforms.buffer import TransformBuffer
-    from pc2scan.transforms.history import FrameHistory
+    from pc2scan.transforms.frames import FrameHistory
 
 #: A robot on wheels moves along its own x axis: less than the first share of its way is sideways. Poses of which more
 #: than the second one is, and whose inverses move along x, are inverted. Nothing is known of a shorter way, metres, and

@@ -13,7 +13,7 @@ import numpy as np
 from pc2scan.errors import RecordingError
 
 from .buffer import TransformBuffer
-from .history import ACCEPTED, REASONS, FrameHistory, RejectedTransforms, reason_of_names, reasons_of, time_order
+from .frames import ACCEPTED, REASONS, FrameHistory, RejectedTransforms, reason_of_names, reasons_of, time_order
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable

@@ -186,9 +186,8 @@ class TransformReading:
         observe((reader, firsts))
         fitting = []
         for topic, trial in trials.items():
-            pairs = [(each.parent, each.child) for each in trial.finish()[0]]
-            if any(frame in missing for pair in pairs for frame in pair):
-                fitting.append((topic, *pairs[0]))
+            pairs = ((each.parent, each.child) for each in trial.finish()[0])
+            fitting += [(topic, *pair) for pair in pairs if not missing.isdisjoint(pair)][:1]
         for topic, parent, child in fitting:
             # Without the name of the frame that has the poses, the user has to know it.
             is_named = all(POSES[each.ros_type] for each in candidates[topic])

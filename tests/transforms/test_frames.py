@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pc2scan.transforms.builder import MAX_REJECTIONS
-from pc2scan.transforms.history import RejectedTransforms
+from pc2scan.transforms.frames import RejectedTransforms
 from transforms.small_buffers import at, built, refusal, row, x_of
 
 if TYPE_CHECKING:
