@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from pc2scan.errors import DestinationError
-from pc2scan.files import staging
-from pc2scan.files.staging import staged_output
+from pc2scan.files import outputs
+from pc2scan.files.outputs import staged_output
 from support import ROOT, sampled
 from support.batches import contents
 from support.command import environment, run
@@ -65,7 +65,7 @@ def test_a_second_run_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("fcntl")
     program = (
         "import sys, pathlib\n"
-        "from pc2scan.files.staging import staged_output\n"
+        "from pc2scan.files.outputs import staged_output\n"
         "with staged_output(pathlib.Path(sys.argv[1]), overwrite=True) as partial:\n"
         "    partial.write_text('other'); print('ready', flush=True); sys.stdin.read()\n"
     )
@@ -73,7 +73,7 @@ def test_a_second_run_is_refused(tmp_path: Path) -> None:
         [sys.executable, "-c", program, str(tmp_path / "out")],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        env={**os.environ, "PYTHONPATH": str(Path(staging.__file__).parents[2])},
+        env={**os.environ, "PYTHONPATH": str(Path(outputs.__file__).parents[2])},
     ) as other:
         assert other.stdout is not None
         assert other.stdout.readline() == b"ready\n"

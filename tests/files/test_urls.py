@@ -35,8 +35,8 @@ def test_secrets_are_not_shown(tmp_path: Path) -> None:
     assert (str(copy), os.fspath(copy)) == ("https://h:8/in/x.bag", str(tmp_path / "x.bag"))
     (tmp_path / "x.bag").mkdir()
     (tmp_path / "x.bag" / "part").touch()
-    shown = [*map(str, copy.iterdir()), str(copy.with_name("y")), str(pickle.loads(pickle.dumps(copy)))]
-    assert shown == ["https://h:8/in/x.bag/part", "https://h:8/in/y", "https://h:8/in/x.bag"]
+    shown = [*map(str, copy.iterdir()), str(copy.with_name("y"))]
+    assert shown == ["https://h:8/in/x.bag/part", "https://h:8/in/y"]
 
 
 def test_one_object_has_one_identity() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import DestinationError
-from pc2scan.files.ownership import LEFTOVERS
+from pc2scan.files.outputs import LEFTOVERS
 
 from . import zstd
 from .formats import FORMATS, Format, destinations
@@ -253,7 +253,7 @@ def open_writer(destination: Destination, staged_path: Path, name: str) -> Write
     destination
         From `plan_destination`.
     staged_path
-        The path to write to; see `pc2scan.files.staging.staged_output`.
+        The path to write to; see `pc2scan.files.outputs.staged_output`.
     name
         The final name; a rosbag2 directory's file is named after it.
 

@@ -32,9 +32,15 @@ from pc2scan.errors import (
     TopicError,
     UsageError,
 )
-from pc2scan.files.ownership import inputs_of, refuse_overlap
+from pc2scan.files.outputs import (
+    check_destination,
+    files_output,
+    inputs_of,
+    output_folder,
+    refuse_overlap,
+    staged_output,
+)
 from pc2scan.files.source import changed_while_read, state_of
-from pc2scan.files.staging import check_destination, files_output, output_folder, staged_output
 from pc2scan.files.system import copying_to
 from pc2scan.files.urls import UrlPath, exists
 from pc2scan.progress import Meter
@@ -58,7 +64,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.destinations import Destination
     from pc2scan.bags.reader import Reader
-    from pc2scan.files.ownership import InputPath
+    from pc2scan.files.outputs import InputPath
     from pc2scan.files.urls import PathText
     from pc2scan.model import Writer
     from pc2scan.options.call import Options

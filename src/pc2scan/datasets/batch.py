@@ -12,8 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import DestinationError, DiskFullError, OutputError, UsageError
-from pc2scan.files.ownership import InputPath, inputs_of
-from pc2scan.files.staging import check_destination, files_output
+from pc2scan.files.outputs import InputPath, check_destination, files_output, inputs_of
 from pc2scan.files.system import copying_to, is_full
 from pc2scan.files.urls import UrlPath, absolute, refuse_without_room
 from pc2scan.result import BEGINNING

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.destinations import default_destination
 from pc2scan.errors import DestinationError, name_list
-from pc2scan.files.ownership import Inputs, first_link, name_key, working_names
+from pc2scan.files.outputs import Inputs, first_link, name_key, working_names
 from pc2scan.files.urls import absolute
 from pc2scan.version import __version__
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from pc2scan.errors import Pc2ScanError
-    from pc2scan.files.ownership import InputPath
+    from pc2scan.files.outputs import InputPath
 
     from .find import Recording
     from .jobs import Request

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, ClassVar
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.conversion.corrections import corrected_transforms
 from pc2scan.errors import MessageError, OutputError, ResultError, TransformError, UsageError, name_list, visible
-from pc2scan.files.ownership import inputs_of, read_record, refuse_overlap, write_record
-from pc2scan.files.staging import staged_output
+from pc2scan.files.outputs import inputs_of, read_record, refuse_overlap, staged_output, write_record
 from pc2scan.files.system import remove
 from pc2scan.progress import Meter
 from pc2scan.requests import conversion_of, destination_of

@@ -49,7 +49,7 @@ def state_of(path: Path) -> tuple[tuple[str, int, int, int, int], ...]:
         else:
             files = [path, *(side for suffix in _LOGS if (side := file_beside(path, suffix)))]
         states = [(file.name, file.stat()) for file in files]
-    except (OSError, RecordingError):
+    except OSError:
         return ()
     return tuple((name, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns) for name, state in states)
 
@@ -64,8 +64,7 @@ def changed_while_read(path: Path | str) -> RecordingError:
 def file_beside(path: Path, suffix: str) -> Path | None:
     """Return the file with another file's name and ``suffix``; None if it does not exist or the name is too long."""
     side = path.with_name(path.name + suffix)
-    # A web server may refuse to say whether it exists.
-    with suppress(OSError, RecordingError):
+    with suppress(OSError):
         return side if side.is_file() else None
     return None
 

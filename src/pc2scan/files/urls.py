@@ -175,21 +175,6 @@ def is_dir(path: Path) -> bool:
     return path.is_dir() if isinstance(path, UrlPath) else os.path.isdir(path)  # noqa: PTH112
 
 
-def shown_url(url: str) -> str:
-    """Return a URL without its parts that may be secret: user and password, and over HTTP query and fragment.
-
-    In the other schemes ``?`` and ``#`` are characters of a name.
-
-    >>> shown_url("https://me:secret@example.org/drive.mcap?signature=1"), shown_url("s3://bucket/drive #1?.mcap")
-    ('https://example.org/drive.mcap', 's3://bucket/drive #1?.mcap')
-    """
-    scheme, _, rest = url.partition("://")
-    if scheme in ("http", "https"):
-        rest = rest.partition("#")[0].partition("?")[0]
-    host, slash, path = rest.partition("/")
-    return f"{scheme}://{host.rpartition('@')[2]}{slash}{path}"
-
-
 # Up to Python 3.11, Path itself has no subclasses, only this has.
 if TYPE_CHECKING:
     from pathlib import PosixPath as _LocalPath
@@ -212,13 +197,18 @@ class UrlPath(_LocalPath):
         return f"{scheme}://{rest.lstrip('/')}"
 
     def __str__(self) -> str:
-        return shown_url(self.url)
+        """Return the URL without its parts that may be secret: user and password, and over HTTP query and fragment.
+
+        In the other schemes ``?`` and ``#`` are characters of a name.
+        """
+        scheme, _, rest = self.url.partition("://")
+        if self.is_read_only:
+            rest = rest.partition("#")[0].partition("?")[0]
+        host, slash, path = rest.partition("/")
+        return f"{scheme}://{host.rpartition('@')[2]}{slash}{path}"
 
     def __fspath__(self) -> str:
         return self.url
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.url,)
 
     @property
     def name(self) -> str:
@@ -351,9 +341,6 @@ class CopyPath(_LocalPath):
 
     def __fspath__(self) -> str:
         return super().__str__()
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return path_or_url, (str(self),)
 
     def iterdir(self) -> Generator[Self]:
         """Yield what is in a folder."""

@@ -33,8 +33,7 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.unproject import beam_angles, last_beam_ns
 from pc2scan.errors import MessageError, ResultError, TransformError, UsageError, name_list
-from pc2scan.files.ownership import inputs_of, refuse_overlap
-from pc2scan.files.staging import files_output
+from pc2scan.files.outputs import files_output, inputs_of, refuse_overlap
 from pc2scan.files.urls import path_of, path_or_url
 from pc2scan.messages.clouds import CLOUDS, usual_topics
 from pc2scan.messages.laserscan import LASERSCAN

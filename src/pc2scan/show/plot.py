@@ -14,8 +14,7 @@ import numpy as np
 from pc2scan.core.layout import TURN
 from pc2scan.core.project import Projector
 from pc2scan.errors import NothingToConvertError, UsageError, leading, visible
-from pc2scan.files.ownership import inputs_of, refuse_overlap
-from pc2scan.files.staging import files_output
+from pc2scan.files.outputs import files_output, inputs_of, refuse_overlap
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.requests import conversion_of, first_output
 from pc2scan.result import Part, Result

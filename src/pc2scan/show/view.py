@@ -40,8 +40,7 @@ from pc2scan.errors import (
     stamp_text,
     visible,
 )
-from pc2scan.files.ownership import inputs_of, refuse_overlap
-from pc2scan.files.staging import files_output
+from pc2scan.files.outputs import files_output, inputs_of, refuse_overlap
 from pc2scan.files.urls import path_of, path_or_url
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.options.call import Options, call_words

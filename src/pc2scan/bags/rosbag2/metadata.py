@@ -30,7 +30,7 @@ from pc2scan.bags.damage import DamageLog
 from pc2scan.bags.folders import METADATA_NAME, storage_files, storage_of
 from pc2scan.bags.topics import latches
 from pc2scan.errors import DamageError, RecordingError
-from pc2scan.files.ownership import Record
+from pc2scan.files.outputs import Record
 from pc2scan.files.source import open_text
 from pc2scan.files.urls import exists
 from pc2scan.files.yaml import MAX_CHARACTERS, dump_yaml, load_yaml

@@ -17,7 +17,7 @@ from pc2scan.bags.rosbag2.metadata import WRITTEN_VERSION
 from pc2scan.errors import OutputError, UnwritableError
 from pc2scan.files.compression import compress
 from pc2scan.files.new_file import WriteAhead
-from pc2scan.files.staging import sync
+from pc2scan.files.outputs import sync
 from pc2scan.model import Writer
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""A destination appears whole or not at all."""
+"""A destination appears whole or not at all, and is no input; what is refused is in `transcripts/ownership.txt`."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import pytest
 
 from pc2scan.bags.rosbag2.metadata import recorded_in
 from pc2scan.errors import DestinationError, OutputError
-from pc2scan.files.staging import files_output
-from pc2scan.files.staging import staged_output as output_anywhere
+from pc2scan.files.outputs import InputPath, files_output, refuse_overlap
+from pc2scan.files.outputs import staged_output as output_anywhere
 from support.rosbag2_files import write_metadata
 
 if TYPE_CHECKING:
@@ -193,3 +193,23 @@ def test_several_files_appear_all_or_none(failing: int, tmp_path: Path, monkeypa
     else:
         run()
     assert seen(tmp_path) == ({} if failing else {"a": b"1", "b": b"2", "c": b"3"})
+
+
+# --- Inputs ---
+
+
+def test_what_has_nothing_to_do_with_each_other(tmp_path: Path) -> None:
+    for name in ("bag", "bag/metadata.yaml", "bag/x_0.db3", "a.db3"):
+        (tmp_path / name).mkdir() if name == "bag" else (tmp_path / name).touch()
+    (tmp_path / "loop").symlink_to("loop")
+    inputs = [InputPath(tmp_path / name) for name in ("bag", "a.db3", "loop", "missing", "missing/deeper")]
+    outputs = [tmp_path / name for name in ("new", "bag2", "a.db", "no/where", "loop2", "bag.pc2scan-old")]
+    refuse_overlap(inputs, outputs)
+    refuse_overlap([InputPath(Path())], [Path("../new")])
+
+
+def test_names_that_differ_in_case_may_be_two_files(tmp_path: Path) -> None:
+    (tmp_path / "drive.mcap").touch()
+    if (tmp_path / "DRIVE.mcap").exists():
+        pytest.skip("this file system ignores case")
+    refuse_overlap([InputPath(tmp_path / "drive.mcap")], [tmp_path / "DRIVE.mcap"])
