@@ -42,11 +42,12 @@ from .source_checks import check_fixed_frame, check_given_frames
 from .stages import ConvertedMessage
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
     from pc2scan.advice.odometry import Odometry
     from pc2scan.advice.survey import TopicFacts
     from pc2scan.bags.reader import Reader
+    from pc2scan.core.rule import PointCounts
     from pc2scan.model import Connection, RawMessage
     from pc2scan.progress import Meter
     from pc2scan.request.options import ConvertOptions, ScanSpec
@@ -324,9 +325,9 @@ def judge_first(routes: Mapping[int, Route], prepared: Preparation, report: Repo
     converted = [route.connection for route in routes.values() if any(each.spec for each in route.outputs)]
     for topic, connections in by_topic(converted).items():
         specs = {each.spec for own in connections for each in routes[own.id].outputs}
-        known = prepared.known
-        clouds = {spec: CloudFacts(topic, spec, known) for spec in specs if spec and not spec.reverse}
-        if tally is None and not clouds:
+        specs = {spec for spec in specs if spec and not spec.reverse}
+        clouds: dict[ScanSpec, CloudFacts] = {}
+        if tally is None and not specs:
             continue
         read = successes = 0
         unconnected: list[UnconnectedError] = []
@@ -341,20 +342,23 @@ def judge_first(routes: Mapping[int, Route], prepared: Preparation, report: Repo
                 if read == len(unconnected) == _UNCONNECTED:
                     why = f"{unconnected[0].message}{'; ' * bool(unconnected[0].hint)}{unconnected[0].hint or ''}"
                     tell(f"none of the first {read} messages can be converted: {topic}: {why}")
-                _sample(item, message, [own for own in clouds.values() if not are_enough(own)], prepared)
-                if tally is None and all(map(are_enough, clouds.values())):
+                wanted = [spec for spec in specs if spec not in clouds or not are_enough(clouds[spec])]
+                for spec, sample, counts in _samples(item, message, wanted, prepared):
+                    own = clouds.setdefault(spec, CloudFacts(topic, spec, prepared.known))
+                    own.samples.append(sample)
+                    own.counts.append(counts)
+                if tally is None and len(clouds) == len(specs) and all(map(are_enough, clouds.values())):
                     break
                 are_parts = tally is None and any(own.are_parts for own in clouds.values())
                 most = PARTS if are_parts else JUDGED_CLOUDS
                 if successes == most or (read >= max(most, _MOST_READ) and (tally is None or tally.is_connected)):
                     break
         for spec, own in clouds.items():
-            if own.samples:
-                judged = judge(own)
-                tell(*judged.warnings)
-                for entry in report.topics:
-                    if entry.topic == topic and entry.spec is spec:
-                        entry.advice, entry.no_returns = judged.advice, judged.no_returns
+            judged = judge(own)
+            tell(*judged.warnings)
+            for entry in report.topics:
+                if entry.topic == topic and entry.spec is spec:
+                    entry.advice, entry.no_returns = judged.advice, judged.no_returns
 
 
 def _alone(output: Output, result: Any) -> Any:
@@ -367,21 +371,21 @@ def _alone(output: Output, result: Any) -> Any:
         return err
 
 
-def _sample(item: Item, message: RawMessage, wanted: Iterable[CloudFacts], prepared: Preparation) -> None:
-    """Add a sample of a cloud to the facts for each output that it became a scan of."""
-    clouds = {own.spec: own for own in wanted}
-    scans = [
-        (output, result)
+def _samples(
+    item: Item, message: RawMessage, specs: Collection[ScanSpec], prepared: Preparation
+) -> Iterator[tuple[ScanSpec, CloudSample, PointCounts]]:
+    """Yield a sample of a cloud, and its points, for each of these outputs that it became a scan of."""
+    scans = {
+        output.spec: (output, result)
         for output, result in item.results
-        if output.spec in clouds and isinstance(result, ConvertedMessage)
-    ]
+        if output.spec in specs and isinstance(result, ConvertedMessage)
+    }
     points = item.route.decode(message.data) if scans else None
     if isinstance(points, Points):
         sample = CloudSample.of(points)
-        for output, scan in scans:
+        for spec, (output, scan) in scans.items():
             place = prepared.conversions[output.key].placer.place(points.frame_id, scan.stamp_ns or points.stamp_ns)
-            clouds[output.spec].samples.append(sample.placed_in(place.frame_id, place.target_from_source))
-            clouds[output.spec].counts.append(scan.counts)
+            yield spec, sample.placed_in(place.frame_id, place.target_from_source), scan.counts
 
 
 def count_by_index(routes: Mapping[int, Route], prepared: Preparation, report: Report) -> None:

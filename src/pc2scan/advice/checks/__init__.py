@@ -7,6 +7,7 @@ function, a line in this table, and a row in a test. Users see the warnings of a
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
@@ -91,6 +92,8 @@ def are_enough(facts: CloudFacts) -> bool:
         return len(facts.samples) >= PARTS
     if len(facts.samples) != 1:
         return len(facts.samples) >= JUDGED_CLOUDS
+    # What is computed of one cloud is not true of several.
+    facts = replace(facts)
     with np.errstate(all="ignore"):
         return facts.are_fine and not found_by(FIRST_CLOUDS, facts)
 
