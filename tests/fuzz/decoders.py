@@ -61,7 +61,7 @@ def _cloud(data: bytes, kind: str = "") -> None:
     """To a scan; messages of other kinds also to a PointCloud2."""
     content, serialization = _serialization(data)
     conversion = CloudToScan(ScanSpec(params=ProjectionParams(min_height=-9.0)), Placer())
-    place, project = conversion.steps("/points")
+    place, _, project = conversion.steps("/points")
     assert place is not None
     decode = decoder_of(kind or "sensor_msgs/msg/PointCloud2", serialization)
     serialised(encode_laserscan, "cdr", project(place(decode(content))))

@@ -32,7 +32,7 @@ def serialized_by(conversion: Conversion, topic: str, source: str, target: str) 
 
 def stepped(conversion: Conversion, topic: str, decoded: Any) -> Any:
     """Do all steps with a decoded message."""
-    for step in conversion.steps(topic):
+    for step in filter(None, conversion.steps(topic)):
         decoded = step(decoded)
     return decoded
 

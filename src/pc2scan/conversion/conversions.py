@@ -117,7 +117,7 @@ class CloudToScan:
         measured = self.measurements.get(topic, self._default)
         project = partial(self._make_scan, measured.first_beam_ns, Beams(self.spec.params, measured))
         place = PlaceStage(self.placer, self.deskews.get(topic))
-        return (place, project) if self._select is None else (place, self._select, project)
+        return Steps(place, self._select, project)
 
     def _make_scan(self, first_beam_ns: int, beams: Beams, placed: PlacedCloud) -> ConvertedMessage:
         points, stamp_ns, name = placed.points, placed.stamp_ns, self.spec.params.intensity_field
@@ -206,7 +206,7 @@ class ScanToCloud:
 
     def steps(self, topic: str) -> Steps:  # noqa: ARG002
         """Return the only step, which is the same for all topics; see `Conversion`."""
-        return (self._make_cloud,)
+        return Steps(project=self._make_cloud)
 
     def _make_cloud(self, scan: LaserScan) -> ConvertedMessage:
         points = unproject_scan(scan, self.channels)

@@ -28,11 +28,11 @@ from .combine.conversion import Contribution
 from .stages import ConvertedMessage, as_it_is
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Generator, Hashable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Collection, Generator, Hashable, Iterable, Mapping, Sequence
 
     from pc2scan.advice.survey import Span
     from pc2scan.bags.reader import Reader
-    from pc2scan.model import Buffer, ChunkRule, Connection
+    from pc2scan.model import Buffer, ChunkRule
     from pc2scan.progress import Meter
     from pc2scan.threads import Threads
 
@@ -52,7 +52,7 @@ def items_of(
     window: int | None = None,
     meter: Meter | None = None,
 ) -> Generator[Item | StoredChunk]:
-    """Yield what became of all messages of the cut.
+    """Yield what became of all messages of the cut: for each chunk, on a thread, each message is converted.
 
     Parameters
     ----------
@@ -76,15 +76,21 @@ def items_of(
     Item | StoredChunk
         By log time. A group follows the item of the message that completes it.
     """
-    wanted = [route.connection for route in routes.values()]
-    work = partial(convert, routes)
+    wanted, (start, stop, _) = [route.connection for route in routes.values()], span
 
     def items() -> Generator[Item | StoredChunk]:
         if meter is not None:
-            meter.expect(reader.stored_bytes(wanted, span.start_ns, span.stop_ns))
-        for chunks in _chunks_of_cut(reader, wanted, span, rule, threads):
+            meter.expect(reader.stored_bytes(wanted, start, stop))
+        parts: list[Iterable[Chunk]] = [reader.chunks(Wanted(wanted, start, stop, rule))]
+        if start is not None and (lasting := [connection for connection in wanted if connection.is_latched]):
+            with closing(reader.messages(lasting, None, start, threads)) as earlier:
+                parts.insert(0, [latched_at(earlier, start)])
+        for chunks in parts:
+            load = merge_by_time(
+                chunks, partial(convert, routes), threads, window=window, path=reader.path, meter=meter
+            )
             # Closed before the threads are joined, so that work that has not begun is cancelled after an error.
-            with closing(merge_by_time(chunks, work, threads, window=window, path=reader.path, meter=meter)) as loaded:
+            with closing(load) as loaded:
                 for item in loaded:
                     if meter is not None:
                         meter.messages += sum(map(len, item.index.values())) if isinstance(item, StoredChunk) else 1
@@ -98,45 +104,29 @@ def items_of(
     return add_groups(items(), combiners, threads) if combiners else items()
 
 
-def _chunks_of_cut(
-    reader: Reader, wanted: Sequence[Connection], span: Span, rule: ChunkRule | None, threads: Threads | None
-) -> Iterator[Iterable[Chunk]]:
-    """Yield the chunk with what is latched at the beginning of the cut, then the chunks of the cut."""
-    start, stop = span.start_ns, span.stop_ns
-    lasting = [connection for connection in wanted if connection.is_latched]
-    if start is not None and lasting:
-        with closing(reader.messages(lasting, None, start, threads)) as earlier:
-            yield [latched_at(earlier, start)]
-    yield reader.chunks(Wanted(wanted, start, stop, rule))
-
-
 def convert(routes: Mapping[int, Route], message: RawMessage) -> Item:
     """Decode a message, and for each conversion of its route place its points, select some, and project them."""
     route = routes[message.connection.id]
     results: list[ConvertedMessage | Contribution | MessageError] = []
-    passing = error = None
+    cloud = passing = error = None
     try:
         if route.handle >= 0:
             passing = own_data(message.data) if route.reencode is None else route.reencode(message.data)
-        decoded = route.decode(message.data) if route.steps else None
-        done: dict[Any, Any] = {}
-        for steps in route.steps:
-            try:
-                result = decoded
-                # Equal steps of several conversions are done once.
-                for number, step in enumerate(steps[:-1], 1):
-                    begun = steps[:number]
-                    result = done[begun] = done.get(begun) or step(result)
-                result = steps[-1](result)
-                results.append(route.finish(result) if isinstance(result, ConvertedMessage) else result)
-            except MessageError as err:
-                if len(route.steps) == 1:
-                    raise
-                # The error of one does not stop the others.
-                results.append(err)
+        if route.steps:
+            cloud = route.decode(message.data)
     except MessageError as err:
         error = err
         results = [err] * len(route.steps)
+    done: dict[Any, Any] = {}
+    for steps in route.steps if error is None else ():
+        try:
+            placed = _once(done, steps.place, cloud)
+            selected = _once(done, steps.select, placed)
+            scan = steps.project(selected)
+            results.append(route.encode(scan) if isinstance(scan, ConvertedMessage) else scan)
+        except MessageError as err:
+            # It does not stop the other conversions.
+            results.append(err)
     return Item(
         route,
         message.log_time_ns,
@@ -146,6 +136,16 @@ def convert(routes: Mapping[int, Route], message: RawMessage) -> Item:
         passing,
         error,
     )
+
+
+def _once(done: dict[Any, Any], step: Callable[[Any], Any] | None, points: Any) -> Any:
+    """Return what a step makes of points; equal steps of several conversions are done once."""
+    if step is None:
+        return points
+    key = step, id(points)
+    if key not in done:
+        done[key] = step(points)
+    return done[key]
 
 
 def latched_at(messages: Iterable[RawMessage], start_ns: int) -> Chunk:

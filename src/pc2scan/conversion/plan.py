@@ -79,7 +79,7 @@ class Route:
         Whether they are also written as they are.
     decode, steps
         Decodes a message; and what is done with it then, once for all outputs of one conversion.
-    finish
+    encode
         The consumer's last step with each result.
     handle
         The writer's for messages as they are; -1 if they are not written.
@@ -96,7 +96,7 @@ class Route:
     passes: bool = False
     decode: Callable[[Buffer], Any] = bytes
     steps: Sequence[Steps] = ()
-    finish: Callable[[ConvertedMessage], ConvertedMessage] = as_it_is
+    encode: Callable[[ConvertedMessage], ConvertedMessage] = as_it_is
     handle: int = -1
     reencode: Callable[[Buffer], Buffer] | None = None
     report: Any = None

@@ -23,7 +23,7 @@ from .combine.conversion import MessagesToScan
 from .engine import NOTHING_REFUSED, Combiner
 from .plan import Output
 from .report import TopicReport
-from .stages import ConvertedMessage, as_it_is, decoder_of, serialised
+from .stages import ConvertedMessage, Steps, as_it_is, decoder_of, serialised
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
@@ -127,7 +127,7 @@ def open_routes(
         route.steps = [conversion.steps(topic) for conversion in chosen.values()]
         form = connection.serialization if topics is None else topics.target.serialization
         encode = encode_cloud if spec.reverse else encode_laserscan
-        route.finish = partial(serialised, encode, form) if finish is None else partial(finish, form)
+        route.encode = partial(serialised, encode, form) if finish is None else partial(finish, form)
         for output in route.outputs:
             conversion, leads = chosen[output.index], output.sources[:1] in ((), (topic,))
             if output.used:
@@ -142,7 +142,7 @@ def open_routes(
                 output.report = shared(entry)
                 if isinstance(conversion, MessagesToScan) and conversion.grouper is not None:
                     if output.key not in combiners:
-                        combiners[output.key] = Combiner(conversion, conversion.grouper(), route.finish)
+                        combiners[output.key] = Combiner(conversion, conversion.grouper(), route.encode)
                     output.combiner = combiners[output.key]
                     output.combiner.reports[output.sources.index(topic)] = output.report
             if leads and topics is not None:
@@ -344,7 +344,7 @@ def add_poses(
                 entries.remove(route.report)
                 route.report = None
             step = partial(as_transform, poses.reading, poses.attachments, connection, form)
-            route.decode, route.steps = as_it_is, [(step,)]
+            route.decode, route.steps = as_it_is, [Steps(project=step)]
             route.outputs.append(Output(None, shared.topic, report=entry))
             owners.append(route.outputs[-1])
     topics.add(shared, *owners)

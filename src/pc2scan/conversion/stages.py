@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.request.filters import Frame
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from pc2scan.core.points import Points
     from pc2scan.core.rigid import MovingTransform, Rigid
@@ -51,15 +50,27 @@ class ConvertedMessage:
     stamp_ns: int | None = None
 
 
-#: What is done with a decoded message, on any thread: each step takes what the one before returns. The first ones place
-#: points and select some; conversions that begin with equal steps share them. The last one makes the new message, or
-#: what a message contributes to a scan of several.
-Steps: TypeAlias = tuple[Callable[[Any], Any], ...]
-
-
 def as_it_is(value: Any) -> Any:
     """Return a value: a step that does nothing."""
     return value
+
+
+class Steps(NamedTuple):
+    """What is done with a decoded message, on any thread: each step takes what the one before returns.
+
+    Attributes
+    ----------
+    place
+        Places a cloud; None: ``project`` does that, too.
+    select
+        Selects some of its points; None: all are used.
+    project
+        Makes the new message, or what a message contributes to a scan of several.
+    """
+
+    place: Callable[[Any], Any] | None = None
+    select: Callable[[Any], Any] | None = None
+    project: Callable[[Any], Any] = as_it_is
 
 
 class Conversion(Protocol):
@@ -76,8 +87,8 @@ class Conversion(Protocol):
     def steps(self, topic: str) -> Steps:
         """Return what is done with the decoded messages of one topic.
 
-        The steps raise a `MessageError` if a message cannot be converted. Conversions whose first steps are equal share
-        their work on each message.
+        They raise a `MessageError` if a message cannot be converted. Conversions that place and select alike, by equal
+        steps, share this work on each message.
         """
 
 

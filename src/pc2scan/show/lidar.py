@@ -487,10 +487,10 @@ def _scans(
     placer = Placer() if is_placed else Placer(params.target_frame, "", lidar.buffer)
     filters = [each for each in spec.filters if not is_placed or each.name in {"ground", "min_height_slope"}]
     measured = {lidar.topic: Measurements(0.0, azimuth_step=lidar.step or 0.0)}
-    _, *select, project = CloudToScan(replace(spec, filters=tuple(filters)), placer, measured).steps(lidar.topic)
+    steps = CloudToScan(replace(spec, filters=tuple(filters)), placer, measured).steps(lidar.topic)
     chosen = [PlaceStage(placer)(_as_points(xyz, frame)) for xyz in clouds]
-    for step in select:
-        chosen = [step(each) for each in chosen]
+    if steps.select is not None:
+        chosen = [steps.select(each) for each in chosen]
     if merges:
         rejected = sum((Counter(each.rejected) for each in chosen), Counter())
         xyz = [np.concatenate([each.points.field(axis).ravel() for each in chosen]) for axis in "xyz"]
@@ -499,7 +499,7 @@ def _scans(
     ranges: list[NDArray[np.float64]] = []
     counts = [PointCounts()] * len(clouds)
     for number, selected in enumerate(chosen):
-        scan = project(selected)
+        scan = steps.project(selected)
         read = scan.message.ranges.astype(np.float64)
         read[~((read >= params.range_min) & (read <= params.range_max))] = np.inf
         ranges.append(read)

@@ -23,7 +23,7 @@ from pc2scan.conversion.recording import open_routes
 from pc2scan.conversion.report import Report, TopicReport
 from pc2scan.conversion.result_checks import result_findings
 from pc2scan.conversion.source_checks import refuse_no_messages, span_of
-from pc2scan.conversion.stages import ConvertedMessage, as_it_is
+from pc2scan.conversion.stages import ConvertedMessage, Steps
 from pc2scan.core.rule import NO_POINTS
 from pc2scan.errors import NothingToConvertError, Pc2ScanError, RecordingWarning, TopicError, name_list, visible
 from pc2scan.messages.clouds import CLOUDS, usual_topics
@@ -230,7 +230,7 @@ class Stream(ABC, Generic[Item]):
             for connection in connections:
                 decode = _step(self._decoder(connection))
                 # A message is decoded at once: its object takes no more memory.
-                routes[connection.id] = Route(connection, [output], decode=decode, steps=[(as_it_is,)])
+                routes[connection.id] = Route(connection, [output], decode=decode, steps=[Steps()])
         # One thread: objects are as large as their messages, and others would hold many of them ahead of the loop.
         return StreamSource(stack, [reader], tuple(chosen), routes, span)
 

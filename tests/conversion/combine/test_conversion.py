@@ -51,7 +51,9 @@ def cloud(rng: np.random.Generator, frame: str, stamp_ns: int) -> Points:
 
 
 def together(made: MessagesToScan, clouds: list[Any]) -> ConvertedMessage:
-    contribution: list[Contribution] = [made.steps(topic)[-1](each) for topic, each in zip(TOPICS, clouds, strict=True)]
+    contribution: list[Contribution] = [
+        made.steps(topic).project(each) for topic, each in zip(TOPICS, clouds, strict=True)
+    ]
     return made.scan(contribution[0], contribution)
 
 

@@ -179,7 +179,7 @@ class MessagesToScan:
     def steps(self, topic: str) -> Steps:
         """Return the step of one topic's messages, which makes a scan only if each message becomes one."""
         contribute = partial(self._contribute, self.topics.index(topic), self._deskews.get(topic))
-        return (contribute,) if self.grouper else (lambda message: self.alone(contribute(message)),)
+        return Steps(project=contribute if self.grouper else lambda message: self.alone(contribute(message)))
 
     def alone(self, contribution: Contribution) -> ConvertedMessage:
         """Make the scan of one message."""
