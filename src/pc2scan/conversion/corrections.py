@@ -25,8 +25,6 @@ from pc2scan.messages.stamps import STAMPED, move_times, set_stamp, stamp_in, wr
 from pc2scan.request.options import TRAJECTORY
 from pc2scan.transforms.reading import read_transforms
 
-from .source_checks import span_of
-
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
     from contextlib import ExitStack
@@ -36,8 +34,6 @@ if TYPE_CHECKING:
     from pc2scan.progress import Meter
     from pc2scan.request.options import ConvertOptions, StampOptions
     from pc2scan.transforms.reading import FoundTransforms
-
-    from .plan import Plan
 
 #: An offset that takes stamps farther from those of the transforms by more than this is wrong.
 _NOTABLE_NS = 1_000_000_000
@@ -131,15 +127,6 @@ def corrected(
     return (ChangedReader(reader, changes, remarks) if changes else reader), notes
 
 
-def corrected_for(reader: Reader, plan: Plan, options: ConvertOptions) -> tuple[Reader, list[str]]:
-    """Return the recording of a conversion with corrected stamps, and notes; see `corrected`."""
-    if not options.clock:
-        return reader, []
-    fields = [spec.point_time.partition(":")[0] for spec in plan.specs if spec.point_time]
-    span = span_of(reader, options)
-    return corrected(reader, plan.converted, options.clock, options.frames.tf_topics, span, fields)
-
-
 def corrected_transforms(
     reader: Reader, options: ConvertOptions, stack: ExitStack, needed: Collection[str], meter: Meter | None = None
 ) -> tuple[FoundTransforms, Sequence[Reader]]:
@@ -184,15 +171,13 @@ _TYPES = (
 
 
 def scaled(reader: Reader, factor: float) -> Reader:
-    """Return a recording with multiplied coordinates of clouds; the recording itself if the factor is 1.
+    """Return a recording with multiplied coordinates of clouds.
 
     Raises
     ------
     UsageError
         If the factor is not positive, or no message has coordinates.
     """
-    if factor == 1:
-        return reader
     if not 0 < factor < math.inf:
         raise UsageError(
             f"`cloud_scale` is {factor:g}, it must be above 0", hint="for millimetres: `cloud_scale=0.001`"

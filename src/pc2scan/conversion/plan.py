@@ -135,11 +135,6 @@ class Plan(NamedTuple):
     warnings: tuple[str, ...] = ()
 
     @property
-    def needs_transforms(self) -> bool:
-        """Whether any output is transformed."""
-        return any(spec.needs_transforms for spec in self.specs)
-
-    @property
     def converted(self) -> list[Connection]:
         """The connections whose messages are converted."""
         return [route.connection for route in self.routes if route.outputs]
@@ -205,7 +200,7 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
                 message, hint = without(short_types(spec.source_types), connections)
                 raise NothingToConvertError(message, hint=_other_direction(types, spec) or hint or None)
             targets[spec] = _targets(types, spec, options)
-            together[spec] = _combined(spec, targets[spec], types, options)
+            together[spec] = _combined(spec, targets[spec], types, options) if spec.may_combine else {}
     routes = []
     for connection in connections:
         topic = connection.topic
@@ -217,8 +212,10 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
         passes = not options.only_scans and (options.keep_clouds if outputs else wanted)
         routes.append(Route(connection, outputs, passes))
     _refuse_collisions(routes)
-    replaced = {topic for found in targets.values() for topic in found if not options.keep_clouds}
-    idle = [*_idle_patterns("keep", options.keep, types, replaced), *_idle_patterns("drop", options.drop, types)]
+    idle: list[str] = []
+    if options.keep or options.drop:
+        replaced = {topic for found in targets.values() for topic in found if not options.keep_clouds}
+        idle = [*_idle_patterns("keep", options.keep, types, replaced), *_idle_patterns("drop", options.drop, types)]
     return Plan(tuple(routes), specs, tuple(idle))
 
 
@@ -240,7 +237,7 @@ def _combined(
 ) -> dict[str, list[str]]:
     """Return the topics of scans that are made of several messages, each with the topics of these."""
     sources: dict[str, list[str]] = {}
-    for topic, names in targets.items() if spec.may_combine else ():
+    for topic, names in targets.items():
         for name in names:
             sources.setdefault(name, []).append(topic)
     combining = spec.combining
@@ -330,7 +327,7 @@ def _other_direction(types: dict[str, set[str]], spec: ScanSpec) -> str | None:
 def _refuse_collisions(routes: Sequence[Route]) -> None:
     """Raise if a scan would share a topic with another scan, or with messages that pass through."""
     passing = {route.connection.topic for route in routes if route.passes}
-    scans = {target for route in routes for target in route.targets}
+    scans = {output.target for route in routes for output in route.outputs if not output.used}
     origin: dict[str, tuple[str, Output]] = {}
     for topic, own in ((route.connection.topic, output) for route in routes for output in route.outputs):
         target = own.target

@@ -35,6 +35,7 @@ from pc2scan.transforms.reading import read_robot_transforms
 
 from .combine.conversion import Contribution, MessagesToScan, SourceFacts, measure_sources
 from .conversions import CloudToScan, ScanToCloud
+from .corrections import corrected
 from .deskew import Deskew
 from .engine import convert
 from .result_checks import result_findings
@@ -48,13 +49,14 @@ if TYPE_CHECKING:
     from pc2scan.advice.survey import TopicFacts
     from pc2scan.bags.reader import Reader
     from pc2scan.core.rule import PointCounts
-    from pc2scan.model import Connection, RawMessage
+    from pc2scan.model import ChunkRule, Connection, RawMessage
     from pc2scan.progress import Meter
     from pc2scan.request.options import ConvertOptions, ScanSpec
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.placing import UpSource
     from pc2scan.transforms.reading import FoundTransforms
 
+    from .added_transforms import AddedTrajectory, AddedTransforms
     from .engine import Item, Tally
     from .plan import Output, Plan, Route
     from .report import Report
@@ -81,6 +83,12 @@ class Preparation:
         All transforms; None if they were not read.
     conversions
         By `pc2scan.conversion.plan.Output.key`.
+    routes
+        As for `pc2scan.conversion.engine.items_of`, without those that are counted already.
+    levels, trajectory
+        What writes the frames of level scans, and the transforms of a file; None without any.
+    rule
+        Which of the source's chunks can be copied whole; None: none.
     surroundings
         What is seen where the robot moves most, with the labels of the outputs.
     notes
@@ -96,6 +104,10 @@ class Preparation:
     others: Sequence[Reader] = ()
     found: FoundTransforms | None = None
     conversions: dict[tuple[Any, str], Conversion] = field(default_factory=dict)
+    routes: Mapping[int, Route] = field(default_factory=dict)
+    levels: AddedTransforms | None = None
+    trajectory: AddedTrajectory | None = None
+    rule: ChunkRule | None = None
     surroundings: list[tuple[str, Surroundings]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
@@ -121,7 +133,7 @@ def prepare(
     transform_frames: Collection[str] | None = None,
     meter: Meter | None = None,
 ) -> Preparation:
-    """Prepare the conversion of each output: read transforms, and measure what is ``auto``.
+    """Prepare the conversion of each output: correct stamps, read transforms, and measure what is ``auto``.
 
     Parameters
     ----------
@@ -139,30 +151,39 @@ def prepare(
         Counts the work of the preparation and of the conversion that follows; None: nothing is reported.
     """
     frame_options = options.frames
+    notes: list[str] = []
+    if options.clock:
+        fields = [spec.point_time.partition(":")[0] for spec in plan.specs if spec.point_time]
+        reader, notes = corrected(reader, plan.converted, options.clock, frame_options.tf_topics, span, fields)
     survey = Survey(reader, (), frame_options, span)
+    placed_specs = [spec for spec in plan.specs if spec.needs_transforms]
     # Added transforms are written to the output, even if it needs none.
-    if transform_frames is not None or plan.needs_transforms or frame_options.write_static or frame_options.adds_poses:
+    if transform_frames is not None or placed_specs or frame_options.write_static or frame_options.adds_poses:
         survey.others = open_recordings(frame_options.tf_from, stack, strict=options.strict)
-        needed = (frame for spec in plan.specs if spec.needs_transforms for frame in spec.frames)
-        survey.ask_transforms((*(transform_frames or ()), *needed))
+        survey.ask_transforms((*(transform_frames or ()), *(frame for spec in placed_specs for frame in spec.frames)))
     gives_frames = frame_options.static or frame_options.source_frame
     given = [survey.facts([each]) for each in plan.converted if gives_frames]
     for facts in given:
         facts.ask_headers(1)
-    placed = survey.topics(plan.converted if frame_options.trajectory else ()).values()
+    placed = survey.topics(plan.converted).values() if frame_options.trajectory else ()
     for facts in placed:
         facts.ask_headers(CLOCK_HEADERS)
-    outputs = {spec: _OutputFacts(spec, plan, survey) for spec in plan.specs if not spec.reverse}
+    outputs = {
+        spec: _OutputFacts(spec, plan, survey)
+        for spec in plan.specs
+        if not spec.reverse and (spec.needs_measuring or spec.may_combine or spec.fixed_frame or spec.level)
+    }
     if meter is not None:
         connections = [route.connection for route in plan.routes]
         meter.following = reader.stored_bytes(connections, span.start_ns, span.stop_ns)
-    survey.read(meter)
+    if outputs or given or placed or survey.transforms is not None:
+        survey.read(meter)
     transforms = None if survey.transforms is None else survey.transforms.finish()
-    buffer = transforms.buffer if transforms is not None and plan.needs_transforms else None
+    buffer = transforms.buffer if transforms is not None and placed_specs else None
     known = KnownTransforms(
         frame_options.source_frame, cache(partial(_robot_transforms, reader, options, span)), buffer
     )
-    prepared = Preparation(reader, plan, options, span, known, tell, survey.others, transforms)
+    prepared = Preparation(reader, plan, options, span, known, tell, survey.others, transforms, notes=notes)
     if transforms is not None:
         tell(*transforms.warnings)
         prepared.notes += transforms.notes
@@ -175,12 +196,13 @@ def prepare(
         tell(*check_given_frames((facts.frame for facts in given), plan, frame_options, buffer, robot))
     for spec in plan.specs:
         placer = Placer(source_frame=frame_options.source_frame)
-        if spec.needs_transforms:
+        if spec in placed_specs:
             up = None if buffer is None or not spec.level else _up_source(spec, buffer, survey, prepared)
             placer = Placer(spec.params.target_frame, frame_options.source_frame, buffer, spec.params.tolerance_ns, up)
         if spec.reverse:
-            conversion = ScanToCloud(spec.channels, placer, deskewed=spec.deskew)
-            prepared.conversions[spec, ""] = conversion
+            prepared.conversions[spec, ""] = ScanToCloud(spec.channels, placer, deskewed=spec.deskew)
+        elif spec not in outputs:
+            prepared.conversions[spec, ""] = CloudToScan(spec, placer)
         else:
             with spec.naming_errors():
                 outputs[spec].convert_with(placer, prepared)
@@ -313,7 +335,7 @@ _MOST_READ = 30
 _UNCONNECTED = 10
 
 
-def judge_first(routes: Mapping[int, Route], prepared: Preparation, report: Report, tally: Tally | None = None) -> None:
+def judge_first(prepared: Preparation, report: Report, tally: Tally | None = None) -> None:
     """Add to the report what the first clouds of each topic show.
 
     Parameters
@@ -321,7 +343,7 @@ def judge_first(routes: Mapping[int, Route], prepared: Preparation, report: Repo
     tally
         Counts these clouds, in a dry run: all are read until one is connected with the target frame.
     """
-    reader, tell = prepared.reader, prepared.tell
+    reader, tell, routes = prepared.reader, prepared.tell, prepared.routes
     converted = [route.connection for route in routes.values() if any(each.spec for each in route.outputs)]
     for topic, connections in by_topic(converted).items():
         specs = {each.spec for own in connections for each in routes[own.id].outputs}
@@ -334,7 +356,8 @@ def judge_first(routes: Mapping[int, Route], prepared: Preparation, report: Repo
         with closing(reader.messages(connections, prepared.span.start_ns, prepared.span.stop_ns)) as messages:
             for message in messages:
                 item = convert(routes, message)
-                item = item._replace(results=[(output, _alone(output, result)) for output, result in item.results])
+                alone = [(out, _alone(out, made) if out.combiner else made) for out, made in item.results]
+                item = item._replace(results=alone)
                 read, successes = read + 1, successes + (item.failure is None)
                 unconnected += [item.failure] if isinstance(item.failure, UnconnectedError) else []
                 if tally is not None:
@@ -363,7 +386,7 @@ def judge_first(routes: Mapping[int, Route], prepared: Preparation, report: Repo
 
 def _alone(output: Output, result: Any) -> Any:
     """Return the scan of a message alone, if it leads a scan of several."""
-    if not isinstance(result, Contribution) or output.combiner is None or result.source:
+    if not isinstance(result, Contribution) or result.source:
         return result
     try:
         return output.combiner.alone(result)
@@ -388,9 +411,9 @@ def _samples(
             yield spec, sample.placed_in(place.frame_id, place.target_from_source), scan.counts
 
 
-def count_by_index(routes: Mapping[int, Route], prepared: Preparation, report: Report) -> None:
+def count_by_index(prepared: Preparation, report: Report) -> None:
     """Fill in the report of a dry run: its points are those of the first messages, its counts those of the index."""
-    reader, span = prepared.reader, prepared.span
+    reader, span, routes = prepared.reader, prepared.span, prepared.routes
     report.ways = [words for route in prepared.plan.routes for words in route.words]
     report.add(reader.remarks)
     report.damage += reader.damage

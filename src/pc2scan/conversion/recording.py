@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from pc2scan.bags.formats import FORMATS
 from pc2scan.bags.qos import merge_qos
@@ -13,7 +13,7 @@ from pc2scan.bags.topics import unheard
 from pc2scan.errors import MessageError, RecordingError, UnwritableError, UsageError
 from pc2scan.messages.clouds import to_pointcloud2, written_as_pointcloud2
 from pc2scan.messages.definitions import definition
-from pc2scan.messages.laserscan import LASERSCAN, encode_laserscan
+from pc2scan.messages.laserscan import encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, encode_cloud
 from pc2scan.model import LATCHED_QOS, NEW_ID, TF_QOS, ChunkRule, Connection, Definition, StoredChunk
 from pc2scan.transforms.reading import tf_connections
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from pc2scan.advice.survey import Span
     from pc2scan.bags.destinations import Destination
     from pc2scan.bags.reader import Reader
-    from pc2scan.model import Buffer, Writer
+    from pc2scan.model import Writer
     from pc2scan.request.options import ConvertOptions
     from pc2scan.transforms.placing import FrameOptions
     from pc2scan.transforms.sources import AddedPoses
@@ -42,37 +42,6 @@ if TYPE_CHECKING:
     from .preparation import Preparation
     from .report import Report
     from .stages import Conversion
-
-
-class OpenRecording(NamedTuple):
-    """The routes of a conversion to a recording.
-
-    Attributes
-    ----------
-    routes
-        As for `pc2scan.conversion.engine.items_of`, without those that are counted already.
-    levels
-        Writes the frames of level scans; None if no scan is level.
-    trajectory
-        The transforms of a file; None without one.
-    rule
-        Which of the source's chunks can be copied whole; None: none.
-    """
-
-    routes: Mapping[int, Route]
-    levels: AddedTransforms | None = None
-    trajectory: AddedTrajectory | None = None
-    rule: ChunkRule | None = None
-
-    @property
-    def first_scans(self) -> Sequence[tuple[TopicReport, Buffer]]:
-        """The first scan of each output, with the output's entry in the report."""
-        outputs = (output for route in self.routes.values() for output in route.outputs if output.first)
-        return [
-            (output.report, output.first)
-            for output in outputs
-            if output.spec is not None and output.spec.made_type == LASERSCAN
-        ]
 
 
 def open_routes(
@@ -152,8 +121,10 @@ def open_routes(
     return opened, list(entries.values())
 
 
-def open_output(prepared: Preparation, target: Destination, writer: Writer | None, report: Report) -> OpenRecording:
-    """Declare the topics of a recording, and write what comes before all messages; the report then has all topics.
+def open_output(prepared: Preparation, target: Destination, writer: Writer | None, report: Report) -> None:
+    """Declare the topics of a recording, and write what comes before all messages.
+
+    Then ``prepared`` has the routes, and the report all topics.
 
     Parameters
     ----------
@@ -173,19 +144,18 @@ def open_output(prepared: Preparation, target: Destination, writer: Writer | Non
     if frames.write_static:
         # One more latched publisher.
         topics.add(new_connection(target, "/tf_static", TFMESSAGE, latching=True, qos=LATCHED_QOS), static)
-    trajectory = levels = None
     if found is not None and found.poses and not options.only_scans:
-        trajectory = add_poses(prepared, found.poses, routes, entries, topics)
+        prepared.trajectory = add_poses(prepared, found.poses, routes, entries, topics)
     if any(spec.level for spec in prepared.plan.specs):
         connection = tf_connection(reader, frames, target)
         entry = TopicReport(connection.topic, connection.ros_type, connection.topic, "added", "from `level`")
-        levels = AddedTransforms(entry, target.serialization)
-        topics.add(connection, levels)
+        prepared.levels = AddedTransforms(entry, target.serialization)
+        topics.add(connection, prepared.levels)
         entries.append(entry)
     prepared.tell(*topics.warnings)
-    routes = count_skipped(routes, reader, span)
+    prepared.routes = count_skipped(routes, reader, span)
     if writer is None:
-        return OpenRecording(routes, levels, trajectory)
+        return
     topics.declare(writer)
     if not options.only_scans:
         prepared.tell(*_copy_extras(reader, target, writer))
@@ -197,26 +167,20 @@ def open_output(prepared: Preparation, target: Destination, writer: Writer | Non
             raise UsageError("there is no added transform to write", hint="give one with `static_tf`, or with `urdf`")
         static.write(rows, begin_ns, begin_ns, writer)
         entries.append(static.report)
-    rule = _chunk_rule(routes, target, writer) if copying else None
-    return OpenRecording(routes, levels, trajectory, rule)
+    if copying:
+        prepared.rule = _chunk_rule(prepared.routes, target, writer)
 
 
-def write_items(items: Generator[Item | StoredChunk], writer: Writer, tally: Tally, recording: OpenRecording) -> None:
-    """Write the items of a conversion, and count them.
-
-    Parameters
-    ----------
-    recording
-        The routes, and what writes transforms besides.
-    """
-    if recording.trajectory is not None:
-        items = between(items, recording.trajectory, writer)
+def write_items(items: Generator[Item | StoredChunk], writer: Writer, tally: Tally, prepared: Preparation) -> None:
+    """Write the items of a conversion, and count them."""
+    if prepared.trajectory is not None:
+        items = between(items, prepared.trajectory, writer)
     for item in items:
         if isinstance(item, StoredChunk):
             writer.write_chunk(item)
             tally.count_chunk(item)
         else:
-            tally.count(item, _write(item, writer, recording.levels))
+            tally.count(item, _write(item, writer, prepared.levels))
         # Frees the item before the next one is made.
         del item
 

@@ -90,10 +90,9 @@ def _refusal(topic: TopicReport, scan: LaserScan) -> str:
     return f"{verdict.consumer} {_DOES[verdict.outcome]}: {verdict.observed} where it allows {verdict.allowed}. {cure}"
 
 
-def _shared_beams(topic: TopicReport, scan: LaserScan) -> Iterator[str]:
+def _shared_beams(topic: TopicReport, spec: ScanSpec, scan: LaserScan) -> Iterator[str]:
     """Yield a note where upstream's beams end at the angles of a 2D lidar's: two are in one, and none in the next."""
-    spec = topic.spec
-    if spec is None or not spec.combining.rebin or topic.joined is not None or spec.params.geometry != "upstream":
+    if topic.joined is not None or spec.params.geometry != "upstream":
         return
     hit = np.isfinite(scan.ranges) & (scan.ranges <= scan.range_max)
     between = np.count_nonzero(hit[:-2] & ~hit[1:-1] & hit[2:])
@@ -112,7 +111,8 @@ def _of_first_scans(first_scans: Sequence[tuple[TopicReport, Buffer]], serializa
         scan = decode_laserscan(data, serialization)
         if text := _refusal(topic, scan):
             topics.setdefault(text, []).append(topic.target or "")
-        yield from map(note, _shared_beams(topic, scan))
+        if topic.spec is not None and topic.spec.combining.rebin:
+            yield from map(note, _shared_beams(topic, topic.spec, scan))
     yield from (warning(f"{', '.join(dict.fromkeys(names))}: {text}") for text, names in topics.items())
 
 
@@ -379,9 +379,10 @@ def compare_counts(reader: Reader, options: ConvertOptions, routes: Collection[R
     if declared is None or options.start is not None or options.end is not None:
         return
     report.messages_declared = declared
-    details = count_details(counts)
-    if (declared == read and not details) or any(damage.loses for damage in report.damage):
+    is_equal = declared == read and all(count == own for _, count, own in counts)
+    if is_equal or any(damage.loses for damage in report.damage):
         return
+    details = count_details(counts)
     missing = f"declares {counted(declared, 'message')}, {read:,} {agreeing(read, 'were')} found{details}"
     if options.strict:
         raise DamageError(missing, path=reader.path, hint=RECOVER)

@@ -43,13 +43,14 @@ from pc2scan.files.outputs import (
 from pc2scan.files.source import changed_while_read, state_of
 from pc2scan.files.system import copying_to
 from pc2scan.files.urls import UrlPath, exists
+from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.progress import Meter
 from pc2scan.request.options import ConvertOptions
 from pc2scan.requests import conversion_of, destination_of, named_files
 from pc2scan.result import BEGINNING, Failure, Result, tell_early
 from pc2scan.threads import Threads, cores
 
-from .corrections import corrected_for, scaled
+from .corrections import scaled
 from .engine import Tally, items_of
 from .plan import make_plan
 from .preparation import count_by_index, judge_first, prepare
@@ -72,7 +73,6 @@ if TYPE_CHECKING:
     from pc2scan.requests import Warn
 
     from .preparation import Preparation
-    from .recording import OpenRecording
 
 
 class OutputOptions(NamedTuple):
@@ -176,7 +176,9 @@ def run(
     tell = partial(tell_early, report.warnings, warn)
     with copying_to(output.scratch), _reporting(report, inputs, output), ExitStack() as stack:
         readers = _open(stack, sources, destination, options, output)
-        reader = scaled(as_one(readers), options.cloud_scale)
+        reader = as_one(readers)
+        if options.cloud_scale != 1:
+            reader = scaled(reader, options.cloud_scale)
         if options.repair and reader.damage and not reader.connections:
             damage = reader.damage[0]
             raise DamageError(f"nothing of it can be recovered: {damage.what}", path=damage.path)
@@ -185,8 +187,6 @@ def run(
         except TopicError as err:
             mention(reader.damage, err)
             raise
-        reader, notes = corrected_for(reader, plan, options)
-        report.add((), notes)
         target = _target(reader, readers, sources[0], destination, options, output)
         report.destination = str(target.path)
         report.container, report.ros_version = target.format.name, target.ros_version
@@ -200,24 +200,24 @@ def run(
             meter = None if progress is None else Meter(progress)
             prepared = prepare(reader, plan, options, span, stack, tell, meter=meter)
             report.add((), prepared.notes)
-            recording = open_output(prepared, target, writer, report)
-            tally = Tally(recording.routes, strict=options.strict)
+            open_output(prepared, target, writer, report)
+            tally = Tally(prepared.routes, strict=options.strict)
             report.skipped = tally.skipped
-            judge_first(recording.routes, prepared, report, tally if writer is None else None)
+            judge_first(prepared, report, tally if writer is None else None)
             if writer is None:
                 tally.finish()
-                count_by_index(recording.routes, prepared, report)
+                count_by_index(prepared, report)
                 return report
             jobs = options.jobs or cores()
             threads = stack.enter_context(Threads(jobs)) if jobs > 1 else None
             if threads is not None:
                 writer.compress_ahead(threads)
             items = items_of(
-                reader, recording.routes, span, threads, rule=recording.rule, window=options.window, meter=meter
+                prepared.reader, prepared.routes, span, threads, rule=prepared.rule, window=options.window, meter=meter
             )
             try:
                 with closing(items):
-                    write_items(items, writer, tally, recording)
+                    write_items(items, writer, tally, prepared)
             finally:
                 report.messages_read = tally.messages
             tally.finish()
@@ -226,7 +226,7 @@ def run(
                 # The result may mix its old and new bytes.
                 if state_of(path) != state:
                     raise changed_while_read(path)
-            _judge(prepared, recording, target, report)
+            _judge(prepared, target, report)
     return report
 
 
@@ -242,7 +242,7 @@ def _reporting(report: Report, inputs: Sequence[InputPath], output: OutputOption
         _deliver(report, inputs, output)
         raise
     report.seconds = round(time.monotonic() - began, 3)
-    if (refusal := _deliver(report, inputs, output)) is not None:
+    if output.report is not None and (refusal := _deliver(report, inputs, output)) is not None:
         report.undelivered = True
         why = f"the report is not written: {refusal.message}; {report.destination} is{'; ' * bool(refusal.hint)}"
         report.warnings.append(f"{refusal.path}: {why}{refusal.hint or ''}")
@@ -344,12 +344,14 @@ def _writing(
         report.bytes_written = sum(file.stat().st_size for file in files)
 
 
-def _judge(prepared: Preparation, recording: OpenRecording, target: Destination, report: Report) -> None:
+def _judge(prepared: Preparation, target: Destination, report: Report) -> None:
     """Add to the report what the result and its sources show; raise if the result is of no use."""
     reader, options = prepared.reader, prepared.options
     report.add(reader.remarks)
     report.damage += [damage for each in (reader, *prepared.others) for damage in each.damage]
-    report.add(*result_findings(report, recording.first_scans, target.serialization))
+    outputs = [output for route in prepared.routes.values() for output in route.outputs if output.first]
+    first_scans = [(each.report, each.first) for each in outputs if each.spec and each.spec.made_type == LASERSCAN]
+    report.add(*result_findings(report, first_scans, target.serialization))
     # With a fixed frame, an IMU or a corrected clock, clocks were compared before.
     far = {
         each.topic
@@ -362,7 +364,7 @@ def _judge(prepared: Preparation, recording: OpenRecording, target: Destination,
         clocks = Clocks(survey, survey.topics(doubtful).values())
         survey.read()
         report.add(clocks.warnings())
-    compare_counts(reader, options, recording.routes.values(), report)
+    compare_counts(reader, options, prepared.routes.values(), report)
     if prepared.plan.specs:
         refuse_nothing(report)
     if not options.repair:

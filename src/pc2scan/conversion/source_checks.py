@@ -186,7 +186,8 @@ def refuse_no_messages(
     if not converted:
         return
     counts = reader.counts(converted, start_ns, stop_ns)
-    outside = _outside(reader, start_ns, stop_ns)
+    is_cut = start_ns is not None or stop_ns is not None
+    outside = _outside(reader, start_ns, stop_ns) if is_cut else None
     if outside is None and any(counts.get(connection.id) != 0 for connection in converted):
         return
     with closing(reader.messages(converted, start_ns, stop_ns)) as messages:
@@ -198,7 +199,6 @@ def refuse_no_messages(
     if outside is not None:
         raise outside
     topics = name_list(sorted({connection.topic for connection in converted}))
-    is_cut = start_ns is not None or stop_ns is not None
     raise TopicError(
         f"there is nothing to convert: no messages on {topics}{' in the cut' if is_cut else ''}",
         hint="check `start` and `end`" if is_cut else "pc2scan info lists the topics, and how many messages they have",

@@ -21,7 +21,7 @@ from pc2scan.bags.observers import Spread
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import by_topic
 from pc2scan.conversion.conversions import CloudToScan
-from pc2scan.conversion.corrections import corrected_for, scaled
+from pc2scan.conversion.corrections import scaled
 from pc2scan.conversion.plan import make_plan
 from pc2scan.conversion.preparation import prepare
 from pc2scan.conversion.source_checks import refuse_outside, span_of
@@ -152,7 +152,9 @@ class Opened(NamedTuple):
 def opened(sources: Sequence[Path], request: ConvertOptions, options: Options, warn: Warn | None) -> Iterator[Opened]:
     """Open recordings as one."""
     with ExitStack() as stack:
-        reader = scaled(as_one(open_recordings(sources, stack, strict=request.strict)), request.cloud_scale)
+        reader = as_one(open_recordings(sources, stack, strict=request.strict))
+        if request.cloud_scale != 1:
+            reader = scaled(reader, request.cloud_scale)
         try:
             yield Opened(sources, reader, request, options, stack, warn)
         except TopicError as err:
@@ -253,12 +255,12 @@ def take_shots(recording: Opened, *, level: bool, keep: Callable[[Shot], Shot] =
     # Pictures have neither times nor intensities.
     params = replace(request.scan.params, scan_time=0.0, time_increment=0.0, intensity_field="")
     request = request.with_scan(params=params)
-    plan = make_plan(recording.reader.connections, request)
-    reader, notes = corrected_for(recording.reader, plan, request)
+    reader = recording.reader
+    plan, span = make_plan(reader.connections, request), span_of(reader, request)
     warnings: list[str] = []
     tell = partial(tell_early, warnings, recording.warn)
-    span = span_of(reader, request)
     prepared = prepare(reader, plan, request, span, recording.stack, tell, transform_frames=())
+    reader = prepared.reader
     conversion = prepared.conversions[request.scan, ""]
     assert isinstance(conversion, CloudToScan)
     topics = by_topic(plan.converted)
@@ -285,9 +287,8 @@ def take_shots(recording: Opened, *, level: bool, keep: Callable[[Shot], Shot] =
     if failed:
         warnings.append(f"Not shown: {len(failed)} of {counted(len(failed) + len(shots), 'cloud')}; {failed[0]}.")
     measured = next((each for topic in topics if (each := conversion.measurements.get(topic))), Measurements(0.0))
-    notes += prepared.notes
     resolved, damage = measured.resolve(conversion.spec.params), damage_of(reader, *prepared.others)
-    return Shots(shots, resolved, prepared.transforms, notes, warnings, damage)
+    return Shots(shots, resolved, prepared.transforms, prepared.notes, warnings, damage)
 
 
 def _shot(message: RawMessage, conversion: CloudToScan, placer: Placer, samples: list[CloudSample]) -> Shot:

@@ -15,7 +15,7 @@ from pc2scan.advice.checks import request_warnings
 from pc2scan.bags.damage import mention
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import by_topic, find_topics, short_types, types_by_topic
-from pc2scan.conversion.corrections import corrected, corrected_for, scaled
+from pc2scan.conversion.corrections import corrected, scaled
 from pc2scan.conversion.engine import Tally, items_of
 from pc2scan.conversion.plan import Output, Route, make_plan
 from pc2scan.conversion.preparation import judge_first, prepare
@@ -237,7 +237,9 @@ class Stream(ABC, Generic[Item]):
     def _open(self) -> StreamSource:
         options = self._options
         with ExitStack() as stack:
-            reader = scaled(as_one(open_recordings(self._paths, stack, strict=options.strict)), options.cloud_scale)
+            reader = as_one(open_recordings(self._paths, stack, strict=options.strict))
+            if options.cloud_scale != 1:
+                reader = scaled(reader, options.cloud_scale)
             try:
                 source = self._source(stack, reader)
             except TopicError as err:
@@ -443,7 +445,6 @@ class Scans(Stream[Scan]):
             # Raises if there are several.
             self._choose(reader, options.scan.source_types, _RECORDED)
         plan = make_plan(reader.connections, options)
-        reader, notes = corrected_for(reader, plan, options)
         report = Report([str(path) for path in self._paths], "", plan.specs)
         report.source_frame = options.frames.source_frame
         report.warnings += (*plan.warnings, *request_warnings(options, reader.summary))
@@ -458,21 +459,21 @@ class Scans(Stream[Scan]):
             meter=self._meter,
         )
         self.transforms = prepared.transforms
-        report.add((), (*notes, *prepared.notes))
+        report.add((), prepared.notes)
         self.notes = tuple(report.notes)
-        routes, report.topics = open_routes(plan, prepared.conversions, finish=_as_in_message)
-        judge_first(routes, prepared, report)
+        prepared.routes, report.topics = open_routes(plan, prepared.conversions, finish=_as_in_message)
+        judge_first(prepared, report)
 
         def conclude() -> None:
             report.add([label + text for label, seen in prepared.surroundings for text in seen.warnings()])
-            report.add(reader.remarks)
+            report.add(prepared.reader.remarks)
             report.add(*result_findings(report))
 
         return StreamSource(
             stack,
-            [reader, *prepared.others],
+            [prepared.reader, *prepared.others],
             tuple(dict.fromkeys(target for route in plan.routes for target in route.targets)),
-            routes,
+            prepared.routes,
             prepared.span,
             options.jobs,
             report.warnings,
