@@ -200,10 +200,10 @@ def test_clocks_that_differ_are_told(
 def test_gaps_of_the_odometry_and_silent_lidars_are_reported(world: Callable[..., Path], tmp_path: Path) -> None:
     done = converted(tmp_path, world(SMALL_FRONT, seconds=0.6, odometry_hz=3), *MOVED, "--accumulate", "0.3")
     assert "transforms to --fixed-frame were missing for up to 0.333 s" in done.stderr
-    assert done.topic("/front")["motion"]["longest_gap_s"] == pytest.approx(1 / 3, abs=1e-6)
+    assert done.topic("/front")["longest_gap_s"] == pytest.approx(1 / 3, abs=1e-6)
     # Every other cloud is at the time of a transform, and is joined with one that is between two.
     done = converted(tmp_path, world(SMALL_FRONT, seconds=0.6, odometry_hz=5), *MOVED, "--accumulate", "2clouds")
-    assert done.topic("/front")["motion"]["longest_gap_s"] == 0.2
+    assert done.topic("/front")["longest_gap_s"] == 0.2
     front, rear = world(SMALL_FRONT, seconds=3.0), world(SMALL_REAR, seconds=1.0)
     silent = run("convert", front, rear, "-o", tmp_path / "o.mcap", *TWO, *MOVED, "--min-height", "0.1")
     assert silent.status == 0, silent.stderr

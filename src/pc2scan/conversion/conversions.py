@@ -58,7 +58,8 @@ class Beams:
     __slots__ = ("_geometry", "_no_returns", "layout", "projector")
 
     def __init__(self, params: ProjectionParams, measured: Measurements) -> None:
-        params = measured.resolve(params)
+        if params.beams == "auto":
+            params = measured.resolve(params)
         layout = self.layout = params.layout
         self.projector = Projector(params)
         self._no_returns = np.full(params.length, params.empty_range, np.float32).tobytes()
@@ -132,10 +133,10 @@ class CloudToScan:
             # Simulated time begins at 0, and ROS 1 cannot represent a time before it.
             stamp_ns = max(0, stamp_ns + first_beam_ns)
         message, empty = beams.message(points.sequence, stamp_ns, placed.place.frame_id, scan)
-        motion = None if placed.moving is None else placed.moving.motion
+        gap_ns = 0 if placed.moving is None else placed.moving.gap_ns
         level = None if placed.place.level is None else placed.place.level.at(stamp_ns)
         used = self._gather_used(placed, beams.projector, transform) if self.spec.keep_used else None
-        result = ConvertedMessage(message, counts, empty, motion, level, used, scan.removed, stamp_ns=placed.stamp_ns)
+        result = ConvertedMessage(message, counts, empty, gap_ns, level, used, scan.removed, stamp_ns=placed.stamp_ns)
         return result if self._remove is None else self._remove(result)
 
     def _gather_used(

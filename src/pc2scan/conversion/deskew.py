@@ -51,10 +51,8 @@ _STEP = 0.01
 _SURELY = 8 * math.sin(_STEP / 2) ** 2 * (1 - 1e-9)
 _MOST_NODES = 20_000
 
-#: Any time, and the stamps of a transform that is valid at all times.
-_ONCE, _ALWAYS = np.zeros(1, np.int64), np.empty(0, np.int64)
-#: The row of a transform that changes nothing.
-_IDENTITY = np.array([[1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0]])
+#: The stamps of a transform that is valid at all times.
+_ALWAYS = np.empty(0, np.int64)
 
 
 class _LazyTimes(Mapping[str, "NDArray[Any]"]):
@@ -78,17 +76,6 @@ class _LazyTimes(Mapping[str, "NDArray[Any]"]):
         return 1
 
 
-class Motion(NamedTuple):
-    """The largest distance of the sensor from its pose at the scan's time: metres and radians.
-
-    ``gap`` is the longest time that transforms were interpolated over, seconds.
-    """
-
-    distance: float
-    angle: float
-    gap: float = 0.0
-
-
 class MovingCloud(NamedTuple):
     """A cloud that was measured while its sensor moved.
 
@@ -104,8 +91,8 @@ class MovingCloud(NamedTuple):
         The field with the times.
     frame_id
         The target frame.
-    motion
-        How far the sensor moved.
+    gap_ns
+        The longest time over which transforms were interpolated, nanoseconds.
     """
 
     points: Points
@@ -113,7 +100,7 @@ class MovingCloud(NamedTuple):
     transform: MovingTransform
     time_field: str
     frame_id: str
-    motion: Motion
+    gap_ns: int
 
     def transform_of(self, points: Points) -> MovingTransform:
         """Return the transform for these points, or for some of them."""
@@ -157,8 +144,6 @@ class Track(NamedTuple):
         The longest time over which transforms were interpolated, nanoseconds.
     timed
         See `MovingTransform`.
-    begin_ns, end_ns
-        The times of the first and the last row.
     """
 
     points: Points
@@ -170,31 +155,15 @@ class Track(NamedTuple):
     rows: NDArray[np.float64]
     gap_ns: int
     timed: bool
-    begin_ns: int
-    end_ns: int
 
-    def seen_from(
-        self, target_from_fixed: Rigid, reference: tuple[Rigid, ...] | int, frame_id: str, stamp_ns: int
-    ) -> MovingCloud:
-        """Return the motion as seen from a frame at a scan's time.
-
-        Parameters
-        ----------
-        target_from_fixed
-            The transform to that frame at the scan's time.
-        reference
-            The pose from which the motion is measured: target_from_sensor as a product of transforms, or the index of
-            its row.
-        frame_id, stamp_ns
-            The frame's name, and the scan's time.
-        """
+    def seen_from(self, target_from_fixed: Rigid, frame_id: str, stamp_ns: int) -> MovingCloud:
+        """Return the motion as seen from a frame at a scan's time, given the transform to that frame at this time."""
         rows = self.rows.copy()
         any_time = np.zeros(len(rows), np.int64)
         kernel.follow(any_time, _ALWAYS, _as_matrix(target_from_fixed), rows)
         values = self.points.field(self.time_field)
         transform = MovingTransform(values, self.offset, self.unit, self.node_times, rows, self.timed)
-        motion = _motion(rows, reference, self.gap_ns)
-        return MovingCloud(self.points, stamp_ns, transform, self.time_field, frame_id, motion)
+        return MovingCloud(self.points, stamp_ns, transform, self.time_field, frame_id, self.gap_ns)
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,16 +204,8 @@ class Deskew:
         track = self.track(points)
         if track is None:
             return None
-        placer, reference_ns = self.placer, track.reference_ns
-        target, from_fixed = placer.from_fixed(self.fixed_frame, points.frame_id, reference_ns)
-        reference: tuple[Rigid, ...] | int
-        reference = {track.begin_ns: 0, track.end_ns: -1}.get(reference_ns, 1)
-        if reference == 1 or math.isnan(track.rows[reference, 0]):
-            source = placer.source_frame or points.frame_id
-            assert placer.buffer is not None
-            own = placer.buffer.lookup(self.fixed_frame, source, reference_ns, placer.tolerance_ns)
-            reference = from_fixed, own
-        return track.seen_from(from_fixed, reference, target, reference_ns)
+        target, from_fixed = self.placer.from_fixed(self.fixed_frame, points.frame_id, track.reference_ns)
+        return track.seen_from(from_fixed, target, track.reference_ns)
 
     def track(self, points: Points) -> Track | None:
         """Look up the path of a cloud's sensor in the fixed frame; None for a cloud without a point.
@@ -298,7 +259,7 @@ class Deskew:
             self.sample(points, known.at)
         timed = points if given else points.replace(_LazyTimes(known), points.frame_id)
         all_timed = not unknown and bool(times[0] <= low and high <= times[-1])
-        return Track(timed, reference_ns, name, offset, unit, times, rows, gap_ns, all_timed, begin_ns, end_ns)
+        return Track(timed, reference_ns, name, offset, unit, times, rows, gap_ns, all_timed)
 
     def _check(self, name: str, low: float, high: float, unit: float, *, several: bool, stamp_ns: int) -> None:
         """Raise an error for impossible times."""
@@ -359,17 +320,6 @@ def _angles(differences: NDArray[np.float64]) -> NDArray[np.float64]:
     sines = np.sqrt(np.einsum("ni,ni->n", differences, differences)) / math.sqrt(8)
     angles: NDArray[np.float64] = 2 * np.arcsin(np.minimum(sines, 1.0))
     return angles
-
-
-def _motion(rows: NDArray[np.float64], reference: tuple[Rigid, ...] | int, gap_ns: int) -> Motion:
-    if isinstance(reference, int):
-        row = rows[reference]
-    else:
-        row = _IDENTITY.copy()
-        for transform in reversed(reference):
-            kernel.follow(_ONCE, _ALWAYS, _as_matrix(transform), row)
-    turned, moved = kernel.apart(rows, row)
-    return Motion(math.sqrt(moved), 2 * math.asin(min(1.0, math.sqrt(turned) / math.sqrt(8))), gap_ns / 1e9)
 
 
 def _as_matrix(transform: Rigid) -> NDArray[np.float64]:

@@ -96,9 +96,8 @@ class TopicReport:
         Points of all converted clouds: how many are used, and how many are rejected for which reason.
     empty_scans
         Scans without a single return.
-    motions
-        One for each deskewed cloud: the largest distance of the sensor from its pose at the scan's time, metres and
-        radians, and the longest time between interpolated transforms, seconds.
+    longest_gap_s
+        The longest time over which transforms were interpolated to deskew a cloud, seconds.
     tilts
         One for each level scan: the angle between the z axis of the target frame and up, radians.
     joined
@@ -123,7 +122,7 @@ class TopicReport:
 
     json_names: ClassVar[tuple[str, ...]] = (
         *("topic", "msgtype", "target", "action", "note", "messages_in", "messages_out", "skipped", "empty_scans"),
-        *("removed_beams", "clouds_kept", "lost", "advice", "scan", "motion", "tilt", "joined", "points"),
+        *("removed_beams", "clouds_kept", "lost", "advice", "scan", "longest_gap_s", "tilt", "joined", "points"),
     )
 
     topic: str
@@ -136,7 +135,7 @@ class TopicReport:
     skipped: int = 0
     points: PointCounts = field(default_factory=PointCounts)
     empty_scans: int = 0
-    motions: list[tuple[float, float, float]] = field(default_factory=list)
+    longest_gap_s: float = 0.0
     tilts: list[float] = field(default_factory=list)
     joined: SourceCounts | None = None
     removed_beams: dict[str, int] = field(default_factory=dict)
@@ -153,25 +152,6 @@ class TopicReport:
         return self.spec.name if self.spec else ""
 
     @property
-    def is_made(self) -> bool:
-        """Whether messages were converted."""
-        return self.action == "converted" and self.messages_out > 0
-
-    @property
-    def motion(self) -> dict[str, float] | None:
-        """The largest and the median of the motions, and the longest gap; None if nothing was deskewed."""
-        if not self.motions:
-            return None
-        metres, radians, gaps = zip(*self.motions, strict=True)
-        return {
-            "largest_m": max(metres),
-            "median_m": median_low(metres),
-            "largest_deg": math.degrees(max(radians)),
-            "median_deg": math.degrees(median_low(radians)),
-            "longest_gap_s": max(gaps),
-        }
-
-    @property
     def tilt(self) -> dict[str, float] | None:
         """The largest and the median of the tilts, degrees; None if nothing was made level."""
         if not self.tilts:
@@ -182,11 +162,10 @@ class TopicReport:
         }
 
     def count(self, result: ConvertedMessage) -> None:
-        """Count what a message became: its points, the motion of the sensor, and its beams."""
+        """Count what a message became: its points, its frame, and its beams."""
         self.points += result.counts
         self.empty_scans += result.empty
-        if result.motion is not None:
-            self.motions.append(result.motion)
+        self.longest_gap_s = max(self.longest_gap_s, result.gap_ns / 1e9)
         if result.level is not None:
             self.tilts.append(result.level.tilt)
         for name, number in (result.removed or {}).items():

@@ -283,20 +283,12 @@ def messages_in_no_scan(topic: TopicReport, spec: ScanSpec, _: Report) -> Iterat
         yield note(text)
 
 
-def motion_of_sensor(topic: TopicReport, spec: ScanSpec, _: Report) -> Iterator[Remark]:
-    """Yield a note about how far the sensor moved while clouds were measured; a warning about missing transforms."""
-    if (motion := topic.motion) is None:
-        return
-    placed = "deskewed" if spec.deskew else "placed through `fixed_frame`"
-    yield note(
-        f"{topic.target}: {placed}; within a {'cloud' if topic.joined is None else 'scan'} the sensor moved by up to "
-        f"{motion['largest_m']:.3g} m and {motion['largest_deg']:.3g} degrees (median {motion['median_m']:.3g} m, "
-        f"{motion['median_deg']:.3g} degrees)"
-    )
-    if motion["longest_gap_s"] > _NOTABLE_GAP:
+def missing_transforms(topic: TopicReport, *_: object) -> Iterator[Remark]:
+    """Yield a warning if there were no transforms for long while clouds were measured."""
+    if topic.longest_gap_s > _NOTABLE_GAP:
         yield warning(
             f"{topic.target}: while clouds were measured, transforms to `fixed_frame` were missing for up "
-            f"to {motion['longest_gap_s']:.3g} s; points are placed as if the robot had moved evenly meanwhile"
+            f"to {topic.longest_gap_s:.3g} s; points are placed as if the robot had moved evenly meanwhile"
         )
 
 
@@ -326,10 +318,10 @@ def tilt_of_frame(topic: TopicReport, spec: ScanSpec, report: Report) -> Iterato
 TOPIC_CHECKS: Mapping[str, Sequence[Callable[[TopicReport, ScanSpec, Report], Iterator[Remark]]]] = {
     "action": (unconverted_topic, unordered_stamps),
     "empty_scans": (scans_without_return,),
-    "is_made": (rejected_points,),
+    "messages_out": (rejected_points,),
     "removed_beams": (removed_beams,),
     "joined": (jumping_stamps, source_in_no_scan, messages_in_no_scan),
-    "motions": (motion_of_sensor,),
+    "longest_gap_s": (missing_transforms,),
     "tilts": (tilt_of_frame,),
 }
 

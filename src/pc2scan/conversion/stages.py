@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pc2scan.request.filters import Filter
     from pc2scan.transforms.placing import LevelTransform, Placement, Placer
 
-    from .deskew import Deskew, Motion, MovingCloud
+    from .deskew import Deskew, MovingCloud
 
 
 # Neither frozen nor a named tuple, because creating those takes two to three times as long, for every message.
@@ -33,16 +33,16 @@ class ConvertedMessage:
 
     The stages make ``message`` and ``used`` of arrays; the consumer's last step may replace both by their serialised
     form, and says in ``size`` how many bytes they take. ``empty`` is whether the message has no return, or no point;
-    ``motion`` is how far the sensor moved, if it was deskewed. ``level`` is the transform of its frame, if that is made
-    level. ``used`` are the points that beams read, if they are written. ``removed`` is how many beams had ``returns``,
-    how many of these were too ``sparse`` for ``min_points`` or ``reduce``, and how many each beam filter removed; None
-    without any of them.
+    ``gap_ns`` is the longest time over which transforms were interpolated, if it was deskewed. ``level`` is the
+    transform of its frame, if that is made level. ``used`` are the points that beams read, if they are written.
+    ``removed`` is how many beams had ``returns``, how many of these were too ``sparse`` for ``min_points`` or
+    ``reduce``, and how many each beam filter removed; None without any of them.
     """
 
     message: Any
     counts: PointCounts
     empty: bool
-    motion: Motion | None = None
+    gap_ns: int = 0
     level: LevelTransform | None = None
     used: Any = None
     removed: Mapping[str, int] | None = None

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from operator import mul
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
@@ -17,7 +16,6 @@ import numpy as np
 from pc2scan.advice.clocks import MEASURES, are_doubtful
 from pc2scan.advice.measurements import Measurements, measure, require_fields, unknown_step
 from pc2scan.conversion.conversions import Beams, remove_beams
-from pc2scan.conversion.deskew import Motion
 from pc2scan.conversion.stages import ConvertedMessage, SelectStage, Steps
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import median_low
@@ -82,7 +80,7 @@ class Contribution(NamedTuple):
         Transforms from and to the fixed frame; None without one. The first is that of the scan's frame at the scan's
         time, if the message leads; the second is that at the message's stamp.
     gap_ns
-        Over how long a time the two were interpolated, nanoseconds.
+        Over how long a time transforms of the robot's motion were interpolated at most, nanoseconds.
     track
         The poses of the sensor during the measurement; None if the points are not deskewed.
     level
@@ -93,8 +91,6 @@ class Contribution(NamedTuple):
         Whether the message is a LaserScan.
     nearest
         The ranges of the beams, if the points are projected already.
-    motion
-        How far the sensor moved, if ``nearest`` is of points that were moved.
     size
         Bytes that the message holds.
     """
@@ -113,7 +109,6 @@ class Contribution(NamedTuple):
     rejected: Mapping[str, int]
     flat: bool
     nearest: ProjectedScan | None = None
-    motion: Motion | None = None
     size: int = 0
 
 
@@ -149,7 +144,7 @@ class MessagesToScan:
         deskews: Mapping[str, Deskew] | None = None,
         surroundings: Surroundings | None = None,
     ) -> None:
-        params = measured.resolve(spec.params)
+        params = spec.params
         self._beams = Beams(params, measured)
         self.spec = spec
         self.topics = tuple(topics)
@@ -227,18 +222,13 @@ class MessagesToScan:
         if flat or self._intensity or not self._projector.reads_nearest or not is_certain:
             return self._keep_points(contribution)
         # They are in the processor's cache now; projecting them later takes twice as long.
-        nearest, motion = self._find_nearest(contribution, contribution)
+        points, transform, lost, gap_ns = self._place(contribution, contribution)
+        nearest = self._projector.nearest(PointsPart(*points.xyz(), _round_transform(transform)))
+        if lost:
+            nearest.counts += PointCounts.of_filters(lost)
         nothing = Points(points.sequence, stamp_ns, points.frame_id, {})
         size = _OVERHEAD + nearest.ranges.nbytes
-        return contribution._replace(points=nothing, track=None, nearest=nearest, motion=motion, size=size)
-
-    def _find_nearest(self, lead: Contribution, member: Contribution) -> tuple[ProjectedScan, Motion | None]:
-        """Return the ranges and counts of one message in a scan, and how far its sensor moved."""
-        points, transform, rejected, motion = self._place(lead, member)
-        nearest = self._projector.nearest(PointsPart(*points.xyz(), _round_transform(transform)))
-        if rejected:
-            nearest.counts += PointCounts.of_filters(rejected)
-        return nearest, motion
+        return contribution._replace(points=nothing, track=None, nearest=nearest, gap_ns=gap_ns, size=size)
 
     def _keep_points(self, contribution: Contribution) -> Contribution:
         """Return a message with the fields that its scan needs."""
@@ -272,17 +262,16 @@ class MessagesToScan:
         others: list[PointCounts] = []
         parts: list[PointsPart] = []
         known: list[ProjectedScan] = []
-        motions: list[Motion] = []
+        longest_ns = 0
         for member in members:
             if member.nearest is not None:
                 known.append(member.nearest)
-                motions += [] if member.motion is None else [member.motion]
+                longest_ns = max(longest_ns, member.gap_ns)
                 continue
-            points, transform, rejected, motion = self._place(lead, member)
+            points, transform, rejected, gap_ns = self._place(lead, member)
+            longest_ns = max(longest_ns, gap_ns)
             if rejected:
                 others.append(PointCounts.of_filters(rejected))
-            if motion is not None:
-                motions.append(motion)
             values = points.field(self._intensity) if self._intensity in points.fields else None
             by_height = not (member.flat and self._any_height)
             parts.append(PointsPart(*points.xyz(), _round_transform(transform), values, any_height=not by_height))
@@ -291,38 +280,38 @@ class MessagesToScan:
         else:
             scan = self._projector.together(parts)
         message, empty = self._beams.message(lead.points.sequence, lead.reference_ns, lead.frame_id, scan)
-        largest = Motion(*map(max, zip(*motions, strict=True))) if motions else None
         level = None if lead.level is None else lead.level.at(lead.reference_ns)
         counts = sum(others, scan.counts)
         result = ConvertedMessage(
-            message, counts, empty, largest, level, removed=scan.removed, stamp_ns=lead.reference_ns
+            message, counts, empty, longest_ns, level, removed=scan.removed, stamp_ns=lead.reference_ns
         )
         return result if self._remove is None else self._remove(result)
 
     def _place(
         self, lead: Contribution, member: Contribution
-    ) -> tuple[Points, Rigid | MovingTransform | None, Mapping[str, int], Motion | None]:
-        """Return a member's points, the transform still to apply, the rejection counts, and the sensor's motion."""
+    ) -> tuple[Points, Rigid | MovingTransform | None, Mapping[str, int], int]:
+        """Return a member's points, the transform still to apply, the rejection counts, and the longest gap."""
         mount = member.mount
         if lead.level is not None:
             level_from_target = lead.level.frame_from_level.inverse()
             mount = level_from_target if mount is None else level_from_target.compose(mount)
-        transform, moving = mount, None
-        motion: Motion | None = None
+        transform, moving, gap_ns = mount, None, 0
         if lead.target_from_fixed is not None and member.track is not None:
             track = member.track._replace(points=member.points)
-            moving = track.seen_from(lead.target_from_fixed, (mount or _NOWHERE,), lead.frame_id, lead.reference_ns)
-            motion = moving.motion
-        elif lead.target_from_fixed is not None and member.stamp_ns == lead.reference_ns:
-            # At the scan's own time, the transform between the two frames is used, so that the bits are the same.
-            motion = Motion(0.0, 0.0)
-        elif lead.target_from_fixed is not None and member.fixed_from_source is not None:
+            moving = track.seen_from(lead.target_from_fixed, lead.frame_id, lead.reference_ns)
+            gap_ns = moving.gap_ns
+        # At the scan's own time, the transform between the two frames is used, so that the bits are the same.
+        elif (
+            lead.target_from_fixed is not None
+            and member.stamp_ns != lead.reference_ns
+            and member.fixed_from_source is not None
+        ):
             transform = lead.target_from_fixed.product(member.fixed_from_source)
-            motion = _motion_of(transform, mount)._replace(gap=max(lead.gap_ns, member.gap_ns) / 1e9)
+            gap_ns = max(lead.gap_ns, member.gap_ns)
         if self._late is None:
-            return member.points, transform if moving is None else moving.transform, member.rejected, motion
+            return member.points, transform if moving is None else moving.transform, member.rejected, gap_ns
         points, still, rejected = self._late.apply(member.points, Placement(lead.frame_id, transform), moving)
-        return points, still, {**member.rejected, **rejected}, motion
+        return points, still, {**member.rejected, **rejected}, gap_ns
 
 
 def _round_transform(transform: Rigid | MovingTransform | None) -> Transform | MovingTransform | None:
@@ -335,15 +324,6 @@ def _copy_fields(fields: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     axes = contiguous(*(fields[axis] for axis in "xyz"))
     copies = {name: np.array(values).reshape(-1) for name, values in fields.items() if name not in _AXES}
     return copies | dict(zip("xyz", axes, strict=True))
-
-
-def _motion_of(transform: Rigid | None, mount: Rigid | None) -> Motion:
-    """Return how far a sensor moved from the pose at which it is mounted."""
-    one, other = (transform or _NOWHERE).pose, (mount or _NOWHERE).pose
-    distance = math.dist(one[:3], other[:3])
-    turned = abs(sum(map(mul, one[3:], other[3:])))
-    norms = math.hypot(*one[3:]) * math.hypot(*other[3:])
-    return Motion(distance, 2 * math.acos(min(1.0, turned / norms)) if norms else 0.0)
 
 
 #: How many messages of a topic are read to measure its period, and to compare its clock.
