@@ -150,63 +150,75 @@ def prepare(
     meter
         Counts the work of the preparation and of the conversion that follows; None: nothing is reported.
     """
-    frame_options = options.frames
+    frames = options.frames
     notes: list[str] = []
     if options.clock:
         fields = [spec.point_time.partition(":")[0] for spec in plan.specs if spec.point_time]
-        reader, notes = corrected(reader, plan.converted, options.clock, frame_options.tf_topics, span, fields)
-    survey = Survey(reader, (), frame_options, span)
-    placed_specs = [spec for spec in plan.specs if spec.needs_transforms]
-    # Added transforms are written to the output, even if it needs none.
-    if transform_frames is not None or placed_specs or frame_options.write_static or frame_options.adds_poses:
-        survey.others = open_recordings(frame_options.tf_from, stack, strict=options.strict)
-        survey.ask_transforms((*(transform_frames or ()), *(frame for spec in placed_specs for frame in spec.frames)))
-    gives_frames = frame_options.static or frame_options.source_frame
-    given = [survey.facts([each]) for each in plan.converted if gives_frames]
-    for facts in given:
-        facts.ask_headers(1)
-    placed = survey.topics(plan.converted).values() if frame_options.trajectory else ()
-    for facts in placed:
-        facts.ask_headers(CLOCK_HEADERS)
-    outputs = {
-        spec: _OutputFacts(spec, plan, survey)
-        for spec in plan.specs
-        if not spec.reverse and (spec.needs_measuring or spec.may_combine or spec.fixed_frame or spec.level)
-    }
+        reader, notes = corrected(reader, plan.converted, options.clock, frames.tf_topics, span, fields)
     if meter is not None:
         connections = [route.connection for route in plan.routes]
         meter.following = reader.stored_bytes(connections, span.start_ns, span.stop_ns)
-    if outputs or given or placed or survey.transforms is not None:
-        survey.read(meter)
-    transforms = None if survey.transforms is None else survey.transforms.finish()
-    buffer = transforms.buffer if transforms is not None and placed_specs else None
-    known = KnownTransforms(
-        frame_options.source_frame, cache(partial(_robot_transforms, reader, options, span)), buffer
-    )
-    prepared = Preparation(reader, plan, options, span, known, tell, survey.others, transforms, notes=notes)
+    known = KnownTransforms(frames.source_frame, cache(partial(_robot_transforms, reader, options, span)))
+    prepared = Preparation(reader, plan, options, span, known, tell, notes=notes)
+    # Added transforms are written to the output, even if it needs none.
+    uses_frames = frames.source_frame or frames.static or frames.adds_poses or frames.write_static
+    if transform_frames is not None or uses_frames or any(map(_needs_facts, plan.specs)):
+        _look_ahead(prepared, transform_frames, stack, meter)
+        return prepared
+    for spec in plan.specs:
+        own = (
+            ScanToCloud(spec.channels, Placer(), deskewed=spec.deskew) if spec.reverse else CloudToScan(spec, Placer())
+        )
+        prepared.conversions[spec, ""] = own
+    return prepared
+
+
+def _needs_facts(spec: ScanSpec) -> bool:
+    """Whether an output depends on more than each message."""
+    return spec.needs_transforms or (not spec.reverse and (spec.needs_measuring or spec.may_combine))
+
+
+def _look_ahead(
+    prepared: Preparation, transform_frames: Collection[str] | None, stack: ExitStack, meter: Meter | None
+) -> None:
+    """Ask a survey for what the outputs need, let it read, and make their conversions of its facts; see `prepare`."""
+    reader, plan, options, span = prepared.reader, prepared.plan, prepared.options, prepared.span
+    frames, known, tell = options.frames, prepared.known, prepared.tell
+    survey = Survey(reader, (), frames, span)
+    placed_specs = [spec for spec in plan.specs if spec.needs_transforms]
+    if transform_frames is not None or placed_specs or frames.write_static or frames.adds_poses:
+        survey.others = prepared.others = open_recordings(frames.tf_from, stack, strict=options.strict)
+        survey.ask_transforms((*(transform_frames or ()), *(frame for spec in placed_specs for frame in spec.frames)))
+    given = [survey.facts([each]) for each in plan.converted if frames.static or frames.source_frame]
+    for facts in given:
+        facts.ask_headers(1)
+    placed = survey.topics(plan.converted if frames.trajectory else ()).values()
+    for facts in placed:
+        facts.ask_headers(CLOCK_HEADERS)
+    outputs = {spec: _OutputFacts(spec, plan, survey) for spec in plan.specs if not spec.reverse}
+    survey.read(meter)
+    prepared.found = transforms = None if survey.transforms is None else survey.transforms.finish()
+    known.buffer = buffer = transforms.buffer if transforms is not None and placed_specs else None
     if transforms is not None:
         tell(*transforms.warnings)
         prepared.notes += transforms.notes
-    if frame_options.trajectory is not None:
-        refuse_other_clock(frame_options.trajectory, placed, span, reader.summary.end_ns)
+    if frames.trajectory is not None:
+        refuse_other_clock(frames.trajectory, placed, span, reader.summary.end_ns)
     if buffer is not None:
-        known.static = frame_options.static
+        known.static = frames.static
     if given:
         robot = known.read() if transforms is None else transforms.buffer
-        tell(*check_given_frames((facts.frame for facts in given), plan, frame_options, buffer, robot))
+        tell(*check_given_frames((facts.frame for facts in given), plan, frames, buffer, robot))
     for spec in plan.specs:
-        placer = Placer(source_frame=frame_options.source_frame)
+        placer = Placer(source_frame=frames.source_frame)
         if spec in placed_specs:
             up = None if buffer is None or not spec.level else _up_source(spec, buffer, survey, prepared)
-            placer = Placer(spec.params.target_frame, frame_options.source_frame, buffer, spec.params.tolerance_ns, up)
+            placer = Placer(spec.params.target_frame, frames.source_frame, buffer, spec.params.tolerance_ns, up)
         if spec.reverse:
             prepared.conversions[spec, ""] = ScanToCloud(spec.channels, placer, deskewed=spec.deskew)
-        elif spec not in outputs:
-            prepared.conversions[spec, ""] = CloudToScan(spec, placer)
         else:
             with spec.naming_errors():
                 outputs[spec].convert_with(placer, prepared)
-    return prepared
 
 
 def _up_source(spec: ScanSpec, buffer: TransformBuffer, survey: Survey, prepared: Preparation) -> UpSource:
