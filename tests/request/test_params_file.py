@@ -37,7 +37,7 @@ def load(tmp_path: Path) -> Load:
 def test_a_file_has_the_parameters_of_its_node(load: Load, text: str, node: str, values: dict[str, Any]) -> None:
     file = load(text)
     assert (file.node, file.options.given) == (node, values)
-    assert file.direction == "pointcloud_to_laserscan"
+    assert file.reverse is not True
     assert {name: type(value) for name, value in file.options.given.items()} == {
         name: type(value) for name, value in values.items()
     }
@@ -69,5 +69,5 @@ def test_aliases_do_not_multiply(load: Load, line: str) -> None:
 
 def test_the_way_back_has_parameters_of_its_own(load: Load) -> None:
     file = load("/ns/laserscan_to_pointcloud: {ros__parameters: {target_frame: odom, queue_size: 4}}")
-    assert file.direction == "laserscan_to_pointcloud"
+    assert file.reverse
     assert resolve([file.options])[0] == ProjectionParams(target_frame="odom", queue_size=4)

@@ -6,6 +6,9 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import UsageError, name_list
 
+from .conversion import CloudCombination, PointSelection, RobotMotion
+from .projection import SHARED, Projection
+
 if TYPE_CHECKING:
     from collections.abc import Collection
 
@@ -25,10 +28,15 @@ NEEDS = (
     *((name, "init", "golden") for name in ("start", "end", "topics", "params_file")),
 )
 
+#: Options about scans.
+_OF_SCANS = {
+    name for group in (Projection, PointSelection, RobotMotion, CloudCombination) for name in group.__annotations__
+}
+_OF_SCANS |= {"preset", "keep_used", "min_used"}
+
 #: An option, those that have no effect beside it, and why.
 IDLE = (
-    ("reverse", "keep_used remove where exclude_box exclude_polygon ground min_height_slope", "which makes clouds"),
-    ("reverse", "filters level point_time stamp fixed_frame accumulate every rebin min_used", "which makes clouds"),
+    ("reverse", " ".join(sorted(_OF_SCANS - SHARED - {"deskew"})), "which makes clouds"),
     ("rebin", "point_time", "which converts scans, whose beams have the times of their time_increment"),
     ("accumulate", "window", "which uses all messages of an interval"),
     ("every", "window", "which uses all messages of an interval"),

@@ -96,6 +96,10 @@ class Projection(NodeParameters, ScanParameters, total=False):
     """The parameters of the projection."""
 
 
+#: The parameters that laserscan_to_pointcloud has, too.
+SHARED = frozenset({"target_frame", "transform_tolerance", "queue_size"})
+
+
 @group(Section.PARAMS, Scope.ONE_OUTPUT)
 class ParameterSources(TypedDict, total=False):
     """Where parameters come from, besides their own options."""

@@ -23,20 +23,18 @@ from pc2scan.text import did_you_mean
 from .entries import Entry, compose, entries_in, entries_of, naming_place, not_quoting, read_text, scalar_value
 from .filters import filters_of
 from .options import Combining, ScanSpec, TopicRequest
-from .parameters import ALIASES, TOPICS, expected_message, is_every_nodes, names_of, resolve, unknown_parameter
+from .parameters import ALIASES, TOPICS, expected_message, is_every_nodes, resolve, unknown_parameter
 from .params_file import ParamsFile, load_params_file
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
 
-    from .parameters import Direction
-
 _TOP = ("defaults", "scans")
 
 _EXAMPLE = "write scans: {/scan: {min_height: 0.1}, /scan_low: {max_height: 0.1}}"
 
-#: The nodes' names for the topic that they read and the topic that they write.
-_NAMES = {"pointcloud_to_laserscan": ("cloud_in", "scan"), "laserscan_to_pointcloud": ("scan_in", "cloud")}
+#: The nodes' names for the topic that they read and the topic that they write, by whether scans become clouds.
+_NAMES = {False: ("cloud_in", "scan"), True: ("scan_in", "cloud")}
 
 #: The topics of transforms, which may be remapped.
 _TF = ("tf", "tf_static")
@@ -85,21 +83,20 @@ def read_output(options: Options, given: Sequence[Options], *, name: str = "", p
         If a parameter, the file or the preset is not valid, or the file is for the other direction.
     """
     sources, remaps = [*given], _remaps_of(options.remap)
-    direction: Direction = "laserscan_to_pointcloud" if options.reverse else "pointcloud_to_laserscan"
+    names = {key for source in given for key in source.given}
     file = ParamsFile(options)
     if options.params is not None:
         sources.append(_all_params(options))
     if options.params_file is not None:
-        file = _read_file(options, {key for source in given for key in source.given}.union(remaps))
+        file = _read_file(options, names.union(remaps))
         sources.append(file.options)
-        direction = "laserscan_to_pointcloud" if options.reverse else file.direction or direction
     if options.preset is not None:
         places = dict.fromkeys(PARAMETERS, f"--preset {options.preset}")
         sources.append(Options("convert", PRESETS[options.preset], places))
-    params, origins = resolve(sources, direction)
-    reverse = direction == "laserscan_to_pointcloud"
-    refuse_idle({*options.given, "reverse"} if reverse else options.given)
-    topics, tf_topics = _moved({**file.remaps, **remaps}, direction)
+    reverse = options.reverse or bool(file.reverse)
+    refuse_idle({*options.given, *names, *(["reverse"] * reverse)})
+    params, origins = resolve(sources)
+    topics, tf_topics = _moved({**file.remaps, **remaps}, reverse=reverse)
     requests = tuple(map(TopicRequest.parse, options.topics or topics))
     more = options.among(_AS_GIVEN)
     if name:
@@ -139,7 +136,7 @@ def _read_file(options: Options, overridden: Collection[str]) -> ParamsFile:
         arguments[name] = value
     path, topics = options.params_file, TOPICS if options.topics else ()
     file = load_params_file(path, node=options.node, arguments=arguments, overridden={*overridden, *topics})
-    if options.reverse and file.direction == "pointcloud_to_laserscan":
+    if options.reverse and file.reverse is False:
         raise UsageError(f"{file.node} is for pointcloud_to_laserscan, `reverse=True` is not", path=path)
     return file
 
@@ -164,20 +161,21 @@ def _remaps_of(texts: Sequence[str]) -> dict[str, str]:
     return remaps
 
 
-def _moved(remaps: Mapping[str, str], direction: Direction) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _moved(remaps: Mapping[str, str], *, reverse: bool) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the topics to convert, and those of transforms, of remapped ones.
 
     A remapping of ``scan`` alone is for the only PointCloud2 topic. If only one of the two topics of transforms is
     remapped, the other one keeps its name.
     """
-    source, target = _NAMES[direction]
+    source, target = _NAMES[reverse]
     known = (source, target, *_TF)
     for name, topic in remaps.items():
         if name not in known:
             hint = f"{did_you_mean(name, known)} its topics are {', '.join(known)}".strip()
             if name in PARAMETERS:
                 hint = f"it is a parameter: `param={name}:={topic}`"
-            raise UsageError(f"'{name}:={topic}': {direction} has no topic {name!r}", hint=hint)
+            node = "laserscan_to_pointcloud" if reverse else "pointcloud_to_laserscan"
+            raise UsageError(f"'{name}:={topic}': {node} has no topic {name!r}", hint=hint)
     moved = {name: topic if topic.startswith(("/", "~")) else f"/{topic}" for name, topic in remaps.items()}
     topics: tuple[str, ...] = ()
     if moved.keys() & {source, target}:
@@ -217,7 +215,7 @@ def parse_params(texts: Sequence[str]) -> Options:
         if is_every_nodes(name):
             continue
         if name not in PARAMETERS:
-            raise unknown_parameter(name, origin, None)
+            raise unknown_parameter(name, origin)
         values[name], origins[name] = _scalar(written, name, origin), origin
     return Options("convert", values, origins)
 
@@ -288,7 +286,7 @@ def _outputs(scans: Entry) -> Iterator[tuple[str, Entry]]:
 def _output(topic: str, entry: Entry, defaults: Entry, folder: Path, given: Sequence[Options]) -> Outputs:
     """Return an output, and what was read for it. Keys that it does not have are read from the defaults."""
     kinds = {"sources": texts(), **{name: option.value for name, option in output_options().items()}}
-    known = (*names_of("pointcloud_to_laserscan"), *ALIASES, *kinds)
+    known = (*PARAMETERS, *ALIASES, *kinds)
     hint = f"an output has {', '.join(kinds)}, and the parameters of pointcloud_to_laserscan"
     sources = [*given]
     values, places = dict[str, Any](), dict[str, str]()

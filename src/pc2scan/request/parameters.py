@@ -1,8 +1,8 @@
 """The parameters of the projection: their names in ROS, and the choice between several sources of one.
 
 Every source (a call, ``--param name:=value``, a parameter file, a preset) is `Options`, which say where each value was
-written. `resolve` takes each parameter from the source with the highest precedence, checks names, types and values, and
-builds `ProjectionParams`. An error names the parameter, the value and its origin.
+written. `resolve` takes each parameter from the source with the highest precedence, checks types and values, and builds
+ `ProjectionParams`. An error names the parameter, the value and its origin.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from pc2scan.core.layout import FULL_TURN
 from pc2scan.core.params import ProjectionParams
@@ -26,9 +26,6 @@ if TYPE_CHECKING:
     from pc2scan.options.call import Options
     from pc2scan.options.option import Parameter
 
-#: Upstream's two nodes; each direction has the name of its node.
-Direction = Literal["pointcloud_to_laserscan", "laserscan_to_pointcloud"]
-
 
 #: ROS 1's names for parameters that ROS 2 renamed.
 ALIASES = {"concurrency_level": "queue_size"}
@@ -36,9 +33,6 @@ ALIASES = {"concurrency_level": "queue_size"}
 #: Topics. Upstream's own ROS 1 sample lists them among the parameters; later ROS 2 versions declare the
 #: last two.
 TOPICS = frozenset({"cloud_in", "scan", "scan_in", "cloud", "point_cloud_topic", "scan_topic"})
-
-#: The parameters of laserscan_to_pointcloud, which pointcloud_to_laserscan has, too.
-SHARED = frozenset({"target_frame", "transform_tolerance", "queue_size"})
 
 #: Pairs of parameters that describe the same thing. The setting with the higher precedence is used, the other ignored.
 RIVALS = {"beams": "angle_increment", "no_return": "use_inf"}
@@ -62,24 +56,14 @@ def is_every_nodes(name: str) -> bool:
     return name.partition(".")[0] in _EVERY_NODE
 
 
-def names_of(direction: Direction | None) -> list[str]:
-    """Return the names of a node's parameters; all names if the direction is not known."""
-    return [name for name in PARAMETERS if name in SHARED or direction != "laserscan_to_pointcloud"]
-
-
-def unknown_parameter(name: str, origin: str, direction: Direction | None) -> ParameterError:
+def unknown_parameter(name: str, origin: str) -> ParameterError:
     """Return the error for an unknown parameter, with the known ones."""
-    known = names_of(direction)
-    hint = f"the parameters are {', '.join(known)}"
+    hint = f"the parameters are {', '.join(PARAMETERS)}"
     if name in TOPICS:
         hint = "topics are not parameters here; `topics` chooses them"
-    if name in PARAMETERS:
-        message = f"{direction} has no parameter {name!r} (from {origin})"
-    else:
-        message = f"unknown parameter {name!r} (from {origin})"
-        close = nearest(name, [*known, *ALIASES])
-        if close:
-            message += f"; did you mean {close!r}?"
+    message = f"unknown parameter {name!r} (from {origin})"
+    if close := nearest(name, [*PARAMETERS, *ALIASES]):
+        message += f"; did you mean {close!r}?"
     return ParameterError(message, name=name, hint=hint)
 
 
@@ -116,18 +100,13 @@ def _type_hint(parameter: Parameter, value: object) -> str | None:
     return None
 
 
-def resolve(
-    sources: Iterable[Options], direction: Direction = "pointcloud_to_laserscan"
-) -> tuple[ProjectionParams, Mapping[str, str]]:
+def resolve(sources: Iterable[Options]) -> tuple[ProjectionParams, Mapping[str, str]]:
     """Take each parameter from the first source that has it, and check everything.
 
     Parameters
     ----------
     sources
         The highest precedence first: the call, ``param``, a file, a preset. What is overridden is checked, too.
-    direction
-        The node; ``laserscan_to_pointcloud`` has three of the parameters, and the others keep their
-        defaults.
 
     Returns
     -------
@@ -137,8 +116,8 @@ def resolve(
     Raises
     ------
     ParameterError
-        If a name is not one of the node's, or a value has the wrong type or is not allowed. The message names the
-        parameter, the value and its origin; for contradicting values it names both origins.
+        If a value has the wrong type or is not allowed. The message names the parameter, the value and its origin; for
+        contradicting values it names both origins.
     """
     values: dict[str, Any] = {}
     written: dict[str, object] = {}
@@ -147,8 +126,6 @@ def resolve(
         chosen: dict[str, Any] = {}
         for name, text in source.among(PARAMETERS).items():
             parameter, origin, rival = PARAMETERS[name], source.origins.get(name, CALL), RIVALS.get(name, "")
-            if direction == "laserscan_to_pointcloud" and name not in SHARED:
-                raise unknown_parameter(name, origin, direction)
             # A whole number is accepted where a float is expected; ROS 2 itself requires `30.0`. A number may have a
             # unit, or be arithmetic (`180deg`, `pi/2`, `50cm`). Nothing else is converted.
             value = parameter.value.accept(text)

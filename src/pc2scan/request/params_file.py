@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, get_args
+from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import ParameterError, name_list
 from pc2scan.options.call import Options
-from pc2scan.options.projection import NodeParameters
+from pc2scan.options.projection import SHARED, NodeParameters
 from pc2scan.options.table import PARAMETERS
 from pc2scan.text import did_you_mean, nearest
 
@@ -16,12 +16,9 @@ from .entries import Entry, entries_in, not_quoting, read_text, scalar_value
 from .launch import ELSEWHERE, LaunchFile, UnreadError, qualified
 from .parameters import (
     ALIASES,
-    SHARED,
     TOPICS,
-    Direction,
     expected_message,
     is_every_nodes,
-    names_of,
     plain_scalar,
     resolve,
     unknown_parameter,
@@ -50,8 +47,8 @@ class ParamsFile(NamedTuple):
     ----------
     options
         The parameters, and where they are written.
-    direction
-        The direction, by the node's name, or for a renamed node by its parameters; None if it is unknown.
+    reverse
+        Whether scans become clouds, by the node's name, or for a renamed node by its parameters; None if it is unknown.
     node
         Fully qualified name of the node (or the wildcard) whose section was read; ``/`` for the
         flat mapping of a ROS 1 file.
@@ -65,7 +62,7 @@ class ParamsFile(NamedTuple):
     """
 
     options: Options
-    direction: Direction | None = None
+    reverse: bool | None = None
     node: str = ""
     ignored: tuple[str, ...] = ()
     remaps: Mapping[str, str] = {}
@@ -153,12 +150,12 @@ def _from_launch(
                 if name in PARAMETERS:
                     values[name], origins[name] = _as_bool(name, value), origin
                 elif written not in TOPICS and nearest(written, PARAMETERS):
-                    raise unknown_parameter(written, origin, None)
+                    raise unknown_parameter(written, origin)
                 elif not is_every_nodes(written):
                     # The node ignores a parameter that it does not declare.
                     ignored.append(origin)
     options = Options("convert", values, origins)
-    return ParamsFile(options, "pointcloud_to_laserscan", chosen.name, tuple(ignored), remaps, tuple(files))
+    return ParamsFile(options, False, chosen.name, tuple(ignored), remaps, tuple(files))
 
 
 def _is_launch_xml(text: str) -> bool:
@@ -370,14 +367,13 @@ def _matching_nodes(sections: _Sections, node: str | None) -> list[str]:
     upstreams = [full for full in own if not foreign[full] and _OF_UPSTREAM.intersection(own[full])]
     # A single section with some known names is used; its unknown names are reported later.
     only = [full for full in own if len(own) == 1 and (not own[full] or len(foreign[full]) < len(own[full]))]
-    return [full for full in sections if _direction_of(full)] or upstreams or only
+    return [full for full in sections if _reverses(full) is not None] or upstreams or only
 
 
-def _direction_of(full: str) -> Direction | None:
-    """Return the direction of a node whose name contains the name of one of upstream's nodes."""
-    directions: tuple[Direction, ...] = get_args(Direction)
-    last = full.rpartition("/")[2]
-    return next((direction for direction in directions if direction in last), None)
+def _reverses(full: str) -> bool | None:
+    """Return whether a node makes clouds of scans; None if its name does not have the name of one of upstream's."""
+    names = {"pointcloud_to_laserscan": False, "laserscan_to_pointcloud": True}
+    return next((reverse for name, reverse in names.items() if name in full.rpartition("/")[2]), None)
 
 
 def _matches(pattern: str, full: str) -> bool:
@@ -394,15 +390,15 @@ def _merge_sections(sections: _Sections, target: str, *, ros1: bool) -> ParamsFi
     """Merge the sections that apply to a node, of which the later one overrides as in ROS 2, and check the names."""
     applying = {full: parameters for full, parameters in sections.items() if _matches(full, target)}
     given = {name for parameters in applying.values() for name in parameters} & PARAMETERS.keys()
-    direction = _direction_of(target)
-    if direction is None and given & _OF_UPSTREAM - SHARED:
-        direction = "pointcloud_to_laserscan"
-    known = names_of(direction)
+    reverse = _reverses(target)
+    if reverse is None and given & _OF_UPSTREAM - SHARED:
+        reverse = False
+    known = SHARED if reverse else PARAMETERS.keys()
     values, origins = dict[str, object](), dict[str, str]()
     ignored: list[str] = []
     for full, parameters in applying.items():
         # In a section for several nodes, an unknown name belongs to another node.
-        is_own = full == target or _direction_of(full) is not None
+        is_own = full == target or _reverses(full) is not None
         for written, leaf in parameters.items():
             name = ALIASES.get(written, written)
             is_ours = name in known and (is_own or name in _OF_UPSTREAM)
@@ -410,8 +406,8 @@ def _merge_sections(sections: _Sections, target: str, *, ros1: bool) -> ParamsFi
                 value = leaf.read(name, ros1=ros1)
                 # roscpp reads 0 and 1 as a bool, rclcpp does not.
                 values[name], origins[name] = _as_bool(name, value) if ros1 else value, leaf.origin
-            elif written in TOPICS or name in known or not is_own:
+            elif written in TOPICS or name in PARAMETERS or not is_own:
                 ignored += [leaf.origin] * (not is_every_nodes(written))
             elif not is_every_nodes(written):
-                raise unknown_parameter(written, leaf.origin, direction)
-    return ParamsFile(Options("convert", values, origins), direction, target, tuple(ignored))
+                raise unknown_parameter(written, leaf.origin)
+    return ParamsFile(Options("convert", values, origins), reverse, target, tuple(ignored))
