@@ -152,6 +152,11 @@ class TopicReport:
         return self.spec.name if self.spec else ""
 
     @property
+    def is_made(self) -> bool:
+        """Whether messages were converted."""
+        return self.action == "converted" and self.messages_out > 0
+
+    @property
     def tilt(self) -> dict[str, float] | None:
         """The largest and the median of the tilts, degrees; None if nothing was made level."""
         if not self.tilts:

@@ -318,7 +318,7 @@ def tilt_of_frame(topic: TopicReport, spec: ScanSpec, report: Report) -> Iterato
 TOPIC_CHECKS: Mapping[str, Sequence[Callable[[TopicReport, ScanSpec, Report], Iterator[Remark]]]] = {
     "action": (unconverted_topic, unordered_stamps),
     "empty_scans": (scans_without_return,),
-    "messages_out": (rejected_points,),
+    "is_made": (rejected_points,),
     "removed_beams": (removed_beams,),
     "joined": (jumping_stamps, source_in_no_scan, messages_in_no_scan),
     "longest_gap_s": (missing_transforms,),
