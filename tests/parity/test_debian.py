@@ -68,10 +68,8 @@ def assert_same_clouds(program: Path, rows: Rows, target: str, deskewed: bool, s
     return refused
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_nothing_differs_from_debians_libraries(seed: int, oracle: Path) -> None:
-    rng = np.random.default_rng(seed)
-    for found in table.against_debian(oracle, rng, lookups=5000, points=200_000):
+def test_nothing_differs_from_debians_libraries(oracle: Path) -> None:
+    for found in table.against_debian(oracle, np.random.default_rng(0), lookups=5000, points=200_000):
         assert found.compared > 0, found
         assert found.differing == 0, found
 

@@ -242,9 +242,8 @@ def _connect(address: str, workers: int, stack: ExitStack) -> Any:
     for name in ("distributed", "distributed.client"):
         logging.getLogger(name).setLevel(_SILENT)
     if not address:
-        # Dask counts every task that a dead worker held as tried. So no worker holds a second, waiting task.
         settings = {
-            "distributed.scheduler.allowed-failures": 1,
+            # Dask counts every task that a dead worker held as tried. So of many tasks, none waits at a worker.
             "distributed.scheduler.worker-saturation": 1.0,
             # It looks at each worker's stack a hundred times a second.
             "distributed.worker.profile.enabled": False,
