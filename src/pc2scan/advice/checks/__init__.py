@@ -31,7 +31,7 @@ REQUEST: Checks[OutputRequest] = (
     request.unused_transforms,
     request.accumulated_without_motion,
     request.returns_without_object,
-    request.tolerance_in_milliseconds,
+    request.times_in_milliseconds,
     request.increment_in_degrees,
     request.beams_beyond_half_turn,
 )

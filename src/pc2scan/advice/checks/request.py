@@ -24,7 +24,7 @@ _COARSE = 0.2
 #: A warning is worth it if this share of the beams is out of reach.
 _NOTABLE_SHARE = 0.01
 
-#: A tolerance of this many seconds or more is nearly always meant in milliseconds.
+#: A time of this many seconds or more is nearly always meant in milliseconds.
 _LONG = 5.0
 
 
@@ -90,14 +90,16 @@ def returns_without_object(request: OutputRequest) -> Iterator[str]:
         )
 
 
-def tolerance_in_milliseconds(request: OutputRequest) -> Iterator[str]:
-    """Yield a warning if a tolerance is so long that milliseconds were probably meant."""
-    seconds = request.spec.params.transform_tolerance
-    if "transform_tolerance" in request.given and seconds >= _LONG:
-        yield (
-            f"transform_tolerance is {seconds:g} s, and a transform of that age is used as if it were current; "
-            f"milliseconds are written `transform_tolerance={seconds:g}ms`"
-        )
+def times_in_milliseconds(request: OutputRequest) -> Iterator[str]:
+    """Yield a warning for each time that is so long that milliseconds were probably meant."""
+    whys = {
+        "transform_tolerance": "a transform of that age is used as if it were current",
+        "scan_time": "a lidar takes less than a second for a scan",
+    }
+    for name, why in whys.items():
+        seconds = getattr(request.spec.params, name)
+        if name in request.given and not isinstance(seconds, str) and seconds >= _LONG:
+            yield f"{name} is {seconds:g} s, and {why}; milliseconds are written `{name}={seconds:g}ms`"
 
 
 def increment_in_degrees(request: OutputRequest) -> Iterator[str]:
