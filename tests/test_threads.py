@@ -75,17 +75,18 @@ def test_where_there_may_be_no_more_threads_those_that_are_work(monkeypatch: pyt
 
 
 def test_what_waits_is_bounded_by_bytes_and_by_number() -> None:
-    """Up to 10 bytes a thread; of larger ones 2 in any case."""
+    """Up to 10 bytes a thread and 3 results; of larger ones 2 in any case."""
     with Threads(2) as pool:
-        for size, room in ((5, 4), (10, 2), (20, 2), (1000, 2)):
-            queue: InOrder[int] = InOrder(pool, 10, 2)
+        for size, room in ((5, 3), (10, 2), (20, 2), (1000, 2)):
+            queue: InOrder[int] = InOrder(pool, 10, 2, 3)
             while queue.has_room(size):
                 queue.put(lambda: 7, size)
             assert len(queue) == room, size
             assert [queue.take() for _ in range(room)] == [7] * room
             assert queue.has_room(size)
-        # As many as the threads can do ahead.
-        queue = InOrder(pool, 10**9, 2)
-        while queue.has_room(1):
-            queue.put(lambda: 7, 1, at_its_turn=True)
-        assert len(queue) == pool.ahead
+        # As many as the threads can do ahead, and one at least.
+        for least, most, room in ((100, None, pool.ahead), (100, 10**6, pool.ahead), (0, 0, 1)):
+            queue = InOrder(pool, 10**9, least, most)
+            while queue.has_room(1):
+                queue.put(lambda: 7, 1, at_its_turn=True)
+            assert len(queue) == room

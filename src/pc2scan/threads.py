@@ -162,13 +162,15 @@ class InOrder(Generic[_Result]):
         Bytes that may wait, for each thread.
     least
         Number of tasks that may wait, whatever their size.
+    most
+        Maximum number of tasks that wait; None: `Threads.ahead`.
     """
 
-    def __init__(self, threads: Threads, bytes_a_thread: int, least: int) -> None:
+    def __init__(self, threads: Threads, bytes_a_thread: int, least: int, most: int | None = None) -> None:
         self._threads = threads
         self._bytes = threads.jobs * bytes_a_thread
-        self._most = threads.ahead
-        self._least = least
+        self._most = max(1, threads.ahead if most is None else min(most, threads.ahead))
+        self._least = min(least, self._most)
         self._held = 0
         #: A function that returns the result, the task (None for work that `take` runs itself), and the size in bytes.
         self._waiting: deque[tuple[Callable[[], _Result], Task[_Result] | None, int]] = deque()

@@ -152,6 +152,7 @@ def merge_by_time(
     callback: Callable[[RawMessage], Any] = lambda message: message,
     threads: Threads | None = None,
     *,
+    window: int | None = None,
     max_open_bytes: int = MAX_OPEN_BYTES,
     holds_chunks: bool = True,
     path: Path | None = None,
@@ -168,6 +169,8 @@ def merge_by_time(
         more than ``max_open_bytes`` of chunks overlap at one time.
     threads
         All threads, or None for the caller's alone. The items do not depend on it.
+    window
+        How many chunks may be loaded ahead; None: as many as memory allows.
     max_open_bytes
         Bound on the chunks held at one time (one is always held).
     holds_chunks
@@ -188,7 +191,7 @@ def merge_by_time(
     RecordingError
         If chunks that overlap would have to be loaded again and again.
     """
-    with closing(_load_ahead(_announce(chunks), callback, threads)) as loading:
+    with closing(_load_ahead(_announce(chunks), callback, threads, window)) as loading:
         heap: list[_OpenChunk] = []
         coming = next(loading, None)
         total = again = 0
@@ -258,7 +261,7 @@ def _evict(heap: list[_OpenChunk], max_open_bytes: int) -> None:
 
 
 def _load_ahead(
-    chunks: Iterable[Chunk], callback: Callable[[RawMessage], Any], threads: Threads | None
+    chunks: Iterable[Chunk], callback: Callable[[RawMessage], Any], threads: Threads | None, window: int | None
 ) -> Generator[tuple[Chunk, Callable[[], Loaded]]]:
     """Yield each chunk, and a function that returns what it is loaded as, by now or ahead on another thread."""
     if threads is None:
@@ -266,7 +269,7 @@ def _load_ahead(
             yield chunk, partial(chunk.load, callback)
         return
     waiting: deque[Chunk] = deque()
-    results: InOrder[Loaded] = InOrder(threads, AHEAD_BYTES, threads.jobs)
+    results: InOrder[Loaded] = InOrder(threads, AHEAD_BYTES, threads.jobs, window)
     try:
         for chunk in chunks:
             too_large = chunk.size > LARGEST_AHEAD

@@ -49,6 +49,7 @@ def items_of(
     threads: Threads | None,
     *,
     rule: ChunkRule | None = None,
+    window: int | None = None,
     meter: Meter | None = None,
 ) -> Generator[Item | StoredChunk]:
     """Yield what became of all messages of the cut: for each chunk, on a thread, each message is converted.
@@ -65,6 +66,8 @@ def items_of(
         The threads; None for the caller's alone. The items do not depend on it.
     rule
         Which chunks pass as a whole; None: none.
+    window
+        How many chunks may be loaded ahead; None: as many as memory allows.
     meter
         Counts the bytes, and reports them at the beginning, regularly, and at the end; None: nothing is reported.
 
@@ -83,7 +86,9 @@ def items_of(
             with closing(reader.messages(lasting, None, start, threads)) as earlier:
                 parts.insert(0, [latched_at(earlier, start)])
         for chunks in parts:
-            load = merge_by_time(chunks, partial(convert, routes), threads, path=reader.path, meter=meter)
+            load = merge_by_time(
+                chunks, partial(convert, routes), threads, window=window, path=reader.path, meter=meter
+            )
             # Closed before the threads are joined, so that work that has not begun is cancelled after an error.
             with closing(load) as loaded:
                 for item in loaded:

@@ -212,7 +212,9 @@ def run(
             threads = stack.enter_context(Threads(jobs)) if jobs > 1 else None
             if threads is not None:
                 writer.compress_ahead(threads)
-            items = items_of(prepared.reader, prepared.routes, span, threads, rule=prepared.rule, meter=meter)
+            items = items_of(
+                prepared.reader, prepared.routes, span, threads, rule=prepared.rule, window=options.window, meter=meter
+            )
             try:
                 with closing(items):
                     write_items(items, writer, tally, prepared)

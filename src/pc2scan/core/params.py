@@ -109,7 +109,7 @@ class ProjectionParams:
     inf_epsilon
         Metres, see ``use_inf``.
     queue_size
-        As the node has it. It has no effect, because no message is dropped.
+        The most chunks of messages in work at one time; 0 means as many as memory allows. No message is dropped.
     geometry
         ``upstream``: beam i begins at ``angle_min + i * angle_increment``. ``centered``: this angle is the middle of
         the beam, which has half an increment on either side; see `centered_layout`. ``half-open``: the same beams, with

@@ -50,7 +50,9 @@ class NodeParameters(TypedDict, total=False):
     range_max: Annotated[Metres, "Longest horizontal distance of the points used, inclusive."]
     use_inf: Annotated[bool, "Whether beams without a return read inf; otherwise `range_max` + `inf_epsilon`."]
     inf_epsilon: Annotated[Metres, "Added to `range_max` for beams without a return, if `use_inf` is off."]
-    queue_size: Annotated[int, count(), "As the node has it, and without effect: nothing is dropped."]
+    queue_size: Annotated[
+        int, count(), "Maximum number of chunks processed at a time; 0: as many as memory allows. Nothing is dropped."
+    ]
 
 
 @group(Section.SLAM, Scope.ONE_OUTPUT, Parameter)

@@ -470,6 +470,11 @@ class ConvertOptions:
         """The first output."""
         return self.scans[0]
 
+    @property
+    def window(self) -> int | None:
+        """How many units may be loaded ahead, the node's ``queue_size``; None: as many as memory allows."""
+        return min((spec.params.queue_size for spec in self.scans if spec.params.queue_size), default=None)
+
     def with_scan(self, **changes: Any) -> ConvertOptions:
         """Return the options with only the first output, changed."""
         return replace(self, scans=(replace(self.scan, **changes),))

@@ -305,6 +305,7 @@ class Stream(ABC, Generic[Item]):
                 source.routes,
                 source.span,
                 stack.enter_context(Threads(jobs)) if jobs > 1 else None,
+                window=self._options.window,
                 meter=meter,
             )
             stack.enter_context(closing(items))
