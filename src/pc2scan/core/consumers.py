@@ -309,7 +309,7 @@ def _rounded(value: float) -> int:
 
 
 #: What to do about a recording without any transforms.
-NO_TRANSFORMS = (
+_NO_TRANSFORMS = (
     "keep /tf and /tf_static when recording or converting. For scans made from clouds, pc2scan convert `tf_from` reads "
     "them from another recording, `odom_topic` or `trajectory` adds odometry, `static_tf` with `write_static_tf` the "
     "mount; cartographer can do without odometry"
@@ -322,7 +322,7 @@ def _needs(placed: ScanTransforms, *roles: str) -> Iterator[Verdict]:
     if lacking:
         rule = f"a scan without a transform to the {' and the '.join(f'{role} frame' for role in lacking)} is dropped"
         observed = placed.missing or f"no transform from {placed.frame_id!r}"
-        cure = placed.cure or NO_TRANSFORMS
+        cure = placed.cure or _NO_TRANSFORMS
         yield Verdict("", "ignored", rule, observed, "transforms at the scan's stamp", cure, unplaced=True)
 
 

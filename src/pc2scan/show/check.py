@@ -16,9 +16,8 @@ from pc2scan.bags.damage import mention
 from pc2scan.bags.observers import Observer
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import by_topic, find_topics, types_by_topic, unheard
-from pc2scan.core.consumers import CONSUMERS, NO_TRANSFORMS, OUTCOMES, ScanTransforms
+from pc2scan.core.consumers import CONSUMERS, OUTCOMES, ScanTransforms
 from pc2scan.core.layout import TURN
-from pc2scan.core.rigid import Rigid
 from pc2scan.errors import DecodeError, TopicError, TransformError
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.other_clouds import without
@@ -43,6 +42,7 @@ if TYPE_CHECKING:
     from pc2scan.advice.clocks import ClockFinding
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
+    from pc2scan.core.rigid import Rigid
     from pc2scan.model import Connection, RawMessage
     from pc2scan.options.call import Options
     from pc2scan.progress import Progress
@@ -273,8 +273,6 @@ class _Frame:
         How many there are.
     missing
         Those without a transform to the odometry, although there is one.
-    error
-        Why the first of these has none.
     pose
         The first place on the robot: x, y and yaw.
     moving
@@ -283,7 +281,6 @@ class _Frame:
 
     scans: int = 0
     missing: Counted = field(default_factory=Counted)
-    error: TransformError | None = None
     pose: tuple[float, float, float] | None = None
     moving: list[str] | None = None
 
@@ -333,7 +330,6 @@ class ScanFrames:
         robot, no_robot = self._lookup(name, self._base, stamp_ns)
         if no_odometry is not None and self._odom in self._known:
             frame.missing.add(stamp_ns)
-            frame.error = frame.error or no_odometry
         known_ns = 0
         if odometry is not None:
             if frame.moving is None:
@@ -356,10 +352,6 @@ class ScanFrames:
 
     def _lookup(self, frame: str, target: str, stamp_ns: int) -> tuple[Rigid | None, TransformError | None]:
         """Return the transform to a frame at a stamp, or why there is none."""
-        if frame == target:
-            return Rigid.identity(), None
-        if not self._known:
-            return None, TransformError("the recording has no transforms")
         try:
             return self._buffer.lookup(target, frame, stamp_ns), None
         except TransformError as err:
@@ -392,11 +384,8 @@ class ScanFrames:
             target = self._base if self._base in self._known else min(self._known)
             error = self._lookup(frame, target, 0)[1] or error
             return f"{error.hint}; for scans made from clouds, with pc2scan convert"
-        return self._odometry_cure if self._odom not in self._known else error.hint or ""
-
-    @property
-    def _odometry_cure(self) -> str:
-        """What to do if there is no frame of the odometry's name."""
+        if self._odom in self._known:
+            return error.hint or ""
         other = other_odometry(self._buffer, self._odom)
         return f"`odom_frame={other}`" if other else f"no transform moves {self._base}: pc2scan convert {ADDS_ODOMETRY}"
 
@@ -410,13 +399,14 @@ class ScanFrames:
 
     def findings(self, interval_ns: float | None) -> Iterator[Finding]:
         """Yield the problems, given the median interval between scans."""
-        if not self._known:
-            text = "the recording has no transforms: SLAM and navigation drop scans that they cannot place"
-            yield Finding("no-transforms", "notice", text, NO_TRANSFORMS)
-            return
         if self._clock is not None:
             yield Finding("clock", "notice", self._clock.text, self._gap_cure)
-        yield from self._name_findings()
+        if self._known and self._base not in self._known:
+            namesake = named_in_namespace(self._base, self._known)
+            hint = f"`base_frame={namesake}`" if namesake else f"`base_frame` names the right one; {_HINT}"
+            roots = ", ".join(root for tree in self._buffer.trees for root in tree.roots)
+            text = f"there is no frame {self._base!r} (robot) in the transforms; their roots: {roots}"
+            yield Finding("no-robot-frame", "notice", text, hint)
         if fault := odometry_of(self._buffer, self._odom, self._base).fault:
             yield Finding("odometry-direction", "defect", fault, f"pc2scan convert {OTHER_ODOMETRY}")
         for name, frame in self._frames.items():
@@ -441,29 +431,13 @@ class ScanFrames:
             text = f"{which} tilted against {self._base}, by up to {self._tilt:.1f} deg: 2D SLAM treats them as level"
             yield self._tilted.finding("tilted", "notice", text, hint)
 
-    def _name_findings(self) -> Iterator[Finding]:
-        roots = ", ".join(root for tree in self._buffer.trees for root in tree.roots)
-        there_is_none = "there is no frame {!r} ({}) in the transforms; their roots: {}"
-        if self._odom not in self._known:
-            text = there_is_none.format(self._odom, "odometry", roots)
-            yield Finding("no-odometry-frame", "defect", text, self._odometry_cure)
-        if self._base not in self._known:
-            namesake = named_in_namespace(self._base, self._known)
-            hint = f"`base_frame={namesake}`" if namesake else f"`base_frame` names the right one; {_HINT}"
-            text = there_is_none.format(self._base, "robot", roots)
-            yield Finding("no-robot-frame", "notice", text, hint)
-
     def _frame_findings(self, name: str, frame: _Frame, interval_ns: float | None) -> Iterator[Finding]:
         if moving := find_body_motion(self._buffer, name, self._base):
             text = f"the scan's frame {name!r} is one that {moving.body} moves in (by {moving.metres:.2f} m)"
             hint = f"for scans made from clouds: pc2scan convert `target_frame={moving.body}`"
             yield Finding("moving-frame", "defect", text, hint, frame.scans)
-        if frame.error is not None:
-            missing = frame.missing.count
+        missing = frame.missing.count
+        if missing and few_unplaced(missing, frame.scans, interval_ns):
             text = f"{missing:,} of {frame.scans:,} scans have no transform from {name!r} to {self._odom!r}"
-            hint, why = self._cure(name, frame.error) or _HINT, f": {frame.error.message}"
-            level: Level = "defect"
-            if few_unplaced(missing, frame.scans, interval_ns):
-                level, why = "notice", ""
-                hint = f"a few at the beginning and the end are usual, and SLAM drops them; {_HINT}"
-            yield frame.missing.finding("no-transform", level, f"{text} at their stamp{why}", hint)
+            hint = f"a few at the beginning and the end are usual, and SLAM drops them; {_HINT}"
+            yield frame.missing.finding("no-transform", "notice", f"{text} at their stamp", hint)

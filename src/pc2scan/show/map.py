@@ -29,7 +29,6 @@ from pc2scan.bags.topics import find_topics, matches, types_by_topic
 from pc2scan.conversion.corrections import corrected_transforms
 from pc2scan.conversion.source_checks import frame_that_stays
 from pc2scan.core.occupancy import FREE, LONGEST, OCCUPIED, OccupancyGrid, observing_beams, place_beams
-from pc2scan.core.params import ProjectionParams
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.unproject import beam_angles, last_beam_ns
 from pc2scan.errors import MessageError, ResultError, TransformError, UsageError, name_list
@@ -37,6 +36,7 @@ from pc2scan.files.outputs import files_output, inputs_of, refuse_overlap
 from pc2scan.files.urls import path_of, path_or_url
 from pc2scan.messages.clouds import CLOUDS, usual_topics
 from pc2scan.messages.laserscan import LASERSCAN
+from pc2scan.options.table import options_about_scans
 from pc2scan.progress import Meter
 from pc2scan.request.options import TopicRequest
 from pc2scan.requests import conversion_of, first_output
@@ -284,7 +284,7 @@ def _draw(
     grid = OccupancyGrid(options.resolution, _MAX_CELLS)
     with opened(sources, request, options, warn) as recording:
         reader = recording.reader
-        topics, converted = _topics(reader, request)
+        topics, converted = _topics(reader, request, converts=_converts(options))
         meter = None if progress is None else Meter(progress)
         reading = replace(request, only_scans=True, keep=(), keep_clouds=False) if converted else request
         stream = Scans(sources, reading.with_scan(topics=topics), converted, transform_frames=frames, meter=meter)
@@ -296,7 +296,7 @@ def _draw(
             buffer = transforms.buffer
             tell(*transforms.warnings, *transforms.notes)
         damage = damage_of(reader, *others)
-    if not converted and _converts(request):
+    if not converted and _converts(options):
         tell("recorded scans are drawn: options about clouds have no effect")
     drawing = _Drawing(grid, buffer, options, request)
     stream.listener = tell
@@ -309,16 +309,13 @@ def _draw(
     return drawing.result((*stream.notes, *warnings), (*damage, *stream.damage), converted=converted)
 
 
-def _converts(request: ConvertOptions) -> bool:
-    """Whether any option is about the conversion of clouds."""
-    scan = request.scan
-    # Recorded scans are placed with the tolerance, too.
-    params = replace(scan.params, transform_tolerance=ProjectionParams().transform_tolerance)
-    chooses = bool(scan.filters or scan.remove or request.frames.source_frame)
-    return params != ProjectionParams() or chooses or scan.deskew or scan.level or scan.may_combine
+def _converts(options: Options) -> bool:
+    """Whether any option is about the conversion of clouds; a tolerance is one for recorded scans, too."""
+    about_clouds = {*options_about_scans(), "source_frame"} - {"topics", "remap", "transform_tolerance"}
+    return not about_clouds.isdisjoint(options.given)
 
 
-def _topics(reader: Reader, request: ConvertOptions) -> tuple[tuple[TopicRequest, ...], bool]:
+def _topics(reader: Reader, request: ConvertOptions, *, converts: bool) -> tuple[tuple[TopicRequest, ...], bool]:
     """Return the topics to draw, and whether scans are made of them."""
     types = types_by_topic(reader.connections)
     scans = sorted(topic for topic, kinds in types.items() if LASERSCAN in kinds)
@@ -330,7 +327,7 @@ def _topics(reader: Reader, request: ConvertOptions) -> tuple[tuple[TopicRequest
     of_scans, of_clouds = (any(matches(topic, names) for topic in kind) for kind in (scans, clouds))
     if of_scans and of_clouds:
         raise UsageError(f"`topics` has scans and clouds: {name_list(names)}", hint="a map is drawn of either")
-    if of_clouds or (clouds and not names and (_converts(request) or not scans)):
+    if of_clouds or (clouds and not names and (converts or not scans)):
         return requests or tuple(map(TopicRequest, sorted(usual_topics(types, CLOUDS)))), True
     # Without scans the stream raises an error that lists the topics.
     chosen = [topic for name in names for topic in find_topics(name, types, scans, LASERSCAN)] or scans

@@ -80,8 +80,6 @@ _MAX_SHOWN = 5
 
 #: What is counted scan by scan: a verb that agrees with the count, the problem, and what the user can do.
 _EACH_SCAN: dict[str, tuple[str, str, str]] = {
-    "no-frame": ("have", "an empty frame_id", "pc2scan convert `source_frame` names it for scans made from clouds"),
-    "length": ("have", "another number of beams than the first", "pc2scan convert `rebin=True`"),
     "stamps-back": ("have", "a stamp before that of the scan before", _BACK),
     "stamps-repeated": ("repeat", "the stamp of the scan before", _BACK),
     "stamps-zero": ("have", "no stamp (0)", _BACK),
@@ -275,7 +273,6 @@ class ScanTopic:
         self._verdicts: dict[str, dict[str, Counted]] = {consumer: {} for consumer in CONSUMERS}
         self._undecodable = Counted()
         self._reason = ""
-        self._first_of: dict[str, ConsumerScan] = {}
         self._kept_of: dict[tuple[str, str], ConsumerScan] = {}
         self._tallies = {kind: Counted() for kind in _EACH_SCAN}
         #: Zeros that are returns, because range_min is 0 or less.
@@ -314,12 +311,7 @@ class ScanTopic:
         self.beams.add(scan.beams)
         self._judge(scan, frame, stamp_ns, placed)
         self._zeros += scan.zero if scan.range_min <= 0 else 0
-        wrong = {
-            "no-frame": not frame,
-            "length": scan.beams != self._first_of.setdefault(frame, scan).beams,
-            "no-returns": not scan.returns,
-            **self._stamp_faults(stamp_ns, log_time_ns),
-        }
+        wrong = {"no-returns": not scan.returns, **self._stamp_faults(stamp_ns, log_time_ns)}
         for kind, is_wrong in wrong.items():
             if is_wrong:
                 self._tallies[kind].add(stamp_ns)
