@@ -33,7 +33,7 @@ from pc2scan.transforms.motion import find_body_motion
 from pc2scan.transforms.reading import tf_connections
 from pc2scan.transforms.static import RobotModel
 
-from .scan_topic import Counted, Finding, Level, ScanTopic, few_unplaced
+from .topic import Counted, Finding, Level, ScanTopic, few_unplaced
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from pc2scan.progress import Progress
     from pc2scan.transforms.buffer import TransformBuffer
 
-    from .scan_topic import TopicCheck
+    from .topic import TopicCheck
 
 #: What a consumer does with a topic without scans, and all outcomes, the worst last.
 _NOTHING = "nothing to take"
@@ -379,15 +379,16 @@ class ScanFrames:
         """Return what gives scans the transforms that they lack; empty if only recording transforms does."""
         if not self._known:
             return ""
+        cures = []
         if frame not in self._known:
             # What the transforms say about the scan's frame alone.
             target = self._base if self._base in self._known else min(self._known)
-            error = self._lookup(frame, target, 0)[1] or error
-            return f"{error.hint}; for scans made from clouds, with pc2scan convert"
-        if self._odom in self._known:
-            return error.hint or ""
-        other = other_odometry(self._buffer, self._odom)
-        return f"`odom_frame={other}`" if other else f"no transform moves {self._base}: pc2scan convert {ADDS_ODOMETRY}"
+            hint = (self._lookup(frame, target, 0)[1] or error).hint
+            cures.append(f"{hint}; for scans made from clouds, with pc2scan convert")
+        if self._odom not in self._known:
+            other, none = other_odometry(self._buffer, self._odom), f"no transform moves {self._base}: pc2scan convert"
+            cures.append(f"`odom_frame={other}`" if other else f"{none} {ADDS_ODOMETRY}")
+        return "; ".join(cures) or error.hint or ""
 
     @property
     def _gap_cure(self) -> str:

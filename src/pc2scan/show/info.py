@@ -35,10 +35,9 @@ from pc2scan.transforms.motion import find_body_motion
 from pc2scan.transforms.placing import FrameOptions, Placer
 from pc2scan.transforms.sources import PoseTopic
 
-from .cloud_info import CloudInfo, ShownCloud, describe_clouds, sample_cloud
 from .lidar import EDGE_NS, HEADERS, Lidar, ask_facts, stamp_faults
 from .proposals import missing_mounts, odometry_doubts, proposals
-from .scan_topic import ScanTopic, TopicCheck
+from .topic import CloudInfo, ScanTopic, ShownCloud, TopicCheck, describe_clouds, sample_cloud
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
