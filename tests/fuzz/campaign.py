@@ -6,9 +6,9 @@ By hand, for as many as one likes (3,000 take some minutes)::
 
 A mutant is read as the sound recording is, its damage is reported (exit status 3), or it is refused with an error. What
 no count, no index and no checksum covers cannot be known: another value, in as many messages as before, and an MCAP
-chunk whose opcode becomes a private record's. Everything else is a finding: fewer messages without a word, or than mcap or rosbags find; a traceback, a run without an end, memory without
-bound, a source that was changed, an output that cannot be read. `tests/e2e/test_recovery.py` compares with Debian's
-rosbag.
+chunk whose opcode becomes a private record's. Everything else is a finding: fewer messages without a word, or than mcap
+or rosbags find; a traceback, a run without an end, memory without bound, a source that was changed, an output that
+cannot be read. `tests/e2e/test_recovery.py` compares with Debian's rosbag.
 """
 
 from __future__ import annotations
