@@ -6,8 +6,7 @@ import math
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.bags.loading import Chunk
-from pc2scan.bags.reader import Reader
+from pc2scan.bags.reader import Chunk, Reader
 from pc2scan.model import RawMessage, Summary
 
 if TYPE_CHECKING:

@@ -7,8 +7,7 @@ module             contents
 ``opening``        detects a recording's format by content, and opens it
 ``folders``        finds the recordings in a folder, and the parts of one
 ``destinations``   plans destinations from their names and options
-``reader``         the base class of readers
-``loading``        loads the chunks of a recording, and merges their messages by log time
+``reader``         the base class of readers; loads the chunks of a recording, and merges their messages by log time
 ``observers``      what is taken from messages while a recording is read once
 ``merged``         reads several recordings as one
 ``topics``         finds topics by the names that users give

@@ -17,8 +17,7 @@ from pc2scan.files.compression import CompressionError, allowed_bytes, decompres
 from pc2scan.files.source import SourceFile, lend
 from pc2scan.model import RawMessage, StoredChunk, declared_counts
 
-from .loading import Chunk, check_number
-from .reader import Reader
+from .reader import Chunk, Reader, check_number
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -27,8 +26,7 @@ if TYPE_CHECKING:
 
     from pc2scan.model import ChunkRule, Connection
 
-    from .loading import Loaded
-    from .reader import Wanted
+    from .reader import Loaded, Wanted
 
     Bools = NDArray[np.bool_]
     Numbers = NDArray[np.uint64]
@@ -484,7 +482,7 @@ class ChunkedReader(Reader):
     def _load(
         self, selection: Selection, segment: Segment, callback: Callable[[RawMessage], Any], *, whole: bool
     ) -> Loaded:
-        """Load a segment; see `pc2scan.bags.loading.Chunk`. What is sound of a damaged one is read once more."""
+        """Load a segment; see `pc2scan.bags.reader.Chunk`. What is sound of a damaged one is read once more."""
         try:
             content = self._read(selection, segment, whole=whole)
         except DamageError as err:

@@ -11,12 +11,10 @@ from dataclasses import replace
 from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.reader import ConnectionLimit
 from pc2scan.errors import UsageError
 from pc2scan.model import Summary
 
-from .loading import UNKNOWN_START_NS
-from .reader import Reader, Wanted
+from .reader import UNKNOWN_START_NS, ConnectionLimit, Reader, Wanted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
@@ -25,7 +23,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Attachment, Connection, Metadata, RawMessage
 
     from .damage import Damage
-    from .loading import Chunk
+    from .reader import Chunk
 
 
 _identity_of = attrgetter(

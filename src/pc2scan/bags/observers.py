@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 from pc2scan.errors import MessageError
 from pc2scan.model import RawMessage, copied_message
 
-from .loading import merge_by_time
-from .reader import Wanted
+from .reader import Wanted, merge_by_time
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -23,8 +22,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Connection
     from pc2scan.progress import Meter
 
-    from .loading import Chunk, Loaded
-    from .reader import Reader
+    from .reader import Chunk, Loaded, Reader
 
 _Value = TypeVar("_Value")
 

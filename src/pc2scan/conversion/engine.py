@@ -16,8 +16,7 @@ from contextlib import closing
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
-from pc2scan.bags.loading import Chunk, merge_by_time
-from pc2scan.bags.reader import Wanted
+from pc2scan.bags.reader import Chunk, Wanted, merge_by_time
 from pc2scan.errors import DecodeError, MessageError, TransformError, UnconnectedError
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
 from pc2scan.model import RawMessage, StoredChunk, copied_message, own_data

@@ -19,9 +19,9 @@ from pc2scan.bags.reader import ConnectionLimit
 from pc2scan.errors import DamageError
 from pc2scan.files.compression import crc32
 
-from .chunks import CHUNK_HEAD_SIZE, chunk_at
 from .records import (
     CHUNK,
+    CHUNK_HEAD_SIZE,
     DECLARATIONS,
     MAGIC,
     MESSAGE,
@@ -31,6 +31,7 @@ from .records import (
     OP_PRIVATE,
     RECORD,
     UINT64,
+    chunk_at,
     parse,
 )
 
@@ -88,6 +89,8 @@ class McapIndex:
         Where the data section ends, and its CRC (0 if none was written). None if there is no DataEnd record.
     limit
         Of the channels and schemas; None before the first.
+    outside_chunks
+        How many messages are outside chunks.
     """
 
     log: DamageLog
@@ -102,6 +105,7 @@ class McapIndex:
     channels_listed: bool = False
     data_end: tuple[int, int] | None = None
     limit: ConnectionLimit | None = None
+    outside_chunks: int = 0
 
     def declare(self, opcode: int, content: Buffer, offset: int, file: RecordFile) -> None:
         """Add a Schema or a Channel; other records are ignored. The first of an id is kept."""
@@ -357,6 +361,7 @@ class RecordWalk:
         run.length = run.uncompressed_size = following - run.offset
         run.start_ns, run.end_ns = min(run.start_ns, log_time_ns), max(run.end_ns, log_time_ns)
         self._ids.add(channel_id)
+        self._index.outside_chunks += 1
 
     def _close(self, *, complete: bool = True) -> None:
         """Finish the segment; the message indexes of a chunk are ``complete`` if another record follows."""

@@ -19,9 +19,19 @@ from pc2scan.errors import DamageError
 from pc2scan.files.compression import crc32
 from pc2scan.model import Attachment, Connection, Definition, Metadata, StoredChunk, Summary
 
-from .chunks import read_chunk, whole_chunk
 from .index import McapIndex, find_declarations, find_index, indexed_entries
-from .records import ANY_TIME, DECLARATIONS, OP_PRIVATE, RECORD, RecordFile, parse, parse_fields, scan_messages
+from .records import (
+    ANY_TIME,
+    DECLARATIONS,
+    OP_PRIVATE,
+    RECORD,
+    RecordFile,
+    parse,
+    parse_fields,
+    read_chunk,
+    scan_messages,
+    whole_chunk,
+)
 from .recover import displaced_chunks, is_at_its_place, payload_prefix, record_at, recover_index
 
 if TYPE_CHECKING:
@@ -251,6 +261,7 @@ def compare_content(index: McapIndex, file: RecordFile, log: DamageLog) -> None:
             ("attachments", counts.attachment_count, len(index.attachments), None),
             ("metadata records", counts.metadata_count, len(index.metadata), None),
             ("chunks", counts.chunk_count, chunks, 0),
+            ("messages", 0 if chunks else counts.message_count, index.outside_chunks, None),
         )
         if counts
         else ()

@@ -20,9 +20,20 @@ from pc2scan.bags.damage import DamageLog
 from pc2scan.errors import DamageError
 from pc2scan.files.compression import decompressed_prefix
 
-from .chunks import CHUNK_HEAD_SIZE, chunk_at, form_of
 from .index import McapIndex, RecordWalk, read_header, read_summary
-from .records import COMPRESSIONS, DECLARATIONS, MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, RECORD, parse_fields
+from .records import (
+    CHUNK_HEAD_SIZE,
+    COMPRESSIONS,
+    DECLARATIONS,
+    MAGIC,
+    MESSAGE,
+    OP_CHUNK,
+    OP_MESSAGE,
+    RECORD,
+    chunk_at,
+    form_of,
+    parse_fields,
+)
 
 if TYPE_CHECKING:
     from .records import RecordFile

@@ -14,7 +14,7 @@ import numpy as np
 
 from pc2scan.bags.chunks import ChunkedReader
 from pc2scan.bags.damage import DamageLog
-from pc2scan.bags.loading import MAX_CHUNK_MESSAGES, check_number
+from pc2scan.bags.reader import MAX_CHUNK_MESSAGES, check_number
 from pc2scan.errors import stamp_text
 from pc2scan.model import RawMessage, StoredChunk, Summary
 from pc2scan.text import counted

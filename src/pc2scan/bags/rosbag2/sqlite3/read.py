@@ -28,8 +28,7 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags import zstd
 from pc2scan.bags.damage import DamageLog
-from pc2scan.bags.loading import Chunk
-from pc2scan.bags.reader import MAX_CONNECTIONS, ConnectionLimit, Reader
+from pc2scan.bags.reader import MAX_CONNECTIONS, Chunk, ConnectionLimit, Reader
 from pc2scan.bags.topics import latches
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.files.compression import ZSTD_MAGIC

@@ -82,6 +82,8 @@ class Sqlite3Writer(Writer):
         self._path = path
         self._compresses = compression == "zstd"
         self._ahead = WriteAhead()
+        #: Messages to be inserted together, and the bytes of their data.
+        self._rows: list[tuple[int, int, Buffer]] = []
         self._pending = 0
         self._defined: set[tuple[str, str]] = set()
         try:
@@ -150,20 +152,25 @@ class Sqlite3Writer(Writer):
                 f"log time {log_time_ns} ns is too large for SQLite, whose numbers have 63 bits and a sign",
                 path=self._path,
             )
-        insert = partial(self._insert_message, handle, log_time_ns)
         if self._compresses:
             # A view would keep the whole chunk in memory.
+            insert = partial(self._insert_message, handle, log_time_ns)
             self._ahead.put(partial(_compress, bytes(data)), insert, len(data))
         else:
-            insert(data)
+            self._insert_message(handle, log_time_ns, data)
 
     def _insert_message(self, handle: int, log_time_ns: int, data: Buffer) -> None:
-        self._insert("INSERT INTO messages(timestamp, topic_id, data) VALUES (?, ?, ?)", (log_time_ns, handle, data))
         self._pending += len(data)
-        if self._pending >= _BATCH_BYTES:
-            self._pending = 0
-            self._run("COMMIT")
+        is_full = self._pending >= _BATCH_BYTES
+        self._rows.append((log_time_ns, handle, data if is_full else bytes(data)))
+        if is_full:
+            self._commit()
             self._run("BEGIN")
+
+    def _commit(self) -> None:
+        rows, self._rows, self._pending = self._rows, [], 0
+        self._run("INSERT INTO messages(timestamp, topic_id, data) VALUES (?, ?, ?)", rows, self._database.executemany)
+        self._run("COMMIT")
 
     def add_bag_metadata(self, text: str) -> None:
         """Write rosbag2's metadata.yaml (its ``rosbag2_bagfile_information``) to the file, as rosbag2 does."""
@@ -173,7 +180,7 @@ class Sqlite3Writer(Writer):
     def finish(self) -> None:
         """Commit, close, and put the file on the disk."""
         self._ahead.finish()
-        self._run("COMMIT")
+        self._commit()
         try:
             self._database.close()
             sync(self._path)
@@ -190,9 +197,11 @@ class Sqlite3Writer(Writer):
         row = self._run(sql, values).lastrowid
         return row or 0
 
-    def _run(self, sql: str, values: Sequence[Any] = ()) -> sqlite3.Cursor:
+    def _run(
+        self, sql: str, values: Sequence[Any] = (), execute: Callable[..., sqlite3.Cursor] | None = None
+    ) -> sqlite3.Cursor:
         try:
-            return self._database.execute(sql, values)
+            return (execute or self._database.execute)(sql, values)
         except (sqlite3.Error, OverflowError) as err:
             raise self._write_error(err) from err
 

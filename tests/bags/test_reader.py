@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan.bags.chunks import MIN_WHOLE_BYTES, Segment, Segments, segment_chunks, whole_chunks
-from pc2scan.bags.loading import AHEAD_BYTES, LARGEST_AHEAD, Chunk, merge_by_time
+from pc2scan.bags.reader import AHEAD_BYTES, LARGEST_AHEAD, Chunk, merge_by_time
 from pc2scan.model import ChunkRule, Connection, RawMessage, StoredChunk
 from pc2scan.threads import Threads
 
