@@ -26,12 +26,3 @@ def test_what_is_no_yaml(text: str, place: str) -> None:
 def test_values_that_cannot_be_made(text: str) -> None:
     with pytest.raises(ValueError, match="is not valid YAML"):
         load_yaml(text)
-
-
-def test_each_caller_gets_objects_of_its_own() -> None:
-    text = "a: &same [1]\nb: *same\n"
-    first = load_yaml(text)
-    first["a"].append(2)
-    # Within a document an alias stays the same object.
-    assert first == {"a": [1, 2], "b": [1, 2]}
-    assert load_yaml(text) == {"a": [1], "b": [1]}

@@ -255,7 +255,7 @@ def _deliver(report: Result, inputs: Sequence[InputPath], output: OutputOptions)
     if path is None or output.dry_run or any(error.path == path for error in report.errors):
         return None
     try:
-        refuse_overlap(inputs, [], path)
+        refuse_overlap(inputs, [path])
         with files_output([path], beginning=BEGINNING, overwrite=output.overwrite) as write:
             write([report.as_json()])
     except (DestinationError, OutputError) as err:
@@ -318,7 +318,7 @@ def _writing(
     target: Destination, inputs: Sequence[InputPath], output: OutputOptions, report: Report
 ) -> Generator[Writer | None]:
     """Open the destination's writer, and finish the recording, or abort it after an error; None in a dry run."""
-    refuse_overlap(inputs, [target.path], output.report)
+    refuse_overlap(inputs, filter(None, (target.path, output.report)))
     if output.report is not None:
         try:
             check_destination(output.report, beginning=BEGINNING, overwrite=output.overwrite)

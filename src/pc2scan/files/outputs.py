@@ -33,8 +33,14 @@ from .urls import UrlPath, exists, is_dir, upload
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
+    #: The CRC-32 of the files that earlier runs wrote into a folder, by their paths relative to it, with slashes; None
+    #: if only the name is known. Times of modification would differ between two exports of the same messages, and are
+    #: lost by copying. CRC-32 recognises an edited file and, unlike SHA-256, takes no time beside writing it. It would
+    #: not stop a forger; but whoever can write the record can remove the files, too.
+    Record = Mapping[str, int | None]
+
     #: Reads the record of what is in a folder; text if there is none: the reason.
-    FolderRecord = Callable[[Path], "Record | str"]
+    FolderRecord = Callable[[Path], Record | str]
 
 #: Endings of the files that SQLite reads beside a database.
 _LOGS = ("-wal", "-journal", "-shm")
@@ -125,8 +131,6 @@ def files_output(
     A file is a text, bytes, or pieces of bytes. No file gets its final name before all are complete. Then they get
     their names in the given order. Without a call of the function there are none.
     """
-    for path in paths:
-        check_destination(path, overwrite=overwrite, beginning=beginning)
     with ExitStack() as stack:
         places = [
             stack.enter_context(staged_output(path, overwrite=overwrite, beginning=beginning))
@@ -343,27 +347,7 @@ def check_new_folder(folder: Path) -> None:
 #: The record in an exported folder.
 RECORD = ".pc2scan-files.json"
 
-_RECORD_VERSION = 2
-
 _PIECE_BYTES = 1 << 20
-
-
-class Record(NamedTuple):
-    """What earlier runs wrote into a folder, by their own account.
-
-    Attributes
-    ----------
-    files
-        The CRC-32 of the files, by their paths relative to the folder, with slashes; None if only the name is known.
-        Times of modification would differ between two exports of the same messages, and are lost by copying. CRC-32
-        recognises an edited file and, unlike SHA-256, takes no time beside writing it. It would not stop a forger; but
-        whoever can write the record can remove the files, too.
-    name
-        The name of the file with this record, for messages.
-    """
-
-    files: Mapping[str, int | None]
-    name: str = "record"
 
 
 def write_record(folder: Path) -> None:
@@ -376,7 +360,7 @@ def write_record(folder: Path) -> None:
     """
     try:
         files = {name: _crc_of(folder / name) for name in sorted(files_below(folder)) if name != RECORD}
-        text = json.dumps({"pc2scan files": _RECORD_VERSION, "files": files}, ensure_ascii=True, indent=0) + "\n"
+        text = json.dumps({"pc2scan files": 2, "files": files}, ensure_ascii=True, indent=0) + "\n"
         with (folder / RECORD).open("x", encoding="ascii") as file:
             file.write(text)
     except OSError as err:
@@ -388,14 +372,12 @@ def read_record(folder: Path) -> Record | str:
     try:
         path = folder / RECORD
         noted = json.loads(path.read_bytes() if stat.S_ISREG(path.lstat().st_mode) else b"")
-        if noted["pc2scan files"] != _RECORD_VERSION:
-            raise ValueError("it is of another version")
         files: dict[str, int | None] = {str(name): int(crc) for name, crc in noted["files"].items()}
     except FileNotFoundError:
         return f"it has no {RECORD}, which lists what an export wrote"
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
         return f"its {RECORD} cannot be read as a record of pc2scan"
-    return Record({**files, RECORD: None}, RECORD)
+    return {**files, RECORD: None}
 
 
 def _is_unchanged(path: Path, crc: int | None) -> bool:
@@ -482,12 +464,12 @@ def _refuse_others(folder: Path, record: Record | str, written: Collection[str] 
     if isinstance(record, str):
         reason = f"{record}, so it does not account for {name_list(present, 3)}"
         hint = f"choose another name, or remove it yourself: rm -r {shlex.quote(str(folder))}"
-    elif unnamed := [name for name in present if name not in record.files]:
-        reason = f"its {record.name} does not name {name_list(unnamed, 3)}"
+    elif unnamed := [name for name in present if name not in record]:
+        reason = f"no record in it names {name_list(unnamed, 3)}"
     elif changed := [
         name
         for name in present
-        if written is not None and name not in written and not _is_unchanged(folder / name, record.files[name])
+        if written is not None and name not in written and not _is_unchanged(folder / name, record[name])
     ]:
         reason = f"{name_list(changed, 3)} was changed after it was written"
     else:
@@ -523,7 +505,7 @@ def inputs_of(
     return [*map(InputPath, sources), *(InputPath(path, f"file of {option}") for option, path in named)]
 
 
-def refuse_overlap(inputs: Iterable[InputPath], destinations: Sequence[Path], report: Path | None = None) -> None:
+def refuse_overlap(inputs: Iterable[InputPath], destinations: Iterable[Path]) -> None:
     """Raise if an output of a run is one of its inputs, or another output.
 
     Files and folders are compared by device and inode, through hard links, symbolic links, links to folders, and names
@@ -536,8 +518,6 @@ def refuse_overlap(inputs: Iterable[InputPath], destinations: Sequence[Path], re
         The inputs; they need not exist.
     destinations
         What the run writes.
-    report
-        The file of its report.
 
     Raises
     ------
@@ -548,8 +528,6 @@ def refuse_overlap(inputs: Iterable[InputPath], destinations: Sequence[Path], re
     for path in destinations:
         used.refuse(path)
         used.add_destination(path)
-    if report is not None:
-        used.refuse(report, "the file of `report` ")
 
 
 class Inputs:
@@ -589,13 +567,13 @@ class Inputs:
             for folder in place.parents:
                 self._folders.setdefault(name_key(folder.as_posix()), given)
 
-    def refuse(self, output: Path, subject: str = "") -> None:
+    def refuse(self, output: Path) -> None:
         """Raise if an output, or a name that it has while it is written, is an input, is inside one or contains one.
 
         Raises
         ------
         DestinationError
-            If it does; the message, which begins with ``subject``, says how the two are related.
+            If it does; the message says how the two are related.
         """
         for path in (output, *working_names(output)):
             places = list(path_identities(path))
@@ -616,7 +594,7 @@ class Inputs:
                     message = f"needs the name {path.name} while it is written, which is {what}"
                     raise DestinationError(message, path=output, hint=f"choose another name, or rename the {used.role}")
                 what = what if relation == "is" else f"the {used.role} {used.path}"
-                raise DestinationError(f"{subject}{relation} {what}", path=path, hint="choose another name")
+                raise DestinationError(f"{relation} {what}", path=path, hint="choose another name")
 
 
 #: Device and inode; or a path: a URL, or one of this name; or the `name_key` of a path.

@@ -298,17 +298,18 @@ class UrlPath(_LocalPath):
         file_system, key = self.store
         size = most = self.size
         wanted, deadline = 0, 0.0
-        other_size = f"the download does not have the {size:,} bytes that the server declares"
+        message = f"the download does not have the {size:,} bytes that the server declares"
+        other_size = RecordingError(message, path=self, hint=_AGAIN)
 
         def arrived(_: object, received: int) -> None:
             nonlocal wanted, deadline
             if received > most:
-                raise TransferError(other_size)
+                raise other_size
             if received >= wanted:
                 wanted, deadline = received + LEAST_BYTES, monotonic() + SLOWEST_SECONDS
             elif monotonic() > deadline:
                 least = f"fewer than {LEAST_BYTES:,} bytes arrived in {SLOWEST_SECONDS:g} seconds"
-                raise TransferError(f"the transfer is too slow to finish: {least}")
+                raise RecordingError(f"the transfer is too slow to finish: {least}", path=self, hint=_AGAIN)
 
         with translated_errors(self):
             try:
@@ -317,7 +318,7 @@ class UrlPath(_LocalPath):
                 # After Ctrl-C, the library's thread would go on.
                 most = -1
             if target.stat().st_size != size:
-                raise TransferError(other_size)
+                raise other_size
 
 
 class CopyPath(_LocalPath):
@@ -424,10 +425,6 @@ def upload(local: Path, dst: UrlPath) -> None:
 # --- The stores' libraries ---
 
 
-class TransferError(Exception):
-    """A transfer is too slow, or has another size than declared."""
-
-
 @contextmanager
 def translated_errors(path: UrlPath, kind: type[Pc2ScanError] = RecordingError) -> Iterator[None]:
     """Turn errors of fsspec and the stores' libraries into our own; their texts may have the URL with its signature."""
@@ -442,8 +439,6 @@ def translated_errors(path: UrlPath, kind: type[Pc2ScanError] = RecordingError) 
         if kind is RecordingError and (isinstance(err, FileNotFoundError) or status == _NOT_FOUND):
             hint = "check its spelling (case matters), and the bucket's; some stores say so if permissions are missing"
             raise MissingError("does not exist", path=path, hint=hint) from None
-        if isinstance(err, TransferError):
-            raise kind(str(err), path=path, hint=_AGAIN) from None
         errno = getattr(err, "errno", None)
         why = f"status {status}" if status else os.strerror(errno) if errno else type(err).__name__
         action = "upload" if kind is OutputError else "download"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import pickle
 import re
 from functools import lru_cache
 from typing import Any
@@ -15,8 +14,9 @@ MAX_CHARACTERS = 800_000
 _MAX_BRACKETS = 100
 
 
+@lru_cache(maxsize=16)
 def load_yaml(text: str) -> Any:
-    """Read a document.
+    """Read a document, which may not be changed: it is kept, because most topics have equal QoS profiles.
 
     Tags construct no objects, and aliases may not make a document larger than its text.
 
@@ -27,13 +27,6 @@ def load_yaml(text: str) -> Any:
     """
     if len(text) > MAX_CHARACTERS:
         raise ValueError(f"has more than {MAX_CHARACTERS:,} characters, which is more than rosbag2 writes")
-    # Safe: it was pickled here.
-    return pickle.loads(_parse(text))  # noqa: S301
-
-
-@lru_cache(maxsize=16)
-def _parse(text: str) -> bytes:
-    """Return the document, pickled: each caller gets objects of its own. Most topics have equal QoS profiles."""
     from ruamel.yaml import YAML  # noqa: PLC0415  # a third of a start, where nothing is YAML
     from ruamel.yaml.error import YAMLError  # noqa: PLC0415
 
@@ -61,7 +54,7 @@ def _parse(text: str) -> bytes:
         raise ValueError(f"is not valid YAML{place}: {reason}") from err
     if size > len(text):
         raise ValueError("is not valid YAML: its aliases multiply to more values than it has characters")
-    return pickle.dumps(document)
+    return document
 
 
 def _unfolded_size(node: Any, sizes: dict[int, int]) -> int:

@@ -30,7 +30,6 @@ from pc2scan.bags.damage import DamageLog
 from pc2scan.bags.folders import METADATA_NAME, storage_files, storage_of
 from pc2scan.bags.topics import latches
 from pc2scan.errors import DamageError, RecordingError
-from pc2scan.files.outputs import Record
 from pc2scan.files.source import open_text
 from pc2scan.files.urls import exists
 from pc2scan.files.yaml import MAX_CHARACTERS, dump_yaml, load_yaml
@@ -38,6 +37,8 @@ from pc2scan.model import Connection
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+
+    from pc2scan.files.outputs import Record
 
 #: The name of the MCAP metadata record in which rosbag2 repeats metadata.yaml.
 RECORD_NAME = "rosbag2"
@@ -157,7 +158,7 @@ def recorded_in(folder: Path) -> Record | str:
     # Not what it names in other folders: versions 1 and 2 begin with the directory's name.
     plain = {name for name in plain if "/" not in name}
     own = (METADATA_NAME, *(name + suffix for name in plain for suffix in ("", *zstd.SUFFIXES, *_LOGS)))
-    return Record(dict.fromkeys(own), METADATA_NAME)
+    return dict.fromkeys(own)
 
 
 def _guess_info(folder: Path) -> BagInfo:
