@@ -25,7 +25,7 @@ from .parameters import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping
+    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
     from .launch import LaunchNode, LaunchValue
 
@@ -196,20 +196,26 @@ def _launch_node(
     for unread in file.unread:
         message = f"what may be the node or change it: {unread.problem} (from {path}, line {unread.line})"
         raise ParameterError(message, hint=unread.hint or ELSEWHERE)
-    names = [candidate.name for candidate in file.nodes]
-    chosen = [each for each in file.nodes if node is None or f"{each.name}/".endswith(f"/{node.strip('/')}/")]
-    if not chosen:
-        message = f"{path}: no node {node!r} (from `node`); found {name_list(names)}"
-        raise ParameterError(message, hint=did_you_mean(str(node), names) or None)
-    for candidate in chosen if node is None else ():
-        if candidate.doubt:
-            message = f"{path}, line {candidate.line}: {candidate.name} is {candidate.doubt}"
-            raise ParameterError(f"{message}, and read only if `node` names it", hint=f"`node={candidate.name}`")
-    if len(chosen) > 1:
-        nodes = [candidate.name for candidate in chosen]
-        hint = f"choose one, for example `node={nodes[0]}`" if len({*nodes}) == len(nodes) else ELSEWHERE
-        raise ParameterError(f"{path}: several nodes match: {name_list(nodes)}", hint=hint)
-    return chosen[0], file
+    matches = [each for each in file.nodes if node is None or f"{each.name}/".endswith(f"/{node.strip('/')}/")]
+    _refuse_several([each.name for each in matches], [each.name for each in file.nodes], node, path)
+    chosen = matches[0]
+    if chosen.doubt and node is None:
+        message = f"{path}, line {chosen.line}: {chosen.name} is {chosen.doubt}"
+        raise ParameterError(f"{message}, and read only if `node` names it", hint=f"`node={chosen.name}`")
+    return chosen, file
+
+
+def _refuse_several(matches: Sequence[str], names: Iterable[str], node: str | None, path: Path) -> None:
+    """Raise if several of the nodes of a file match, or none."""
+    found = sorted(matches or names)
+    hint = f"choose one, for example `node={found[0]}`" if len({*found}) == len(found) else ELSEWHERE
+    if len(matches) > 1:
+        raise ParameterError(f"{path}: several nodes match: {name_list(matches)}", hint=hint)
+    if not matches:
+        what = "section is named pointcloud_to_laserscan or laserscan_to_pointcloud, and none has only their parameters"
+        if node is not None:
+            what, hint = f"node {node!r} (from `node`)", did_you_mean(node, found)
+        raise ParameterError(f"{path}: no {what}; found {name_list(found, 10)}", hint=hint or None)
 
 
 def _unread(param: LaunchValue, name: str, err: UnreadError, path: Path) -> ParameterError:
@@ -238,12 +244,11 @@ def _launch_values(param: LaunchValue, text: str, place: str) -> list[tuple[str,
     """Return the names and values of a parameter of a launch file."""
     if param.kind == "yaml":
         return [(".".join(leaf.path), leaf.read(leaf.path[-1], ros1=True)) for leaf in _leaves_in(text, place)]
-    plain = text.strip()
-    parameter = PARAMETERS.get(ALIASES.get(param.name, param.name))
-    if quoted := re.fullmatch(r"(['\"])(.*)\1", plain):
+    if quoted := re.fullmatch(r"\s*(['\"])(.*)\1\s*", text):
         return [(param.name, quoted[2])]
+    parameter = PARAMETERS.get(param.name)
     is_text = param.type in {"str", "string"} or (parameter and parameter.value.kind == "str")
-    return [(param.name, text if is_text else plain_scalar(plain))]
+    return [(param.name, text if is_text else plain_scalar(text.strip()))]
 
 
 def _as_bool(name: str, value: object) -> object:
@@ -344,16 +349,8 @@ def _node_to_read(sections: _Sections, node: str | None, file: Path) -> str:
     """Return the name of the node to read: a key of ``sections``, or a name that wildcards match."""
     matches = _matching_nodes(sections, node)
     matches = [full for full in matches if "*" not in full] or matches
-    if len(matches) == 1:
-        return matches[0]
-    names = sorted(matches or sections)
-    hint = f"choose one, for example `node={names[0]}`"
-    if matches:
-        raise ParameterError(f"{file}: several nodes match: {', '.join(matches)}", hint=hint)
-    what = "is named pointcloud_to_laserscan or laserscan_to_pointcloud, and none has only their parameters"
-    if node is not None:
-        what, hint = f"is for the node {node!r} (from `node`)", did_you_mean(node, names)
-    raise ParameterError(f"{file}: no section {what}; found {name_list(names, 10)}", hint=hint or None)
+    _refuse_several(matches, sections, node, file)
+    return matches[0]
 
 
 def _matching_nodes(sections: _Sections, node: str | None) -> list[str]:
