@@ -51,10 +51,10 @@ def frames_of(options: Options) -> FrameOptions:
     refuse_idle(options.given, options.command)
     if not options.given.keys() & OF_FRAMES:
         return FrameOptions()
-    trajectory, clock = None, clock_of(options)
+    trajectory = None
     if options.trajectory is not None:
-        trajectory = load_trajectory(options.trajectory, frames_of_trajectory(options.trajectory_frames))
-        trajectory = trajectory if clock is None else trajectory.moved(clock.trajectory_ns)
+        frames = frames_of_trajectory(options.trajectory_frames)
+        trajectory = load_trajectory(options.trajectory, frames).moved(clock_of(options).trajectory_ns)
     return FrameOptions(
         tf_topics=options.tf_topics,
         tf_from=options.tf_from,
@@ -67,10 +67,8 @@ def frames_of(options: Options) -> FrameOptions:
     )
 
 
-def clock_of(options: Options) -> StampOptions | None:
-    """Return how stamps are corrected; None if they are not."""
-    if options.stamps == "header" and not options.time_offset:
-        return None
+def clock_of(options: Options) -> StampOptions:
+    """Return how stamps are corrected."""
     clock = StampOptions.of(options.stamps, options.time_offset)
     if TRAJECTORY in clock.by_topic and options.trajectory is None:
         raise UsageError(f"`time_offset={TRAJECTORY}=S` has no effect without `trajectory`")

@@ -217,7 +217,7 @@ def require_fields(spec: ScanSpec, fields: Sequence[str], what: str, hint: str, 
     requests = [("intensity_field", f"intensity_field is {name!r}", name)] if name else []
     requests += [(f.name, f"`{f.name}` needs the field {field!r}", field) for f in spec.filters for field in f.fields]
     if point_time:
-        requests.append(("point_time", f"`point_time` is {spec.point_time!r}", point_time))
+        requests.append(("point_time", f"`point_time` is {point_time!r}", point_time))
     for option, request, field in requests:
         if field not in fields:
             text = f"{request}, which {what} do not have"
@@ -237,9 +237,8 @@ def _require_fields(facts: TopicFacts, spec: ScanSpec) -> None:
     topic = facts.topic
     fields = list(dict.fromkeys(name for each in facts.headers for name in each.fields))
     listed = f"their fields are: {', '.join(fields) or 'none'}"
-    time = spec.point_time.partition(":")[0]
-    require_fields(spec, fields, f"the clouds on {topic}", listed, "" if time == "azimuth" else time)
-    if spec.deskew and not spec.point_time and not time_field(fields):
+    require_fields(spec, fields, f"the clouds on {topic}", listed, spec.point_time.field)
+    if spec.deskew and spec.point_time == PointTime() and not time_field(fields):
         raise ParameterError(
             f"the clouds on {topic} have no times of their points: no field {', '.join(TIME_FIELDS)}",
             name="point_time",

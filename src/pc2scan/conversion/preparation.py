@@ -153,7 +153,7 @@ def prepare(
     frames = options.frames
     notes: list[str] = []
     if options.clock:
-        fields = [spec.point_time.partition(":")[0] for spec in plan.specs if spec.point_time]
+        fields = [spec.point_time.field for spec in plan.specs if spec.point_time.field]
         reader, notes = corrected(reader, plan.converted, options.clock, frames.tf_topics, span, fields)
     if meter is not None:
         connections = [route.connection for route in plan.routes]
@@ -229,7 +229,7 @@ def _up_source(spec: ScanSpec, buffer: TransformBuffer, survey: Survey, prepared
     UsageError
         If the messages of an IMU do not show the direction of up.
     """
-    tolerance_ns, request = spec.params.tolerance_ns, spec.imu_request
+    tolerance_ns, request = spec.params.tolerance_ns, spec.imu
     if request is None:
         return UpByFrame(spec.fixed_frame, buffer, tolerance_ns)
     up = survey.imu(request.topic).up(request.frame)
@@ -243,13 +243,13 @@ class _OutputFacts:
 
     def __init__(self, spec: ScanSpec, plan: Plan, survey: Survey) -> None:
         self._spec = spec
-        self._where = PointTime.parse(spec.point_time) if spec.deskew else None
+        self._where = spec.point_time if spec.deskew else None
         self._topics = survey.topics(plan.sources_of(spec)).values()
         references: list[Sequence[Connection]] = []
         if spec.fixed_frame:
             references.append(moving(survey.reader.connections, survey.frames.tf_topics))
-        if spec.imu_request:
-            observers = survey.imu(spec.imu_request.topic).observers(survey.reader)
+        if spec.imu:
+            observers = survey.imu(spec.imu.topic).observers(survey.reader)
             references.append([connection for each in observers for connection in each.connections])
         self._clocks = [Clocks(survey, self._topics, each) for each in references]
         self._alone = survey.topics(plan.sources_of(spec, ""))

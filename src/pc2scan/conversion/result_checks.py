@@ -296,7 +296,7 @@ def tilt_of_frame(topic: TopicReport, spec: ScanSpec, report: Report) -> Iterato
     """Yield a note about the tilt of the target frame; a warning if a robot is never tilted so, or always."""
     if (tilt := topic.tilt) is None:
         return
-    by, median, largest = spec.imu or spec.fixed_frame, tilt["median_deg"], tilt["largest_deg"]
+    by, median, largest = spec.imu.topic if spec.imu else spec.fixed_frame, tilt["median_deg"], tilt["largest_deg"]
     frame = spec.params.target_frame or report.source_frame or "the clouds' frame"
     if median > _NOTABLE_TILT:
         yield warning(

@@ -16,7 +16,6 @@ from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.options.values import nanoseconds_of
-from pc2scan.transforms.attitude import ImuRequest
 from pc2scan.transforms.placing import FrameOptions
 
 from .filters import as_dict, rejection_of
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
     from pc2scan.core.rule import Rejection
     from pc2scan.core.unproject import UnprojectParams
     from pc2scan.options.moment import TimeBound
+    from pc2scan.transforms.attitude import ImuRequest
 
     from .filters import Filter
 
@@ -147,16 +147,14 @@ class ScanSpec:
         A frame that does not move. With ``deskew`` of clouds, points are transformed through it; with ``level``, its z
         axis points up.
     point_time
-        With ``deskew`` of clouds: the field with the times of points, as ``FIELD`` or ``FIELD:UNIT``. Empty: the first
-        of the usual fields that exists.
+        With ``deskew`` of clouds: the source of the points' times.
     stamp
         With ``deskew`` of clouds: the scan's stamp: that of the cloud's ``header``, or the ``start``, ``middle`` or
         ``end`` of its points' times.
     level
         Whether scans of clouds are in a frame without roll and pitch, which come from ``fixed_frame`` or ``imu``.
     imu
-        With ``level``: the IMU that measures the direction of up, ``TOPIC`` or ``TOPIC:FRAME``. Empty: ``fixed_frame``
-        is used.
+        With ``level``: the IMU that measures the direction of up; None: ``fixed_frame`` is used.
     combining
         Which messages become one scan.
     filters
@@ -178,10 +176,10 @@ class ScanSpec:
     channels: UnprojectParams | None = None
     deskew: bool = False
     fixed_frame: str = ""
-    point_time: str = ""
+    point_time: PointTime = PointTime()
     stamp: str = "header"
     level: bool = False
-    imu: str = ""
+    imu: ImuRequest | None = None
     combining: Combining = Combining()
     filters: tuple[Filter, ...] = ()
     remove: tuple[str, ...] = ()
@@ -189,9 +187,6 @@ class ScanSpec:
     echo: str = "first"
 
     def __post_init__(self) -> None:
-        if self.keep_used:
-            object.__setattr__(self, "keep_used", new_topic(self.keep_used, "`keep_used`"))
-        PointTime.parse(self.point_time), self.imu_request
         for is_wrong, message in self._contradictions():
             if is_wrong:
                 raise UsageError(message)
@@ -299,11 +294,6 @@ class ScanSpec:
         params = self.params
         needs_fields = params.intensity_field or self.deskew or any(each.fields for each in self.filters)
         return bool(needs_fields) or "auto" in (params.scan_time, params.time_increment, params.beams)
-
-    @property
-    def imu_request(self) -> ImuRequest | None:
-        """The IMU that measures the direction of up; None: none does."""
-        return ImuRequest.parse(self.imu) if self.level and self.imu else None
 
     @property
     def label(self) -> str:
@@ -435,7 +425,7 @@ class ConvertOptions:
 
     scans: tuple[ScanSpec, ...] = (ScanSpec(),)
     frames: FrameOptions = FrameOptions()
-    clock: StampOptions | None = None
+    clock: StampOptions = StampOptions()
     cloud_scale: float = 1.0
     keep_clouds: bool = False
     clouds_as: str = "recorded"

@@ -19,12 +19,14 @@ from pc2scan.options.effects import refuse_idle
 from pc2scan.options.table import PARAMETERS, output_options
 from pc2scan.options.values import texts
 from pc2scan.text import did_you_mean
+from pc2scan.transforms.attitude import ImuRequest
 
 from .entries import Entry, compose, entries_in, entries_of, naming_place, not_quoting, read_text, scalar_value
 from .filters import filters_of
 from .options import Combining, ScanSpec, TopicRequest
 from .parameters import ALIASES, TOPICS, expected_message, is_every_nodes, resolve, unknown_parameter
 from .params_file import ParamsFile, load_params_file
+from .point_time import PointTime
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -101,6 +103,12 @@ def read_output(options: Options, given: Sequence[Options], *, name: str = "", p
     more = options.among(_AS_GIVEN)
     if name:
         requests = tuple(request._replace(target=name) for request in requests)
+    if options.point_time:
+        more["point_time"] = PointTime.parse(options.point_time)
+    if options.imu:
+        more["imu"] = ImuRequest.parse(options.imu)
+    if options.keep_used:
+        more["keep_used"] = new_topic(options.keep_used, "`keep_used`")
     if options.channels:
         more["channels"] = _channels(options.channels)
     if options.given.keys() & CloudCombination.__annotations__.keys():
