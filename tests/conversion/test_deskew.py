@@ -150,7 +150,7 @@ def test_a_unit_that_cannot_be_has_the_one_that_fits(asked: str, times: list[int
 
 def test_what_is_fixed_to_the_robot_stays_where_it_is() -> None:
     """A box around a point of the robot rejects it whenever it was measured."""
-    from pc2scan.conversion.stages import SelectStage
+    from pc2scan.conversion.steps import SelectStage
 
     known = frames("base_link")
     assert known.buffer is not None

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pc2scan.conversion.conversions import remove_beams
-from pc2scan.conversion.stages import ConvertedMessage
+from pc2scan.conversion.steps import ConvertedMessage, remove_beams
 from pc2scan.core.rule import PointCounts
 from pc2scan.messages.laserscan import LaserScan
 

@@ -11,7 +11,7 @@ import pytest
 
 import pc2scan
 from benchmarks.clouds import CLOUD_BYTES, FORMS, write_recording
-from pc2scan.conversion import conversions
+from pc2scan.conversion import steps
 from pc2scan.core.project import Projector
 from pc2scan.files.source import lend
 
@@ -46,7 +46,7 @@ def test_the_thread_that_decompressed_clouds_projects_them(
     # What is not compressed is in the memory that it was read to.
     monkeypatch.setattr("pc2scan.files.source.lend", spying)
     monkeypatch.setattr("pc2scan.bags.chunks.lend", spying)
-    monkeypatch.setattr(conversions, "Projector", Spy)
+    monkeypatch.setattr(steps, "Projector", Spy)
     together = pc2scan.convert(source, tmp_path / "together.mcap", jobs=2, **how)
     # The first clouds are converted once more before, to be judged.
     assert len(borrowed) > together.converted[0].messages_out

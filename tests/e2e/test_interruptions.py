@@ -263,7 +263,7 @@ def test_a_worker_that_fails(
     error: type[BaseException], jobs: int, many: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A bug in a worker is not hidden, and leaves nothing."""
-    from pc2scan.conversion.conversions import CloudToScan
+    from pc2scan.conversion.steps import CloudToScan
 
     def fail() -> None:
         raise error

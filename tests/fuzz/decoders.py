@@ -22,8 +22,7 @@ from pc2scan.bags.observers import observe
 from pc2scan.bags.qos import respell_qos
 from pc2scan.bags.topics import latches
 from pc2scan.compare.scan_text import open_scan_text, render_scans
-from pc2scan.conversion.conversions import CloudToScan
-from pc2scan.conversion.stages import decoder_of, serialised
+from pc2scan.conversion.steps import CloudToScan, decoder_of, serialised
 from pc2scan.errors import Pc2ScanError
 from pc2scan.files.compression import decompressed_prefix
 from pc2scan.messages.clouds import CLOUDS

@@ -17,7 +17,7 @@ import numpy as np
 
 import pc2scan
 from parity import debian
-from pc2scan.conversion.conversions import ScanToCloud
+from pc2scan.conversion.steps import ScanToCloud
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.project import Projector
 from pc2scan.core.rigid import Rigid

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from parity import debian, table
-from pc2scan.conversion.conversions import ScanToCloud
+from pc2scan.conversion.steps import ScanToCloud
 from pc2scan.errors import MessageError
 from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import decode_pointcloud2

@@ -8,8 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.bags.opening import open_recording
-from pc2scan.conversion.conversions import ScanToCloud
-from pc2scan.conversion.stages import decoder_of, serialised
+from pc2scan.conversion.steps import ScanToCloud, decoder_of, serialised
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, encode_cloud
 from pc2scan.messages.tfmessage import decode_transforms
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from pc2scan.conversion.stages import Conversion
+    from pc2scan.conversion.steps import Conversion
 
 
 def serialized_by(conversion: Conversion, topic: str, source: str, target: str) -> Callable[[bytes], Any]:

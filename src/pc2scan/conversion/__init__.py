@@ -1,1 +1,1 @@
-"""The road of a cloud, from a recording to a recording: plan, engine, stages, result."""
+"""The road of a cloud, from a recording to a recording: plan, engine, steps, result."""

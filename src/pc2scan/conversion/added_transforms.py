@@ -20,7 +20,7 @@ from pc2scan.messages.poses import decode_pose
 from pc2scan.messages.tfmessage import decode_transforms, encode_transforms
 from pc2scan.model import StoredChunk
 
-from .stages import ConvertedMessage
+from .steps import ConvertedMessage
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Generator, Iterator, Mapping, Sequence

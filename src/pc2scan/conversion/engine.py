@@ -24,7 +24,7 @@ from pc2scan.result import MAX_LISTED, Skipped
 from pc2scan.threads import InOrder
 
 from .combine.conversion import Contribution
-from .stages import ConvertedMessage, as_it_is
+from .steps import ConvertedMessage, as_it_is
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Generator, Hashable, Iterable, Mapping, Sequence

@@ -11,7 +11,7 @@ from pc2scan.messages.clouds import CLOUDS, SCANS, usual_topics
 from pc2scan.messages.other_clouds import instead_of_topic, without
 from pc2scan.text import did_you_mean
 
-from .stages import as_it_is
+from .steps import as_it_is
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pc2scan.request.options import ConvertOptions, ScanSpec
 
     from .report import TopicReport
-    from .stages import ConvertedMessage, Steps
+    from .steps import ConvertedMessage, Steps
 
 
 @dataclass(slots=True, eq=False)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.advice.checks import are_enough, judge
 from pc2scan.advice.checks.clouds import CloudFacts, KnownTransforms
+from pc2scan.advice.checks.request import in_another_unit
 from pc2scan.advice.clocks import CLOCK_HEADERS, Clocks, moving, refuse_other_clock
 from pc2scan.advice.measurements import (
     ask_measurements,
@@ -27,20 +28,20 @@ from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import by_topic
 from pc2scan.core.points import Points
 from pc2scan.core.scene import JUDGED_CLOUDS, PARTS, CloudSample
-from pc2scan.errors import MessageError, Pc2ScanError, UnconnectedError
+from pc2scan.errors import MessageError, Pc2ScanError, TopicError, UnconnectedError, UsageError, name_list
 from pc2scan.messages.tfmessage import TF_TYPES
 from pc2scan.request.point_time import PointTime
+from pc2scan.text import stamp
 from pc2scan.transforms.placing import Placer, UpByFrame, UpByImu
 from pc2scan.transforms.reading import read_robot_transforms
 
 from .combine.conversion import Contribution, MessagesToScan, SourceFacts, measure_sources
-from .conversions import CloudToScan, ScanToCloud
 from .corrections import corrected
 from .deskew import Deskew
 from .engine import convert
 from .result_checks import result_findings
 from .source_checks import check_fixed_frame, check_given_frames
-from .stages import ConvertedMessage
+from .steps import CloudToScan, ConvertedMessage, ScanToCloud
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -60,7 +61,7 @@ if TYPE_CHECKING:
     from .engine import Item, Tally
     from .plan import Output, Plan, Route
     from .report import Report
-    from .stages import Conversion
+    from .steps import Conversion
 
 
 @dataclass(slots=True, eq=False)
@@ -120,6 +121,87 @@ class Preparation:
         """Add warnings and notes about an output."""
         self.tell(*(spec.label + text for text in warnings))
         self.notes += (spec.label + text for text in notes)
+
+
+def span_of(reader: Reader, options: ConvertOptions) -> Span:
+    """Return the cut in log times; relative times count from the recording's beginning."""
+    beginning = reader.summary.start_ns
+    if beginning is None:
+        first = next(reader.messages(), None)
+        beginning = first.log_time_ns if first is not None else 0
+    start = None if options.start is None else options.start.resolve(beginning)
+    stop = None if options.end is None else options.end.resolve(beginning)
+    if start is not None and stop is not None and start >= stop:
+        raise UsageError("the cut is empty: start is not before end")
+    return Span(start, stop, beginning if start is None else max(start, beginning))
+
+
+def refuse_no_messages(
+    reader: Reader, converted: Sequence[Connection], start_ns: int | None, stop_ns: int | None
+) -> None:
+    """Raise if the topics to convert have no messages, or none in the cut.
+
+    The index is read first. If it lists no messages, the recording is read as well, because an index may be wrong.
+
+    Raises
+    ------
+    UsageError
+        If the cut lies outside of the recording.
+    TopicError
+        If there are no messages in it.
+    """
+    if not converted:
+        return
+    counts = reader.counts(converted, start_ns, stop_ns)
+    is_cut = start_ns is not None or stop_ns is not None
+    outside = _outside(reader, start_ns, stop_ns) if is_cut else None
+    if outside is None and any(counts.get(connection.id) != 0 for connection in converted):
+        return
+    with closing(reader.messages(converted, start_ns, stop_ns)) as messages:
+        if next(messages, None) is not None:
+            return
+    # If the recording is damaged, this is reported instead.
+    if reader.damage:
+        return
+    if outside is not None:
+        raise outside
+    topics = name_list(sorted({connection.topic for connection in converted}))
+    raise TopicError(
+        f"there is nothing to convert: no messages on {topics}{' in the cut' if is_cut else ''}",
+        hint="check `start` and `end`" if is_cut else "pc2scan info lists the topics, and how many messages they have",
+    )
+
+
+def refuse_outside(reader: Reader, start_ns: int | None, stop_ns: int | None) -> None:
+    """Raise if the cut lies outside of the recording, unless this is damaged, which is reported instead.
+
+    Raises
+    ------
+    UsageError
+        If it does.
+    """
+    if not reader.damage and (outside := _outside(reader, start_ns, stop_ns)) is not None:
+        raise outside
+
+
+def _outside(reader: Reader, start_ns: int | None, stop_ns: int | None) -> UsageError | None:
+    """Return the error for a cut outside of the recording; None if the cut is inside, or the times are unknown."""
+    first_ns, last_ns = reader.summary.start_ns, reader.summary.end_ns
+    if first_ns is None or last_ns is None or not reader.summary.message_count:
+        return None
+    late = start_ns is not None and start_ns > last_ns
+    early = stop_ns is not None and stop_ns <= first_ns
+    if not late and not early:
+        return None
+    name, time_ns = ("start", start_ns) if late else ("end", stop_ns)
+    seconds = (last_ns - first_ns) / 1e9
+    meant = in_another_unit(name, time_ns or 0, first_ns, last_ns)
+    return UsageError(
+        f"the cut is outside of the recording: `{name}` is {stamp(time_ns or 0)}, the recording is from "
+        f"{stamp(first_ns)} to {stamp(last_ns)}",
+        path=reader.path,
+        hint=(f"{meant}; " if meant else "") + f"its {seconds:.3f} s are `start=0` to `end={seconds + 0.001:.3f}`",
+    )
 
 
 def prepare(

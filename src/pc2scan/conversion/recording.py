@@ -23,7 +23,7 @@ from .combine.conversion import MessagesToScan
 from .engine import NOTHING_REFUSED, Combiner
 from .plan import Output
 from .report import TopicReport
-from .stages import ConvertedMessage, Steps, as_it_is, decoder_of, serialised
+from .steps import ConvertedMessage, Steps, as_it_is, decoder_of, serialised
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from .plan import Plan, Route
     from .preparation import Preparation
     from .report import Report
-    from .stages import Conversion
+    from .steps import Conversion
 
 
 def open_routes(

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pc2scan.request.options import ScanSpec
 
     from .combine.grouping import SourceCounts
-    from .stages import ConvertedMessage
+    from .steps import ConvertedMessage
 
 #: No clock that is set differs by more from the log times, nanoseconds, unless a driver is slow.
 _EARLY_NS, _LATE_NS = -100_000_000, 500_000_000

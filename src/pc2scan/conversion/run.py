@@ -53,11 +53,10 @@ from pc2scan.threads import Threads, cores
 from .corrections import scaled
 from .engine import Tally, items_of
 from .plan import make_plan
-from .preparation import count_by_index, judge_first, prepare
+from .preparation import count_by_index, judge_first, prepare, refuse_no_messages, span_of
 from .recording import open_output, write_items
 from .report import Report
 from .result_checks import compare_counts, refuse_nothing, refuse_unsatisfied, result_findings
-from .source_checks import refuse_no_messages, span_of
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Sequence

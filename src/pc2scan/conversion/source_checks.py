@@ -1,25 +1,20 @@
-"""Checks of the source before the first message: the cut, and the frames that options name and add."""
+"""Checks of the frames that options name and add, before the first message."""
 
 from __future__ import annotations
 
-from contextlib import closing
 from typing import TYPE_CHECKING
 
-from pc2scan.advice.checks.request import in_another_unit
-from pc2scan.advice.survey import Span
-from pc2scan.errors import ParameterError, TopicError, UsageError, name_list
-from pc2scan.text import did_you_mean, nearest, stamp
+from pc2scan.errors import ParameterError, UsageError, name_list
+from pc2scan.text import did_you_mean, nearest
 from pc2scan.transforms.buffer import frames_text
 from pc2scan.transforms.frames import WORLDS
 from pc2scan.transforms.motion import find_body_motion
 from pc2scan.transforms.static import static_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator
 
-    from pc2scan.bags.reader import Reader
-    from pc2scan.model import Connection
-    from pc2scan.request.options import ConvertOptions, ScanSpec
+    from pc2scan.request.options import ScanSpec
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.placing import FrameOptions
     from pc2scan.transforms.static import StaticTransform
@@ -27,19 +22,6 @@ if TYPE_CHECKING:
     from .plan import Plan
 
 _MOST_NAMES = 5
-
-
-def span_of(reader: Reader, options: ConvertOptions) -> Span:
-    """Return the cut in log times; relative times count from the recording's beginning."""
-    beginning = reader.summary.start_ns
-    if beginning is None:
-        first = next(reader.messages(), None)
-        beginning = first.log_time_ns if first is not None else 0
-    start = None if options.start is None else options.start.resolve(beginning)
-    stop = None if options.end is None else options.end.resolve(beginning)
-    if start is not None and stop is not None and start >= stop:
-        raise UsageError("the cut is empty: start is not before end")
-    return Span(start, stop, beginning if start is None else max(start, beginning))
 
 
 def check_given_frames(
@@ -167,71 +149,3 @@ def frame_that_stays(buffer: TransformBuffer, fixed: str) -> str:
     frames = [name for name in names if any(not buffer.is_rigid(name, child) for child in moving if child != name)]
     frames = [name for name in frames if not fixed or not buffer.is_rigid(name, fixed)]
     return frames[0] if frames else ""
-
-
-def refuse_no_messages(
-    reader: Reader, converted: Sequence[Connection], start_ns: int | None, stop_ns: int | None
-) -> None:
-    """Raise if the topics to convert have no messages, or none in the cut.
-
-    The index is read first. If it lists no messages, the recording is read as well, because an index may be wrong.
-
-    Raises
-    ------
-    UsageError
-        If the cut lies outside of the recording.
-    TopicError
-        If there are no messages in it.
-    """
-    if not converted:
-        return
-    counts = reader.counts(converted, start_ns, stop_ns)
-    is_cut = start_ns is not None or stop_ns is not None
-    outside = _outside(reader, start_ns, stop_ns) if is_cut else None
-    if outside is None and any(counts.get(connection.id) != 0 for connection in converted):
-        return
-    with closing(reader.messages(converted, start_ns, stop_ns)) as messages:
-        if next(messages, None) is not None:
-            return
-    # If the recording is damaged, this is reported instead.
-    if reader.damage:
-        return
-    if outside is not None:
-        raise outside
-    topics = name_list(sorted({connection.topic for connection in converted}))
-    raise TopicError(
-        f"there is nothing to convert: no messages on {topics}{' in the cut' if is_cut else ''}",
-        hint="check `start` and `end`" if is_cut else "pc2scan info lists the topics, and how many messages they have",
-    )
-
-
-def refuse_outside(reader: Reader, start_ns: int | None, stop_ns: int | None) -> None:
-    """Raise if the cut lies outside of the recording, unless this is damaged, which is reported instead.
-
-    Raises
-    ------
-    UsageError
-        If it does.
-    """
-    if not reader.damage and (outside := _outside(reader, start_ns, stop_ns)) is not None:
-        raise outside
-
-
-def _outside(reader: Reader, start_ns: int | None, stop_ns: int | None) -> UsageError | None:
-    """Return the error for a cut outside of the recording; None if the cut is inside, or the times are unknown."""
-    first_ns, last_ns = reader.summary.start_ns, reader.summary.end_ns
-    if first_ns is None or last_ns is None or not reader.summary.message_count:
-        return None
-    late = start_ns is not None and start_ns > last_ns
-    early = stop_ns is not None and stop_ns <= first_ns
-    if not late and not early:
-        return None
-    name, time_ns = ("start", start_ns) if late else ("end", stop_ns)
-    seconds = (last_ns - first_ns) / 1e9
-    meant = in_another_unit(name, time_ns or 0, first_ns, last_ns)
-    return UsageError(
-        f"the cut is outside of the recording: `{name}` is {stamp(time_ns or 0)}, the recording is from "
-        f"{stamp(first_ns)} to {stamp(last_ns)}",
-        path=reader.path,
-        hint=(f"{meant}; " if meant else "") + f"its {seconds:.3f} s are `start=0` to `end={seconds + 0.001:.3f}`",
-    )

@@ -23,8 +23,8 @@ class _Kind(NamedTuple):
     advice: str
 
 
-def _with(tool: str) -> str:
-    return f"play the recording into {tool}, and record the PointCloud2 that it makes"
+#: What makes clouds of messages, by the name of a tool.
+_WITH = "play the recording into {}, and record the PointCloud2 that it makes"
 
 
 _DEPTH = _Kind(
@@ -35,18 +35,20 @@ _DEPTH = _Kind(
 
 #: In the order in which errors name them. Types that can be converted are skipped, so a row may stay when one can.
 _KINDS = (
-    _Kind("velodyne_msgs/VelodynePacket", "Velodyne packets", _with("velodyne_pointcloud")),
-    _Kind(r"ouster\w*/PacketMsg", "Ouster packets", f"{_with('the replay of ouster_ros')}, or use ouster-cli"),
-    _Kind(r"(hesai\w*|pandar\w*)/(Udp|Pandar|Hesai)\w*", "Hesai packets", _with("Hesai's driver, hesai_ros_driver")),
-    _Kind(r"(rslidar\w*|robosense\w*)/\w+", "RoboSense packets", _with("RoboSense's driver, rslidar_sdk")),
-    _Kind(r"nebula\w*/\w*Packets?", "packets of Nebula's drivers", _with("Nebula")),
+    _Kind("velodyne_msgs/VelodynePacket", "Velodyne packets", _WITH.format("velodyne_pointcloud")),
+    _Kind(r"ouster\w*/PacketMsg", "Ouster packets", f"{_WITH.format('the replay of ouster_ros')}, or use ouster-cli"),
+    _Kind(
+        r"(hesai\w*|pandar\w*)/(Udp|Pandar|Hesai)\w*", "Hesai packets", _WITH.format("Hesai's driver, hesai_ros_driver")
+    ),
+    _Kind(r"(rslidar\w*|robosense\w*)/\w+", "RoboSense packets", _WITH.format("RoboSense's driver, rslidar_sdk")),
+    _Kind(r"nebula\w*/\w*Packets?", "packets of Nebula's drivers", _WITH.format("Nebula")),
     _Kind(
         r"(foxglove(_msgs)?|sensor_msgs)[/.](\w*PointCloud2?|LaserScan)",
         "clouds or scans in an encoding that is not ROS's",
         "record PointCloud2 with rosbag2, or convert them: mcap's Protobuf and ROS support read and write both",
     ),
     _DEPTH,
-    _Kind("stereo_msgs/DisparityImage", "disparity images", _with("stereo_image_proc")),
+    _Kind("stereo_msgs/DisparityImage", "disparity images", _WITH.format("stereo_image_proc")),
     _Kind(
         r"(\w*radar\w*|\w*mmwave\w*|continental_\w+|ars\d\w*|delphi_esr\w*|umrr\w*)"
         r"/\w*(Radar|Detection|Target|Track|Return)\w*",
@@ -55,9 +57,11 @@ _KINDS = (
     ),
     _Kind("sensor_msgs/Range", "single ranges", "nav2's range_sensor_layer reads them; they make no scan"),
     _Kind(r"\w+/Voxel(Map|Grid)\w*|foxglove[/.]VoxelGrid", "maps of voxels", "record the lidar's own PointCloud2"),
-    _Kind("octomap_msgs/Octomap(WithPose)?", "OctoMaps", _with("octomap_server")),
+    _Kind("octomap_msgs/Octomap(WithPose)?", "OctoMaps", _WITH.format("octomap_server")),
     _Kind(
-        r"\w*(lidar|laser)\w*/\w*(Packet|Udp|Raw)\w*", "packets of a lidar", _with("the driver that has these messages")
+        r"\w*(lidar|laser)\w*/\w*(Packet|Udp|Raw)\w*",
+        "packets of a lidar",
+        _WITH.format("the driver that has these messages"),
     ),
 )
 

@@ -19,9 +19,8 @@ from pc2scan.advice.checks import judge, request_warnings
 from pc2scan.advice.checks.clouds import CloudFacts, KnownTransforms
 from pc2scan.advice.measurements import Measurements, regular_step, shapes_of, time_warnings, times_of
 from pc2scan.advice.survey import Fact
-from pc2scan.conversion.conversions import CloudToScan
 from pc2scan.conversion.report import StampCounts
-from pc2scan.conversion.stages import PlaceStage
+from pc2scan.conversion.steps import CloudToScan, PlaceStage
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import median, percentiles
 from pc2scan.core.points import Points

@@ -20,12 +20,10 @@ from pc2scan.bags.damage import mention
 from pc2scan.bags.observers import Spread
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import by_topic
-from pc2scan.conversion.conversions import CloudToScan
 from pc2scan.conversion.corrections import scaled
 from pc2scan.conversion.plan import make_plan
-from pc2scan.conversion.preparation import prepare
-from pc2scan.conversion.source_checks import refuse_outside, span_of
-from pc2scan.conversion.stages import PlaceStage, SelectStage
+from pc2scan.conversion.preparation import prepare, refuse_outside, span_of
+from pc2scan.conversion.steps import CloudToScan, PlaceStage, SelectStage
 from pc2scan.core.points import NUMBER
 from pc2scan.core.rule import PointCounts
 from pc2scan.core.scene import CloudSample, are_enough

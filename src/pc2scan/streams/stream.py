@@ -18,12 +18,11 @@ from pc2scan.bags.topics import by_topic, find_topics, short_types, types_by_top
 from pc2scan.conversion.corrections import corrected, scaled
 from pc2scan.conversion.engine import Tally, items_of
 from pc2scan.conversion.plan import Output, Route, make_plan
-from pc2scan.conversion.preparation import judge_first, prepare
+from pc2scan.conversion.preparation import judge_first, prepare, refuse_no_messages, span_of
 from pc2scan.conversion.recording import open_routes
 from pc2scan.conversion.report import Report, TopicReport
 from pc2scan.conversion.result_checks import result_findings
-from pc2scan.conversion.source_checks import refuse_no_messages, span_of
-from pc2scan.conversion.stages import ConvertedMessage, Steps
+from pc2scan.conversion.steps import ConvertedMessage, Steps
 from pc2scan.core.rule import NO_POINTS
 from pc2scan.errors import NothingToConvertError, Pc2ScanError, RecordingWarning, TopicError, name_list, visible
 from pc2scan.messages.clouds import CLOUDS, usual_topics

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from pc2scan.advice.measurements import Measurements
 from pc2scan.conversion.combine.conversion import Contribution, MessagesToScan
 from pc2scan.conversion.combine.grouping import Grouper, Nearest
-from pc2scan.conversion.conversions import CloudToScan
-from pc2scan.conversion.stages import ConvertedMessage
+from pc2scan.conversion.steps import CloudToScan, ConvertedMessage
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid

@@ -15,8 +15,7 @@ import numpy as np
 
 from pc2scan.advice.clocks import MEASURES, are_doubtful
 from pc2scan.advice.measurements import Measurements, measure, require_fields, unknown_step
-from pc2scan.conversion.conversions import Beams, remove_beams
-from pc2scan.conversion.stages import ConvertedMessage, SelectStage, Steps
+from pc2scan.conversion.steps import Beams, ConvertedMessage, SelectStage, Steps, remove_beams
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import median_low
 from pc2scan.core.points import Points

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pc2scan.advice.measurements import Measurements
-from pc2scan.conversion.conversions import CloudToScan, ScanToCloud
+from pc2scan.conversion.steps import CloudToScan, ScanToCloud
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import DecodeError
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan, encode_laserscan
@@ -20,7 +20,7 @@ from support.conversions import serialized_by
 from support.tables import rows
 
 if TYPE_CHECKING:
-    from pc2scan.conversion.stages import Conversion, ConvertedMessage
+    from pc2scan.conversion.steps import Conversion, ConvertedMessage
 
 TABLES = Path(__file__).parent / "times.txt"
 SECOND = 1_000_000_000
