@@ -54,7 +54,8 @@ def frames_of(options: Options) -> FrameOptions:
     trajectory = None
     if options.trajectory is not None:
         frames = frames_of_trajectory(options.trajectory_frames)
-        trajectory = load_trajectory(options.trajectory, frames).moved(clock_of(options).trajectory_ns)
+        trajectory, clock = load_trajectory(options.trajectory, frames), clock_of(options)
+        trajectory = trajectory if clock is None else trajectory.moved(clock.trajectory_ns)
     return FrameOptions(
         tf_topics=options.tf_topics,
         tf_from=options.tf_from,
@@ -67,8 +68,10 @@ def frames_of(options: Options) -> FrameOptions:
     )
 
 
-def clock_of(options: Options) -> StampOptions:
-    """Return how stamps are corrected."""
+def clock_of(options: Options) -> StampOptions | None:
+    """Return how stamps are corrected; None if they are not."""
+    if not options.given.keys() & {"stamps", "time_offset"}:
+        return None
     clock = StampOptions.of(options.stamps, options.time_offset)
     if TRAJECTORY in clock.by_topic and options.trajectory is None:
         raise UsageError(f"`time_offset={TRAJECTORY}=S` has no effect without `trajectory`")

@@ -237,8 +237,8 @@ def _require_fields(facts: TopicFacts, spec: ScanSpec) -> None:
     topic = facts.topic
     fields = list(dict.fromkeys(name for each in facts.headers for name in each.fields))
     listed = f"their fields are: {', '.join(fields) or 'none'}"
-    require_fields(spec, fields, f"the clouds on {topic}", listed, spec.point_time.field)
-    if spec.deskew and spec.point_time == PointTime() and not time_field(fields):
+    require_fields(spec, fields, f"the clouds on {topic}", listed, spec.point_time.field if spec.point_time else "")
+    if spec.deskew and not spec.point_time and not time_field(fields):
         raise ParameterError(
             f"the clouds on {topic} have no times of their points: no field {', '.join(TIME_FIELDS)}",
             name="point_time",

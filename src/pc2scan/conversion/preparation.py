@@ -235,7 +235,7 @@ def prepare(
     frames = options.frames
     notes: list[str] = []
     if options.clock:
-        fields = [spec.point_time.field for spec in plan.specs if spec.point_time.field]
+        fields = [spec.point_time.field for spec in plan.specs if spec.point_time and spec.point_time.field]
         reader, notes = corrected(reader, plan.converted, options.clock, frames.tf_topics, span, fields)
     if meter is not None:
         connections = [route.connection for route in plan.routes]
@@ -325,7 +325,7 @@ class _OutputFacts:
 
     def __init__(self, spec: ScanSpec, plan: Plan, survey: Survey) -> None:
         self._spec = spec
-        self._where = spec.point_time if spec.deskew else None
+        self._where = (spec.point_time or PointTime()) if spec.deskew else None
         self._topics = survey.topics(plan.sources_of(spec)).values()
         references: list[Sequence[Connection]] = []
         if spec.fixed_frame:

@@ -19,7 +19,6 @@ from pc2scan.options.values import nanoseconds_of
 from pc2scan.transforms.placing import FrameOptions
 
 from .filters import as_dict, rejection_of
-from .point_time import PointTime
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable, Iterator, Mapping
@@ -31,6 +30,7 @@ if TYPE_CHECKING:
     from pc2scan.transforms.attitude import ImuRequest
 
     from .filters import Filter
+    from .point_time import PointTime
 
 #: The largest number of messages that one scan may be made of.
 _MOST_MESSAGES = 100_000
@@ -147,7 +147,7 @@ class ScanSpec:
         A frame that does not move. With ``deskew`` of clouds, points are transformed through it; with ``level``, its z
         axis points up.
     point_time
-        With ``deskew`` of clouds: the source of the points' times.
+        With ``deskew`` of clouds: the source of the points' times; None: the first of the usual fields that exists.
     stamp
         With ``deskew`` of clouds: the scan's stamp: that of the cloud's ``header``, or the ``start``, ``middle`` or
         ``end`` of its points' times.
@@ -176,7 +176,7 @@ class ScanSpec:
     channels: UnprojectParams | None = None
     deskew: bool = False
     fixed_frame: str = ""
-    point_time: PointTime = PointTime()
+    point_time: PointTime | None = None
     stamp: str = "header"
     level: bool = False
     imu: ImuRequest | None = None
@@ -425,7 +425,7 @@ class ConvertOptions:
 
     scans: tuple[ScanSpec, ...] = (ScanSpec(),)
     frames: FrameOptions = FrameOptions()
-    clock: StampOptions = StampOptions()
+    clock: StampOptions | None = None
     cloud_scale: float = 1.0
     keep_clouds: bool = False
     clouds_as: str = "recorded"
