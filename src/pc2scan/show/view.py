@@ -30,11 +30,11 @@ import numpy as np
 from pc2scan.conversion.corrections import corrected, corrected_transforms
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.presets import PRESETS
+from pc2scan.core.rigid import Rigid
 from pc2scan.errors import (
     MessageError,
     Pc2ScanError,
     RecordingError,
-    TransformError,
     UsageError,
     leading,
     stamp_text,
@@ -462,12 +462,10 @@ def _shot_as_dict(shot: Shot, buffer: TransformBuffer | None) -> dict[str, Any]:
 def _origins(buffer: TransformBuffer, target: str, stamp_ns: int) -> Iterator[dict[str, Any]]:
     """Yield the positions of other frames in the scan's frame."""
     for name in buffer.frames[:_MOST_FRAMES]:
-        if name.removeprefix("/") == target.removeprefix("/"):
+        place = buffer.known(target, name, stamp_ns)
+        if place is None or name.removeprefix("/") == target.removeprefix("/"):
             continue
-        try:
-            x, y, z = buffer.lookup(target, name, stamp_ns).translation.tolist()
-        except TransformError:
-            continue
+        x, y, z = place.translation.tolist()
         if math.isfinite(x + y + z):
             yield {"name": name, "x": x, "y": y, "z": z}
 
@@ -528,11 +526,8 @@ def _pose(buffer: TransformBuffer, target: str, source: str, stamp_ns: int) -> l
 
     None if there is no transform.
     """
-    if target.removeprefix("/") == source.removeprefix("/"):
-        return _HERE
-    try:
-        rigid = buffer.lookup(target, source, stamp_ns)
-    except TransformError:
+    rigid = Rigid.identity() if target == source else buffer.known(target, source, stamp_ns)
+    if rigid is None:
         return None
     (a, b, _), (c, d, _), _ = rigid.matrix.tolist()
     x, y, _ = rigid.translation.tolist()

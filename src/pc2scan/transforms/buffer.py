@@ -34,6 +34,7 @@ from nanoseconds, which differs in the last bits of float64.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import takewhile
@@ -149,6 +150,12 @@ class TransformBuffer:
             return Rigid.identity()
         time_ns = stamp_ns or self._latest_common_time(query)
         return self._chain(query, time_ns).target_from_source(time_ns)
+
+    def known(self, target: str, source: str, stamp_ns: int) -> Rigid | None:
+        """Return ``target_from_source`` at a stamp; None if there is none. See `lookup`."""
+        with suppress(TransformError):
+            return self.lookup(target, source, stamp_ns)
+        return None
 
     def rows(
         self,

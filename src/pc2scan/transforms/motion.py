@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from pc2scan.core.gravity import up_in
-from pc2scan.errors import TransformError
 
 from .frames import BODIES, WORLDS
 
@@ -91,9 +90,8 @@ def _motion_in(buffer: TransformBuffer, fixed: str, frame: str, seconds: float) 
         end = int(np.searchsorted(stamps, begin_ns + step_ns))
         if end >= len(stamps) or np.diff(stamps[near[place] : end + 1]).max(initial=0) >= _LONGEST_GAP_NS:
             continue
-        try:
-            first, last = (buffer.lookup(fixed, frame, at_ns) for at_ns in (begin_ns, begin_ns + step_ns))
-        except TransformError:
+        first, last = (buffer.known(fixed, frame, at_ns) for at_ns in (begin_ns, begin_ns + step_ns))
+        if first is None or last is None:
             continue
         between = first.inverse().compose(last)
         metres.append(float(np.linalg.norm(between.translation)))

@@ -26,7 +26,6 @@ from pc2scan.core.scene import (
     gathered,
     tolerances,
 )
-from pc2scan.errors import TransformError
 
 from .frames import BODIES, WORLDS
 
@@ -359,12 +358,8 @@ def _ancestors(buffer: TransformBuffer, frame: str, stamp_ns: int) -> list[tuple
 
 def _lookup(buffer: TransformBuffer, target: str, source: str, stamp_ns: int) -> Rigid | None:
     """Return a transform at a stamp, or the latest one: the mounting of a sensor does not change."""
-    for at_ns in (stamp_ns, 0):
-        try:
-            return buffer.lookup(target, source, at_ns)
-        except TransformError:
-            continue
-    return None
+    rigid = buffer.known(target, source, stamp_ns)
+    return buffer.known(target, source, 0) if rigid is None else rigid
 
 
 def _fault(ground: Ground) -> str:
