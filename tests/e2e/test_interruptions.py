@@ -272,3 +272,11 @@ def test_a_worker_that_fails(
     with pytest.raises(error):
         pc2scan.convert(many, tmp_path / "out.mcap", jobs=jobs)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_bug_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    def lose(*_: object, **_options: object) -> None:
+        raise FileNotFoundError(2, "No such file or directory", "lost")
+
+    monkeypatch.setattr("pc2scan.show.info.info", lose)
+    assert "Traceback" in run("info", "hall.bag").stderr
