@@ -21,7 +21,7 @@ _LONGEST_NAME = 255
 _FIRST_DATE, _LAST_DATE = 315_532_800, 4_102_444_800
 
 
-def nearest(asked: str, known: Iterable[str]) -> str | None:
+def nearest(name: str, known: Iterable[str]) -> str | None:
     """Return the name that is most similar to the requested one, or None if none is similar.
 
     Case, slashes at the ends, and hyphens instead of underscores are ignored. A part of a name matches, too.
@@ -31,16 +31,16 @@ def nearest(asked: str, known: Iterable[str]) -> str | None:
     >>> nearest("x", ["odom"])
     """
     names = {
-        _normalized(name): name for name in reversed(list(islice(known, _MOST_NAMES))) if len(name) <= _LONGEST_NAME
+        _normalized(each): each for each in reversed(list(islice(known, _MOST_NAMES))) if len(each) <= _LONGEST_NAME
     }
-    wanted = _normalized(asked[:_LONGEST_NAME])
+    wanted = _normalized(name[:_LONGEST_NAME])
     if not wanted:
         return None
     close = difflib.get_close_matches(wanted, names, n=1)
     # Then names that contain it as a part, or are a part of it, the shortest first.
-    close += sorted((name for name in names if _is_part(wanted, name) or _is_part(name, wanted)), key=len)
+    close += sorted((each for each in names if _is_part(wanted, each) or _is_part(each, wanted)), key=len)
     if not close:
-        ends = {name.rpartition("/")[2]: name for name in names}
+        ends = {each.rpartition("/")[2]: each for each in names}
         close = [ends[end] for end in difflib.get_close_matches(wanted.rpartition("/")[2], ends, n=1)]
     return names[close[0]] if close else None
 
@@ -55,10 +55,10 @@ def shell_word(word: str) -> str:
     return quoted if quoted == word or set(word) & set('"$`\\!%\n\r') else f'"{word}"'
 
 
-def did_you_mean(asked: str, known: Iterable[str]) -> str:
+def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Return ``did you mean base_link?``, or empty text if no name is similar to the requested one."""
-    name = nearest(asked, known)
-    return f"did you mean {name}?" if name else ""
+    near = nearest(name, known)
+    return f"did you mean {near}?" if near else ""
 
 
 def _normalized(name: str) -> str:

@@ -81,7 +81,7 @@ class Check(Result):
     ----------
     sources
         Paths as they were given.
-    asked
+    consumers
         The given consumers; empty means all.
     topics
         One entry for each topic, by name.
@@ -94,7 +94,7 @@ class Check(Result):
     kind: ClassVar[str] = "check"
 
     sources: tuple[str, ...]
-    asked: tuple[str, ...]
+    consumers: tuple[str, ...]
     topics: tuple[TopicCheck, ...]
     warnings: tuple[str, ...] = ()
     damage: tuple[Damage, ...] = ()
@@ -102,7 +102,7 @@ class Check(Result):
     @property
     def counting(self) -> tuple[str, ...]:
         """Consumers whose verdicts count."""
-        return self.asked or tuple(CONSUMERS)
+        return self.consumers or tuple(CONSUMERS)
 
     @property
     def _refused(self) -> list[tuple[str, str, str]]:
@@ -125,14 +125,14 @@ class Check(Result):
         0 if all consumers do, and there is no defect; but beams may be shifted by up to one increment, because no scan
         satisfies both slam_toolbox and gmapping, unless it is a full circle.
         """
-        refused = any(self.asked or outcome != "shifted" for outcome, _, _ in self._refused)
+        refused = any(self.consumers or outcome != "shifted" for outcome, _, _ in self._refused)
         useless = any(not _USEFUL_TO[kind].issuperset(self.counting) for kind in self._defects if kind in _USEFUL_TO)
-        return int(refused or useless or (not self.asked and bool(self._defects)))
+        return int(refused or useless or (not self.consumers and bool(self._defects)))
 
     def body(self, *, verbose: bool = False) -> Iterator[Part]:
         """Yield the results by topic, and which consumers would not accept what."""
         for topic in self.topics:
-            yield from topic.lines(self.asked)
+            yield from topic.lines(self.consumers)
         yield self._conclusion()
 
     def _conclusion(self) -> str:

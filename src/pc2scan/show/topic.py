@@ -226,12 +226,12 @@ class TopicCheck:
                 f"ranges {scan.range_min:.4g} to {scan.range_max:.4g} m"
             )
 
-    def lines(self, asked: tuple[str, ...]) -> Iterator[str]:
-        """Yield the text of a report, with the verdicts of these consumers, or of all."""
+    def lines(self, names: tuple[str, ...]) -> Iterator[str]:
+        """Yield the text of a report, with the verdicts of the named consumers, or of all."""
         yield from self.head()
         yield ""
         for consumer in self.consumers:
-            if not asked or consumer.consumer in asked:
+            if not names or consumer.consumer in names:
                 yield from consumer.lines(self.scans)
         for finding in self.findings:
             yield from finding.lines()
@@ -315,12 +315,12 @@ class ScanTopic:
         self.beams.add(scan.beams)
         self._judge(scan, frame, stamp_ns, placed)
         self._zeros += scan.zero if scan.range_min <= 0 else 0
-        wrong = {"no-returns": not scan.returns, **self._stamp_faults(stamp_ns, log_time_ns)}
-        for kind, is_wrong in wrong.items():
-            if is_wrong:
-                self._tallies[kind].add(stamp_ns)
+        if fault := self._stamp_fault(stamp_ns, log_time_ns):
+            self._tallies[fault].add(stamp_ns)
         if scan.returns:
             self._sectors.add(frame, scan, message.ranges, stamp_ns)
+        else:
+            self._tallies["no-returns"].add(stamp_ns)
 
     def _judge(self, scan: ConsumerScan, frame: str, stamp_ns: int, placed: ScanTransforms) -> None:
         for consumer, verdicts in self._verdicts.items():
@@ -333,19 +333,20 @@ class ScanTopic:
                 self._kept_of.setdefault((consumer, frame), scan)
             verdicts.setdefault(verdict.outcome, Counted()).add(stamp_ns, verdict)
 
-    def _stamp_faults(self, stamp_ns: int, log_time_ns: int) -> dict[str, bool]:
-        """Return what is wrong with the stamp of the next scan."""
+    def _stamp_fault(self, stamp_ns: int, log_time_ns: int) -> str:
+        """Return what is wrong with the stamp of the next scan; empty if nothing is."""
         if stamp_ns == 0:
-            return {"stamps-zero": True}
+            return "stamps-zero"
         late = log_time_ns - stamp_ns
         low, high = self._offsets or (late, late)
         self._offsets = min(late, low), max(late, high)
-        interval = None if self._last_ns is None else stamp_ns - self._last_ns
-        self._last_ns = stamp_ns
-        if interval is None or interval > 0:
-            self._intervals.extend(() if interval is None else (interval,))
-            return {}
-        return {"stamps-repeated" if interval == 0 else "stamps-back": True}
+        last_ns, self._last_ns = self._last_ns, stamp_ns
+        if last_ns is None:
+            return ""
+        if stamp_ns > last_ns:
+            self._intervals.append(stamp_ns - last_ns)
+            return ""
+        return "stamps-back" if stamp_ns < last_ns else "stamps-repeated"
 
     @property
     def interval_ns(self) -> float | None:

@@ -137,7 +137,7 @@ class TransformBuilder:
         self._sort_in()
         gone = {number for (_, child), number in self._pairs.items() if child.removeprefix("/") in children}
         self._accepted -= gone
-        self._rejected = {key: found for key, found in self._rejected.items() if key[0] not in gone}
+        self._rejected = {key: group for key, group in self._rejected.items() if key[0] not in gone}
         for child in children:
             self._children.pop(self._names.get(child, -1), None)
 
