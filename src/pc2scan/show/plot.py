@@ -13,9 +13,8 @@ import numpy as np
 
 from pc2scan.core.layout import TURN
 from pc2scan.core.project import Projector
-from pc2scan.errors import NothingToConvertError, UsageError, leading, visible
+from pc2scan.errors import UsageError, leading, visible
 from pc2scan.files.outputs import files_output, inputs_of, refuse_overlap
-from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.requests import conversion_of, first_output
 from pc2scan.result import Part, Result
 from pc2scan.text import size
@@ -106,12 +105,7 @@ def plot(sources: Sequence[Path], destination: Path, options: Options, *, warn: 
         files_output([destination], overwrite=options.overwrite) as deliver,
         opened(sources, request, options, warn) as recording,
     ):
-        try:
-            taken = take_shots(recording, level=True)
-        except NothingToConvertError as err:
-            if any(each.ros_type == LASERSCAN for each in recording.reader.connections):
-                err.hint = "figures show clouds; pc2scan view shows scans"
-            raise
+        taken = take_shots(recording, level=True)
         figure = _figure(taken, title_of(sources), kind)
         deliver([figure])
         told = (*request.notes, *taken.warnings)
