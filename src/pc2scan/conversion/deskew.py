@@ -305,21 +305,15 @@ def _step_ns(stamps_ns: NDArray[np.int64], rows: NDArray[np.float64]) -> int:
     if kernel.apart(rows, None)[0] < _SURELY:
         return int(stamps_ns[-1] - stamps_ns[0])
     differences = rows[2::2, :9] - rows[:-2:2, :9]
+    squares = np.einsum("ni,ni->n", differences, differences)
     # np.fmax ignores NaN.
-    largest = float(np.fmax.reduce(np.einsum("ni,ni->n", differences, differences), initial=0.0))
+    largest = float(np.fmax.reduce(squares, initial=0.0))
     # A rotation by an angle changes the matrix by sqrt(8) times the sine of half the angle.
     angle = 2 * math.asin(min(1.0, math.sqrt(largest / 8)))
     if angle <= _STEP:
         return int(stamps_ns[-1] - stamps_ns[0])
-    rates = _angles(differences) / np.diff(stamps_ns)
+    rates = 2 * np.arcsin(np.minimum(np.sqrt(squares) / math.sqrt(8), 1.0)) / np.diff(stamps_ns)
     return max(1, int(_STEP / np.nanmax(rates)), int(stamps_ns[-1] - stamps_ns[0]) // _MOST_NODES)
-
-
-def _angles(differences: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the angles between rotations, radians, from the differences of their matrices (N, 9)."""
-    sines = np.sqrt(np.einsum("ni,ni->n", differences, differences)) / math.sqrt(8)
-    angles: NDArray[np.float64] = 2 * np.arcsin(np.minimum(sines, 1.0))
-    return angles
 
 
 def _as_matrix(transform: Rigid) -> NDArray[np.float64]:

@@ -271,11 +271,6 @@ class Tally:
         self._strict = strict
         self._first_unconnected: tuple[str, UnconnectedError] | None = None
 
-    @property
-    def messages(self) -> int:
-        """How many messages were read, of all topics that are not skipped."""
-        return sum(route.messages for route in self._routes.values())
-
     def count(self, item: Item, refused: Mapping[int, MessageError] = NOTHING_REFUSED) -> None:
         """Count an item.
 

@@ -244,20 +244,15 @@ def prepare(
     prepared = Preparation(reader, plan, options, span, known, tell, notes=notes)
     # Added transforms are written to the output, even if it needs none.
     uses_frames = frames.source_frame or frames.static or frames.adds_poses or frames.write_static
-    if transform_frames is not None or uses_frames or any(map(_needs_facts, plan.specs)):
+    measures = (spec.needs_measuring or spec.may_combine for spec in plan.specs if not spec.reverse)
+    places = (spec.needs_transforms for spec in plan.specs)
+    if transform_frames is not None or uses_frames or any(places) or any(measures):
         _look_ahead(prepared, transform_frames, stack, meter)
         return prepared
     for spec in plan.specs:
-        own = (
-            ScanToCloud(spec.channels, Placer(), deskewed=spec.deskew) if spec.reverse else CloudToScan(spec, Placer())
-        )
+        own = ScanToCloud(spec.channels, Placer()) if spec.reverse else CloudToScan(spec, Placer())
         prepared.conversions[spec, ""] = own
     return prepared
-
-
-def _needs_facts(spec: ScanSpec) -> bool:
-    """Whether an output depends on more than each message."""
-    return spec.needs_transforms or (not spec.reverse and (spec.needs_measuring or spec.may_combine))
 
 
 def _look_ahead(

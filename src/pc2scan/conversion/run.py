@@ -218,7 +218,7 @@ def run(
                 with closing(items):
                     write_items(items, writer, tally, prepared)
             finally:
-                report.messages_read = tally.messages
+                report.messages_read = sum(route.messages for route in prepared.routes.values())
             tally.finish()
             tell(*(label + text for label, seen in prepared.surroundings for text in seen.warnings()))
             for path, state in zip(read, states, strict=True):

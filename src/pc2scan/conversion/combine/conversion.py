@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 
@@ -34,8 +34,6 @@ from .grouping import Grouper, Interval, Nearest, Recent
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
 
     from pc2scan.advice.odometry import Surroundings
     from pc2scan.advice.survey import Header, TopicFacts
@@ -239,7 +237,9 @@ class MessagesToScan:
         views = {name: points.field(name) for name in dict.fromkeys(("x", "y", "z", *points.fields)) if name in names}
         size = _OVERHEAD + sum(each.nbytes for each in views.values())
         if self.grouper is not None:
-            views = _copy_fields(views)
+            axes = contiguous(*(views[axis] for axis in "xyz"))
+            copies = {name: np.array(values).reshape(-1) for name, values in views.items() if name not in _AXES}
+            views = copies | dict(zip("xyz", axes, strict=True))
         held = Points(points.sequence, points.stamp_ns, points.frame_id, views)
         return contribution._replace(points=held, size=size)
 
@@ -316,13 +316,6 @@ class MessagesToScan:
 def _round_transform(transform: Rigid | MovingTransform | None) -> Transform | MovingTransform | None:
     """Return a transform as it is applied to points."""
     return None if transform is None else transform.as_float32()
-
-
-def _copy_fields(fields: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Return copies of fields."""
-    axes = contiguous(*(fields[axis] for axis in "xyz"))
-    copies = {name: np.array(values).reshape(-1) for name, values in fields.items() if name not in _AXES}
-    return copies | dict(zip("xyz", axes, strict=True))
 
 
 #: How many messages of a topic are read to measure its period, and to compare its clock.
