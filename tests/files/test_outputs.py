@@ -110,7 +110,7 @@ def test_all_or_nothing_appears(existing: str, make: Callable[[Path], None], tmp
 @pytest.mark.parametrize("foreign", ["thesis.tex", "other.mcap", "x_1.db3", "x_0.db3-notes", "sub/"])
 def test_a_directory_with_other_things_is_never_replaced(foreign: str, tmp_path: Path) -> None:
     make_recording(tmp_path / "out", foreign)
-    refused(tmp_path / "out", f"no record in it names {foreign.rstrip('/')}")
+    refused(tmp_path / "out", f"because of {foreign.rstrip('/')}: no record names it")
 
 
 def test_a_failing_rename_brings_the_old_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

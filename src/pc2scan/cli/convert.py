@@ -62,7 +62,7 @@ def _next_command(report: Report) -> str:
     specs = [topic.spec for topic in report.converted]
     if any(spec is not None and not spec.reverse for spec in specs):
         return f"pc2scan check {destination}"
-    if specs and entry.play and entry.ros_version == report.ros_version and not is_url(report.destination):
+    if specs and entry.play and entry.ros_version == report.ros_version and not is_url(report.destination or ""):
         return entry.play.format(destination)
     # For the rest there is no player: none reads URLs, and none of ROS 1 reads MCAP.
     return f"pc2scan info {destination}"

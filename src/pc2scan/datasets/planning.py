@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.destinations import default_destination
 from pc2scan.errors import DestinationError, name_list
-from pc2scan.files.outputs import Inputs, first_link, name_key, working_names
+from pc2scan.files.outputs import Inputs, name_key, working_names
 from pc2scan.files.urls import absolute
 from pc2scan.version import __version__
 
@@ -149,7 +149,8 @@ def _forbidden(out: Path, read: Callable[[], Inputs], output: str) -> Destinatio
         read().refuse(path)
     except DestinationError as err:
         return err
-    link = first_link(out, output)
+    folders = (out / folder for folder in PurePosixPath(output).parents)
+    link = next((folder for folder in folders if folder != out and folder.is_symlink()), None)
     if link is None:
         return None
     return DestinationError(

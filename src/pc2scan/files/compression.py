@@ -36,9 +36,6 @@ MAX_UNPACKED = 32 << 20
 #: Limit of the ratio, for large chunks and for files that are compressed as a whole.
 MAX_RATIO = 1000
 
-#: zstandard's default.
-_ZSTD_LEVEL = 3
-
 
 class CompressionError(ValueError):
     """Data cannot be decompressed; the message is the library's."""
@@ -105,7 +102,7 @@ def decompress_within(compression: str, data: Buffer, limit: int) -> Buffer:
     return content
 
 
-def compress(compression: str, data: Buffer, level: int | None = None) -> Buffer:
+def compress(compression: str, data: Buffer, level: int = 3) -> Buffer:
     """Compress with ``none``, ``bz2``, ``lz4`` or ``zstd``; only zstd has a level. Default: the libraries' settings."""
     match compression:
         case "none":
@@ -114,7 +111,7 @@ def compress(compression: str, data: Buffer, level: int | None = None) -> Buffer
             return bz2.compress(data)
         case "lz4":
             return bytes(import_module("lz4.frame").compress(data))
-    return zstandard.ZstdCompressor(level=_ZSTD_LEVEL if level is None else level).compress(data)
+    return zstandard.ZstdCompressor(level=level).compress(data)
 
 
 class Decoder:
@@ -215,14 +212,9 @@ _DECOMPRESS: dict[str, Callable[[Buffer, memoryview], int]] = {
 # --- CRC-32 ---
 
 
-def crc32(data: Buffer, value: int = 0) -> int:
-    """Return the CRC-32 of bytes as zlib and MCAP define it; ``value`` is the CRC of the bytes before them.
-
-    With zlib, it takes as long as reading an uncompressed recording, and a fifth of the time of decompressing zstd.
-    """
-    checksum: int = _zlib.crc32(data, value)
-    return checksum
-
+#: Returns the CRC-32 of bytes as zlib and MCAP define it; a second argument is the CRC of the bytes before them. With
+#: zlib, it takes as long as reading an uncompressed recording, and a fifth of the time of decompressing zstd.
+crc32: Callable[..., int] = _zlib.crc32
 
 # --- The part of damaged data that can be decompressed ---
 

@@ -21,7 +21,7 @@ import stat
 import unicodedata
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import DestinationError, OutputError, name_list
@@ -457,34 +457,17 @@ def _begins_with(path: Path, beginning: bytes) -> bool:
 
 
 def _refuse_others(folder: Path, record: Record | str, written: Collection[str] | None) -> None:
-    present = sorted(files_below(folder))
-    if not present:
-        return
-    hint = "choose another name, or move it away"
-    if isinstance(record, str):
-        reason = f"{record}, so it does not account for {name_list(present, 3)}"
-        hint = f"choose another name, or remove it yourself: rm -r {shlex.quote(str(folder))}"
-    elif unnamed := [name for name in present if name not in record]:
-        reason = f"no record in it names {name_list(unnamed, 3)}"
-    elif changed := [
+    """Raise if a folder has anything that its record does not account for."""
+    known: Record = {} if isinstance(record, str) else record
+    if others := [
         name
-        for name in present
-        if written is not None and name not in written and not _is_unchanged(folder / name, record[name])
+        for name in sorted(files_below(folder))
+        if name not in known
+        or (written is not None and name not in written and not _is_unchanged(folder / name, known[name]))
     ]:
-        reason = f"{name_list(changed, 3)} was changed after it was written"
-    else:
-        return
-    message = f"is a directory with something that pc2scan has not written, and is not overwritten: {reason}"
-    raise DestinationError(message, path=folder, hint=hint)
-
-
-def first_link(folder: Path, below: str) -> Path | None:
-    """Return the first folder on the way to a path below a folder that is a symbolic link; None if there is none."""
-    for part in PurePosixPath(below).parts[:-1]:
-        folder = folder / part
-        if folder.is_symlink():
-            return folder
-    return None
+        why = record if isinstance(record, str) else "no record names it, or it was changed since"
+        message = f"is a directory, and is not overwritten, because of {name_list(others, 3)}: {why}"
+        raise DestinationError(message, path=folder, hint="choose another name, or move it away")
 
 
 # --- Inputs ---

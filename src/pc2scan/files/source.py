@@ -56,17 +56,15 @@ def state_of(path: Path) -> tuple[tuple[str, int, int, int, int], ...]:
 
 def changed_while_read(path: Path | str) -> RecordingError:
     """Return the error for a recording that was changed while it was read."""
-    return RecordingError(
-        "was changed while it was read", path=path, hint="wait until the recording is complete, or copy it"
-    )
+    hint = "wait until the recording is complete, or copy it"
+    return RecordingError("was changed while it was read", path=path, hint=hint)
 
 
 def file_beside(path: Path, suffix: str) -> Path | None:
     """Return the file with another file's name and ``suffix``; None if it does not exist or the name is too long."""
     side = path.with_name(path.name + suffix)
-    with suppress(OSError):
-        return side if side.is_file() else None
-    return None
+    # Not Path.is_file: the name may be too long.
+    return side if os.path.isfile(side) else None  # noqa: PTH113
 
 
 def open_bytes(path: Path) -> BufferedReader:

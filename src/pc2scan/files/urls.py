@@ -48,21 +48,16 @@ _VERSION = ("ETag", "etag", "generation", "Last-Modified", "created")
 
 _NOT_FOUND = 404
 
-_AGAIN = (
-    "try again; if it fails again, check the network, the store, your permissions there, and the credentials that the "
-    "store's own tools use (environment, configuration files)"
-)
+_AGAIN = "try again; if it fails again, check the network, and your permissions and credentials for the store"
 _NO_SPACE = "set the environment variable TMPDIR to a folder with enough space, or give one as `scratch`"
 
 
-def is_url(path: str | PathLike[str] | None) -> bool:
+def is_url(path: str | PathLike[str]) -> bool:
     """Return whether a path was given as a URL.
 
-    >>> is_url("s3://bucket/drive.mcap"), is_url("s3/drive.mcap"), is_url(None)
-    (True, False, False)
+    >>> is_url("s3://bucket/drive.mcap"), is_url("s3/drive.mcap")
+    (True, False)
     """
-    if path is None:
-        return False
     # A Path has turned the two slashes of the URL into one.
     scheme, _, rest = os.fspath(path).replace(os.sep, "/").partition(":")
     return rest.startswith("/") and scheme in LIBRARIES
@@ -150,8 +145,7 @@ def paths_in(name: str, values: PathText | Iterable[PathText]) -> list[Path]:
     UsageError
         If there is none.
     """
-    is_file = hasattr(values, "read")
-    if is_file or isinstance(values, str | bytes | PathLike) or not isinstance(values, Iterable):
+    if hasattr(values, "read") or isinstance(values, str | bytes | PathLike) or not isinstance(values, Iterable):
         return [path_of(name, values)]
     paths = [path_of(name, value) for value in values]
     if not paths:
@@ -251,16 +245,12 @@ class UrlPath(_LocalPath):
         """What fsspec says of it, in a listing or else when asked; raises MissingError if nothing is there."""
         file_system, key = self.store
         with translated_errors(self):
-            found: dict[str, Any] = file_system.info(key)
-        return found
+            return dict(file_system.info(key))
 
     @property
     def size(self) -> int:
-        """The bytes of a file."""
-        if (size := self.found.get("size")) is None:
-            hint = "download it, and convert the copy"
-            raise RecordingError("the server does not report its size", path=self, hint=hint)
-        return int(size)
+        """The bytes of a file; 0 if the server does not report them."""
+        return int(self.found.get("size") or 0)
 
     @property
     def version(self) -> str:
@@ -298,7 +288,7 @@ class UrlPath(_LocalPath):
         file_system, key = self.store
         size = most = self.size
         wanted, deadline = 0, 0.0
-        message = f"the download does not have the {size:,} bytes that the server declares"
+        message = f"the server declares {size:,} bytes, and sends another number of them"
         other_size = RecordingError(message, path=self, hint=_AGAIN)
 
         def arrived(_: object, received: int) -> None:
