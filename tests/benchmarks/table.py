@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 import zlib
+from collections import deque
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -23,9 +24,14 @@ import cramjam
 import isal.isal_zlib
 import lz4.frame
 import numpy as np
+from mcap.reader import make_reader
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapLibraryWriter
+from rosbags.highlevel import AnyReader
 
-from benchmarks.clouds import CLOUD_BYTES, FORMS, POINTS, Form, cloud, write_recording
+from benchmarks.clouds import CLOUD_BYTES, FORMS, POINTS, Form, cloud, serialized_clouds, write_recording
 from pc2scan import ProjectionParams
+from pc2scan.bags.opening import open_recording
 from pc2scan.core.project import Projector
 
 if TYPE_CHECKING:
@@ -145,6 +151,7 @@ def parts(place: Path, size: int, repeat: int) -> Iterable[Sequence[str]]:
         20 * repeat, lambda: seconds(lambda: isal.isal_zlib.crc32(data)), lambda: seconds(lambda: zlib.crc32(data))
     )
     yield compared("CRC of a cloud; zlib", "ms", 1e3, found)
+    yield from small_messages(place, repeat)
     small = {f"{name}, clouds of 1,000 points": FORMS[name] for name in ("MCAP, none", "sqlite3")}
     for name, form in (FORMS | small).items():
         source = write_recording(place, form, size // 8 if name in small else size, 1_000 if name in small else 131_072)
@@ -163,6 +170,51 @@ def parts(place: Path, size: int, repeat: int) -> Iterable[Sequence[str]]:
     found = in_turn(3 * repeat, lambda: converted(one, place, 1), lambda: run(sys.executable, "-c", _TYPER)[0])
     yield compared("start-up, one cloud; a Typer application", "s", 1, found)
     remove(one)
+
+
+#: Clouds of four points, some 400 bytes: as many as a robot's transforms and IMU are in an hour.
+_MANY = 100_000
+
+
+def small_messages(place: Path, repeat: int) -> Iterable[Sequence[str]]:
+    """Reading and writing in this process, without a conversion."""
+    for name in ("ROS 1, lz4", "sqlite3", "MCAP, zstd"):
+        source = write_recording(place, FORMS[name], _MANY * 128, 4)
+        library, read = ("mcap", _read_by_mcap) if source.suffix == ".mcap" else ("rosbags", _read_by_rosbags)
+        found = in_turn(
+            repeat,
+            lambda: seconds(lambda: deque(open_recording(source).messages(), 0)),  # noqa: B023
+            lambda: seconds(lambda: read(source)),  # noqa: B023
+        )
+        yield compared(f"{name}, {_MANY:,} messages of 400 bytes: reading; {library}", "s", 1, found)
+        remove(source)
+    found = in_turn(
+        repeat,
+        lambda: seconds(lambda: remove(write_recording(place, FORMS["MCAP, zstd"], _MANY * 128, 4))),
+        lambda: seconds(lambda: _write_by_mcap(place / "theirs.mcap")),
+    )
+    yield compared(f"MCAP, zstd, {_MANY:,} messages of 400 bytes: writing; mcap", "s", 1, found)
+
+
+def _read_by_mcap(source: Path) -> None:
+    with source.open("rb") as file:
+        deque(make_reader(file, validate_crcs=True).iter_messages(), 0)
+
+
+def _read_by_rosbags(source: Path) -> None:
+    with AnyReader([source]) as reader:
+        deque(reader.messages(), 0)
+
+
+def _write_by_mcap(path: Path) -> None:
+    (data,) = serialized_clouds("cdr", 4, 1)
+    with path.open("wb") as file:
+        writer: Any = McapLibraryWriter(file, chunk_size=1 << 20, compression=CompressionType.ZSTD)
+        writer.start()
+        channel = writer.register_channel(POINTS, "cdr", writer.register_schema(POINTS, "ros2msg", b""))
+        for time_ns in range(_MANY):
+            writer.add_message(channel, time_ns, data, time_ns)
+        writer.finish()
 
 
 def converted(source: Path, place: Path, jobs: int, heights: str = "a band") -> float:

@@ -10,7 +10,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 import pytest
 
-from pc2scan.bags.rosbag2.metadata import recorded_in
+from pc2scan.bags.rosbag2.read import recorded_in
 from pc2scan.errors import DestinationError, OutputError
 from pc2scan.files.outputs import InputPath, files_output, refuse_overlap
 from pc2scan.files.outputs import staged_output as output_anywhere

@@ -20,8 +20,8 @@ module             contents
 ``rosbag2``        rosbag2 directories: metadata.yaml, and the sqlite3 storage (``.db3``)
 =================  =======================================================================
 
-In the package of a chunked format, ``records`` parses records, ``index`` finds what is where, ``recover`` does so in a
-damaged file, and ``read`` and ``write`` have the classes that the table of formats opens.
+In the package of a chunked format, ``records`` parses records, ``index`` (of a bag: ``records``, too) finds what is
+where, ``recover`` does so in a damaged file, and ``read`` and ``write`` have what the table of formats opens.
 
 Importing this package imports no format: each is loaded when the first file of its kind is opened.
 """

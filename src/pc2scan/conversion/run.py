@@ -22,7 +22,7 @@ from pc2scan.bags.destinations import (
 from pc2scan.bags.folders import overlap_warnings
 from pc2scan.bags.formats import destinations
 from pc2scan.bags.opening import as_one, open_recordings
-from pc2scan.bags.rosbag2.metadata import recorded_in
+from pc2scan.bags.rosbag2.read import recorded_in
 from pc2scan.errors import (
     DamageError,
     DestinationError,

@@ -19,7 +19,6 @@ from pc2scan.errors import stamp_text
 from pc2scan.model import RawMessage, StoredChunk, Summary
 from pc2scan.text import counted
 
-from .index import indexed_entries, read_index
 from .records import (
     CONNECTION,
     LAYOUTS,
@@ -28,9 +27,11 @@ from .records import (
     USUAL_LAYOUT,
     BagFile,
     FormatError,
+    indexed_entries,
     number_field,
     parse_connection,
     read_chunk,
+    read_index,
     read_record,
     reading,
     time_field,

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 from pc2scan.bags.chunks import Record, Segment, Segments, sound_records, times_around
 from pc2scan.files.compression import decompressed_prefix
 
-from .index import Connections, chunk_segment, indexed_entries
 from .records import (
     BAG_HEADER,
     CHUNK,
@@ -25,7 +24,10 @@ from .records import (
     FIRST_LINE,
     INDEX_DATA,
     MESSAGE,
+    Connections,
     FormatError,
+    chunk_segment,
+    indexed_entries,
     number_field,
     read_record,
     reading,

@@ -1,28 +1,259 @@
-"""Reads rosbag2 directories: merges the storage files, and adds information from metadata.yaml."""
+"""Reads rosbag2 directories: merges the storage files, and adds information from metadata.yaml.
+
+Versions of metadata.yaml (source: rosbag2_storage/yaml.hpp and bag_metadata.hpp):
+
+========  ==============================================================================
+version   additions
+========  ==============================================================================
+1, 2      (first versions; paths begin with the directory's name)
+3         ``compression_format`` and ``compression_mode``
+4         ``offered_qos_profiles`` (YAML in a string, enumerations as numbers)
+5         ``files``, with times and counts
+6         ``custom_data``
+7         ``type_description_hash``
+8         ``ros_distro``
+9         ``offered_qos_profiles`` as a list, enumerations by name
+========  ==============================================================================
+
+Keys are read from any version that has them.
+"""
 
 from __future__ import annotations
 
-from contextlib import ExitStack
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path, PureWindowsPath
+from typing import TYPE_CHECKING, Any
 
+from pc2scan.bags import zstd
 from pc2scan.bags.damage import RECOVER, DamageLog
-from pc2scan.bags.folders import METADATA_NAME, refuse_unrelated
+from pc2scan.bags.folders import METADATA_NAME, refuse_unrelated, storage_files, storage_of
 from pc2scan.bags.formats import and_list, storages
 from pc2scan.bags.merged import MergedReader
 from pc2scan.bags.opening import open_recording, sniff
 from pc2scan.bags.reader import ConnectionLimit
+from pc2scan.bags.topics import latches
 from pc2scan.errors import DamageError, RecordingError
-
-from .metadata import RECORD_NAME, locate_files, missing_error, read_info
+from pc2scan.files.source import open_text
+from pc2scan.files.urls import exists
+from pc2scan.files.yaml import MAX_CHARACTERS, dump_yaml, load_yaml
+from pc2scan.model import Connection
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
+    from collections.abc import Iterable, Iterator, Sequence
 
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
-    from pc2scan.model import Connection, Metadata
+    from pc2scan.files.outputs import Record
+    from pc2scan.model import Metadata
+
+#: The name of the MCAP metadata record in which rosbag2 repeats metadata.yaml.
+RECORD_NAME = "rosbag2"
+
+ROOT = "rosbag2_bagfile_information"
+#: The newest version that is read; and the one that is written, which all of ROS 2 since Iron reads.
+NEWEST_VERSION, WRITTEN_VERSION = 9, 8
+#: Endings of SQLite's files beside a database.
+_LOGS = ("-wal", "-shm", "-journal")
+
+_WITHOUT_METADATA = f"move {METADATA_NAME} away to have the files beside it read without it"
+
+
+@dataclass(frozen=True, slots=True)
+class BagInfo:
+    """The used contents of metadata.yaml.
+
+    Attributes
+    ----------
+    topics
+        Connections with ids from 1 on.
+    message_count
+        In all; None if it is not there.
+    is_guessed
+        Whether there is no metadata.yaml, so that only the files say what the recording is.
+    """
+
+    files: tuple[str, ...]
+    message_compression: str = "none"
+    topics: tuple[Connection, ...] = ()
+    message_count: int | None = None
+    is_guessed: bool = False
+
+
+def read_info(folder: Path, log: DamageLog) -> BagInfo:
+    """Read metadata.yaml; without one, use the names of the files.
+
+    ``log`` gets the error of one that cannot be parsed; the files are then read without it.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be read, the recording is of an unsupported kind, or there is none.
+    """
+    path = folder / METADATA_NAME
+    try:
+        if not exists(path):
+            return replace(_guess_info(folder), is_guessed=True)
+        with open_text(path) as file:
+            # One more than allowed, so that longer text is refused.
+            text = file.read(MAX_CHARACTERS + 1)
+        return _parse_info(load_yaml(text))
+    except UnicodeDecodeError as err:
+        log.note(DamageError(f"is not UTF-8: {err.reason}", path=path, hint=_WITHOUT_METADATA))
+    except OSError as err:
+        raise RecordingError(f"cannot be read: {err.strerror}", path=Path(err.filename or path)) from err
+    except RecordingError as err:
+        # It is sound, but the recording is of an unsupported kind.
+        err.path, err.hint = path, _WITHOUT_METADATA
+        raise
+    except ValueError as err:
+        log.note(DamageError(str(err), path=path, hint=_WITHOUT_METADATA))
+    return _guess_info(folder)
+
+
+def locate_files(folder: Path, names: Iterable[str]) -> tuple[dict[str, Path | None], list[str]]:
+    """Find the files that metadata.yaml names, also if they were compressed, decompressed or renamed since.
+
+    If as many files of a recording are in the directory without being named, they are the missing ones, renamed.
+    Returns None for each file that is not there, and remarks about renamed ones.
+    """
+    paths = {name: _locate_file(folder, name) for name in names}
+    missing = [name for name, path in paths.items() if path is None]
+    others = [path for path in storage_files(folder) if path not in paths.values()] if missing else []
+    renamed = dict(zip(missing, others, strict=True)) if len(missing) == len(others) else {}
+    what = "which is not in the directory"
+    return paths | renamed, [
+        f"{folder / METADATA_NAME} names {name:.300}, {what}; {path.name} is read in its place"
+        for name, path in renamed.items()
+    ]
+
+
+def _locate_file(folder: Path, name: str) -> Path | None:
+    plain = zstd.without_suffix(name)
+    for candidate in (name, plain, *(plain + suffix for suffix in zstd.SUFFIXES)):
+        # The name may be too long.
+        with suppress(OSError):
+            if (folder / candidate).is_file():
+                return folder / candidate
+    return None
+
+
+def missing_error(folder: Path, name: str) -> DamageError:
+    """Return the error of a file that metadata.yaml names, and that is not there."""
+    return DamageError(
+        f"{METADATA_NAME} names {name:.300}, which is not in the directory",
+        path=folder,
+        hint=f"copy the missing file, or move {METADATA_NAME} away to read the files that are there",
+    )
+
+
+def recorded_in(folder: Path) -> Record | str:
+    """Return the record of a directory's files that its metadata.yaml is; text if it is none: the reason.
+
+    A recording's files are its metadata.yaml, the storage files that this names, and the logs beside them.
+    """
+    if not (folder / METADATA_NAME).is_file():
+        return f"it has no {METADATA_NAME}"
+    try:
+        info = read_info(folder, DamageLog(strict=True))
+    except RecordingError as err:
+        # If the disk fails, the contents are unknown.
+        if isinstance(err.__cause__, OSError):
+            raise
+        return f"its {METADATA_NAME} is not understood: {err.message}"
+    plain = {zstd.without_suffix(name) for name in info.files if storage_of(name) is not None}
+    # Not what it names in other folders: versions 1 and 2 begin with the directory's name.
+    plain = {name for name in plain if "/" not in name}
+    own = (METADATA_NAME, *(name + suffix for name in plain for suffix in ("", *zstd.SUFFIXES, *_LOGS)))
+    return dict.fromkeys(own)
+
+
+def _guess_info(folder: Path) -> BagInfo:
+    files = storage_files(folder)
+    storages = sorted({storage_of(file.name) or "" for file in files})
+    if not files:
+        raise RecordingError(f"has neither {METADATA_NAME} nor .db3 or .mcap files", path=folder)
+    if len(storages) > 1:
+        raise RecordingError(
+            f"has {' and '.join(storages)} files, but no {METADATA_NAME} that shows which are the recording",
+            path=folder,
+            hint="name the files themselves",
+        )
+    return BagInfo(tuple(file.name for file in files))
+
+
+def _parse_info(document: Any) -> BagInfo:
+    root = _get(document, ROOT, dict, "the file")
+    version = _get(root, "version", int, ROOT)
+    if not 1 <= version <= NEWEST_VERSION:
+        raise RecordingError(f"has version {version}; 1 to {NEWEST_VERSION} are known")
+    files = [_file_name(path) for path in _get(root, "relative_file_paths", list, ROOT)]
+    if not files:
+        raise ValueError("names no files")
+    entries = _get(root, "topics_with_message_count", list, ROOT, [])
+    topics = tuple(_read_topic(number, entry) for number, entry in enumerate(entries, 1))
+    return BagInfo(
+        files=tuple(dict.fromkeys(files)),
+        message_compression=_message_compression(root),
+        topics=topics,
+        message_count=_get(root, "message_count", int, ROOT, 0),
+    )
+
+
+def _get(mapping: Any, key: str, kind: type, where: str, default: Any = None) -> Any:
+    """Return a value of a mapping, checked; a missing or null value is the default, or an error if that is None."""
+    value = mapping.get(key) if isinstance(mapping, dict) else None
+    if value is None and default is not None:
+        return default
+    if not isinstance(value, kind) or isinstance(value, bool):
+        fault = "is missing" if value is None else f"is {value!r:.60}"
+        raise ValueError(f"{key} of {where} {fault}, expected {_KINDS[kind]}")  # noqa: TRY004 - of a file
+    return value
+
+
+_KINDS = {dict: "a mapping", list: "a list", int: "an integer", str: "text"}
+
+
+def _file_name(path: Any) -> str:
+    """Return the last part of a path, since files outside the directory are not part of the recording."""
+    name = PureWindowsPath(path).name if isinstance(path, str) else ""
+    if name in {"", ".."}:
+        raise ValueError(f"relative_file_paths names {path!r:.60}, expected a file")
+    return name
+
+
+def _message_compression(root: Any) -> str:
+    mode = _get(root, "compression_mode", str, ROOT, "").lower()
+    if mode in {"", "none", "storage"}:
+        return "none"
+    if mode not in {"file", "message"}:
+        raise RecordingError(f"has compression_mode {mode!r}, expected none, file or message")
+    name = _get(root, "compression_format", str, ROOT, "").lower()
+    if name != "zstd":
+        raise RecordingError(f"has compression_format {name!r}; only zstd can be read")
+    # Compressed files are detected by their content.
+    return "zstd" if mode == "message" else "none"
+
+
+def _read_topic(number: int, entry: Any) -> Connection:
+    where = f"topic {number}"
+    topic = _get(entry, "topic_metadata", dict, where)
+    qos = topic.get("offered_qos_profiles") or ""
+    if not isinstance(qos, str):
+        qos = dump_yaml(qos)
+    return Connection(
+        id=number,
+        topic=_get(topic, "name", str, where),
+        msgtype=_get(topic, "type", str, where),
+        serialization=_get(topic, "serialization_format", str, where, "cdr"),
+        digest=_get(topic, "type_description_hash", str, where, ""),
+        latching=latches(qos),
+        qos=qos,
+        message_count=_get(entry, "message_count", int, where, 0),
+    )
+
+
+# --- The directory ---
 
 
 class Rosbag2Reader(MergedReader):

@@ -15,7 +15,7 @@ from pc2scan.files.system import sync_directory
 from pc2scan.files.yaml import dump_yaml
 from pc2scan.model import MAX_ROSBAG2_NS, Connection, Metadata
 
-from .metadata import RECORD_NAME, ROOT, WRITTEN_VERSION
+from .read import RECORD_NAME, ROOT, WRITTEN_VERSION
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping

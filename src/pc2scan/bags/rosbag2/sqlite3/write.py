@@ -13,7 +13,7 @@ from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.bags.rosbag2.metadata import WRITTEN_VERSION
+from pc2scan.bags.rosbag2.read import WRITTEN_VERSION
 from pc2scan.errors import OutputError, UnwritableError
 from pc2scan.files.compression import compress
 from pc2scan.files.new_file import WriteAhead
