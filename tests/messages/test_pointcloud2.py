@@ -54,6 +54,10 @@ def decoded(*args: Any, **kwargs: Any) -> PointCloud2:
 XYZ = [PointField("x", 0, 7), PointField("y", 4, 7), PointField("z", 8, 7)]
 
 
+def test_a_cloud_without_points_may_have_any_steps() -> None:
+    assert [axis.size for axis in decoded(XYZ, b"", width=0, point_step=0).xyz()] == [0, 0, 0]
+
+
 def test_fields_that_share_their_bytes_are_a_table_up_to_a_limit() -> None:
     same = [PointField(f"{number}", 0, 7, 3) for number in range(9)]
     assert decoded(same[:8], bytes(12)).structured_points().size == 1
