@@ -57,15 +57,12 @@ class LaunchValue:
         The text, or why it is not read.
     line
         Its line.
-    type
-        ROS 1's type; empty if there is none.
     """
 
     kind: str
     name: str
     value: str | UnreadError
     line: int
-    type: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,7 +218,7 @@ class LaunchFile:
         except UnreadError as err:
             kind, name = ("file", "parameters") if "$(" in name else (kind, name)
             value = err
-        yield LaunchValue(kind, name, value, element.line, get("type", ""))
+        yield LaunchValue(kind, name, value, element.line)
 
     def _applies(self, element: Element) -> bool:
         for attribute, wanted in (("if", _TRUE), ("unless", _FALSE)):

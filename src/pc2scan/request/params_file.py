@@ -247,7 +247,7 @@ def _launch_values(param: LaunchValue, text: str, place: str) -> list[tuple[str,
     if quoted := re.fullmatch(r"\s*(['\"])(.*)\1\s*", text):
         return [(param.name, quoted[2])]
     parameter = PARAMETERS.get(param.name)
-    is_text = param.type in {"str", "string"} or (parameter and parameter.value.kind == "str")
+    is_text = parameter is not None and parameter.value.kind == "str"
     return [(param.name, text if is_text else plain_scalar(text.strip()))]
 
 
