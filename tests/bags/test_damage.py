@@ -23,7 +23,7 @@ def test_places_are_told_in_the_order_of_the_file() -> None:
     log = DamageLog()
     for offset in (300, 100, None, 200):
         log.note(error(f"at {offset}"), offset=offset)
-    assert [place.offset for place in log.found] == [None, 100, 200, 300]
+    assert [place.offset for place in log.places] == [None, 100, 200, 300]
 
 
 def test_a_place_is_noted_once_and_the_latest_word_counts() -> None:
@@ -31,7 +31,7 @@ def test_a_place_is_noted_once_and_the_latest_word_counts() -> None:
     log.note(error(), offset=7)
     log.note(error("has a wrong CRC"), offset=7, bytes_lost=3)
     log.note(error(), offset=7, key="another message")
-    assert [(place.what, place.bytes_lost) for place in log.found] == [("has a wrong CRC", 3), ("is cut off", 0)]
+    assert [(place.what, place.bytes_lost) for place in log.places] == [("has a wrong CRC", 3), ("is cut off", 0)]
 
 
 def test_places_beyond_the_limit_are_one(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -39,5 +39,5 @@ def test_places_beyond_the_limit_are_one(monkeypatch: pytest.MonkeyPatch) -> Non
     log = DamageLog()
     for offset in range(10):
         log.note(error(), offset=offset, bytes_lost=5)
-    assert len(log.found) == 4
-    assert "more damage" in log.found[0].what
+    assert len(log.places) == 4
+    assert "more damage" in log.places[0].what

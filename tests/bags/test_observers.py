@@ -36,5 +36,5 @@ def test_each_observer_sees_the_first_messages_of_its_own(name: str, tmp_path: P
         observe((reader, observers))
         for each in observers:
             alone = reader.messages(each.connections, each.start_ns, each.stop_ns)
-            assert each.found == list(map(row, islice(alone, each.most)))
+            assert each.values == list(map(row, islice(alone, each.most)))
             assert each.is_done

@@ -48,7 +48,7 @@ def test_of_a_damaged_file_the_front_is_kept(tmp_path: Path) -> None:
         unpacked = zstd.decompress_file(packed, folder, log).read_bytes()
         assert content.startswith(unpacked[: int(len(content) * least)])
         assert len(content) >= len(unpacked) > least * len(content)
-        (damage,) = log.found
+        (damage,) = log.places
         assert damage.path == packed
         assert "cannot be decompressed" in damage.what
         with pytest.raises(DamageError):

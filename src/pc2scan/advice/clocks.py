@@ -175,7 +175,7 @@ def _delay(facts: TopicFacts) -> int:
 
 def _medians(observers: Mapping[str, Observer[Delays]]) -> dict[str, int]:
     """Return the median delay of each topic that has messages."""
-    delays = {topic: _nearest(each.found) for topic, each in observers.items()}
+    delays = {topic: _nearest(each.values) for topic, each in observers.items()}
     return {topic: median_low(each) for topic, each in delays.items() if each}
 
 
@@ -280,11 +280,11 @@ def measure_offsets(
     observe((reader, [*ends.values(), *references.values()]))
     medians = _medians(references)
     reference = min(medians, key=lambda topic: abs(medians[topic]), default="")
-    others = _nearest(references[reference].found) if reference else [0]
+    others = _nearest(references[reference].values) if reference else [0]
     against = f"the stamps of {reference}" if reference else "the log times"
     offsets = {}
     for topic, observer in ends.items():
-        delays = observer.found
+        delays = observer.values
         number = counted(len(delays), "message")
         if not delays or not are_doubtful(median_low(delays), median_low(others)):
             note = f"{topic}: time_offset is 0: its first stamps fit to {against} ({number})"

@@ -155,17 +155,17 @@ class TopicFacts:
             fact, lambda message: fact.take(self._points(message), message, *fact.given), fact.most, self._clouds
         )
         if (are_enough := fact.are_enough) is not None:
-            observer.is_needless = lambda: are_enough(observer.found)
+            observer.is_needless = lambda: are_enough(observer.values)
 
     @property
     def headers(self) -> Sequence[Header]:
         """The headers, in the order of log time: as many as any caller of `ask_headers` wants."""
-        return self._observed(Header).found
+        return self._observed(Header).values
 
     @property
     def last_headers(self) -> Sequence[Header]:
         """The headers that `ask_last_headers` asked for."""
-        return self._observed("last headers").found
+        return self._observed("last headers").values
 
     @property
     def frame(self) -> str:
@@ -180,7 +180,7 @@ class TopicFacts:
         LookupError
             If it was not asked for: a mistake in the program.
         """
-        return self._observed(fact).found[: fact.most]
+        return self._observed(fact).values[: fact.most]
 
     def samples(self, placer: Placer) -> list[CloudSample]:
         """Return as many samples as show how the sensor is mounted, in the frames of scans.

@@ -86,7 +86,7 @@ def count_details(counts: Iterable[tuple[str, int, int]]) -> str:
     >>> count_details([("/a", 3, 2), ("/b", 1, 1)])
     ' (/a: 3 declared, 2 found)'
     """
-    wrong = [f"{topic}: {declared} declared, {found} found" for topic, declared, found in counts if declared != found]
+    wrong = [f"{topic}: {declared} declared, {read} found" for topic, declared, read in counts if declared != read]
     more = len(wrong) - MAX_TOPICS
     return f" ({'; '.join(wrong[:MAX_TOPICS])}{f'; and {more} more topics' if more > 0 else ''})" if wrong else ""
 
@@ -170,7 +170,7 @@ class DamageLog:
         self._found = {**earlier._found, **self._found}
 
     @property
-    def found(self) -> tuple[Damage, ...]:
+    def places(self) -> tuple[Damage, ...]:
         """All damage in the order of the file, that of the file as a whole first."""
         ordered = sorted(self._found.values(), key=lambda damage: -1 if damage.offset is None else damage.offset)
         return tuple(damage._replace(path=self._path or damage.path) for damage in ordered)

@@ -78,10 +78,10 @@ class Observer(Generic[_Value]):
     spread
         Only the first message of each of these parts is wanted; None: of no parts.
     keep
-        Receives the values, in the order of log time; None: `found` does.
+        Receives the values, in the order of log time; None: they are `values`.
     is_needless
         Whether no more messages are wanted, by what other observers found.
-    found
+    values
         The values.
     filled
         The parts of which the first message was found.
@@ -97,7 +97,7 @@ class Observer(Generic[_Value]):
     spread: Spread | None = None
     keep: Callable[[_Value], object] | None = None
     is_needless: Callable[[], bool] | None = None
-    found: list[_Value] = field(default_factory=list)
+    values: list[_Value] = field(default_factory=list)
     filled: set[int] = field(default_factory=set)
     has_ended: bool = False
     _count: int = 0
@@ -165,7 +165,7 @@ class Observer(Generic[_Value]):
             self._count += 1
         if value is not None:
             if self.keep is None:
-                self.found.append(value)
+                self.values.append(value)
             else:
                 self.keep(value)
         return (self.most is not None or self.spread is not None) and self.is_done
@@ -186,7 +186,7 @@ def _bytes_for(reader: Reader, observers: Iterable[Observer[Any]]) -> int:
     return reader.stored_bytes(list(connections.values())) if connections else 0
 
 
-def observe(*asked: tuple[Reader, Sequence[Observer[Any]]], meter: Meter | None = None) -> None:
+def observe(*sources: tuple[Reader, Sequence[Observer[Any]]], meter: Meter | None = None) -> None:
     """Show the messages of recordings to observers.
 
     A recording with chunks is read once for all of them. Of one with rows, which are read topic by topic without
@@ -194,7 +194,7 @@ def observe(*asked: tuple[Reader, Sequence[Observer[Any]]], meter: Meter | None 
 
     Parameters
     ----------
-    asked
+    sources
         Each recording, and what takes its messages.
     meter
         Counts the bytes; None: nothing is reported.
@@ -207,8 +207,8 @@ def observe(*asked: tuple[Reader, Sequence[Observer[Any]]], meter: Meter | None 
         If a file is damaged, and damage is an error.
     """
     if meter is not None:
-        meter.expect(sum(_bytes_for(*each) for each in asked) + meter.following)
-    for reader, observers in asked:
+        meter.expect(sum(_bytes_for(*each) for each in sources) + meter.following)
+    for reader, observers in sources:
         groups: dict[object, list[Observer[Any]]] = {}
         for observer in observers:
             ids = frozenset(each.id for each in observer.connections)
@@ -234,9 +234,9 @@ def _observe_together(reader: Reader, observers: Sequence[Observer[Any]], meter:
             if not observer.is_done:
                 for key in {connection.id for connection in observer.connections}:
                     by_connection[key].append(observer)
-        for key, (first, *further) in ((key, found) for key, found in by_connection.items() if found):
+        for key, (first, *further) in ((key, own) for key, own in by_connection.items() if own):
             if not further and first.takes_all_messages:
-                lone[key] = first.keep or first.found.append
+                lone[key] = first.keep or first.values.append
 
     def take(message: RawMessage) -> _Seen | RawMessage:
         key = message.connection.id

@@ -355,7 +355,7 @@ class Reader(ABC):
     @property
     def damage(self) -> tuple[Damage, ...]:
         """The damage in the parts that were read."""
-        return self._log.found
+        return self._log.places
 
     @property
     def remarks(self) -> Sequence[str]:

@@ -214,7 +214,7 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
     _refuse_collisions(routes)
     idle: list[str] = []
     if options.keep or options.drop:
-        replaced = {topic for found in targets.values() for topic in found if not options.keep_clouds}
+        replaced = {topic for topics in targets.values() for topic in topics if not options.keep_clouds}
         idle = [*_idle_patterns("keep", options.keep, types, replaced), *_idle_patterns("drop", options.drop, types)]
     return Plan(tuple(routes), specs, tuple(idle))
 

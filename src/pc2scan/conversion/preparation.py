@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from pc2scan.request.options import ConvertOptions, ScanSpec
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.placing import UpSource
-    from pc2scan.transforms.reading import FoundTransforms
+    from pc2scan.transforms.reading import RecordedTransforms
 
     from .added_transforms import AddedTrajectory, AddedTransforms
     from .engine import Item, Tally
@@ -80,7 +80,7 @@ class Preparation:
         Called with warnings as soon as they are known, also if an error follows.
     others
         The other recordings that transforms were read from.
-    found
+    recorded
         All transforms; None if they were not read.
     conversions
         By `pc2scan.conversion.plan.Output.key`.
@@ -103,7 +103,7 @@ class Preparation:
     known: KnownTransforms
     tell: Callable[..., None]
     others: Sequence[Reader] = ()
-    found: FoundTransforms | None = None
+    recorded: RecordedTransforms | None = None
     conversions: dict[tuple[Any, str], Conversion] = field(default_factory=dict)
     routes: Mapping[int, Route] = field(default_factory=dict)
     levels: AddedTransforms | None = None
@@ -115,7 +115,7 @@ class Preparation:
     @property
     def transforms(self) -> TransformBuffer | None:
         """All transforms, for lookups; None if they were not read."""
-        return None if self.found is None else self.found.buffer
+        return None if self.recorded is None else self.recorded.buffer
 
     def add(self, spec: ScanSpec, warnings: Iterable[str], notes: Iterable[str] = ()) -> None:
         """Add warnings and notes about an output."""
@@ -274,7 +274,7 @@ def _look_ahead(
         facts.ask_headers(CLOCK_HEADERS)
     outputs = {spec: _OutputFacts(spec, plan, survey) for spec in plan.specs if not spec.reverse}
     survey.read(meter)
-    prepared.found = transforms = None if survey.transforms is None else survey.transforms.finish()
+    prepared.recorded = transforms = None if survey.transforms is None else survey.transforms.finish()
     known.buffer = buffer = transforms.buffer if transforms is not None and placed_specs else None
     if transforms is not None:
         tell(*transforms.warnings)

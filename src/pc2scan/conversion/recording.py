@@ -132,7 +132,7 @@ def open_output(prepared: Preparation, target: Destination, writer: Writer | Non
         Its writer; None in a dry run.
     """
     reader, options, span = prepared.reader, prepared.options, prepared.span
-    frames, found = options.frames, prepared.found
+    frames, recorded = options.frames, prepared.recorded
     copying = target.same_chunks(reader.summary)
     if copying and writer is not None:
         writer.keep_ids(reader.connections)
@@ -144,8 +144,8 @@ def open_output(prepared: Preparation, target: Destination, writer: Writer | Non
     if frames.write_static:
         # One more latched publisher.
         topics.add(new_connection(target, "/tf_static", TFMESSAGE, latching=True, qos=LATCHED_QOS), static)
-    if found is not None and found.poses and not options.only_scans:
-        prepared.trajectory = add_poses(prepared, found.poses, routes, entries, topics)
+    if recorded is not None and recorded.poses and not options.only_scans:
+        prepared.trajectory = add_poses(prepared, recorded.poses, routes, entries, topics)
     if any(spec.level for spec in prepared.plan.specs):
         connection = tf_connection(reader, frames, target)
         entry = TopicReport(connection.topic, connection.ros_type, connection.topic, "added", "from `level`")
@@ -162,7 +162,7 @@ def open_output(prepared: Preparation, target: Destination, writer: Writer | Non
     if frames.write_static:
         earliest_ns, latest_ns = target.times_ns
         begin_ns = max(earliest_ns, min(span.first_ns, latest_ns))
-        rows = [each.row(begin_ns) for each in (frames.static if found is None else found.static)]
+        rows = [each.row(begin_ns) for each in (frames.static if recorded is None else recorded.static)]
         if not rows:
             raise UsageError("there is no added transform to write", hint="give one with `static_tf`, or with `urdf`")
         static.write(rows, begin_ns, begin_ns, writer)

@@ -27,7 +27,7 @@ _MOST_NAMES = 5
 def check_given_frames(
     own: Iterable[str],
     plan: Plan,
-    asked: FrameOptions,
+    options: FrameOptions,
     buffer: TransformBuffer | None,
     robot: TransformBuffer | None,
 ) -> Iterator[str]:
@@ -49,7 +49,7 @@ def check_given_frames(
         clouds, which no transform has.
     """
     frames = [frame.removeprefix("/") for frame in dict.fromkeys(own) if frame]
-    if source := asked.source_frame.removeprefix("/"):
+    if source := options.source_frame.removeprefix("/"):
         transforms = robot if buffer is None else buffer
         known = dict.fromkeys((*(() if transforms is None else transforms.frames), *frames))
         if source not in known and (meant := did_you_mean(source, known)):
@@ -60,14 +60,14 @@ def check_given_frames(
         frames = [source]
     if buffer is None:
         return
-    for static in asked.static:
+    for static in options.static:
         _refuse_loop(static, buffer)
     targets = {spec.params.target_frame.removeprefix("/") for spec in plan.specs} - {""}
     named = {frame.removeprefix("/") for spec in plan.specs for frame in spec.frames}
     used = {name for frame in (*frames, *named) for name in _upwards(buffer, frame)}
-    if asked.write_static or not frames or any(spec.imu for spec in plan.specs):
+    if options.write_static or not frames or any(spec.imu for spec in plan.specs):
         return
-    for static in asked.static:
+    for static in options.static:
         child = static.child.removeprefix("/")
         if child not in used:
             near = nearest(child, frames)

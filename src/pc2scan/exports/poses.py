@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from pc2scan.core.rigid import Rigid
     from pc2scan.streams.objects import Cloud, Scan
-    from pc2scan.transforms.reading import FoundTransforms
+    from pc2scan.transforms.reading import RecordedTransforms
 
 
 class Posed(NamedTuple):
@@ -49,7 +49,7 @@ class Poses:
 
     Parameters
     ----------
-    found
+    recorded
         All transforms of the recording.
     pose_frame, base_frame
         As given; empty for none.
@@ -62,14 +62,14 @@ class Poses:
         If a frame does not exist.
     """
 
-    def __init__(self, found: FoundTransforms, pose_frame: str, base_frame: str, source_frame: str) -> None:
-        self._transforms = found.buffer
-        known = sorted(found.buffer.frames)
+    def __init__(self, recorded: RecordedTransforms, pose_frame: str, base_frame: str, source_frame: str) -> None:
+        self._transforms = recorded.buffer
+        known = sorted(recorded.buffer.frames)
         for option, name in (("pose_frame", pose_frame), ("base_frame", base_frame)):
             if name and name.removeprefix("/") not in known:
                 hint = f"{did_you_mean(name, known)} frames: {name_list(known)}; `odom_topic` adds odometry".strip()
                 raise UsageError(f"`{option}`: no transforms have the frame {name!r}", hint=hint)
-        moved = (each for added in found.poses if added.reading for each in added.attachments.values())
+        moved = (each for added in recorded.poses if added.reading for each in added.attachments.values())
         odometry = None if pose_frame else next(moved, None)
         self.pose_frame = pose_frame.removeprefix("/") or (odometry.parent if odometry else "")
         body = next((name for name in BODIES if name in known), "")

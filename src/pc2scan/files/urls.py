@@ -241,7 +241,7 @@ class UrlPath(_LocalPath):
         return file_system, key
 
     @cached_property
-    def found(self) -> dict[str, Any]:
+    def details(self) -> dict[str, Any]:
         """What fsspec says of it, in a listing or else when asked; raises MissingError if nothing is there."""
         file_system, key = self.store
         with translated_errors(self):
@@ -250,23 +250,23 @@ class UrlPath(_LocalPath):
     @property
     def size(self) -> int:
         """The bytes of a file; 0 if the server does not report them."""
-        return int(self.found.get("size") or 0)
+        return int(self.details.get("size") or 0)
 
     @property
     def version(self) -> str:
         """Text that changes if the file does; empty if the store has none."""
-        return next((str(self.found[name]).strip('"') for name in _VERSION if self.found.get(name) is not None), "")
+        return next((str(self.details[name]).strip('"') for name in _VERSION if self.details.get(name) is not None), "")
 
     def exists(self, *, follow_symlinks: bool = True) -> bool:  # noqa: ARG002  # the signature of Path
         """Return whether anything is there."""
         try:
-            return bool(self.found)
+            return bool(self.details)
         except MissingError:
             return False
 
     def is_dir(self, *, follow_symlinks: bool = True) -> bool:  # noqa: ARG002  # the signature of Path
         """Return whether it is a folder."""
-        return self.exists() and self.found["type"] == "directory"
+        return self.exists() and self.details["type"] == "directory"
 
     def iterdir(self) -> Generator[Self]:
         """Yield what is in a folder, in order."""
@@ -278,7 +278,7 @@ class UrlPath(_LocalPath):
             # Some stores list the folder itself, as an empty file.
             if name:
                 child = self / name
-                child.found = named[name]
+                child.details = named[name]
                 yield child
 
     def download(self, target: Path) -> None:

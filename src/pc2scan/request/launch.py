@@ -233,8 +233,8 @@ class LaunchFile:
     def _expanded(self, text: str, element: Element) -> str:
         """Replace substitutions such as ``$(arg ...)``."""
 
-        def value(found: re.Match[str]) -> str:
-            kind, name = found.groups()
+        def value(match: re.Match[str]) -> str:
+            kind, name = match.groups()
             if kind.startswith("find"):
                 return _package_folder(self._path, name, element.line)
             self.arguments.add(name)

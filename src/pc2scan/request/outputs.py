@@ -241,12 +241,12 @@ def _scalar(written: str, name: str, origin: str) -> object:
     return None if node is None else scalar_value(node, name, origin, ros1=True)
 
 
-def load_scans(asked: Path | Mapping[str, Any], given: Sequence[Options] = ()) -> Outputs:
+def load_scans(content: Path | Mapping[str, Any], given: Sequence[Options] = ()) -> Outputs:
     """Read and check outputs.
 
     Parameters
     ----------
-    asked
+    content
         A YAML or JSON file, or the same as Python objects: a mapping with ``scans`` and optionally ``defaults``.
         ``scans`` is a mapping from topics to outputs. A mapping without these keys is read as ``scans``.
     given
@@ -262,10 +262,10 @@ def load_scans(asked: Path | Mapping[str, Any], given: Sequence[Options] = ()) -
     UsageError
         If something is not valid; the error has its place.
     """
-    if isinstance(asked, Path):
-        root, folder, files = entries_in(read_text(asked, _EXAMPLE), asked, _EXAMPLE), asked.parent, [asked]
+    if isinstance(content, Path):
+        root, folder, files = entries_in(read_text(content, _EXAMPLE), content, _EXAMPLE), content.parent, [content]
     else:
-        root, folder, files = entries_of(asked, "scans"), Path(), []
+        root, folder, files = entries_of(content, "scans"), Path(), []
         if isinstance(root.value, dict) and not root.value.keys() & set(_TOP):
             root = Entry({"scans": root}, root.place)
     top = root.mapping("scans", _TOP, _EXAMPLE)

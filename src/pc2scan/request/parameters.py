@@ -67,10 +67,10 @@ def unknown_parameter(name: str, origin: str) -> ParameterError:
     return ParameterError(message, name=name, hint=hint)
 
 
-def expected_message(name: str, found: str, origin: str) -> str:
+def expected_message(name: str, given: str, origin: str) -> str:
     """Return the message that a value is not of the parameter's kind."""
     parameter = PARAMETERS.get(name)
-    return f"{name}: expected {parameter.value.expected if parameter else 'a value'}, got {found} (from {origin})"
+    return f"{name}: expected {parameter.value.expected if parameter else 'a value'}, got {given} (from {origin})"
 
 
 def value_text(value: object) -> str:

@@ -318,7 +318,7 @@ def _directions(azimuths: NDArray[np.float64]) -> int:
     return sum(1 << place for place in np.flatnonzero(np.bincount(places)).tolist())
 
 
-def measure_turn(topic: str, asked: Turn, clouds: Sequence[TurnSample]) -> tuple[Turn, str]:
+def measure_turn(topic: str, given: Turn, clouds: Sequence[TurnSample]) -> tuple[Turn, str]:
     """Return how a lidar turns, as given or measured, and a note about it.
 
     Raises
@@ -326,7 +326,7 @@ def measure_turn(topic: str, asked: Turn, clouds: Sequence[TurnSample]) -> tuple
     ParameterError
         If the turn cannot be measured in the first clouds; the hint is what to type.
     """
-    turn, why = asked, ""
+    turn, why = given, ""
     stamps = sorted({cloud.stamp_ns for cloud in clouds})
     intervals = [(later - earlier) / 1e9 for earlier, later in pairwise(stamps)]
     period = (median_interval_ns(stamps) or 1) / 1e9
@@ -342,7 +342,7 @@ def measure_turn(topic: str, asked: Turn, clouds: Sequence[TurnSample]) -> tuple
         why = f"they have {covered:.0%} of all directions, together {union:.0%}, and go round {turns:.1f} times"
     else:
         # Rounded to the digits that are shown, so that typing the shown period gives the same scans.
-        turn = replace(asked, period=float(f"{period:.4g}"))
+        turn = replace(given, period=float(f"{period:.4g}"))
         ways = [1 if cloud.turns > 0 else -1 for cloud in clouds if cloud.turns]
         delays = [(cloud.log_time_ns - cloud.stamp_ns) / 1e9 for cloud in clouds]
         if not turn.direction:

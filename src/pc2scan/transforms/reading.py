@@ -80,7 +80,7 @@ def tf_connections(connections: Sequence[Connection], topics: Sequence[str] = ()
     )
 
 
-class FoundTransforms(NamedTuple):
+class RecordedTransforms(NamedTuple):
     """The transforms of recordings, with all that a user adds.
 
     Attributes
@@ -245,7 +245,7 @@ class TransformReading:
         except (DecodeError, UsageError) as err:
             self._warnings[f"{connection.topic}: the robot's model cannot be used: {err.message}"] = 1
 
-    def finish(self) -> FoundTransforms:
+    def finish(self) -> RecordedTransforms:
         """Return the transforms, with warnings: those that cannot be used, and messages that cannot be decoded."""
         builder, notes, static = self._builder, [*self._notes], [*self._options.static]
         texts = [f"{text} ({count} times)" if count > 1 else text for text, count in self._warnings.items()]
@@ -267,7 +267,7 @@ class TransformReading:
             f"{counted(r.count, 'transform')} from {r.parent!r} to {r.child!r} not usable: {r.reason}"
             for r in buffer.rejections
         ]
-        return FoundTransforms(buffer, texts, notes, poses, tuple(static))
+        return RecordedTransforms(buffer, texts, notes, poses, tuple(static))
 
     def _add_poses(self, notes: list[str]) -> tuple[tuple[AddedPoses, ...], list[str]]:
         """Add poses as transforms; return them and warnings, and append notes."""
@@ -322,7 +322,7 @@ def read_transforms(
     *,
     needed: Collection[str] = (),
     meter: Meter | None = None,
-) -> FoundTransforms:
+) -> RecordedTransforms:
     """Read all transforms of recordings, anywhere in the files, and add the user's own.
 
     Parameters
@@ -391,7 +391,7 @@ class RobotTransforms:
     @property
     def is_cut(self) -> bool:
         """Whether one of the seconds may have more messages than were taken."""
-        return any(len(each.found) >= _SOME_MESSAGES for each in self.observers)
+        return any(len(each.values) >= _SOME_MESSAGES for each in self.observers)
 
     def finish(self) -> TransformBuffer | None:
         """Return the transforms; None if there are none, or it is not clear which ones to use."""
@@ -399,7 +399,7 @@ class RobotTransforms:
         if not self._is_known or not (self.observers or options.static or options.model):
             return None
         reading = TransformReading(options)
-        for message in (each for observer in self.observers for each in observer.found):
+        for message in (each for observer in self.observers for each in observer.values):
             with suppress(RecordingError):
                 if message.connection.ros_type in TF_TYPES:
                     reading.add(self._reader, {}, message)

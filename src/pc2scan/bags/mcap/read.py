@@ -252,7 +252,7 @@ def compare_content(index: McapIndex, file: RecordFile, log: DamageLog) -> None:
 
     Messages are counted by chunk; chunks have CRCs of their own, and are not read for that of the data section.
     """
-    if log.found:
+    if log.places:
         return
     chunks = int(np.count_nonzero(index.segments.rows["record_offset"]))
     counts = index.statistics

@@ -78,8 +78,8 @@ def recover_index(file: RecordFile, problem: DamageError, log: DamageLog) -> Mca
         errors.append(err)
         index = McapIndex(log, profile)
     gaps = _walk(file, index, position, end)
-    found, index.segments = index.segments, Segments()
-    for segment in found:
+    segments, index.segments = index.segments, Segments()
+    for segment in segments:
         # Message indexes may be missing, or be those of another chunk.
         index.segments.append(replace(segment, connection_ids=None))
     index.segments.sort()

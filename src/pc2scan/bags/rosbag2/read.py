@@ -324,7 +324,7 @@ class Rosbag2Reader(MergedReader):
     @property
     def damage(self) -> tuple[Damage, ...]:
         """The damage: that of the directory first, then file by file."""
-        return (*self._log.found, *super().damage)
+        return (*self._log.places, *super().damage)
 
     @property
     def remarks(self) -> Sequence[str]:
@@ -350,7 +350,7 @@ class Rosbag2Reader(MergedReader):
         """Note if the files have fewer messages than metadata.yaml counts."""
         stored, declared = self.summary.message_count, self._info.message_count
         # What the files themselves lack by their own damage is noted there.
-        lost = [damage.messages_lost for damage in (*self._log.found, *super().damage) if damage.loses]
+        lost = [damage.messages_lost for damage in (*self._log.places, *super().damage) if damage.loses]
         if stored is None or declared is None or None in lost:
             return
         missing = declared - stored - sum(filter(None, lost))
