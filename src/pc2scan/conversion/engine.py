@@ -423,9 +423,14 @@ class Combiner:
                 entry.messages_out = entry.joined.used
         return list(map(self._work, groups))
 
-    def alone(self, contribution: Contribution) -> ConvertedMessage:
-        """Make the scan of one message alone, for dry runs."""
-        return self._last(self._conversion.alone(contribution))
+    def alone(self, result: Any) -> Any:
+        """Return the scan of a message alone, if it leads a scan: first clouds are judged so."""
+        if not isinstance(result, Contribution) or result.source:
+            return result
+        try:
+            return self._last(self._conversion.alone(result))
+        except MessageError as err:
+            return err
 
     def _work(self, group: Group) -> Work:
         # Points that are projected already are soon a scan.

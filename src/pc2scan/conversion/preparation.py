@@ -28,14 +28,14 @@ from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import by_topic
 from pc2scan.core.points import Points
 from pc2scan.core.scene import JUDGED_CLOUDS, PARTS, CloudSample
-from pc2scan.errors import MessageError, Pc2ScanError, TopicError, UnconnectedError, UsageError, name_list
+from pc2scan.errors import Pc2ScanError, TopicError, UnconnectedError, UsageError, name_list
 from pc2scan.messages.tfmessage import TF_TYPES
 from pc2scan.request.point_time import PointTime
 from pc2scan.text import stamp
 from pc2scan.transforms.placing import Placer, UpByFrame, UpByImu
 from pc2scan.transforms.reading import read_robot_transforms
 
-from .combine.conversion import Contribution, MessagesToScan, SourceFacts, measure_sources
+from .combine.conversion import MessagesToScan, SourceFacts, measure_sources
 from .corrections import corrected
 from .deskew import Deskew
 from .engine import convert
@@ -59,7 +59,7 @@ if TYPE_CHECKING:
 
     from .added_transforms import AddedTrajectory, AddedTransforms
     from .engine import Item, Tally
-    from .plan import Output, Plan, Route
+    from .plan import Plan, Route
     from .report import Report
     from .steps import Conversion
 
@@ -445,7 +445,7 @@ def judge_first(prepared: Preparation, report: Report, tally: Tally | None = Non
         with closing(reader.messages(connections, prepared.span.start_ns, prepared.span.stop_ns)) as messages:
             for message in messages:
                 item = convert(routes, message)
-                alone = [(out, _alone(out, made) if out.combiner else made) for out, made in item.results]
+                alone = [(out, out.combiner.alone(made) if out.combiner else made) for out, made in item.results]
                 item = item._replace(results=alone)
                 read, successes = read + 1, successes + (item.failure is None)
                 unconnected += [item.failure] if isinstance(item.failure, UnconnectedError) else []
@@ -471,16 +471,6 @@ def judge_first(prepared: Preparation, report: Report, tally: Tally | None = Non
             for entry in report.topics:
                 if entry.topic == topic and entry.spec is spec:
                     entry.advice, entry.no_returns = judged.advice, judged.no_returns
-
-
-def _alone(output: Output, result: Any) -> Any:
-    """Return the scan of a message alone, if it leads a scan of several."""
-    if not isinstance(result, Contribution) or result.source:
-        return result
-    try:
-        return output.combiner.alone(result)
-    except MessageError as err:
-        return err
 
 
 def _samples(
