@@ -82,10 +82,11 @@ _ONE_RING = 0.9
 #: A floor is seen from nearer than so many times its distance; a smaller one may be the outer ring's.
 _FARTHEST = 12.0
 
-#: The steepest ground that is no obstacle, metres a metre.
-_STEEPEST_RISE = 0.25
-#: Of so many points its planes are found.
-_OF_PLANES = 4_000
+#: The steepest ground that is no obstacle, metres a metre, and how uneven it is, metres. It is compared in
+#: directions that are so wide, degrees, and in rings of which the first is this share of so many metres wide, and each
+#: next one wider by it.
+_STEEPEST_RISE, _UNEVEN = 0.25, 0.05
+_WIDE, _FIRST_RING, _WIDER = 2.0, 5.0, 0.01
 
 #: A floor is farther from the sensor than so many times the tolerance: a ring that is tilted a little is none.
 _CLEAR = 2.5
@@ -499,28 +500,40 @@ def outermost(cells: _Points, side: int) -> Plane | None:
     return None
 
 
-def on_rising_plane(points: _Points, floor: float) -> NDArray[np.bool_]:
-    """Return which points are on a plane that rises from the floor, less steeply than stairs.
+def are_upright(points: _Points, floor: float, wide: float = 0.0) -> NDArray[np.bool_]:
+    """Return which points are on no ground: they are too high for it, or others are far above or below them.
+
+    Points are compared with those in their direction that are about as far away, where no ground rises so much. What
+    only one ring of a lidar sees, and the top of what is low, may stand or be the ground.
 
     Parameters
     ----------
     points
         Of a cloud, (N, 3), in a frame whose z axis points up.
     floor
-        The height of the floor.
+        The height of the ground at the origin of this frame.
+    wide
+        How wide directions are at least, degrees.
     """
-    height, ranges = points[:, 2] - floor, np.hypot(points[:, 0], points[:, 1])
-    low = (height > -0.1 - _STEEPEST_RISE * ranges) & (height < 0.1 + _STEEPEST_RISE * ranges)
-    cells = cells_of(points[low][:: -(-int(low.sum()) // _OF_PLANES)]) if low.sum() >= FEWEST_POINTS else points[:0]
-    rising = np.zeros(len(points), np.bool_)
-    for plane in planes_of(cells) if len(cells) >= _FEWEST_CELLS else ():
-        off = np.abs(cells @ np.array(plane.up) + plane.height) < tolerances(cells)
-        begins, below = percentiles(cells[off, 2], 10)[0] - floor, -plane.height / plane.up[2] - floor
-        is_gentle = plane.tilt < math.atan(_STEEPEST_RISE) and plane.width > 1.0 and plane.beyond < 0.1
-        # One that passes below the robot is the floor of a robot that pitches.
-        if is_gentle and begins < 0.5 and below < -0.05:
-            rising |= low & (np.abs(points @ np.array(plane.up) + plane.height) < tolerances(points))
-    return rising
+    wide = max(wide, _WIDE)
+    sectors, wider = math.ceil(360 / wide), _WIDER * wide / _WIDE
+    upright = np.zeros(len(points), np.bool_)
+    known = np.isfinite(points).all(axis=1)
+    x, y, z = points[known].T
+    ranges = np.hypot(x, y)
+    sector = ((np.arctan2(y, x) / math.tau + 0.5) * sectors).astype(np.intp) % sectors
+    ring = (np.log1p(ranges / _FIRST_RING) / math.log1p(wider)).astype(np.intp) + 1
+    low, high = (np.full((ring.max(initial=0) + 2, sectors), limit) for limit in (np.inf, -np.inf))
+    np.minimum.at(low, (ring, sector), z)
+    np.maximum.at(high, (ring, sector), z)
+    rise = _STEEPEST_RISE * wider * (_FIRST_RING + ranges)
+    found = np.zeros(len(z), np.bool_)
+    for beyond in (-1, 0, 1):
+        near = ring + beyond, sector
+        found |= np.maximum(high[near] - z, z - low[near]) > _UNEVEN + (1 + abs(beyond)) * rise
+    # Of a single ring nothing shows what stands.
+    upright[known] = found | (found.any() & (z - floor > _STEEPEST_RISE * ranges))
+    return upright
 
 
 def planes_of(cells: _Points) -> list[Plane]:

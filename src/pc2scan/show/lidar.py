@@ -6,7 +6,6 @@ A command that is proposed is tried on the clouds that were read: what is said o
 from __future__ import annotations
 
 import math
-from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, reduce
@@ -24,10 +23,7 @@ from pc2scan.conversion.steps import CloudToScan, PlaceStage
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import median, percentiles
 from pc2scan.core.points import Points
-from pc2scan.core.rigid import Rigid
-from pc2scan.core.rule import PointCounts
-from pc2scan.core.scene import CloudSample, find_ground, on_rising_plane, thin_points
-from pc2scan.core.terrain import on_ground
+from pc2scan.core.scene import CloudSample, are_upright
 from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import Pc2ScanError, TransformError
 from pc2scan.options.call import Options
@@ -35,16 +31,18 @@ from pc2scan.request.point_time import DIRECTIONS, PointTime, directions_of
 from pc2scan.requests import conversion_of
 from pc2scan.transforms.frames import WORLDS
 from pc2scan.transforms.motion import sensor_motion
-from pc2scan.transforms.placing import Placer
+from pc2scan.transforms.placing import Placer, UpByFrame, UpByImu
 from pc2scan.transforms.static import StaticTransform
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from pc2scan.advice.clocks import ClockFinding
     from pc2scan.advice.survey import TopicFacts
+    from pc2scan.core.rigid import Rigid
+    from pc2scan.core.rule import PointCounts
     from pc2scan.model import RawMessage, Summary
     from pc2scan.request.options import ScanSpec
     from pc2scan.transforms.attitude import UpEstimate
@@ -169,9 +167,8 @@ class Lidar:
         What is wrong with its clock; None if nothing is.
     ups
         The direction of up by each IMU that shows it.
-    ground, samples
-        Of the clouds that a command is tried on, once they are known: which points are ground, and what the checks of
-        first clouds read.
+    samples
+        What the checks of first clouds read of the clouds that a command is tried on, once they are known.
     """
 
     facts: TopicFacts
@@ -183,7 +180,6 @@ class Lidar:
     knows_end: bool
     clock: ClockFinding | None
     ups: Mapping[str, UpEstimate]
-    ground: list[NDArray[np.bool_]] = field(default_factory=list)
     samples: list[CloudSample] = field(default_factory=list)
 
     @property
@@ -316,22 +312,33 @@ class Lidar:
         """The spread clouds in the frame of the scans, each (N, 3)."""
         return (self.in_target(points, stamp_ns=stamp_ns) for stamp_ns, points in self.clouds)
 
-    def tried_clouds(self, most: int, points: int) -> tuple[list[NDArray[np.floating[Any]]], bool]:
-        """Return clouds to try a command on, each (3, N), and whether they are parts of one scan.
+    def tried_clouds(self, most: int, points: int, *, is_placed: bool, is_level: bool) -> tuple[list[Points], bool]:
+        """Return clouds to try a command on, and whether they are parts of one scan.
 
         Parameters
         ----------
         most, points
             How many, and how many points of each.
+        is_placed
+            Whether they are placed in the frame of the scans, not in their own.
+        is_level
+            Whether they are made level: then they have stamps, those of their middles.
         """
-        if self.turn or self.pattern.clouds:
+        merges = bool(self.turn or self.pattern.clouds)
+        if merges:
             is_own = self.mounting.judged_in == self.mounting.frame
-            return self.facts.found(_PATTERN) if is_own else [], True
-        chosen = self.clouds[:: max(1, len(self.clouds) // most)][:most]
-        thinned = [(stamp_ns, each[:, :: -(-each.shape[1] // points) or 1]) for stamp_ns, each in chosen]
-        if self.is_registered:
-            return [self.in_target(each, stamp_ns=stamp_ns).T for stamp_ns, each in thinned], False
-        return [each for _, each in thinned], False
+            stamps_ns = (each.stamp_ns for each in self.facts.headers)
+            found = list(zip(stamps_ns, self.facts.found(_PATTERN) if is_own else [], strict=False))
+        else:
+            chosen = self.clouds[:: max(1, len(self.clouds) // most)][:most]
+            found = [(stamp_ns, each[:, :: -(-each.shape[1] // points) or 1]) for stamp_ns, each in chosen]
+        clouds = []
+        for stamp_ns, xyz in found:
+            axes = self.in_target(xyz, stamp_ns=stamp_ns).T if is_placed else xyz
+            at_ns = stamp_ns + round(sum(self.reach) / 2 * 1e9) if is_level else 0
+            frame = self.target if is_placed else self.mounting.judged_in
+            clouds.append(Points(0, at_ns, frame, dict(zip("xyz", axes, strict=True))))
+        return [each for each in clouds if each.fields["x"].size], merges
 
     def in_target(self, points: NDArray[np.floating[Any]], frame: str = "", stamp_ns: int = 0) -> NDArray[np.float64]:
         """Return points of a frame, (3, N), in the frame of the scans, (N, 3): of `clouds`, if none is given."""
@@ -371,13 +378,11 @@ _POINTS = 60_000
 #: A beam that ends on the ground, or misses what stands on it, is off by more than this, metres.
 _OFF = 0.2
 
-#: A robot's floor is looked for from so far above its frame, metres.
-_ABOVE = 0.5
+#: Slopes are measured from this distance on, metres; nearly all that does not stand rises less, percent.
+_NEAR, _NEARLY = 2.0, 97.0
 
-_NO_FLOOR = "the robot tilts, and no floor is visible: returns on rising ground would not be noticed"
-
-#: Slopes are measured from this distance on, metres.
-_NEAR = 2.0
+#: The field of points that stand.
+_STANDS = "<stands>"
 
 
 class Trial(NamedTuple):
@@ -385,20 +390,30 @@ class Trial(NamedTuple):
 
     Attributes
     ----------
-    on_ground
-        The share of its returns that are on the ground.
-    seen
-        The share of the beams that things above the ground fill, within the heights, which have a return there.
+    ranges, standing
+        The ranges of all beams, infinite without a return: by all points, and by those that stand.
     slope
-        How steeply the ground rises above the lower limit, metres a metre (98 %).
+        How steeply nearly all that does not stand rises above the lower limit, metres a metre.
     findings
         What a conversion would say.
     """
 
-    on_ground: float = 0.0
-    seen: float = 1.0
+    ranges: NDArray[np.float64] = np.empty(0)
+    standing: NDArray[np.float64] = np.empty(0)
     slope: float = 0.0
     findings: tuple[str, ...] = ()
+
+    @property
+    def lying(self) -> float:
+        """The share of the returns of which nothing shows that they are on something that stands."""
+        returns = np.isfinite(self.ranges)
+        return float((returns & ~(self.ranges > self.standing - _OFF)).sum() / max(returns.sum(), 1))
+
+    def missed_in(self, other: Trial) -> float:
+        """Return the share of the beams with something that stands that do not have it in the scans of another one."""
+        stands = np.isfinite(self.standing)
+        off = np.abs(other.ranges[stands] - self.standing[stands])
+        return float((off >= _OFF).sum() / max(stands.sum(), 1))
 
 
 def tried(options: Mapping[str, Any], lidar: Lidar) -> Trial:
@@ -407,104 +422,95 @@ def tried(options: Mapping[str, Any], lidar: Lidar) -> Trial:
     Parameters
     ----------
     options, lidar
-        The command and the topic, which keeps from trial to trial which points are on the ground.
+        The command and the topic, which keeps from trial to trial what the checks of first clouds read.
     """
     given = {name: value for name, value in options.items() if name != "destination"}
     try:
         request = conversion_of(Options("convert", given))
         spec, findings = request.scan, request_warnings(request, lidar.recorded)
-        clouds, merges = lidar.tried_clouds(_CLOUDS, _POINTS)
-        is_placed = bool(lidar.mounting.static_tf) or spec.level or lidar.is_registered
-        if is_placed and not lidar.is_registered:
-            clouds = [lidar.in_target(each).T for each in clouds]
-        clouds = [each for each in clouds if each.size]
-        if spec.level:
-            clouds = [np.concatenate(clouds, axis=1)] if merges else clouds
-            levelled: list[NDArray[Any]] = [level.T for each in clouds if (level := _levelled(each.T)) is not None]
-            if clouds and not levelled:
-                findings.append(_NO_FLOOR)
-            clouds = levelled
+        is_placed = bool(lidar.mounting.static_tf) or lidar.is_registered
+        clouds, merges = lidar.tried_clouds(_CLOUDS, _POINTS, is_placed=is_placed, is_level=spec.level)
+        placer = _placer(spec, lidar, "" if is_placed else spec.params.target_frame)
+        # Those of a robot that tilts are level only where transforms, or an IMU, show it.
+        clouds = [each for each in clouds if not spec.level or _can_be_placed(placer, each)]
         if not clouds:
             return Trial(findings=tuple(findings))
-        scans, counts = _scans(spec, lidar, clouds, is_placed=is_placed, merges=merges)
+        placed = [_moved(each, placer.place(each.frame_id, each.stamp_ns).target_from_source) for each in clouds]
+        floor = options["min_height"]
+        parts = np.cumsum([len(each) for each in placed])[:-1]
+        placed = [np.concatenate(placed)] if merges else placed
+        stands = [are_upright(points, floor, lidar.pattern.degrees) for points in placed]
+        lying = [points[~upright] for points, upright in zip(placed, stands, strict=True)]
+        stands = np.split(stands[0], parts) if merges else stands
+        marked = [each.replace({_STANDS: upright}, each.frame_id) for each, upright in zip(clouds, stands, strict=True)]
+        ranges, standing, counts = _scans(spec, lidar, marked, placer, merges=merges)
     except Pc2ScanError as err:
         return Trial(findings=(str(err),))
-    if not is_placed:
-        frame = lidar.mounting.judged_in
-        place = Placer(spec.params.target_frame, "", lidar.buffer).place(frame, 0)
+    if not (is_placed or spec.level):
+        place = placer.place(clouds[0].frame_id, 0)
         lidar.samples = lidar.samples or [
-            CloudSample.of(_as_points(each, frame)).placed_in(place.frame_id, place.target_from_source)
-            for each in clouds
+            CloudSample.of(each).placed_in(place.frame_id, place.target_from_source) for each in clouds
         ]
         known = KnownTransforms("", lambda: lidar.buffer, lidar.buffer if spec.needs_transforms else None)
         findings += judge(CloudFacts(lidar.topic, spec, known, lidar.samples, counts)).warnings
-    if merges:
-        clouds = [np.concatenate(clouds, axis=1)]
-    placed = clouds if is_placed else [lidar.in_target(points).T for points in clouds]
-    floor = lidar.mounting.heights.floor if lidar.mounting.heights is not None else None
-    low = lidar.ground = lidar.ground or [_on_ground(points, floor) for points in placed]
-    above = [points[:, ~ground] for points, ground in zip(clouds, low, strict=True)]
-    standing, _ = _scans(replace(spec, filters=()), lidar, above, is_placed=is_placed, merges=merges)
-    scan, stand = np.concatenate(scans), np.concatenate(standing)
-    returns = np.isfinite(scan)
-    on_ground_share = (returns & ~(scan > stand - _OFF)).sum() / max(returns.sum(), 1)
-    with np.errstate(invalid="ignore"):
-        seen = (np.abs(scan - stand) < _OFF).sum() / max(np.isfinite(stand).sum(), 1)
-    slope = max(_slope(points[:, each], spec.params.min_height) for points, each in zip(placed, low, strict=True))
-    return Trial(float(on_ground_share), float(seen), slope, tuple(findings))
+    slope = max(_slope(points, floor, spec.params.max_height) for points in lying)
+    return Trial(ranges, standing, slope, tuple(findings))
 
 
-def _on_ground(points: NDArray[np.floating[Any]], floor: float | None) -> NDArray[np.bool_]:
-    mask = on_ground(*points)
-    return mask if floor is None else mask | on_rising_plane(points.T.astype(np.float64), floor)
+def _placer(spec: ScanSpec, lidar: Lidar, target: str) -> Placer:
+    """Return what places clouds in the frame of the scans, which is level if the robot tilts."""
+    buffer, up, tolerance_ns = lidar.buffer, None, spec.params.tolerance_ns
+    if spec.level and buffer is not None:
+        imu = spec.imu
+        by_frame = UpByFrame(spec.fixed_frame, buffer, tolerance_ns)
+        up = by_frame if imu is None else UpByImu(lidar.ups[imu.topic], buffer, tolerance_ns)
+    return Placer(target, "", buffer, tolerance_ns, up)
 
 
-def _slope(ground: NDArray[np.floating[Any]], low: float) -> float:
-    x, y, z = ground[:, (ground[2] > low) & (np.hypot(ground[0], ground[1]) > _NEAR)]
-    return percentiles((z - low) / np.hypot(x, y), 98)[0] if x.size else 0.0
+def _can_be_placed(placer: Placer, cloud: Points) -> bool:
+    with suppress(TransformError):
+        return placer.place(cloud.frame_id, cloud.stamp_ns) is not None
+    return False
 
 
-def _levelled(points: NDArray[np.floating[Any]]) -> NDArray[np.float64] | None:
-    """Return points, (N, 3), of a robot that tilts as if it did not, by their floor; None if none is visible."""
-    above = points - (0.0, 0.0, _ABOVE)
-    ground = find_ground(thin_points(*above.T))
-    if ground.kind != "level" or ground.up is None:
-        return None
-    roll, pitch, _ = ground.level_from_frame
-    level = Rigid.from_rpy(roll, pitch, 0.0, (0.0, 0.0, _ABOVE))
-    return np.asarray(level.apply(above))
+def _moved(cloud: Points, transform: Rigid | None) -> NDArray[np.float64]:
+    """Return the points of a cloud in another frame, (N, 3)."""
+    with np.errstate(invalid="ignore"):  # coordinates may be infinite, and a NaN a signalling one
+        points = np.stack(cloud.xyz(), axis=1).astype(np.float64)
+        return points if transform is None else np.asarray(transform.apply(points))
+
+
+def _slope(lying: NDArray[np.float64], low: float, high: float) -> float:
+    """Return how steeply points rise above the lower limit: those up to the upper one, which then rises with them."""
+    known = lying[np.isfinite(lying).all(axis=1)]
+    z, ranges, slope = known[:, 2], np.hypot(known[:, 0], known[:, 1]), 0.0
+    for _ in range(2):
+        rising = (z > low) & (z < high + slope * ranges) & (ranges > _NEAR)
+        slope = percentiles((z - low)[rising] / ranges[rising], _NEARLY)[0] if rising.any() else 0.0
+    return slope
 
 
 def _scans(
-    spec: ScanSpec, lidar: Lidar, clouds: Sequence[NDArray[Any]], *, is_placed: bool, merges: bool
-) -> tuple[list[NDArray[np.float64]], list[PointCounts]]:
-    """Return the ranges of each cloud's scan, infinite without a return, and what became of its points.
-
-    The clouds are in their own frame, or placed in that of the scans; they may make one scan together.
-    """
-    params, frame = spec.params, lidar.target if is_placed else lidar.mounting.judged_in
-    placer = Placer() if is_placed else Placer(params.target_frame, "", lidar.buffer)
+    spec: ScanSpec, lidar: Lidar, clouds: Sequence[Points], placer: Placer, *, merges: bool
+) -> tuple[NDArray[np.float64], NDArray[np.float64], list[PointCounts]]:
+    """Return the ranges of all scans, the ranges of what stands, and what became of the points of each cloud."""
+    params = spec.params
+    is_placed = placer.target_frame != params.target_frame
     filters = [each for each in spec.filters if not is_placed or each.name in {"ground", "min_height_slope"}]
     measured = {lidar.topic: Measurements(0.0, azimuth_step=lidar.step or 0.0)}
     steps = CloudToScan(replace(spec, filters=tuple(filters)), placer, measured).steps(lidar.topic)
-    chosen = [PlaceStage(placer)(_as_points(xyz, frame)) for xyz in clouds]
-    if steps.select is not None:
-        chosen = [steps.select(each) for each in chosen]
-    if merges:
-        rejected = sum((Counter(each.rejected) for each in chosen), Counter())
-        xyz = [np.concatenate([each.points.field(axis).ravel() for each in chosen]) for axis in "xyz"]
-        points = _as_points(xyz, frame)
-        chosen = [replace(chosen[0], points=points, rejected=rejected)]
     ranges: list[NDArray[np.float64]] = []
-    counts = [PointCounts()] * len(clouds)
-    for number, selected in enumerate(chosen):
-        scan = steps.project(selected)
-        read = scan.message.ranges.astype(np.float64)
-        read[~((read >= params.range_min) & (read <= params.range_max))] = np.inf
-        ranges.append(read)
-        counts[number] = scan.counts
-    return ranges, counts
-
-
-def _as_points(xyz: Iterable[NDArray[Any]], frame: str) -> Points:
-    return Points(0, 0, frame, dict(zip("xyz", xyz, strict=True)))
+    counts: list[PointCounts] = []
+    for cloud in clouds:
+        chosen = PlaceStage(placer)(cloud)
+        if steps.select is not None:
+            chosen = steps.select(chosen)
+        upright = replace(chosen, points=chosen.points.select(chosen.points.field(_STANDS)))
+        scan, standing = steps.project(chosen), steps.project(upright)
+        for each in (scan, standing):
+            read = each.message.ranges.astype(np.float64)
+            read[~((read >= params.range_min) & (read <= params.range_max))] = np.inf
+            ranges.append(read)
+        counts.append(scan.counts)
+    together = np.minimum.reduce if merges else np.concatenate
+    return together(ranges[::2]), together(ranges[1::2]), counts

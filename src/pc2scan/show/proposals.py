@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from pc2scan.transforms.frames import BODIES, WORLDS
 from pc2scan.transforms.motion import spread_of_up
 from pc2scan.transforms.mounting import sensor_exclusion
 
-from .lidar import EDGE_NS, TOLERANCE, Lidar, stamp_faults, tried
+from .lidar import EDGE_NS, TOLERANCE, Lidar, Trial, stamp_faults, tried
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.transforms.motion import SensorMotion
 
-    from .lidar import Trial
 
 #: The preset whose scans all consumers accept.
 _PRESET = "slam_toolbox"
@@ -46,15 +46,11 @@ _METRES = 0.02
 #: A robot whose roll and pitch vary by more than this tilts, radians.
 _TILTS = math.radians(1.0)
 
-#: From this share of returns on rising ground, a command removes it.
-_MOST_GROUND = 0.04
-#: An option removes the ground if at most this share of the returns, and a quarter of those before, are still on it,
-#: and the second share of what stands on it is seen.
-_STILL_ON, _STILL_SEEN = 0.15, 0.9
-#: Scans reach so far at least, metres.
-_REACHES = 20.0
-#: How much higher scans begin where it is also rough, metres.
-_ROUGH = 0.15
+#: From the first share of returns that may be on rising ground, a command removes it, and from the second one on it is
+#: said. Beams that miss what stands, or see it elsewhere, are at most the third one, if at most the last one may be.
+_LYING, _TOLD, _MISSED, _MOST = 0.05, 0.1, 0.2, 0.75
+#: Scans above rising ground reach so far, metres, and end so far below what is overhead.
+_REACHES, _BELOW = 20.0, 0.2
 
 #: Floors of several lidars that differ by less are one, metres.
 _ONE_FLOOR = 0.05
@@ -170,30 +166,32 @@ def proposals(
 
 def _tried(options: Mapping[str, Any], group: Sequence[Lidar]) -> tuple[list[Choice], Sequence[str]]:
     """Return options that a command lacks by a trial of it, and what it would be told with them."""
-    trial = _worst([tried(options, each) for each in group])
-    # Wide beams read several surfaces.
-    if trial.on_ground <= (_STILL_ON if any(each.pattern.degrees for each in group) else _MOST_GROUND):
-        return [], trial.findings
-    why = f"the ground rises: {trial.on_ground:.0%} of the returns are on it"
-    steep = Choice("min_height_slope", math.ceil(100 * trial.slope + 0.5) / 100, why)
-    remove = Choice("ground", "remove", why)
-    above = Choice("min_height", float(f"{options['min_height'] + _ROUGH:g}"), "above the floor, and rough ground")
-    most = max(_MOST_GROUND, min(_STILL_ON, trial.on_ground / 4))
-    reach = (options["max_height"] - options["min_height"]) / steep.value
-    ends = f"scans end {reach:.0f} m away, where `min_height_slope` reaches max_height"
-    for way, lost in (([remove], ()), ([remove, above], ()), ([steep], (ends,) if reach < _REACHES else ())):
+    trials = [tried(options, each) for each in group]
+    worst = max(trials, key=lambda trial: trial.lying)
+    ways: list[list[Choice]] = [[]]
+    if worst.lying > _LYING:
+        why = f"the ground rises: {worst.lying:.0%} of the returns may be on it"
+        slope = math.ceil(100 * worst.slope + 0.5) / 100
+        ceilings = [each.mounting.heights.ceiling for each in group if each.mounting.heights is not None]
+        most = min((each - _BELOW for each in ceilings if each is not None), default=math.inf)
+        top = max(options["max_height"], min(options["max_height"] + slope * _REACHES, most))
+        above = Choice("max_height", float(f"{top:.2f}"), f"of what stands on it, up to {_REACHES:.0f} m away")
+        ways += [Choice("ground", "remove", why)], [Choice("min_height_slope", slope, why), above]
+    outcomes = []
+    for way in ways:
         more = {each.name: each.value for each in way}
-        outcome = _worst([tried({**options, **more}, lidar) for lidar in group])
-        if outcome.on_ground <= most and outcome.seen > _STILL_SEEN:
-            return way, (*outcome.findings, *lost)
-    said = f"{trial.on_ground:.0%} of the returns are on the ground, which rises; `pc2scan view` shows it"
-    return [], (*trial.findings, said)
-
-
-def _worst(trials: Sequence[Trial]) -> Trial:
-    """Return the trial of the lidar that sees most of the ground, with what is said of all."""
-    worst = max(trials, key=lambda trial: trial.on_ground)
-    return worst._replace(findings=tuple(dict.fromkeys(text for each in trials for text in each.findings)))
+        after = [tried({**options, **more}, lidar) for lidar in group] if way else trials
+        lying, missed = max(each.lying for each in after), max(map(Trial.missed_in, trials, after))
+        # A limit that rises with the range may be above what stands, and of one ring nothing shows what does.
+        if "min_height_slope" not in more or (lying <= _LYING and missed <= _MISSED and worst.lying <= _MOST):
+            outcomes.append((lying + missed, lying, way, after))
+    _, lying, way, after = min(outcomes, key=itemgetter(0))
+    said = (
+        f"{lying:.0%} of the returns may be on rising ground: nothing is seen above or below them; "
+        "`pc2scan view` shows them"
+    )
+    findings = dict.fromkeys(text for trial in after for text in trial.findings)
+    return way, (*findings, *([said] if lying > _TOLD else ()))
 
 
 def _with_common_heights(lidar: Lidar, lidars: Sequence[Lidar]) -> Lidar:

@@ -282,7 +282,7 @@ def judged(world: World, path: Path) -> tuple[float, float]:
     at = np.concatenate([turn.times[turn.hit] for turn in world.turns])
     height = every[:, 2] - world.ground(every[:, 0])
     margin = 0.02 + (0.05 if world.slope else 0.0)
-    known = (height > 0.1 - margin) & (every[:, 2] < world.top + margin)
+    known = (height > 0.1 - margin) & (height < world.top + margin)
     firm = (height > 0.1 + margin) & (every[:, 2] < world.top - margin)
     # When a scan was measured: a turn from its stamp on; of packets, around it; of a sparse pattern, 1 s before.
     before, after = {"sparse": (1.0, 0.1), "packets": (0.15, 0.15)}.get(world.sensor, (0.01, 0.11))
