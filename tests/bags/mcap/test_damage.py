@@ -55,6 +55,8 @@ DAMAGED = [
     (raw_channel() + record(5, bytes(21)), "the message at byte .* has 30 bytes, at least 31 are needed"),
     (raw_channel()[:-1] + raw_message(), "record at byte"),
     (record(3, struct.pack("<HIII", 1, 0, 0, 4) + b"abc"), "the Schema record"),
+    (record(7, bytes(6)), "the message index at byte .* follows no chunk"),
+    (raw_chunk(BODY) + 2 * record(7, bytes(6)), "the message index at byte .* is of a chunk that is not there"),
     (record(0, b""), "has opcode 0, which no record may have"),
     (record(11, b""), "is of kind 11, which no data may have"),
     (struct.pack("<BQ", 5, 1 << 62), "the record at byte"),
