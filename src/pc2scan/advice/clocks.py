@@ -64,11 +64,6 @@ _LONG_AGO_NS = 1_000_000_000_000_000
 _LONGEST_S = 1.0
 
 
-def logged_early(one_ns: int, other_ns: int) -> bool:
-    """Whether messages of only one of two topics are logged before their stamps, given their delays."""
-    return min(one_ns, other_ns) < _BEFORE_NS <= max(one_ns, other_ns)
-
-
 def are_doubtful(one_ns: int, other_ns: int, window_ns: int = 0) -> bool:
     """Whether the clocks of two topics probably differ.
 
@@ -79,7 +74,8 @@ def are_doubtful(one_ns: int, other_ns: int, window_ns: int = 0) -> bool:
     window_ns
         A difference that does not matter.
     """
-    limit_ns = _SMALL_NS if logged_early(one_ns, other_ns) else _OTHER_CLOCK_NS
+    is_one_early = min(one_ns, other_ns) < _BEFORE_NS <= max(one_ns, other_ns)
+    limit_ns = _SMALL_NS if is_one_early else _OTHER_CLOCK_NS
     return abs(one_ns - other_ns) > max(limit_ns, window_ns)
 
 
