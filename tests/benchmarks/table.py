@@ -163,7 +163,7 @@ def parts(place: Path, size: int, repeat: int) -> Iterable[Sequence[str]]:
             lambda: run(sys.executable, *line)[0],  # noqa: B023
         )
         yield compared(f"{name}: converting; reading with {library}", "s", 1, found)
-        if name not in small:
+        if name in _USUAL:
             yield compared(f"{name}: passing on; rosbags-convert", "s", 1, passed_on(source, form, place, repeat))
         remove(source)
     one = write_recording(place, FORMS["MCAP, none"], 1, 1_000)
@@ -172,13 +172,16 @@ def parts(place: Path, size: int, repeat: int) -> Iterable[Sequence[str]]:
     remove(one)
 
 
+#: Each container with its usual compression.
+_USUAL = ("ROS 1, lz4", "sqlite3", "MCAP, zstd")
+
 #: Clouds of four points, some 400 bytes: as many as a robot's transforms and IMU are in an hour.
 _MANY = 100_000
 
 
 def small_messages(place: Path, repeat: int) -> Iterable[Sequence[str]]:
     """Reading and writing in this process, without a conversion."""
-    for name in ("ROS 1, lz4", "sqlite3", "MCAP, zstd"):
+    for name in _USUAL:
         source = write_recording(place, FORMS[name], _MANY * 128, 4)
         library, read = ("mcap", _read_by_mcap) if source.suffix == ".mcap" else ("rosbags", _read_by_rosbags)
         found = in_turn(
@@ -186,14 +189,14 @@ def small_messages(place: Path, repeat: int) -> Iterable[Sequence[str]]:
             lambda: seconds(lambda: deque(open_recording(source).messages(), 0)),  # noqa: B023
             lambda: seconds(lambda: read(source)),  # noqa: B023
         )
-        yield compared(f"{name}, {_MANY:,} messages of 400 bytes: reading; {library}", "s", 1, found)
+        yield compared(f"{name}, {_MANY:,} of 400 bytes: reading; {library}", "s", 1, found)
         remove(source)
     found = in_turn(
         repeat,
         lambda: seconds(lambda: remove(write_recording(place, FORMS["MCAP, zstd"], _MANY * 128, 4))),
         lambda: seconds(lambda: _write_by_mcap(place / "theirs.mcap")),
     )
-    yield compared(f"MCAP, zstd, {_MANY:,} messages of 400 bytes: writing; mcap", "s", 1, found)
+    yield compared(f"MCAP, zstd, {_MANY:,} of 400 bytes: writing; mcap", "s", 1, found)
 
 
 def _read_by_mcap(source: Path) -> None:

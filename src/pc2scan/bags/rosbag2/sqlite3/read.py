@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from itertools import chain, repeat
+from itertools import repeat
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags import zstd
@@ -40,14 +40,15 @@ from .database import SQLITE_ERRORS, Database
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
     from pathlib import Path
+    from sqlite3 import Cursor
 
     from pc2scan.bags.reader import Wanted
 
 #: Limits of a chunk's bytes and rows, and of the data that are read with their row; longer ones are read one by one.
 #: Loading less takes less time than handing it to another thread.
 _CHUNK_BYTES = 1 << 19
-_CHUNK_ROWS = 256
-_SHORT_BYTES = 1 << 12
+_LEAST_ROWS, _CHUNK_ROWS = 8, 256
+_SHORT_BYTES = 1 << 16
 _WORTH_A_THREAD = 1 << 20
 
 #: rosbag2's index of messages by time.
@@ -144,8 +145,7 @@ class Sqlite3Reader(Reader):
         while True:
             is_rebuilt = self._database.is_rebuilt
             try:
-                selected = self._select(known, wanted, after)
-                for columns, size in chain.from_iterable(map(self._filled, iter(selected, []))):
+                for columns, size in self._fetched(self._select(known, wanted, after)):
                     after = columns[1][-1], columns[2][-1]
                     # Pages of a damaged tree may form a loop.
                     expected -= len(columns[0])
@@ -165,6 +165,14 @@ class Sqlite3Reader(Reader):
                     self._is_indexed = False
             else:
                 return
+
+    def _fetched(self, cursor: Cursor) -> Iterator[tuple[Any, int]]:
+        """Yield columns of a growing number of rows, while they are small, with the bytes of their data."""
+        count, size = _LEAST_ROWS, 0
+        while rows := cursor.fetchmany(count):
+            for columns, size in self._filled(rows):
+                yield columns, size
+            count = min(2 * count, _CHUNK_ROWS) if size < _CHUNK_BYTES // 2 else _LEAST_ROWS
 
     def _filled(self, rows: list[Any]) -> Iterator[tuple[Any, int]]:
         """Yield the columns of rows, with the bytes of their data, which are read here where they are long."""
@@ -225,10 +233,8 @@ class Sqlite3Reader(Reader):
         self._database.close()
         super().close()
 
-    def _select(
-        self, topic_ids: Iterable[int], wanted: Wanted, after: tuple[int, int] | None
-    ) -> Callable[[], list[Any]]:
-        """Return a function for the next rows: topic, time, rowid, and data where they are short, by time and rowid.
+    def _select(self, topic_ids: Iterable[int], wanted: Wanted, after: tuple[int, int] | None) -> Cursor:
+        """Select topic, time, rowid, and data where they are short, by time and rowid.
 
         They are those after ``after`` (time and rowid).
         """
@@ -243,7 +249,7 @@ class Sqlite3Reader(Reader):
         index, data = (f"INDEXED BY {_INDEX}", _SHORT) if self._is_indexed else ("", "NULL")
         where = " AND ".join(conditions)
         sql = f"SELECT topic_id, timestamp, rowid, {data} FROM messages {index} WHERE {where} ORDER BY 2, 3"  # noqa: S608
-        return partial(self._database.query(sql, values).fetchmany, _CHUNK_ROWS)
+        return self._database.query(sql, values)
 
 
 def _load(known: Mapping[int, Connection], columns: Columns, callback: Callable[[RawMessage], Any]) -> list[Any]:
