@@ -73,3 +73,9 @@ def test_a_proposed_command_sees_what_is_there(name: str, tmp_path: Path) -> Non
     assert (found.right >= 0.95, found.filled >= 0.9) == (True, True), found
     assert said in found.text
     assert (found.word, "warning" in found.text) == ("right", bool(said)), found
+
+
+def test_a_lidar_that_turns_the_wrong_way_is_said_before_it_is_converted(tmp_path: Path) -> None:
+    world = World(HALL, DESKS, "2 rings", (0.2, 0.6, 180.0, 0.0, 0.0), "drives", claim=0.0)
+    found = outcome(world, tmp_path)
+    assert (found.word, "info: warning: /points: surroundings are" in found.text) == ("told", True), found

@@ -8,7 +8,7 @@ poses of another time, or by smoother ones.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pc2scan.core.points import Points
+    from pc2scan.core.rigid import Rigid
     from pc2scan.request.options import ScanSpec
     from pc2scan.request.point_time import Times
     from pc2scan.transforms.buffer import TransformBuffer
@@ -67,6 +68,10 @@ _NOTHING = np.empty((0, 3))
 
 #: The signs of x, y and z of a lidar that is turned over.
 _TURNED_OVER = (1.0, -1.0, -1.0)
+_IF_TURNED_OVER = (
+    "times as sharp if the lidar is turned over: when the robot turns, they turn the wrong way; is it upside down "
+    "against its transform? `static_tf` says how it is mounted"
+)
 
 #: Poses that jitter are compared with their means over so many seconds.
 _SMOOTH = 0.1
@@ -339,10 +344,7 @@ class Surroundings:
         seen = f"{topic}: in {counted(len(windows), 'second')} of the strongest motion, surroundings are"
         turned = gain(lambda each: each._replace(points=each.points * _TURNED_OVER))
         if turned > max(sharper, _SHARPER):
-            yield (
-                f"{seen} {turned:.2g} times as sharp if the lidar is turned over: when the robot turns, they "
-                "turn the wrong way; is it upside down against its transform? `static_tf` says how it is mounted"
-            )
+            yield f"{seen} {turned:.2g} {_IF_TURNED_OVER}"
         elif shift:
             yield (
                 f"{seen} {sharper:.2g} times as sharp with the transforms to {spec.fixed_frame} of "
@@ -369,6 +371,25 @@ def _clock_doubts(lead: str, other: str, pairs: Sequence[tuple[_Seen, _Seen]]) -
             f"{'later' if shift > 0 else 'earlier'} than its stamps say: the clocks of the two lidars differ; "
             f"`time_offset={other}={shift:.2f}s` corrects them"
         )
+
+
+def turned_over(topic: str, clouds: Sequence[tuple[Rigid, NDArray[np.floating[Any]]]]) -> str:
+    """Return a warning if what a lidar sees from several places is sharper with the lidar turned over, or no text.
+
+    Parameters
+    ----------
+    topic
+        Its topic.
+    clouds
+        The transform to a frame that does not move of each cloud, and its points, (N, 3), in the frame of the lidar.
+    """
+    some = [(rigid, points[:: 1 + len(points) // _OF_CLOUD]) for rigid, points in clouds]
+    here, turned = (
+        np.concatenate([_NOTHING, *(rigid.apply(points * signs) for rigid, points in some)])
+        for signs in ((1.0, 1.0, 1.0), _TURNED_OVER)
+    )
+    gain = _gain([(here, turned, _NOTHING)]) if len(here) >= _FEWEST else 0.0
+    return f"{topic}: surroundings are {gain:.2g} {_IF_TURNED_OVER}" if gain > _SHARPER else ""
 
 
 def _are_walls(points: NDArray[np.float64]) -> NDArray[np.bool_]:

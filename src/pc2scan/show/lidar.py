@@ -340,6 +340,11 @@ class Lidar:
             clouds.append(Points(0, at_ns, frame, dict(zip("xyz", axes, strict=True))))
         return [each for each in clouds if each.fields["x"].size], merges
 
+    def clouds_in(self, fixed: str) -> list[tuple[Rigid, NDArray[np.floating[Any]]]]:
+        """Return the transforms of the spread clouds to a frame that does not move, and their finite points, (N, 3)."""
+        places = [(self.transform(fixed, self.mounting.frame, stamp_ns), points.T) for stamp_ns, points in self.clouds]
+        return [(place, xyz[np.isfinite(xyz).all(axis=1)]) for place, xyz in places if place is not None]
+
     def in_target(self, points: NDArray[np.floating[Any]], frame: str = "", stamp_ns: int = 0) -> NDArray[np.float64]:
         """Return points of a frame, (3, N), in the frame of the scans, (N, 3): of `clouds`, if none is given."""
         with np.errstate(invalid="ignore"):  # a NaN may be a signalling one

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pc2scan.advice.clocks import are_doubtful
-from pc2scan.advice.odometry import odometry_of
+from pc2scan.advice.odometry import odometry_of, turned_over
 from pc2scan.bags.destinations import default_destination
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import median_low
@@ -458,6 +458,8 @@ def odometry_doubts(lidars: Iterable[Lidar]) -> list[str]:
         # Frames that are the wrong way round move nothing.
         fixed = motion.fixed if motion is not None else next((name for name in WORLDS if name in buffer.frames), "")
         doubts.append(odometry_of(buffer, fixed, lidar.mounting.frame).doubt)
+        if motion is not None and lidar.mounting.judged_in == lidar.mounting.frame and not lidar.is_registered:
+            doubts.append(turned_over(lidar.topic, lidar.clouds_in(fixed)))
     return list(dict.fromkeys(filter(None, doubts)))
 
 
