@@ -6,7 +6,6 @@ Run it with ``python tests/benchmarks/proposals.py 200``, or with ``--seeds 3 17
 from __future__ import annotations
 
 import argparse
-import shutil
 import sys
 from collections import Counter
 from pathlib import Path
@@ -23,7 +22,6 @@ def main() -> None:
     parser.add_argument("count", type=int, nargs="?", default=200)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seeds", type=int, nargs="+")
-    parser.add_argument("--keep", type=Path, help="keep the recordings in this folder")
     asked = parser.parse_args()
     seeds = asked.seeds or range(asked.first, asked.first + asked.count)
     words: Counter[str] = Counter()
@@ -31,8 +29,6 @@ def main() -> None:
         name, world = random_world(seed)
         with TemporaryDirectory() as folder:
             found = outcome(world, Path(folder))
-            if asked.keep:
-                shutil.copy(Path(folder) / "drive.mcap", asked.keep / f"{seed}.mcap")
         words[found.word] += 1
         sys.stdout.flush()
         sys.stdout.write(f"{found.word:5} {found.right:6.1%} {found.filled:6.1%}  {name}" + "\n")
