@@ -415,10 +415,14 @@ class Trial(NamedTuple):
         return float((returns & ~(self.ranges > self.standing - _OFF)).sum() / max(returns.sum(), 1))
 
     def missed_in(self, other: Trial) -> float:
-        """Return the share of the beams with something that stands that do not have it in the scans of another one."""
-        stands = np.isfinite(self.standing)
-        off = np.abs(other.ranges[stands] - self.standing[stands])
-        return float((off >= _OFF).sum() / max(stands.sum(), 1))
+        """Return the share of the beams with something that stands that do not have it in the scans of another one.
+
+        Or of those with a return that have none there, if it is larger.
+        """
+        stands, returns = np.isfinite(self.standing), np.isfinite(self.ranges)
+        off = np.abs(other.ranges[stands] - self.standing[stands]) >= _OFF
+        shares = (each.sum() / max(each.size, 1) for each in (off, ~np.isfinite(other.ranges[returns])))
+        return float(max(shares))
 
 
 def tried(options: Mapping[str, Any], lidar: Lidar) -> Trial:
