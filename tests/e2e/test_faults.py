@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from e2e.fault_driver import CASES
-from support import sampled
 from support.builders import CONTENT, write_mcap
 from support.command import environment
 
@@ -107,7 +106,8 @@ def assert_absent_or_complete(outcome: dict[str, Any], sound: dict[str, Any], ki
         assert outcome["destination_again"] == sound["destination"], what
 
 
-@pytest.mark.parametrize("kind", sampled(_KINDS, 1))
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", _KINDS)
 def test_each_call_may_fail(kind: str, library: Path, source: Path, tmp_path: Path) -> None:
     faults = ["ENOSPC"] if kind.endswith("over") else ["ENOSPC", "EIO"]
     sound, others = outcomes(library, source, tmp_path, kind, faults)

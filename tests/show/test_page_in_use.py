@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 
     from show.browser import Tab
 
-pytestmark = needs_chromium
-slow = pytest.mark.slow
+pytestmark = [needs_chromium, pytest.mark.slow]
 
 
 @pytest.fixture
@@ -84,7 +83,6 @@ def test_the_command_line_makes_what_the_page_shows(hall: Tab, tmp_path: Path) -
     assert first.frame_id == "base_link"
 
 
-@slow
 @pytest.mark.parametrize("ros", [1, 2])
 def test_the_parameter_files_mean_what_the_page_shows(hall: Tab, tmp_path: Path, ros: int) -> None:
     hall.page.select_option("#param-preset", "gmapping")
@@ -96,7 +94,6 @@ def test_the_parameter_files_mean_what_the_page_shows(hall: Tab, tmp_path: Path,
     assert np.array_equal(first_scan(tmp_path / "s.mcap").ranges, shown, equal_nan=True)
 
 
-@slow
 def test_nothing_overflows_in_a_small_window(opened: Callable[..., Tab]) -> None:
     tab = opened(HALL, window=(420, 800, "dark"))
     assert tab.call("document.documentElement.scrollWidth") <= 420
@@ -133,7 +130,6 @@ def test_a_hostile_recording_runs_nothing(opened: Callable[..., Tab], tmp_path: 
     tab.page.mouse.move(200, 300)
 
 
-@slow
 def test_scans_are_read_back_as_recorded(opened: Callable[..., Tab], tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "scans.mcap", recording({"/scan": scans(3), "/other": scans(3)}))
     tab = opened(source)
@@ -143,7 +139,6 @@ def test_scans_are_read_back_as_recorded(opened: Callable[..., Tab], tmp_path: P
     assert "accepted" in tab.page.inner_text("#panel")
 
 
-@slow
 def test_filters_are_counted_and_coloured_and_in_the_command(opened: Callable[..., Tab], tmp_path: Path) -> None:
     filters = ["--where", "ring > 4", "--exclude-box", "lidar -1 6 0 4 -1 1", "--min-height-slope", "0.1"]
     tab = opened(HALL, "--min-height=-0.3", *filters)

@@ -109,7 +109,7 @@ def write(world: World, folder: Path) -> Path:
     return whole
 
 
-@pytest.mark.parametrize("name", sampled(WORLDS, 4))
+@pytest.mark.parametrize("name", sampled(WORLDS, 3))
 def test_in_a_simulated_world_the_returns_are_on_the_walls(name: str, tmp_path: Path) -> None:
     world = WORLDS[name]
     path = write(world, tmp_path)
