@@ -383,6 +383,9 @@ _POINTS = 60_000
 #: A beam that ends on the ground, or misses what stands on it, is off by more than this, metres.
 _OFF = 0.2
 
+#: Scans with a return in a smaller share of their beams are not judged: a few stones are a third of it.
+_FEWEST = 0.05
+
 #: Slopes are measured from this distance on, metres; nearly all that does not stand rises less, percent.
 _NEAR, _NEARLY = 2.0, 97.0
 
@@ -410,8 +413,10 @@ class Trial(NamedTuple):
 
     @property
     def lying(self) -> float:
-        """The share of the returns of which nothing shows that they are on something that stands."""
+        """The share of the returns of which nothing shows that they are on something that stands; 0 of too few."""
         returns = np.isfinite(self.ranges)
+        if returns.sum() < _FEWEST * returns.size:
+            return 0.0
         return float((returns & ~(self.ranges > self.standing - _OFF)).sum() / max(returns.sum(), 1))
 
     def missed_in(self, other: Trial) -> float:
