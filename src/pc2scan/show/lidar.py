@@ -273,9 +273,7 @@ class Lidar:
 
     def transform(self, target: str, source: str, stamp_ns: int = 0) -> Rigid | None:
         """Return a recorded transform, by default the latest; None if there is none."""
-        with suppress(TransformError):
-            return None if self.buffer is None else self.buffer.lookup(target, source, stamp_ns)
-        return None
+        return None if self.buffer is None else self.buffer.known(target, source, stamp_ns)
 
     def motion(self, seconds: float) -> SensorMotion | None:
         """Return how it moves within some time; None if it stands still, or no transforms say how it moves."""
