@@ -14,7 +14,7 @@ from .options.call import Options
 from .options.conversion import ConversionFrames
 from .options.effects import refuse_idle
 from .options.table import PARAMETERS, options_about_scans
-from .request.options import TRAJECTORY, ConvertOptions, ScanSpec, StampOptions, TopicRequest
+from .request.options import TRAJECTORY, Request, ScanSpec, StampOptions, TopicRequest
 from .request.outputs import load_scans, parse_params, read_output, refuse_beside
 from .result import tell_early
 from .transforms.placing import FrameOptions
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     Warn: TypeAlias = Callable[[str], None]
 
 #: Options that are attributes of a conversion, as they are.
-_OF_ALL = ConvertOptions.__dataclass_fields__.keys() - {"scans", "frames", "clock", "files", "notes"}
+_OF_ALL = Request.__dataclass_fields__.keys() - {"scans", "frames", "clock", "files", "notes"}
 
 #: The options that are attributes of `FrameOptions`.
 OF_FRAMES = {*ConversionFrames.__annotations__, "write_static_tf"}
@@ -78,7 +78,7 @@ def clock_of(options: Options) -> StampOptions | None:
     return clock
 
 
-def first_output(options: ConvertOptions, verb: str, warn: Warn | None) -> ConvertOptions:
+def first_output(options: Request, verb: str, warn: Warn | None) -> Request:
     """Return a conversion with the first of its outputs only; ``verb`` says in a note what it is used for."""
     if not options.scans[1:]:
         return options
@@ -87,7 +87,7 @@ def first_output(options: ConvertOptions, verb: str, warn: Warn | None) -> Conve
     return replace(options.with_scan(), notes=(*options.notes, only))
 
 
-def conversion_of(options: Options, warn: Warn | None = None) -> ConvertOptions:
+def conversion_of(options: Options, warn: Warn | None = None) -> Request:
     """Read the options of a conversion.
 
     Parameters
@@ -122,7 +122,7 @@ def conversion_of(options: Options, warn: Warn | None = None) -> ConvertOptions:
         frames = replace(frames, tf_topics=outputs.tf_topics)
     files = named_files(options) | {f"{path.name} (from `{where}`)": path for path in outputs.files}
     how = {"frames": frames, "clock": clock_of(options), **options.among(_OF_ALL)}
-    return ConvertOptions(scans=outputs.specs, **how, files=files, notes=tuple(notes))
+    return Request(scans=outputs.specs, **how, files=files, notes=tuple(notes))
 
 
 def _refuse_scans(options: Options) -> None:
@@ -171,7 +171,7 @@ def destination_of(destination: PathText | None) -> tuple[Path | None, Path | No
     return path_or_url(text), None
 
 
-def reading_of(topics: tuple[str, ...], options: Options) -> ConvertOptions:
+def reading_of(topics: tuple[str, ...], options: Options) -> Request:
     """Return the options of messages that are read as they are."""
     scan = ScanSpec(topics=tuple(map(TopicRequest, topics)))
-    return ConvertOptions(scans=(scan,), clock=clock_of(options), **options.among(_OF_ALL))
+    return Request(scans=(scan,), clock=clock_of(options), **options.among(_OF_ALL))

@@ -11,7 +11,7 @@ from pc2scan.conversion.plan import Plan, make_plan
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import TopicError
 from pc2scan.model import Connection
-from pc2scan.request.options import Combining, ConvertOptions, ScanSpec, TopicRequest
+from pc2scan.request.options import Combining, Request, ScanSpec, TopicRequest
 from support.tables import rows
 
 TABLES = Path(__file__).with_name("plans.txt")
@@ -25,7 +25,7 @@ def plan(topics: dict[str, str], requests: str = "", **options: Any) -> Plan:
     own = {name: options.pop(name) for name in ("params", "reverse") if name in options}
     combining = Combining.of({name: options.pop(name) for name in ("rebin",) if name in options})
     scan = ScanSpec(topics=tuple(map(TopicRequest.parse, requests.split())), combining=combining, **own)
-    return make_plan(connections, ConvertOptions(scans=(scan,), **options))
+    return make_plan(connections, Request(scans=(scan,), **options))
 
 
 @pytest.mark.parametrize(("topics", "requests", "options", "targets", "passing"), rows(TABLES, "targets"))
@@ -70,7 +70,7 @@ def test_topics_that_share_a_target_become_one_scan() -> None:
 
 def test_an_output_without_sources_has_the_only_topic() -> None:
     spec = ScanSpec(name="/low", place="scans.yaml, line 3")
-    options = ConvertOptions(scans=(spec, ScanSpec(name="/high", topics=(TopicRequest("/a", "/high"),))))
+    options = Request(scans=(spec, ScanSpec(name="/high", topics=(TopicRequest("/a", "/high"),))))
     (route,) = make_plan([Connection(1, "/a", CLOUD, "ros1")], options).routes
     assert [(each.spec.name, each.target) for each in route.outputs] == [("/low", "/low"), ("/high", "/high")]
     two = [Connection(i, topic, CLOUD, "ros1") for i, topic in enumerate(("/a", "/b"))]

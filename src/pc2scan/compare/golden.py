@@ -28,7 +28,7 @@ from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.options.call import Options
 from pc2scan.options.values import count, texts
-from pc2scan.request.options import ConvertOptions
+from pc2scan.request.options import Request
 from pc2scan.result import Part, Result
 from pc2scan.text import did_you_mean, duration, nearest
 
@@ -436,7 +436,7 @@ def make_case(folder: Path, command: Command, options: Options, *, progress: Pro
         (reader,) = open_recordings([options.init], stack)
         kept = _needed_topics(reader, options.topics)
         name = "input.bag" if any(each.ros_version == 1 for each in reader.connections) else "input.mcap"
-        cut = ConvertOptions(repair=True, start=options.start, end=options.end, keep=tuple(kept))
+        cut = Request(repair=True, start=options.start, end=options.end, keep=tuple(kept))
         report = run([options.init], partial / name, cut, OutputOptions(), progress=progress)
         if (params := options.params_file) is not None:
             try:

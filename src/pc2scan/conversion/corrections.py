@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, RawMessage
     from pc2scan.progress import Meter
-    from pc2scan.request.options import ConvertOptions, StampOptions
+    from pc2scan.request.options import Request, StampOptions
     from pc2scan.transforms.reading import RecordedTransforms
 
 #: An offset that takes stamps farther from those of the transforms by more than this is wrong.
@@ -128,7 +128,7 @@ def corrected(
 
 
 def corrected_transforms(
-    reader: Reader, options: ConvertOptions, stack: ExitStack, needed: Collection[str], meter: Meter | None = None
+    reader: Reader, options: Request, stack: ExitStack, needed: Collection[str], meter: Meter | None = None
 ) -> tuple[RecordedTransforms, Sequence[Reader]]:
     """Return all transforms of a recording, and the opened recordings of ``tf_from``, which have some of them.
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
     from pc2scan.model import Buffer, Connection
-    from pc2scan.request.options import ConvertOptions, ScanSpec
+    from pc2scan.request.options import Request, ScanSpec
 
     from .report import TopicReport
     from .steps import ConvertedMessage, Steps
@@ -174,7 +174,7 @@ def _steps_in_words(output: Output, topic: str) -> Iterator[str]:
         yield f"combine with {', '.join(others)}"
 
 
-def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Plan:
+def make_plan(connections: Sequence[Connection], options: Request) -> Plan:
     """Decide which topics are converted, which pass through, and which are skipped.
 
     Parameters
@@ -233,7 +233,7 @@ def _outputs(
 
 
 def _combined(
-    spec: ScanSpec, targets: Mapping[str, Sequence[str]], types: dict[str, set[str]], options: ConvertOptions
+    spec: ScanSpec, targets: Mapping[str, Sequence[str]], types: dict[str, set[str]], options: Request
 ) -> dict[str, list[str]]:
     """Return the topics of scans that are made of several messages, each with the topics of these."""
     sources: dict[str, list[str]] = {}
@@ -256,7 +256,7 @@ def _combined(
     return sources
 
 
-def _targets(types: dict[str, set[str]], spec: ScanSpec, options: ConvertOptions) -> dict[str, tuple[str, ...]]:
+def _targets(types: dict[str, set[str]], spec: ScanSpec, options: Request) -> dict[str, tuple[str, ...]]:
     """Return the topics to convert, and the topics that their scans go to."""
     convertible = spec.named_types if spec.topics else spec.source_types
     candidates = [topic for topic, kinds in types.items() if not kinds.isdisjoint(convertible)]

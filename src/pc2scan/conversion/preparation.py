@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from pc2scan.core.rule import PointCounts
     from pc2scan.model import ChunkRule, Connection, RawMessage
     from pc2scan.progress import Meter
-    from pc2scan.request.options import ConvertOptions, ScanSpec
+    from pc2scan.request.options import Request, ScanSpec
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.placing import UpSource
     from pc2scan.transforms.reading import RecordedTransforms
@@ -98,7 +98,7 @@ class Preparation:
 
     reader: Reader
     plan: Plan
-    options: ConvertOptions
+    options: Request
     span: Span
     known: KnownTransforms
     tell: Callable[..., None]
@@ -123,7 +123,7 @@ class Preparation:
         self.notes += (spec.label + text for text in notes)
 
 
-def span_of(reader: Reader, options: ConvertOptions) -> Span:
+def span_of(reader: Reader, options: Request) -> Span:
     """Return the cut in log times; relative times count from the recording's beginning."""
     beginning = reader.summary.start_ns
     if beginning is None:
@@ -207,7 +207,7 @@ def _outside(reader: Reader, start_ns: int | None, stop_ns: int | None) -> Usage
 def prepare(
     reader: Reader,
     plan: Plan,
-    options: ConvertOptions,
+    options: Request,
     span: Span,
     stack: ExitStack,
     tell: Callable[..., None],
@@ -406,7 +406,7 @@ class _OutputFacts:
         return deskews
 
 
-def _robot_transforms(reader: Reader, options: ConvertOptions, span: Span) -> TransformBuffer | None:
+def _robot_transforms(reader: Reader, options: Request, span: Span) -> TransformBuffer | None:
     """Read the transforms between the robot's frames, for checks of the first clouds."""
     frames = options.frames
     given = frames.static or frames.model or frames.tf_from

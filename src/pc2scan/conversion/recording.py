@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.destinations import Destination
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Writer
-    from pc2scan.request.options import ConvertOptions
+    from pc2scan.request.options import Request
     from pc2scan.transforms.placing import FrameOptions
     from pc2scan.transforms.sources import AddedPoses
 
@@ -465,7 +465,7 @@ class RecordingTopics:
     Whoever adds a topic has its ``handle``. Until `declare` is called, that is a place among the topics.
     """
 
-    def __init__(self, target: Destination, options: ConvertOptions, *, same_kind: bool) -> None:
+    def __init__(self, target: Destination, options: Request, *, same_kind: bool) -> None:
         self.target = target
         self.as_pointcloud2 = options.clouds_as == "pointcloud2"
         self._same_kind = same_kind

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pc2scan.core.rule import Rejection
     from pc2scan.messages.laserscan import LaserScan
     from pc2scan.model import Buffer
-    from pc2scan.request.options import ConvertOptions, ScanSpec
+    from pc2scan.request.options import Request, ScanSpec
 
     from .plan import Route
     from .report import Report, TopicReport
@@ -350,7 +350,7 @@ def result_findings(
     return warnings, list(dict.fromkeys(remark.text for remark in remarks if remark.label == "note"))
 
 
-def compare_counts(reader: Reader, options: ConvertOptions, routes: Collection[Route], report: Report) -> None:
+def compare_counts(reader: Reader, options: Request, routes: Collection[Route], report: Report) -> None:
     """Compare how many messages were read with how many the sources declare, for each connection of a whole recording.
 
     The report then has how many they declare, and the damage of a difference that nothing else explains.
@@ -411,7 +411,7 @@ def refuse_nothing(report: Report) -> None:
     raise ResultError(f"no message was converted: {why}", path=path, hint=hint or None)
 
 
-def refuse_unsatisfied(report: Report, options: ConvertOptions) -> None:
+def refuse_unsatisfied(report: Report, options: Request) -> None:
     """Raise if the result does not satisfy `fail_on` or `min_used`.
 
     Raises

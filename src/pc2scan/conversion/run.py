@@ -45,7 +45,7 @@ from pc2scan.files.system import copying_to
 from pc2scan.files.urls import UrlPath, exists
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.progress import Meter
-from pc2scan.request.options import ConvertOptions
+from pc2scan.request.options import Request
 from pc2scan.requests import conversion_of, destination_of, named_files
 from pc2scan.result import BEGINNING, Failure, Result, tell_early
 from pc2scan.threads import Threads, cores
@@ -144,13 +144,13 @@ def repair(source: Path, destination: PathText | None, options: Options, *, prog
     """Write what can be recovered of a recording; see `pc2scan.repair`."""
     path, folder = destination_of(destination)
     output = OutputOptions.of(options)._replace(folder=folder)
-    return run([source], path, ConvertOptions(repair=True), output, progress=progress)
+    return run([source], path, Request(repair=True), output, progress=progress)
 
 
 def run(
     sources: Sequence[Path],
     destination: Path | None,
-    options: ConvertOptions,
+    options: Request,
     output: OutputOptions,
     *,
     progress: Progress | None = None,
@@ -263,7 +263,7 @@ def _deliver(report: Result, inputs: Sequence[InputPath], output: OutputOptions)
 
 
 def _open(
-    stack: ExitStack, sources: Sequence[Path], destination: Path | None, options: ConvertOptions, output: OutputOptions
+    stack: ExitStack, sources: Sequence[Path], destination: Path | None, options: Request, output: OutputOptions
 ) -> Sequence[Reader]:
     """Open the sources, which ``stack`` closes; what forbids the destination is said before anything is fetched."""
     read = (*sources, *options.frames.tf_from)
@@ -282,7 +282,7 @@ def _target(
     readers: Sequence[Reader],
     source: Path,
     path: Path | None,
-    options: ConvertOptions,
+    options: Request,
     output: OutputOptions,
 ) -> Destination:
     """Decide the destination's name and format; a repaired recording has its source's if its name allows it."""

@@ -17,7 +17,7 @@ from pc2scan.request.entries import entries_in, naming_place, not_quoting, read_
 from pc2scan.request.parameters import RIVALS
 from pc2scan.requests import NAMED_FILES
 
-from .jobs import Request, request_of
+from .jobs import JobRequest, request_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -140,10 +140,10 @@ class Choices:
     def __init__(self, entries: list[DatasetEntry], keywords: Mapping[str, Any], origins: Mapping[str, str]) -> None:
         self._entries = entries
         self._call = DatasetEntry("", keywords=keywords, origins=origins)
-        self._made: dict[tuple[int, ...], Request | None] = {}
+        self._made: dict[tuple[int, ...], JobRequest | None] = {}
         self._request(tuple(number for number, entry in enumerate(entries) if not entry.patterns))
 
-    def of(self, keys: Iterable[str]) -> dict[str, Request | None]:
+    def of(self, keys: Iterable[str]) -> dict[str, JobRequest | None]:
         """Return the options of recordings, by key; None for those that are skipped.
 
         Raises
@@ -165,7 +165,7 @@ class Choices:
         notes = [note for request in self._made.values() if request for note in request.options.notes]
         return [*unused, *dict.fromkeys(notes)]
 
-    def _request(self, numbers: tuple[int, ...]) -> Request | None:
+    def _request(self, numbers: tuple[int, ...]) -> JobRequest | None:
         """Return the options of a recording that these entries of the file apply to."""
         if numbers not in self._made:
             keywords: dict[str, Any] = {}

@@ -33,7 +33,7 @@ from .manifest import NO_CLOUDS, Identity, ManifestRecord, identity_of
 if TYPE_CHECKING:
     from pc2scan.bags.damage import Damage
     from pc2scan.conversion.report import Report
-    from pc2scan.request.options import ConvertOptions
+    from pc2scan.request.options import Request
 
     from .find import Recording
 
@@ -45,7 +45,7 @@ _PLACES = frozenset({"origins", "place", "files", "notes"})
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class JobRequest:
     """A conversion as it was requested, checked. The recording and its destination are not part of it.
 
     Attributes
@@ -58,13 +58,13 @@ class Request:
         See `digest_of`.
     """
 
-    options: ConvertOptions
+    options: Request
     output: OutputOptions
     export: ExportOptions | None = None
     digest: str = ""
 
 
-def request_of(keywords: Mapping[str, Any], origins: Mapping[str, str] | None = None) -> Request:
+def request_of(keywords: Mapping[str, Any], origins: Mapping[str, str] | None = None) -> JobRequest:
     """Read the options of a conversion.
 
     Parameters
@@ -87,11 +87,11 @@ def request_of(keywords: Mapping[str, Any], origins: Mapping[str, str] | None = 
     # Absolute: another process may have another current folder.
     frames = replace(conversion.frames, tf_from=tuple(map(absolute, conversion.frames.tf_from)))
     files = {name: absolute(path) for name, path in conversion.files.items()}
-    request = Request(replace(conversion, frames=frames, files=files), output, export)
+    request = JobRequest(replace(conversion, frames=frames, files=files), output, export)
     return replace(request, digest=digest_of(request))
 
 
-def digest_of(request: Request) -> str:
+def digest_of(request: JobRequest) -> str:
     """Return a digest of everything that affects the output.
 
     Recordings that transforms are taken from count with their sizes and times of modification.
@@ -178,7 +178,7 @@ class Job:
     """
 
     recording: Recording
-    request: Request
+    request: JobRequest
     destination: Path
     output: str
     action: str = "convert"

@@ -142,7 +142,7 @@ class ManifestRecord:
     container
         The name of the source's format; empty if it is not a recording.
     options
-        The digest of the request: see `pc2scan.datasets.jobs.Request`.
+        The digest of the request: see `pc2scan.datasets.jobs.JobRequest`.
     version
         The version of pc2scan that converted it.
     outcome

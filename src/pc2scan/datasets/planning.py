@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pc2scan.files.outputs import InputPath
 
     from .find import Recording
-    from .jobs import Request
+    from .jobs import JobRequest
     from .manifest import BatchFolder, Identity, ManifestRecord
 
 
@@ -42,7 +42,7 @@ class BatchPlan(NamedTuple):
         return [job for job in self.jobs if job.action == action]
 
 
-def _outputs(requests: Mapping[Recording, Request]) -> dict[str, str]:
+def _outputs(requests: Mapping[Recording, JobRequest]) -> dict[str, str]:
     """Return the paths of the results, by key: the folders of the sources, with the names that `convert` gives.
 
     Exported files go into a folder with the name of the recording.
@@ -79,7 +79,7 @@ def _clashes(outputs: Mapping[str, str]) -> dict[str, list[str]]:
     }
 
 
-def _result_name(recording: Recording, request: Request, *, distinct: bool = False) -> str:
+def _result_name(recording: Recording, request: JobRequest, *, distinct: bool = False) -> str:
     source = Path(recording.key)
     suffix = f"_{source.suffix[1:] or 'folder'}" if distinct else ""
     mark, to = ("", "rosbag2") if request.export is not None else ("_scan", request.output.to)
@@ -88,7 +88,7 @@ def _result_name(recording: Recording, request: Request, *, distinct: bool = Fal
 
 def make_plan(
     recordings: Sequence[Recording],
-    requests: Mapping[str, Request | None],
+    requests: Mapping[str, JobRequest | None],
     folder: BatchFolder,
     inputs: Sequence[InputPath],
     *,

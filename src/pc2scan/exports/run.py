@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from pc2scan.files.urls import PathText
     from pc2scan.options.call import Options
     from pc2scan.progress import Progress
-    from pc2scan.request.options import ConvertOptions
+    from pc2scan.request.options import Request
     from pc2scan.requests import Warn
 
     from .formats import ExportFormat, Write
@@ -163,7 +163,7 @@ class ExportOptions:
     converting: bool
 
     @classmethod
-    def of(cls, options: Options, conversion: ConvertOptions) -> ExportOptions:
+    def of(cls, options: Options, conversion: Request) -> ExportOptions:
         """Return the options of an export among those of a call."""
         converting = options.makes_scans or conversion.scan.may_combine
         return cls(options.format, options.pose_frame, options.base_frame, converting)
@@ -191,7 +191,7 @@ def export(
 def run(
     sources: Sequence[Path],
     destination: Path,
-    options: ConvertOptions,
+    options: Request,
     form: ExportOptions,
     warn: Callable[[str], None] | None = None,
     progress: Progress | None = None,
@@ -277,7 +277,7 @@ def run(
     return report
 
 
-def _check_request(file_format: ExportFormat, options: ConvertOptions, form: ExportOptions) -> None:
+def _check_request(file_format: ExportFormat, options: Request, form: ExportOptions) -> None:
     """Raise if an option has no effect on an export, or if one is missing."""
     scan, frames = options.scan, options.frames
     posed = form.pose_frame or frames.odometry

@@ -1,4 +1,4 @@
-"""The checked options of a conversion: those of each output, and those that apply to all of them."""
+"""What was asked, checked: a `Request` has the description of each output, and what applies to all of them."""
 
 from __future__ import annotations
 
@@ -380,8 +380,8 @@ def _offset_of(text: str, value: str) -> int | None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ConvertOptions:
-    """The checked options of a conversion: its outputs, and options that apply to all of them.
+class Request:
+    """What was asked of a conversion, checked: its outputs, and what applies to all of them.
 
     Attributes
     ----------
@@ -465,6 +465,6 @@ class ConvertOptions:
         """How many units may be loaded ahead, the node's ``queue_size``; None: as many as memory allows."""
         return min((spec.params.queue_size for spec in self.scans if spec.params.queue_size), default=None)
 
-    def with_scan(self, **changes: Any) -> ConvertOptions:
+    def with_scan(self, **changes: Any) -> Request:
         """Return the options with only the first output, changed."""
         return replace(self, scans=(replace(self.scan, **changes),))

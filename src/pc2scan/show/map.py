@@ -60,7 +60,7 @@ if TYPE_CHECKING:
     from pc2scan.files.urls import PathText
     from pc2scan.options.call import Options
     from pc2scan.progress import Progress
-    from pc2scan.request.options import ConvertOptions
+    from pc2scan.request.options import Request
     from pc2scan.requests import Warn
     from pc2scan.streams.objects import Scan
     from pc2scan.transforms.buffer import TransformBuffer
@@ -276,7 +276,7 @@ def draw_map(
 
 
 def _draw(
-    sources: Sequence[Path], request: ConvertOptions, options: Options, warn: Warn | None, progress: Progress | None
+    sources: Sequence[Path], request: Request, options: Options, warn: Warn | None, progress: Progress | None
 ) -> Map:
     warnings = list(request.notes)
     tell = partial(tell_early, warnings, warn)
@@ -315,7 +315,7 @@ def _converts(options: Options) -> bool:
     return not about_clouds.isdisjoint(options.given)
 
 
-def _topics(reader: Reader, request: ConvertOptions, *, converts: bool) -> tuple[tuple[TopicRequest, ...], bool]:
+def _topics(reader: Reader, request: Request, *, converts: bool) -> tuple[tuple[TopicRequest, ...], bool]:
     """Return the topics to draw, and whether scans are made of them."""
     types = types_by_topic(reader.connections)
     scans = sorted(topic for topic, kinds in types.items() if LASERSCAN in kinds)
@@ -337,7 +337,7 @@ def _topics(reader: Reader, request: ConvertOptions, *, converts: bool) -> tuple
 class _Drawing:
     """Draws scans, and counts them."""
 
-    def __init__(self, grid: OccupancyGrid, buffer: TransformBuffer, options: Options, request: ConvertOptions) -> None:
+    def __init__(self, grid: OccupancyGrid, buffer: TransformBuffer, options: Options, request: Request) -> None:
         self._grid, self._buffer, self._request = grid, buffer, request
         self._longest = LONGEST * options.resolution
         self._odom, self._robot = (name.removeprefix("/") for name in (options.odom_frame, options.base_frame))

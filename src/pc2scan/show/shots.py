@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Connection, RawMessage
     from pc2scan.options.call import Options
     from pc2scan.options.moment import TimeBound
-    from pc2scan.request.options import ConvertOptions
+    from pc2scan.request.options import Request
     from pc2scan.requests import Warn
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.placing import Placement, Placer
@@ -140,14 +140,14 @@ class Opened(NamedTuple):
 
     sources: Sequence[Path]
     reader: Reader
-    request: ConvertOptions
+    request: Request
     options: Options
     stack: ExitStack
     warn: Warn | None
 
 
 @contextmanager
-def opened(sources: Sequence[Path], request: ConvertOptions, options: Options, warn: Warn | None) -> Iterator[Opened]:
+def opened(sources: Sequence[Path], request: Request, options: Options, warn: Warn | None) -> Iterator[Opened]:
     """Open recordings as one."""
     with ExitStack() as stack:
         reader = as_one(open_recordings(sources, stack, strict=request.strict))

@@ -66,7 +66,7 @@ if TYPE_CHECKING:
     from pc2scan.files.urls import PathText
     from pc2scan.messages.laserscan import LaserScan
     from pc2scan.model import RawMessage
-    from pc2scan.request.options import ConvertOptions
+    from pc2scan.request.options import Request
     from pc2scan.requests import Warn
     from pc2scan.transforms.buffer import TransformBuffer
 
@@ -202,7 +202,7 @@ def view(sources: Sequence[Path], destination: PathText | None, options: Options
     return replace(page, path=str(path))
 
 
-def _page(sources: Sequence[Path], request: ConvertOptions, options: Options, warn: Warn | None) -> Page:
+def _page(sources: Sequence[Path], request: Request, options: Options, warn: Warn | None) -> Page:
     """Make a page of a recording: of its clouds and their projection, or of its scans if it has no clouds."""
     if not 1 <= options.clouds <= _MOST_CLOUDS:
         raise UsageError(f"`clouds` is {options.clouds:,}, it must be from 1 to {_MOST_CLOUDS:,}")
@@ -369,7 +369,7 @@ def _clouds_page(recording: Opened) -> Described:
     return description, blobs, taken.damage
 
 
-def _as_proposed(recording: Opened) -> ConvertOptions:
+def _as_proposed(recording: Opened) -> Request:
     """Return the conversion with the frame and the heights that info proposes first.
 
     It is as it was if heights are given, or if nothing can be proposed in the given frame.
@@ -401,7 +401,7 @@ def _choices(words: Sequence[str]) -> list[str]:
     return [word.replace("N", number) for word in words for number in ("23" if word == "kth=N" else "N")]
 
 
-def _command_options(options: Options, request: ConvertOptions) -> dict[str, Any]:
+def _command_options(options: Options, request: Request) -> dict[str, Any]:
     """Return the options that convert the same points of the same topics in the same frames.
 
     Parameters of the projection are not included, because the page adds them.

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from pc2scan.messages.pointcloud2 import PointCloud2
     from pc2scan.model import Buffer, Connection
     from pc2scan.progress import Meter
-    from pc2scan.request.options import ConvertOptions
+    from pc2scan.request.options import Request
     from pc2scan.result import Skipped
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.placing import LevelTransform
@@ -141,7 +141,7 @@ class Stream(ABC, Generic[Item]):
     """
 
     def __init__(
-        self, paths: Sequence[Path], options: ConvertOptions, *, all_topics: bool = False, meter: Meter | None = None
+        self, paths: Sequence[Path], options: Request, *, all_topics: bool = False, meter: Meter | None = None
     ) -> None:
         self._paths = tuple(paths)
         self._options = options
@@ -414,7 +414,7 @@ class Scans(Stream[Scan]):
     def __init__(
         self,
         paths: Sequence[Path],
-        options: ConvertOptions,
+        options: Request,
         converting: bool = False,  # for pickles
         *,
         transform_frames: Collection[str] | None = None,

@@ -19,7 +19,7 @@ from .request import OutputRequest
 
 if TYPE_CHECKING:
     from pc2scan.model import Summary
-    from pc2scan.request.options import ConvertOptions
+    from pc2scan.request.options import Request
 
     from .clouds import CloudFacts
 
@@ -62,7 +62,7 @@ def found_by(checks: Checks[Facts], facts: Facts, label: str = "") -> list[str]:
     return [label + text for check in checks for text in check(facts)]
 
 
-def request_warnings(options: ConvertOptions, recorded: Summary) -> list[str]:
+def request_warnings(options: Request, recorded: Summary) -> list[str]:
     """Return the warnings about a request, of each output, and about the recording's extent."""
     warnings = [text for spec in options.scans for text in found_by(REQUEST, OutputRequest(options, spec), spec.label)]
     return [*warnings, *request.cut_in_another_unit(options, recorded), *request.log_times_of_centuries(recorded)]

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from pc2scan.model import Summary
-    from pc2scan.request.options import ConvertOptions, ScanSpec
+    from pc2scan.request.options import Request, ScanSpec
 
 #: An angle_increment of this many radians (11 degrees) or more is nearly always meant in degrees.
 _COARSE = 0.2
@@ -38,7 +38,7 @@ _CENTURY_NS = 100 * 365 * 86_400 * 1_000_000_000
 class OutputRequest(NamedTuple):
     """The request of one output: all options, and its own."""
 
-    options: ConvertOptions
+    options: Request
     spec: ScanSpec
 
     @property
@@ -141,7 +141,7 @@ def log_times_of_centuries(recorded: Summary) -> Iterator[str]:
         )
 
 
-def cut_in_another_unit(options: ConvertOptions, recorded: Summary) -> Iterator[str]:
+def cut_in_another_unit(options: Request, recorded: Summary) -> Iterator[str]:
     """Yield a warning if a cut is outside of the recording, and inside of it in another unit of time."""
     first_ns, last_ns = recorded.start_ns, recorded.end_ns
     for name, bound in (("start", options.start), ("end", options.end)):
