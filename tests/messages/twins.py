@@ -87,7 +87,7 @@ class Twin:
         if name == schema.HEADER:
             self.ros1 += struct.pack("<I", self.random.getrandbits(32))
             self.ros1_unnumbered += bytes(4)
-        fields = schema.fields_of(self.structs, name)
+        fields = self.structs[name][1]
         if not fields:
             self.little += b"\0"
         for field in fields:
@@ -110,10 +110,6 @@ def ros2(text: str, msgtype: str = "pkg/msg/Type", encoding: str = "ros2msg", **
 def of_kind(kind: str, text: str) -> Connection:
     """A connection of a definition of ``ros1``, ``ros2`` or ``ros2idl``."""
     return ros1(text) if kind == "ros1" else ros2(text, encoding="ros2idl" if kind == "ros2idl" else "ros2msg")
-
-
-def parsed(connection: Connection) -> dict[str, Any]:
-    return schema.parse(connection.definition, connection.msgtype)
 
 
 def check_both_ways(connection: Connection, root: str, structs: Mapping[str, Any], seed: int) -> None:

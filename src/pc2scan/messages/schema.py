@@ -18,13 +18,16 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, TypesysError, get_typestore
+from rosbags.typesys.base import make_typesdict
+from rosbags.typesys.msg import MSGParser
+from rosbags.typesys.peg import Success
 
 from pc2scan.errors import DecodeError
 from pc2scan.model import normalized_type
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from pc2scan.model import Definition
 
@@ -41,56 +44,50 @@ _WIDTHS = {"bool": 1, "byte": 1, "char": 1, "float32": 4, "float64": 8} | {
     f"{sign}int{bits}": bits // 8 for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
 
-_CONSTANT = re.compile(rf"\s*({'|'.join(_WIDTHS)}|string)\s+([A-Za-z]\w*)\s*=(.*)", re.ASCII)
-
-#: What rosbags' parsers raise.
-_UNREADABLE = TypesysError, ArithmeticError, AttributeError, AssertionError, LookupError, RecursionError, ValueError
+_VALUE = re.compile(r"""'(?:\\.|[^'\\])*'|"(?:\\.|[^"\\])*"|[^#\n]*""")
 
 #: Limits of a definition: bytes of its text, levels, declared fields, and fields with all nested types expanded.
 #: rosbags needs up to a millisecond and 45 kB to compile a field. The largest known definitions have 60 kB.
 MAX_BYTES, MAX_DEPTH, MAX_FIELDS, MAX_LEAVES = 1 << 18, 64, 2_000, 100_000
 
-#: rosbags' parse trees, by the name of the type: constants, and names and types of fields.
-Types = dict[str, tuple[list[Any], list[tuple[str, Any]]]]
-
 
 class Field(NamedTuple):
     """A member of a message.
 
-    ``size`` is the number of elements: 1 unless it is an array, -1 for a sequence, which begins with their number.
+    ``elements`` is the number of an array's, or the bound of a sequence; ``longest`` is the bound of a string; 0: none.
     """
 
     name: str
     type: str
-    size: int
+    kind: Nodetype
+    elements: int
+    longest: int
+
+    @property
+    def size(self) -> int:
+        """The number of elements: 1 unless it is an array, -1 for a sequence, which begins with their number."""
+        return {Nodetype.ARRAY: max(self.elements, 0), Nodetype.SEQUENCE: -1}.get(self.kind, 1)
+
+    @property
+    def desc(self) -> Any:
+        """Its description in rosbags' parse trees."""
+        is_base = self.type in _WIDTHS or self.type == "string"
+        inner = (Nodetype.BASE, (self.type, self.longest)) if is_base else (Nodetype.NAME, self.type)
+        return (self.kind, (inner, self.elements)) if self.kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) else inner
 
 
-def fields_of(types: Mapping[str, Any], name: str) -> list[Field]:
-    """Return the fields of a type, without their bounds."""
-    fields = []
-    for field, desc in types[name][1]:
-        kind, content = desc
-        inner, count = content if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) else (desc, 1)
-        size = -1 if kind == Nodetype.SEQUENCE else max(count, 0)
-        fields.append(Field(field, inner[1] if inner[0] == Nodetype.NAME else inner[1][0], size))
-    return fields
+#: Constants, as rosbags has them, and fields, by the name of the type.
+Types = dict[str, tuple[list[tuple[str, Any, Any]], list[Field]]]
 
 
-def mapped(
-    desc: Any,
-    *,
-    base: Callable[[Any], Any] = lambda base: base,
-    name: Callable[[str], str] = lambda name: name,
-    bounded: bool = True,
-) -> Any:
-    """Return rosbags' description of a field with other primitives or names, and with or without bounds."""
-    kind, content = desc
-    if kind == Nodetype.BASE:
-        return kind, base(content)
-    if kind == Nodetype.NAME:
-        return kind, name(content)
-    size = content[1] if bounded or kind == Nodetype.ARRAY else 0
-    return kind, (mapped(content[0], base=base, name=name), size)
+class _Parser(MSGParser):
+    """Takes constants of any name. Their values stay text: ROS 1's hash is made of it."""
+
+    ConstantName = MSGParser.MixedSnake
+
+    def value(self, pos: int) -> Any:
+        match = _VALUE.match(self.text, pos)
+        return match and Success(match.end(), match[0].strip().strip("'\""))
 
 
 def canonical_type(msgtype: str) -> str:
@@ -107,9 +104,9 @@ def canonical_type(msgtype: str) -> str:
 def known_types(ros_version: int) -> Types:
     """Return ROS's message set: of Noetic, or of Jazzy."""
     types = _plain(get_typestore(Stores.ROS1_NOETIC if ros_version == 1 else Stores.ROS2_JAZZY).fielddefs)
-    element = (Nodetype.NAME, "geometry_msgs/msg/TransformStamped")
     # rosbags' set for ROS 1 lacks it.
-    types.setdefault(TRANSFORMS, ([], [("transforms", (Nodetype.SEQUENCE, (element, 0)))]))
+    transforms = Field("transforms", "geometry_msgs/msg/TransformStamped", Nodetype.SEQUENCE, 0, 0)
+    types.setdefault(TRANSFORMS, ([], [transforms]))
     return types
 
 
@@ -125,58 +122,39 @@ def parse(definition: Definition, msgtype: str) -> Types:
         raise DecodeError(f"{msgtype} is defined in {definition.encoding!r}, expected ros1msg or ros2msg")
     if len(definition.data) > MAX_BYTES:
         raise DecodeError(f"{msgtype}: definition of {len(definition.data)} bytes, allowed are {MAX_BYTES}")
+    text = definition.text.replace("\r\n", "\n")
     try:
-        text, constants = _without_constants(definition.text, msgtype, ros1=definition.encoding == "ros1msg")
-        parsed = get_types_from_msg(text, msgtype)
-    except _UNREADABLE as err:
+        return _plain(make_typesdict(_Parser(f"MSG: {msgtype}\n{text}\n").specification()))
+    except (TypesysError, AssertionError, RecursionError, ValueError) as err:
         # rosbags' errors have the whole text, the place, and the rest.
         rest = str(err).split("\n")[3:4] or str(err).split("\n")[:1]
         raise DecodeError(f"{msgtype}: its definition cannot be read: {rest[0][:60]!r}") from err
-    return _plain({name: (constants.get(name, []), fields) for name, (_, fields) in parsed.items()})
-
-
-def _without_constants(text: str, msgtype: str, *, ros1: bool) -> tuple[str, dict[str, list[tuple[str, str, str]]]]:
-    """Take the constants out of a definition, by type: ROS 1's hash is made of their text, and rosbags keeps values."""
-    lines: list[str] = []
-    constants: dict[str, list[tuple[str, str, str]]] = {}
-    owner = normalized_type(msgtype)
-    for line in text.splitlines():
-        if re.fullmatch(r"=+\s*", line):
-            owner = ""
-        elif heading := re.fullmatch(r"\s*MSG:\s*(\S+)\s*", line):
-            owner = normalized_type(heading[1])
-            lines += ["=" * 80, f"MSG: {heading[1]}"]
-        elif match := _CONSTANT.fullmatch(line):
-            word, name, value = match.groups()
-            # Only a ROS 1 string runs to the end of the line; elsewhere # begins a comment.
-            if not (ros1 and word == "string"):
-                value = re.match(r"'(?:\\.|[^'\\])*'|\"(?:\\.|[^\"\\])*\"|[^#]*", value)[0]  # type: ignore[index]
-            constants.setdefault(owner, []).append((name, word, value.strip()))
-        elif owner:
-            lines.append(line)
-        elif line.strip() and not line.lstrip().startswith("#"):
-            raise DecodeError(f"{msgtype}: a section of its definition does not begin with MSG: {line[:60]!r}")
-    return "\n".join([*lines, ""]), constants
 
 
 def _plain(types: Mapping[str, Any]) -> Types:
     """Give types their current names, Headers no sequence number."""
     plain: Types = {}
-    for name, (constants, fields) in types.items():
-        renamed = canonical_type(name)
-        kept = [(field, mapped(desc, name=canonical_type)) for field, desc in fields]
-        plain[renamed] = (list(constants), kept)
-        if renamed == HEADER:
-            shape = [(field.type, field.size) for field in fields_of(plain, HEADER)]
+    for name, (constants, described) in types.items():
+        fields = plain.setdefault(canonical_type(name), (constants, [_field(*each) for each in described]))[1]
+        if canonical_type(name) == HEADER:
+            shape = [(field.type, field.size) for field in fields]
             stamp = [("builtin_interfaces/msg/Time", 1), ("string", 1)]
             if shape not in (stamp, [("uint32", 1), *stamp]):
-                names = ", ".join(f"{field.type} {field.name}" for field in fields_of(plain, HEADER))
+                names = ", ".join(f"{field.type} {field.name}" for field in fields)
                 raise DecodeError(f"{name} is defined as ({names}), expected a stamp and a frame_id")
-            del kept[:-2]
+            del fields[:-2]
     return plain
 
 
-def closure(root: str, lookup: Callable[[str], Any]) -> Types:
+def _field(name: str, desc: Any) -> Field:
+    """Return a field from its description in rosbags' parse trees."""
+    kind, content = desc
+    (inner, of), count = content if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) else (desc, 0)
+    word, longest = of if inner == Nodetype.BASE else (canonical_type(of), 0)
+    return Field(name, word, kind, count, longest)
+
+
+def closure(root: str, known: Mapping[str, Any]) -> Types:
     """Collect a type and all nested types, in the order of first use.
 
     Raises
@@ -190,30 +168,27 @@ def closure(root: str, lookup: Callable[[str], Any]) -> Types:
 
     def visit(name: str, path: tuple[str, ...]) -> int:
         nonlocal declared
-        if name in path:
-            raise DecodeError(f"{root}: {name} contains itself")
         if name in leaves:
             return leaves[name]
         if len(path) >= MAX_DEPTH:
-            raise DecodeError(f"{root}: nested more than {MAX_DEPTH} levels deep")
-        content = lookup(name)
-        if content is None:
+            raise DecodeError(f"{root}: {name} contains itself, or is nested more than {MAX_DEPTH} levels deep")
+        if name not in known:
             within = f" (needed by {path[-1]})" if path else ""
             raise DecodeError(
                 f"type {name}{within} is defined neither in the recording nor in ROS's message sets",
                 hint="record with definitions (MCAP does)",
             )
-        types[name] = content
+        types[name] = known[name]
         total = 1
-        for field in fields_of(types, name):
-            if field.size == 0:
+        for field in types[name][1]:
+            if not field.size:
                 raise DecodeError(f"{name}: {field.name} is an array without elements")
             width = 1 if field.type in _WIDTHS else max(field.size, 1)
             declared += width
             if declared > MAX_FIELDS:
                 raise DecodeError(f"{root}: more than {MAX_FIELDS} fields")
             nested = 1 if field.type in _WIDTHS or field.type == "string" else visit(field.type, (*path, name))
-            if field.size < 0 and nested > 64 + 4 * min_size(types, field.type, 1):
+            if field.size < 0 and nested > 64 * min_size(types, field.type, 1):
                 raise DecodeError(f"{name}: {field.name} is a sequence of messages with {nested} fields and few bytes")
             total += width * nested
         if total > MAX_LEAVES:
@@ -225,13 +200,13 @@ def closure(root: str, lookup: Callable[[str], Any]) -> Types:
     return types
 
 
-def min_size(types: Mapping[str, Any], name: str, ros_version: int) -> int:
+def min_size(types: Types, name: str, ros_version: int) -> int:
     """Return the bytes that every message of a type takes: sequences and strings empty, no padding."""
     known: dict[str, int] = {**_WIDTHS, "string": 3 + ros_version}  # ROS 2's strings end with a NUL.
 
     def least(name: str) -> int:
         if name not in known:
-            sizes = [4 if field.size < 0 else least(field.type) * field.size for field in fields_of(types, name)]
+            sizes = [4 if field.size < 0 else least(field.type) * field.size for field in types[name][1]]
             # ROS 1's Header has a sequence number; ROS 2 puts one byte into a message without fields.
             known[name] = sum(sizes) + 4 * (name == HEADER and ros_version == 1) if sizes else ros_version - 1
         return known[name]
@@ -239,22 +214,22 @@ def min_size(types: Mapping[str, Any], name: str, ros_version: int) -> int:
     return least(name)
 
 
-def same_layout(ours: Mapping[str, Any], theirs: Mapping[str, Any], name: str) -> bool:
+def same_layout(ours: Types, theirs: Types, name: str) -> bool:
     """Return whether both have a type with the same bytes on the wire and the same names.
 
     Names are compared without case and underscores (ROS 1's ``CameraInfo.D`` is ROS 2's ``d``); ``byte``, ``char`` and
     ``uint8`` are the same.
     """
 
-    def wire(types: Mapping[str, Any]) -> list[tuple[str, str, int]]:
+    def wire(types: Types) -> list[tuple[str, str, int]]:
         return [
             (field.name.lower().replace("_", ""), "uint8" if field.type in {"byte", "char"} else field.type, field.size)
-            for field in fields_of(types, name)
+            for field in types[name][1]
         ]
 
     if name in BUILTIN:
         return True
     if name not in ours or name not in theirs or wire(ours) != wire(theirs):
         return False
-    nested = {field.type for field in fields_of(ours, name)} & ours.keys()
+    nested = {field.type for field in ours[name][1]} & ours.keys()
     return all(same_layout(ours, theirs, other) for other in nested)
