@@ -20,6 +20,7 @@ from pc2scan.model import RawMessage, StoredChunk, declared_counts
 from .reader import Chunk, Reader, check_number
 
 if TYPE_CHECKING:
+    import re
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
@@ -39,6 +40,9 @@ _ENTRY_BYTES = 12
 
 #: Chunks smaller than this, uncompressed, are not copied: their messages are collected in larger ones.
 MIN_WHOLE_BYTES = 256 << 10
+
+#: The fewest and the most bytes that are searched at a time.
+_SEARCHED = range(1 << 12, 1 << 20)
 
 #: The latest log time that containers can store.
 _LATEST_NS = (1 << 64) - 1
@@ -131,6 +135,14 @@ class NearbyFile(SourceFile):
             origin, ahead = offset, self.read(offset, max(length, min(more, self.size - offset)))
             self._ahead = origin, ahead
         return ahead[offset - origin : offset - origin + length]
+
+    def search(self, pattern: re.Pattern[bytes], start: int, stop: int, reach: int) -> Iterator[int]:
+        """Yield where a pattern, of ``reach`` bytes at most, begins in a part of the file; perhaps twice."""
+        size = _SEARCHED.start
+        while start < stop:
+            window = self.read(start, min(size + reach, stop - start))
+            yield from (start + match.start() for match in pattern.finditer(window))
+            start, size = start + size, min(2 * size, _SEARCHED.stop)
 
 
 #: The numbers of a segment, in the order of its attributes.

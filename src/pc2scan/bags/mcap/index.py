@@ -273,8 +273,8 @@ class RecordWalk:
         self._segment: Segment | None = None
         self._ids: set[int] = set()
         self._is_behind_chunk = False
-        #: Offsets of the current record and the one before it, for a walk that failed.
-        self.offset = self.previous = 0
+        #: Offset of the current record, for a walk that failed.
+        self.offset = 0
 
     def run(self, offset: int, end: int) -> None:
         """Walk from the record at byte ``offset`` to byte ``end``.
@@ -288,7 +288,7 @@ class RecordWalk:
         complete = False
         try:
             while offset < end:
-                self.previous, self.offset = self.offset, offset
+                self.offset = offset
                 is_known, limit = offset == coming, end if offset == coming else coming
                 if is_known:
                     self._close()

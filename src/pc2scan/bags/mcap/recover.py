@@ -38,22 +38,11 @@ from .records import (
 if TYPE_CHECKING:
     from .records import RecordFile
 
-#: Bytes that are searched at a time.
-WINDOW = 1 << 20
-
 #: The beginning of a record: an opcode, and a length below 2^36.
 _BEGINNING = re.compile(rb"(?=[\x03-\x07\x09\x0c\x0f][\s\S]{4}[\0-\x0f]\0\0\0)")
 
 #: Records that chunks are made of.
 _INSIDE_CHUNKS = frozenset({OP_MESSAGE, *DECLARATIONS})
-
-
-class _Gap(NamedTuple):
-    """A part of the file that belongs to no record, and why."""
-
-    start: int
-    stop: int
-    error: DamageError
 
 
 def recover_index(file: RecordFile, problem: DamageError, log: DamageLog) -> McapIndex:
@@ -86,14 +75,14 @@ def recover_index(file: RecordFile, problem: DamageError, log: DamageLog) -> Mca
     around = times_around(index.segments)
     for error in errors if errors or gaps else [problem]:
         log.note(error, key=error.message, **around(file.size, file.size))
-    for gap in gaps:
-        log.note(gap.error, offset=gap.start, bytes_lost=gap.stop - gap.start, **around(gap.start, gap.stop))
+    for start, stop, error in gaps:
+        log.note(error, offset=start, bytes_lost=stop - start, **around(start, stop))
     return index
 
 
-def _walk(file: RecordFile, index: McapIndex, position: int, end: int) -> list[_Gap]:
-    """Walk over all records up to a byte, and return the gaps between them; the chunks in the index help."""
-    gaps: list[_Gap] = []
+def _walk(file: RecordFile, index: McapIndex, position: int, end: int) -> list[tuple[int, int, DamageError]]:
+    """Walk over all records up to a byte; return where none is, and why. The chunks in the index help."""
+    gaps: list[tuple[int, int, DamageError]] = []
     indexed = {chunk.record_offset: chunk for chunk in index.segments}
     heads = [place for place, chunk in sorted(indexed.items()) if is_at_its_place(file, chunk)]
     index.segments = Segments()
@@ -109,7 +98,7 @@ def _walk(file: RecordFile, index: McapIndex, position: int, end: int) -> list[_
             failed, error = walk.offset, err
         if file.read(failed, min(len(MAGIC), end - failed)) == MAGIC:
             stop = failed + len(MAGIC)
-            gaps.append(_Gap(stop, file.size, file.damage("the recording ends here: what follows is not read")))
+            gaps.append((stop, file.size, file.damage("the recording ends here: what follows is not read")))
             break
         following = bisect_right(heads, failed)
         search = _Search(file, heads[following] if following < len(heads) else end)
@@ -117,20 +106,9 @@ def _walk(file: RecordFile, index: McapIndex, position: int, end: int) -> list[_
         stop = _end_of_chunk(search, chunk) if chunk else 0
         if chunk is not None:
             index.segments.append(replace(chunk, length=min(chunk.length, stop - chunk.offset), padding=0))
-        position = stop or search.swallowed_record(walk.previous, failed) or search.next_record(failed)
-        if position < failed:
-            _forget(index, walk.previous)
-        gaps.append(_Gap(failed, failed if stop else max(failed, position), error))
+        position = stop or search.next_record(failed)
+        gaps.append((failed, failed if stop else position, error))
     return gaps
-
-
-def _forget(index: McapIndex, offset: int) -> None:
-    """Remove the message that begins here, the last one of the walk, from the index."""
-    run = index.segments[-1] if len(index.segments) else None
-    if run is not None and not run.record_offset and run.offset <= offset < run.offset + run.length:
-        index.segments.pop()
-        if size := offset - run.offset:
-            index.segments.append(replace(run, length=size, uncompressed_size=size))
 
 
 class _Search(NamedTuple):
@@ -141,32 +119,12 @@ class _Search(NamedTuple):
 
     def next_record(self, failed: int, *, after_chunk: bool = False) -> int:
         """Search behind damage for an opcode with a length that leads to another record; the end if there is none."""
-        start, size = failed + 1, 1 << 12
-        while start < self.end:
-            window = self.file.read(start, min(size + RECORD.size, self.end - start))
-            for match in _BEGINNING.finditer(window):
-                position = start + match.start()
-                if after_chunk and window[match.start()] in _INSIDE_CHUNKS:
-                    continue
-                if (stop := self.stop_of(position)) is not None and self.is_record(stop):
-                    return position
-            start, size = start + size, min(2 * size, WINDOW)
+        for position in self.file.search(_BEGINNING, failed + 1, self.end, RECORD.size):
+            if after_chunk and self.file.nearby(position, 1)[0] in _INSIDE_CHUNKS:
+                continue
+            if (stop := self.stop_of(position)) is not None and self.is_record(stop):
+                return position
         return self.end
-
-    def swallowed_record(self, previous: int, failed: int) -> int | None:
-        """Return where records begin that the one before the damage swallowed, because its length is wrong.
-
-        They go on behind the damage. Those that end there are its contents.
-        """
-        start = previous if previous and self.file.read(previous, 1)[0] != OP_CHUNK else failed
-        while start < failed and (start := self.next_record(start)) < failed:
-            position: int | None = start
-            while position is not None and position < failed:
-                last, position = position, self.stop_of(position)
-            if position is not None and position > failed:
-                return start
-            start = last if position is None else failed
-        return None
 
     def is_record(self, offset: int) -> bool:
         """Whether a record can begin here, or the end is here."""

@@ -19,14 +19,13 @@ from pc2scan.files.compression import decompressed_prefix
 from .records import (
     BAG_HEADER,
     CHUNK,
-    CHUNK_INFO,
     CONNECTION,
     FIRST_LINE,
-    INDEX_DATA,
     MESSAGE,
     Connections,
     FormatError,
     chunk_segment,
+    field_of,
     indexed_entries,
     number_field,
     read_record,
@@ -43,9 +42,6 @@ if TYPE_CHECKING:
 
     from .records import BagFile, BagRecord
 
-#: Bytes that are searched at a time.
-_WINDOW = 1 << 20
-
 #: Limit of a record's header, so that a search does not read much for nothing.
 _MAX_HEADER = 4096
 
@@ -53,43 +49,24 @@ _MAX_HEADER = 4096
 _KIND = re.compile(rb"\x04\0\0\0op=[\x03-\x06]")
 _REACH = 72
 
-#: The required fields of each kind of record, so that other text is not detected as a record.
-_NEEDED = {
-    MESSAGE: {b"conn", b"time"},
-    INDEX_DATA: {b"ver", b"conn", b"count"},
-    CHUNK: {b"compression", b"size"},
-    CHUNK_INFO: {b"ver", b"chunk_pos", b"start_time", b"end_time", b"count"},
-    CONNECTION: {b"conn", b"topic"},
-    BAG_HEADER: {b"index_pos"},
-}
-_SIZES = {b"conn": 4, b"time": 8, b"size": 4}
-
 
 def _plausible_record(read: Callable[[int, int], Buffer], position: int, size: int) -> BagRecord | None:
     """Return the record that begins here, if one does; its body may reach beyond ``size``."""
     with suppress(FormatError):
         if position + 4 <= size and int.from_bytes(read(position, 4), "little") <= _MAX_HEADER:
-            record = read_record(read, position, size)
-            has_sizes = all(len(value) == _SIZES.get(name, len(value)) for name, value in record.fields.items())
-            if has_sizes and _NEEDED.get(record.kind, {b""}) <= record.fields.keys():
-                return record
+            return read_record(read, position, size)
     return None
 
 
 def _next_record(file: BagFile, failed: int) -> int:
     """Search behind damage for the beginning of a record; the end of the file if there is none."""
-    start, size = failed + 1, _REACH + _MAX_HEADER
-    while start < file.size:
-        window = file.read(start, min(size + _REACH, file.size - start))
-        for match in _KIND.finditer(window):
-            # ``op`` is the header's first field, or after ``conn``, ``compression``...
-            for back in range(4, _REACH):
-                position = start + match.start() - back
-                record = _plausible_record(file.nearby, position, file.size) if position > failed else None
-                # A chunk may be cut off by the end of the file; all other records must be whole.
-                if record is not None and (record.stop <= file.size or record.kind == CHUNK):
-                    return position
-        start, size = start + size, min(2 * size, _WINDOW)
+    for match in file.search(_KIND, failed + 1, file.size, _REACH):
+        # ``op`` is the header's first field, or after ``conn``, ``compression``...
+        for position in range(match - 4, max(failed, match - _REACH), -1):
+            record = _plausible_record(file.nearby, position, file.size)
+            # A chunk may be cut off by the end of the file; all other records must be whole.
+            if record is not None and (record.stop <= file.size or record.kind == CHUNK):
+                return position
     return file.size
 
 
@@ -100,7 +77,7 @@ def _records(file: BagFile, gaps: list[tuple[int, int, str]]) -> Iterator[tuple[
     position = len(FIRST_LINE)
     while position < file.size:
         record = record_from(position)
-        if record is None or record.kind == MESSAGE:
+        if record is None or not BAG_HEADER <= record.kind <= CONNECTION:
             stop, what = _next_record(file, position), "no record begins here"
             if file.read(position, min(len(FIRST_LINE), file.size - position)) == FIRST_LINE:
                 stop, what = file.size, "the recording ends here: what follows is not read"
@@ -189,9 +166,11 @@ def payload_prefix(file: BagFile, segment: Segment) -> memoryview:
 def record_at(data: memoryview, place: int) -> Record | None:
     """Return the record that begins at a place of a damaged chunk; None if none does."""
     record = _plausible_record(reading(data), place, len(data))
-    if record is None or record.kind not in (MESSAGE, CONNECTION):
-        return None
-    if record.kind == CONNECTION:
-        return Record(record.stop, record.start)
-    time_ns = time_field(record.fields, "time")
-    return Record(record.stop, record.start, number_field(record.fields, "conn"), time_ns, time_ns)
+    with suppress(FormatError):
+        if record is not None and record.kind == CONNECTION:
+            field_of(record.fields, "topic")
+            return Record(record.stop, record.start)
+        if record is not None and record.kind == MESSAGE:
+            time_ns = time_field(record.fields, "time")
+            return Record(record.stop, record.start, number_field(record.fields, "conn"), time_ns, time_ns)
+    return None
