@@ -91,6 +91,11 @@ _WIDE, _FIRST_RING, _WIDER = 2.0, 5.0, 0.01
 #: A floor is farther from the sensor than so many times the tolerance: a ring that is tilted a little is none.
 _CLEAR = 2.5
 
+#: The floor is as far from a sensor as its transform says that it is high, but for this share. Only a level plane with
+#: a larger share of a cloud, seen from nearer than so many times its distance, contradicts that.
+NEAR_MOUNT = 0.3
+_LARGE_FLOOR, _SEEN_FROM = 0.1, 8.0
+
 #: How many clouds of a topic are judged if the first one has no level floor, how many points of each are sampled, and
 #: with how many a cloud is not judged.
 JUDGED_CLOUDS = 3
@@ -183,7 +188,7 @@ class CloudSample:
     @cached_property
     def ground(self) -> Ground:
         """How the frame in which it is judged is mounted, by this cloud alone."""
-        return find_ground(self.points)
+        return find_ground(self.points).believed(self.points, self.origin[2])
 
     @property
     def floor(self) -> Ground | None:
@@ -390,6 +395,24 @@ class Ground(NamedTuple):
         up = self.normal
         return _angle(-up[2] if self.kind == "upside-down" else up[2])
 
+    def believed(self, points: _Points, height: float) -> Ground:
+        """Return what the points show if the transforms say how high the sensor is, above 0: z points up by them.
+
+        What is not about as far below it is another plane, such as the outer ring on walls, unless it is large.
+        """
+        is_there = abs(self.height - height) < NEAR_MOUNT * height
+        if height <= 0 or is_there or (self.up is None and self.off) or not (self.off or self.height):
+            return self
+        if self.off:
+            return Ground("unknown")
+        return self if self.is_large(points) else self._replace(up=None, height=0.0, rough=0.0)
+
+    def is_large(self, points: _Points) -> bool:
+        """Return whether it is so large, and seen from so near, that it contradicts what is recorded."""
+        on_it = np.abs(points @ np.array(self.normal) + self.height) < tolerances(points)
+        near = np.linalg.norm(points[on_it], axis=1)
+        return bool(on_it.mean() > _LARGE_FLOOR and percentiles(near, 10)[0] < _SEEN_FROM * self.height)
+
 
 def common_ground(looks: Sequence[Ground]) -> Ground:
     """Return how a frame is mounted by several of its clouds: the result of most, if none contradicts it.
@@ -503,8 +526,9 @@ def outermost(cells: _Points, side: int) -> Plane | None:
 def are_upright(points: _Points, floor: float, wide: float = 0.0) -> NDArray[np.bool_]:
     """Return which points are on no ground: they are too high for it, or others are far above or below them.
 
-    Points are compared with those in their direction that are about as far away, where no ground rises so much. What
-    only one ring of a lidar sees, and the top of what is low, may stand or be the ground.
+    Points are compared with those in their direction that are about as far away, and with lower ones nearer and farther
+    away, from which no ground rises so much. What only one ring of a lidar sees, and the top of what is low, may stand
+    or be the ground.
 
     Parameters
     ----------
@@ -527,12 +551,16 @@ def are_upright(points: _Points, floor: float, wide: float = 0.0) -> NDArray[np.
     np.minimum.at(low, (ring, sector), z)
     np.maximum.at(high, (ring, sector), z)
     rise = _STEEPEST_RISE * wider * (_FIRST_RING + ranges)
-    found = np.zeros(len(z), np.bool_)
+    # The highest ground that goes on from the lowest point of each cell, or begins at the floor.
+    slope = _STEEPEST_RISE * _FIRST_RING * np.expm1(np.arange(len(low)) * math.log1p(wider))[:, None]
+    lowest = np.maximum(low, floor)
+    behind = np.minimum.accumulate(lowest - slope) + slope
+    before = np.minimum.accumulate((lowest + slope)[::-1])[::-1] - slope
+    found = (z > np.minimum(behind, before)[ring, sector] + _UNEVEN + 2 * rise) | (z - floor > _STEEPEST_RISE * ranges)
     for beyond in (-1, 0, 1):
         near = ring + beyond, sector
         found |= np.maximum(high[near] - z, z - low[near]) > _UNEVEN + (1 + abs(beyond)) * rise
-    # Of a single ring nothing shows what stands.
-    upright[known] = found | (found.any() & (z - floor > _STEEPEST_RISE * ranges))
+    upright[known] = found
     return upright
 
 

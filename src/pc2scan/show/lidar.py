@@ -418,12 +418,12 @@ class Trial(NamedTuple):
         return float((returns & ~(self.ranges > self.standing - _OFF)).sum() / max(returns.sum(), 1))
 
     def missed_in(self, other: Trial) -> float:
-        """Return the share of the beams with something that stands that do not have it in the scans of another one.
+        """Return the share of the beams with something that stands that pass by it in the scans of another one.
 
         Or of those with a return that have none there, if it is larger.
         """
         stands, returns = np.isfinite(self.standing), np.isfinite(self.ranges)
-        off = np.abs(other.ranges[stands] - self.standing[stands]) >= _OFF
+        off = other.ranges[stands] - self.standing[stands] >= _OFF
         shares = (each.sum() / max(each.size, 1) for each in (off, ~np.isfinite(other.ranges[returns])))
         return float(max(shares))
 
@@ -448,12 +448,18 @@ def tried(options: Mapping[str, Any], lidar: Lidar) -> Trial:
         if not clouds:
             return Trial(findings=tuple(findings))
         placed = [_moved(each, placer.place(each.frame_id, each.stamp_ns).target_from_source) for each in clouds]
-        floor = options["min_height"]
+        low, heights = options["min_height"], lidar.mounting.heights
+        floor = low if heights is None or heights.floor is None else heights.floor
         parts = np.cumsum([len(each) for each in placed])[:-1]
-        placed = [np.concatenate(placed)] if merges else placed
-        stands = [are_upright(points, floor, lidar.pattern.degrees) for points in placed]
+        if spec.level and spec.fixed_frame:
+            # What a robot that tilts sees of a place, from all of them.
+            ways = [placer.from_fixed(spec.fixed_frame, each.frame_id, each.stamp_ns)[1] for each in clouds]
+            placed = [ways[0].compose(way.inverse()).apply(xyz) for way, xyz in zip(ways, placed, strict=True)]
+        if merges or (spec.level and spec.fixed_frame):
+            stands = np.split(are_upright(np.concatenate(placed), floor, lidar.pattern.degrees), parts)
+        else:
+            stands = [are_upright(points, floor, lidar.pattern.degrees) for points in placed]
         lying = [points[~upright] for points, upright in zip(placed, stands, strict=True)]
-        stands = np.split(stands[0], parts) if merges else stands
         marked = [each.replace({_STANDS: upright}, each.frame_id) for each, upright in zip(clouds, stands, strict=True)]
         ranges, standing, counts = _scans(spec, lidar, marked, placer, merges=merges)
     except Pc2ScanError as err:
@@ -465,7 +471,7 @@ def tried(options: Mapping[str, Any], lidar: Lidar) -> Trial:
         ]
         known = KnownTransforms("", lambda: lidar.buffer, lidar.buffer if spec.needs_transforms else None)
         findings += judge(CloudFacts(lidar.topic, spec, known, lidar.samples, counts)).warnings
-    slope = max(_slope(points, floor, spec.params.max_height) for points in lying)
+    slope = max(_slope(points, low, spec.params.max_height) for points in lying)
     return Trial(ranges, standing, slope, tuple(findings))
 
 

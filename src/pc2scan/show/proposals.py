@@ -176,7 +176,10 @@ def _tried(options: Mapping[str, Any], group: Sequence[Lidar]) -> tuple[list[Cho
         most = min((each - _BELOW for each in ceilings if each is not None), default=math.inf)
         top = max(options["max_height"], min(options["max_height"] + slope * _REACHES, most))
         above = Choice("max_height", float(f"{top:.2f}"), f"of what stands on it, up to {_REACHES:.0f} m away")
-        ways += [Choice("ground", "remove", why)], [Choice("min_height_slope", slope, why), above]
+        ways.append([Choice("min_height_slope", slope, why), above])
+        # Of the ground, a part of a turn shows too little.
+        if not any(each.turn for each in group):
+            ways.append([Choice("ground", "remove", why)])
     outcomes = []
     for way in ways:
         more = {each.name: each.value for each in way}

@@ -17,6 +17,7 @@ from pc2scan.core.rigid import Rigid
 from pc2scan.core.scene import (
     JUDGED_CLOUDS,
     LEVEL,
+    NEAR_MOUNT,
     Ground,
     are_enough,
     common_ground,
@@ -24,7 +25,6 @@ from pc2scan.core.scene import (
     find_ground,
     floor_at_side,
     gathered,
-    tolerances,
 )
 
 from .frames import BODIES, WORLDS
@@ -41,9 +41,6 @@ if TYPE_CHECKING:
 #: Transforms that tilt a sensor by more than this, radians, are reported even if no ground is visible.
 _NOTABLE_TILT = math.radians(10.0)
 
-#: The floor is as far from a sensor as its transform says that it is high, but for this share.
-_NEAR_MOUNT = 0.3
-
 #: Scans are from the first height above the floor, or from up to the second one where the ground is rough, to the third
 #: one, and so far below what is overhead; between them is at least so much, metres.
 _LOW, _ROUGHEST, _HIGH, _BELOW_CEILING, _THINNEST = 0.1, 0.3, 1.5, 0.2, 0.3
@@ -53,10 +50,6 @@ _AROUND = 0.4
 
 #: Floors that differ by less are one, metres; the fewest points and their least share that heights are judged by.
 _ONE_FLOOR, _FEW, _FEWEST_SHARE = 0.05, 20, 0.001
-
-#: A plane with a larger share of a cloud, seen from nearer than so many times its distance, contradicts what is
-#: recorded.
-_LARGE, _SEEN_FROM = 0.1, 8.0
 
 _IDENTITY = Rigid.identity()
 
@@ -185,7 +178,6 @@ def mounting(
     samples = [cloud.points for cloud in clouds]
     seen = Mounting(topic, frame, judged_in, common_ground([cloud.ground for cloud in clouds]), samples)
     if judged_in.removeprefix("/") != frame.removeprefix("/"):
-        seen = seen._replace(ground=_believed(seen.ground, origin_z))
         ground, fault = seen.ground, _fault(seen.ground)
         if not (ground.off and ground.kind != "slanted") and (tilted := clouds[0].floor_tilted_by_transform):
             ground = Ground("tilted", tilted.up, tilted.height)
@@ -246,8 +238,8 @@ def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int) -> Mo
     turn = body_from_frame.rotation
     samples = [turn.apply(points) for points in seen.samples]
     height = _height(body_from_frame)
-    body_ground = _believed(common_ground([find_ground(points) for points in samples]), height)
-    ground = _believed(ground, height) if body_ground.kind != "level" else ground
+    body_ground = common_ground([find_ground(points).believed(points, height) for points in samples])
+    ground = ground.believed(seen.samples[0], height) if ground.off and body_ground.kind != "level" else ground
     if body_ground.off and "slanted" in {body_ground.kind, ground.kind}:
         return None
     if body_ground.off:
@@ -284,7 +276,7 @@ def _on_its_side(seen: Mounting, target: str, target_from_frame: Rigid, turn: Ri
     if height <= 0 or _tilt(target_from_frame) > LEVEL:
         return None
     planes = [floor_at_side(turn.apply(points)) for points in seen.samples]
-    floors = [each for each in planes if each is not None and abs(each.height - height) < _NEAR_MOUNT * height]
+    floors = [each for each in planes if each is not None and abs(each.height - height) < NEAR_MOUNT * height]
     if 2 * len(floors) < max(len(planes), 2):
         return None
     up, beside = floors[0].up, floors[0].height
@@ -294,16 +286,6 @@ def _on_its_side(seen: Mounting, target: str, target_from_frame: Rigid, turn: Ri
     )
     lying = Ground("tilted", up, beside)
     return _corrected(seen, target, target_from_frame, lying, turn)._replace(fault=fault)
-
-
-def _believed(ground: Ground, height: float) -> Ground:
-    """Return the ground in a frame whose z axis points up by the transforms, unless it contradicts them.
-
-    What is not as far away as the transforms say that the sensor is high is another plane.
-    """
-    if not ground.off or ground.up is None or height <= 0:
-        return ground
-    return ground if abs(ground.height - height) < _NEAR_MOUNT * height else Ground("unknown", sampled=ground.sampled)
 
 
 def _height(rigid: Rigid) -> float:
@@ -436,7 +418,7 @@ def suitable_heights(
     if ground.ceiling is not None:
         ceiling = sensor + ground.ceiling
     if frame and sensor > _ONE_FLOOR:
-        if floor is not None and abs(floor) > _ONE_FLOOR + 0.03 * sensor and _is_large(ground, every):
+        if floor is not None and abs(floor) > _ONE_FLOOR + 0.03 * sensor and ground.is_large(every):
             side = "above" if floor < 0 else "below"
             question = f"{frame} is {abs(floor):.2f} m {side} the floor that the clouds show: is its z = 0 the floor?"
         else:
@@ -459,13 +441,6 @@ def suitable_heights(
             doubt = f"no point is up to {above}: scans show what is above that"
             high = min(top, float(higher[len(higher) // 4]) + _THINNEST)
     return Heights(_round_down(low + 0.005), _round_down(high + 0.005), floor, ceiling, question, doubt)
-
-
-def _is_large(ground: Ground, points: NDArray[np.float64]) -> bool:
-    """Whether the ground is so large, and seen from so near, that it contradicts what is recorded."""
-    on_it = np.abs(points @ np.array(ground.normal) + ground.height) < tolerances(points)
-    near = np.linalg.norm(points[on_it], axis=1)
-    return bool(on_it.mean() > _LARGE and percentiles(near, 10)[0] < _SEEN_FROM * ground.height)
 
 
 def _around(z: NDArray[np.float64], sensor: float, top: float) -> Heights:
