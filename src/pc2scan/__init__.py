@@ -72,7 +72,7 @@ if TYPE_CHECKING:
     from .show.check import Check as Check
     from .show.info import Info as Info
     from .show.map import Map as Map
-    from .show.plot import Plotted as Plotted
+    from .show.plot import Plot as Plot
     from .show.tf import FrameTree as FrameTree
     from .show.view import Page as Page
     from .streams.objects import Cloud as Cloud
@@ -113,7 +113,7 @@ _PUBLIC = {
     "show.check": ("Check",),
     "show.info": ("Info",),
     "show.map": ("Map",),
-    "show.plot": ("Plotted",),
+    "show.plot": ("Plot",),
     "show.tf": ("FrameTree",),
     "show.view": ("Page",),
     "streams.objects": ("Cloud", "Scan"),

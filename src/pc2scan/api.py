@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from .show.check import Check
     from .show.info import Info
     from .show.map import Map
-    from .show.plot import Plotted
+    from .show.plot import Plot
     from .show.tf import FrameTree
     from .show.view import Page
 
@@ -245,7 +245,7 @@ def plot(
     sources: PathText | Iterable[PathText],
     destination: PathText,
     **options: Unpack[table.Plot],
-) -> Plotted:
+) -> Plot:
     """Draw clouds from above and from the side, with the heights and the scan, as ``pc2scan plot`` does.
 
     Of several outputs, the first is drawn.
@@ -260,7 +260,7 @@ def plot(
 
     Returns
     -------
-    Plotted
+    Plot
         Notes about what is drawn, and the damage in the parts of the recording that were read.
 
     Raises

@@ -198,6 +198,9 @@ class Result:
             lines += part.lines() if isinstance(part, Table) else [visible(text)]
         return "\n".join(lines)
 
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} with exit status {self.exit_status}; print shows it>"
+
     def _repr_html_(self) -> str:
         """Return what notebooks show."""
         return f"<pre>{escape(str(self))}</pre>"

@@ -43,8 +43,7 @@ def test_the_fixture() -> None:
 def test_what_is_measured(tmp_path: Path) -> None:
     points = [[1, 0, -1], [0, 2, 1], [0, 0, 0], [np.nan, 1, 1], [np.inf, 0, 3], [3, 4, 2], [0, 0, 0], [0, 0, 0]]
     (cloud,) = info(write(tmp_path / "a.mcap", points)).clouds
-    assert cloud.nan_share == 1 / 8
-    assert cloud.zero_share == 3 / 8
+    assert (cloud.nan_share, cloud.zero_share) == (1 / 8, 3 / 8)
     # Of the four that are returns, three are above the sensor.
     assert cloud.above_zero_share == 3 / 4
     assert cloud.limits == {"x": (0, 3), "y": (0, 4), "z": (-1, 3), "range": (1, 5)}

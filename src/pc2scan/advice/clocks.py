@@ -144,7 +144,8 @@ class Clocks:
         motion = _medians(self._motion)
         others = _medians(self._others).values()
         for facts in self._topics:
-            if not facts.headers:
+            # Stamps that are all 0 are of no clock.
+            if not any(header.stamp_ns for header in facts.headers):
                 continue
             delay_ns = _delay(facts)
             topic = min(motion, key=lambda name: abs(delay_ns - motion[name]), default="")

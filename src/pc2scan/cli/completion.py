@@ -32,12 +32,12 @@ def offered(offers: Sequence[str], incomplete: str) -> list[str]:
             signal.alarm(_PATIENCE)
         # Errors of a recording are not shown during completion.
         with suppress(Exception):
-            from pc2scan.show.tf import frames_in, topics_in
+            from pc2scan.show.tf import names_in
 
             for path in _typed():
                 with suppress(Pc2ScanError):
                     # Added one by one, so that those found within the time limit are offered.
-                    for name in frames_in([path]) if kind == "frames" else topics_in([path], tuple(words)):
+                    for name in names_in(path, tuple(words) or ("",), frames=kind == "frames"):
                         names.add(name)
             signal.alarm(0)
     # Names with control characters are not offered: the shell would send them to the terminal unescaped.

@@ -218,12 +218,6 @@ class Difference(Result):
         """Summarize the differences in a few lines; ``names`` are the names of the two sides."""
         return "\n".join(self._lines(names))
 
-    def __repr__(self) -> str:
-        apart = sum(not topic.same for topic in self.topics)
-        topics = counted(len(self.topics), "topic")
-        outcome = f"{apart} of {topics} different" if apart else f"{topics} equal"
-        return f"<Difference of {self.a!r} and {self.b!r}: {outcome}>"
-
     def body(self, *, verbose: bool = False) -> Iterator[Part]:
         """Yield the differences of each topic, and a verdict."""
         yield from self._lines(("A", "B"))

@@ -271,9 +271,6 @@ class GoldenReport(Result):
         """0: all passed or were updated; 1: some differ; 2: some could not be checked."""
         return 2 if self.counts["error"] else 1 if self.counts["failed"] else 0
 
-    def __repr__(self) -> str:
-        return f"<GoldenReport of {self.folder!r}: {self._counted()}, exit status {self.exit_status}>"
-
     def _counted(self) -> str:
         words = {"error": "could not be checked"}
         counts = (f"{number:,} {words.get(outcome, outcome)}" for outcome, number in self.counts.items() if number)

@@ -306,10 +306,6 @@ class Report(Result):
         further = (rejection for spec in self.scans for rejection in spec.rejections)
         return {each.name: each for each in (*REJECTIONS, *further)}
 
-    def __repr__(self) -> str:
-        converted = sum(topic.messages_out for topic in self.converted)
-        return f"<Report on {self.destination!r}: {converted:,} messages converted, exit status {self.exit_status}>"
-
     def body(self, *, verbose: bool = False) -> Iterator[Part]:
         """Yield the parameters (of a dry run, or if ``verbose``), the topics, the points and the destination."""
         if self.dry_run:

@@ -233,10 +233,6 @@ class BatchReport(Result):
         """What is said of several recordings, the worst first, then what is said of most."""
         return groups_of(self.recordings)
 
-    def __repr__(self) -> str:
-        counts = ", ".join(f"{number:,} {name}" for name, number in self.counts.items())
-        return f"<BatchReport on {str(self.destination)!r}: {counts or 'nothing'}, exit status {self.exit_status}>"
-
     @property
     def recordings(self) -> list[Outcome]:
         """The outcomes, the bad ones first."""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.conversion.corrections import corrected_transforms
-from pc2scan.errors import MessageError, OutputError, ResultError, TransformError, UsageError, name_list, visible
+from pc2scan.errors import MessageError, OutputError, ResultError, TransformError, UsageError, name_list
 from pc2scan.files.outputs import inputs_of, read_record, refuse_overlap, staged_output, write_record
 from pc2scan.files.system import remove
 from pc2scan.progress import Meter
@@ -19,7 +19,7 @@ from pc2scan.requests import conversion_of, destination_of
 from pc2scan.result import MAX_LISTED, Part, Result, Skipped, tell_early
 from pc2scan.streams.stream import Clouds, Scans
 from pc2scan.tables import Table
-from pc2scan.text import count, counted
+from pc2scan.text import count
 
 from .formats import format_of
 from .poses import Poses
@@ -120,9 +120,6 @@ class ExportReport(Result):
             poses = f"{topic.base_frame} in {topic.pose_frame}" if topic.pose_frame else ""
             rows.append([topic.topic, topic.path or "", count(topic.written), count(topic.skipped), poses])
         yield Table(("topic", "file", "written", "skipped", "poses"), rows, left=("topic", "file", "poses"))
-
-    def __repr__(self) -> str:
-        return f"<ExportReport: {counted(self.messages, 'message')} as {self.format} in {visible(self.destination)}>"
 
 
 def file_names(topics: Iterable[str]) -> dict[str, str]:

@@ -148,9 +148,6 @@ class Check(Result):
             return f"ok: accepted by {', '.join(self.counting)}"
         return "; ".join(("not ok" if self.exit_status else "accepted" if defects else "ok", *parts))
 
-    def __repr__(self) -> str:
-        return f"<Check of {', '.join(map(repr, self.sources))}: {self._conclusion()}>"
-
 
 def check(sources: Sequence[Path], options: Options, progress: Progress | None = None) -> Check:
     """Check what consumers would do with the scans of a recording; see `pc2scan.check`.
@@ -191,11 +188,8 @@ def check(sources: Sequence[Path], options: Options, progress: Progress | None =
         meter.following = reader.stored_bytes(wanted)
         survey.read(meter)
         transforms = reading.finish()
-        wrong = {name: clock for name, clock in clocks.findings().items() if clock.other}
-        places = {
-            name: ScanFrames(transforms.buffer, options.odom_frame, options.base_frame, wrong.get(name), arrivals)
-            for name in chosen
-        }
+        own_clocks, frame_names = clocks.findings(), (options.odom_frame, options.base_frame)
+        places = {name: ScanFrames(transforms.buffer, *frame_names, own_clocks.get(name), arrivals) for name in chosen}
         scans = {name: ScanTopic() for name in chosen}
         meter.expect(reader.stored_bytes(wanted))
         for message in reader.messages(wanted, meter=meter):
@@ -207,9 +201,6 @@ def check(sources: Sequence[Path], options: Options, progress: Progress | None =
         checked = []
         for name, own in scans.items():
             findings = [*own.findings(), *(places[name].findings(own.interval_ns) if own.scans else ())]
-            if any(each.kind == "clock" for each in findings):
-                # This says more than that the stamps are far from the log times.
-                findings = [each for each in findings if each.kind != "stamps-far"]
             findings.sort(key=lambda finding: finding.level)
             checked.append(own.result(name, own.interval_ns, [*shared, *findings]))
         damage = tuple(place for each in (reader, *others) for place in each.damage)
@@ -297,7 +288,7 @@ class ScanFrames:
     base_frame
         The robot's body; empty for the first of `BODIES` that exists.
     clock
-        What is wrong with the clock of the scans, compared with that of the transforms; None if nothing is.
+        What is wrong with the clock of the scans, compared with that of the transforms or the log; None if nothing is.
     arrivals
         When the transforms were logged.
     """

@@ -22,14 +22,14 @@ from pc2scan.errors import UsageError, leading
 from pc2scan.messages.clouds import CLOUDS, SCANS, usual_topics
 from pc2scan.messages.imu import IMU
 from pc2scan.messages.other_clouds import instead_of_clouds
-from pc2scan.messages.poses import POSES
 from pc2scan.messages.tfmessage import TF_TYPES
-from pc2scan.model import copied_message
+from pc2scan.model import copied_message, declared_counts
 from pc2scan.request.point_time import PointTime
 from pc2scan.requests import OF_FRAMES, frames_of
 from pc2scan.result import Call, Part, Result
 from pc2scan.tables import Table
 from pc2scan.text import count, counted, height_text, size, stamp
+from pc2scan.transforms.buffer import ADDS_ODOMETRY
 from pc2scan.transforms.frames import BODIES, WORLDS
 from pc2scan.transforms.motion import find_body_motion
 from pc2scan.transforms.placing import FrameOptions, Placer
@@ -148,10 +148,6 @@ class Info(Result):
     def duration_ns(self) -> int:
         """Time from the first message's log time to the last's; 0 without messages."""
         return self.end_ns - self.start_ns if self.start_ns is not None and self.end_ns is not None else 0
-
-    def __repr__(self) -> str:
-        paths = ", ".join(repr(file.path) for file in self.files)
-        return f"<Info of {paths}: {counted(len(self.topics), 'topic')}, {counted(self.messages, 'message')}>"
 
     @property
     def exit_status(self) -> int:
@@ -311,7 +307,7 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
             sum(counts.values()),
             tuple(topics),
             tuple(clouds),
-            tuple(each.result(topic, periods[topic]) for topic, each in of_scans.items()),
+            tuple(each.result(topic, periods[topic], each.undecodable()) for topic, each in of_scans.items()),
             tuple(calls),
             tuple(reader.damage),
             tuple(warnings),
@@ -336,18 +332,11 @@ def _with_odometry(
 
 def _lacking(reader: Reader, counts: Counter[int]) -> str:
     """Return what SLAM and navigation need that no messages give; empty if nothing is missing."""
-    recorded = [each for each in reader.connections if counts[each.id]]
-    given = {each.ros_type: each.topic for each in recorded if not each.is_static}
-    if not given.keys().isdisjoint(TF_TYPES):
+    transforms = [each for each in reader.connections if counts[each.id] and each.ros_type in TF_TYPES]
+    if not all(each.is_static for each in transforms):
         return ""
-    poses = next((topic for kind, topic in given.items() if kind in POSES), "")
-    cure = f"`odom_topic={poses}`" if poses else "`trajectory`, `odom_topic` or `tf_from`"
-    if any(each.ros_type in TF_TYPES for each in recorded):
-        return f"SLAM and navigation also need odometry on /tf, which the recording does not have: {cure} adds it"
-    return (
-        "SLAM and navigation also need odometry and the lidar's mount, and the recording has no transforms: "
-        f"{cure} adds odometry, `static_tf` the mount"
-    )
+    needs, mount = ("odometry", "") if transforms else ("odometry and the lidar's mount", ", `static_tf` the mount")
+    return f"SLAM and navigation also need {needs}, which the recording does not have: {ADDS_ODOMETRY}{mount}"
 
 
 class _Surveyed:
@@ -478,9 +467,9 @@ def _message_counts(reader: Reader) -> tuple[Counter[int], int | None, int | Non
     """Return messages by connection, and the first and the last log time; the messages are read only if necessary."""
     summary, counts = reader.summary, Counter[int]()
     if summary.end_ns is not None and not reader.damage:
-        known = {each.id: each.message_count for each in reader.connections}
-        if None not in known.values():
-            return Counter({key: value or 0 for key, value in known.items()}), summary.start_ns, summary.end_ns
+        known = Counter(declared_counts(reader.connections))
+        if len(known) == len(reader.connections):
+            return known, summary.start_ns, summary.end_ns
     start_ns = end_ns = None
     for message in reader.messages():
         counts[message.connection.id] += 1

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from pc2scan.advice.odometry import odometry_of
-from pc2scan.bags.topics import find_topics, matches, types_by_topic
+from pc2scan.bags.topics import matches, types_by_topic
 from pc2scan.conversion.corrections import corrected_transforms
 from pc2scan.conversion.source_checks import frame_that_stays
 from pc2scan.core.occupancy import FREE, LONGEST, OCCUPIED, OccupancyGrid, observing_beams, place_beams
@@ -34,11 +34,10 @@ from pc2scan.core.unproject import beam_angles, last_beam_ns
 from pc2scan.errors import MessageError, ResultError, TransformError, UsageError, name_list
 from pc2scan.files.outputs import files_output, inputs_of, refuse_overlap
 from pc2scan.files.urls import path_of, path_or_url
-from pc2scan.messages.clouds import CLOUDS, usual_topics
+from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.options.table import options_about_scans
 from pc2scan.progress import Meter
-from pc2scan.request.options import TopicRequest
 from pc2scan.requests import conversion_of, first_output
 from pc2scan.result import Part, Result, Skipped, tell_early
 from pc2scan.streams.stream import Scans
@@ -198,9 +197,6 @@ free_thresh: 0.196
 """
         return [head.encode("ascii") + pixels[::-1].tobytes(), self.png, text.encode("utf-8", "surrogateescape")]
 
-    def __repr__(self) -> str:
-        return f"<pc2scan.Map of {self.width} x {self.height} cells of {self.resolution:g} m in {self.frame!r}>"
-
     def body(self, *, verbose: bool = False) -> Iterator[Part]:
         """Yield the size of the map, its scans, and the robot's way."""
         yield (
@@ -282,12 +278,15 @@ def _draw(
     tell = partial(tell_early, warnings, warn)
     frames = (options.odom_frame, options.base_frame)
     grid = OccupancyGrid(options.resolution, _MAX_CELLS)
+    # A tolerance is one for recorded scans, too.
+    about_clouds = {*options_about_scans(), "source_frame"} - {"topics", "remap", "transform_tolerance"}
+    is_about_clouds = not about_clouds.isdisjoint(options.given)
     with opened(sources, request, options, warn) as recording:
         reader = recording.reader
-        topics, converted = _topics(reader, request, converts=_converts(options))
+        converted = _converts(reader, request, is_about_clouds=is_about_clouds)
         meter = None if progress is None else Meter(progress)
         reading = replace(request, only_scans=True, keep=(), keep_clouds=False) if converted else request
-        stream = Scans(sources, reading.with_scan(topics=topics), converted, transform_frames=frames, meter=meter)
+        stream = Scans(sources, reading, converted, transform_frames=frames, all_topics=True, meter=meter)
         buffer = stream.transforms
         others: Sequence[Reader] = ()
         if buffer is None:
@@ -296,7 +295,7 @@ def _draw(
             buffer = transforms.buffer
             tell(*transforms.warnings, *transforms.notes)
         damage = damage_of(reader, *others)
-    if not converted and _converts(options):
+    if is_about_clouds and not converted:
         tell("recorded scans are drawn: options about clouds have no effect")
     drawing = _Drawing(grid, buffer, options, request)
     stream.listener = tell
@@ -309,29 +308,18 @@ def _draw(
     return drawing.result((*stream.notes, *warnings), (*damage, *stream.damage), converted=converted)
 
 
-def _converts(options: Options) -> bool:
-    """Whether any option is about the conversion of clouds; a tolerance is one for recorded scans, too."""
-    about_clouds = {*options_about_scans(), "source_frame"} - {"topics", "remap", "transform_tolerance"}
-    return not about_clouds.isdisjoint(options.given)
-
-
-def _topics(reader: Reader, request: Request, *, converts: bool) -> tuple[tuple[TopicRequest, ...], bool]:
-    """Return the topics to draw, and whether scans are made of them."""
+def _converts(reader: Reader, request: Request, *, is_about_clouds: bool) -> bool:
+    """Whether scans are made of clouds, or of scans in another geometry; otherwise scans are drawn as they are."""
     types = types_by_topic(reader.connections)
-    scans = sorted(topic for topic, kinds in types.items() if LASERSCAN in kinds)
+    scans = [topic for topic, kinds in types.items() if LASERSCAN in kinds]
     clouds = [topic for topic, kinds in types.items() if not kinds.isdisjoint(CLOUDS)]
-    requests = request.scan.topics
-    names = [each.source for each in requests]
+    names = [each.source for each in request.scan.topics]
     if request.scan.may_share or request.scan.combining.rebin:
-        return requests or tuple(map(TopicRequest, scans)), True
+        return True
     of_scans, of_clouds = (any(matches(topic, names) for topic in kind) for kind in (scans, clouds))
     if of_scans and of_clouds:
         raise UsageError(f"`topics` has scans and clouds: {name_list(names)}", hint="a map is drawn of either")
-    if of_clouds or (clouds and not names and (converts or not scans)):
-        return requests or tuple(map(TopicRequest, sorted(usual_topics(types, CLOUDS)))), True
-    # Without scans the stream raises an error that lists the topics.
-    chosen = [topic for name in names for topic in find_topics(name, types, scans, LASERSCAN)] or scans
-    return tuple(map(TopicRequest, dict.fromkeys(chosen))), False
+    return of_clouds or bool(clouds and not names and (is_about_clouds or not scans))
 
 
 class _Drawing:

@@ -6,28 +6,24 @@ import io
 import math
 import shlex
 import warnings
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from pc2scan.core.layout import TURN
 from pc2scan.core.project import Projector
-from pc2scan.errors import UsageError, leading, visible
+from pc2scan.errors import UsageError, visible
 from pc2scan.files.outputs import files_output, inputs_of, refuse_overlap
 from pc2scan.requests import conversion_of, first_output
-from pc2scan.result import Part, Result
-from pc2scan.text import size
 
-from .shots import opened, take_shots, title_of
+from .shots import Picture, opened, take_shots, title_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from pc2scan.bags.damage import Damage
     from pc2scan.core.params import ProjectionParams
     from pc2scan.options.call import Options
     from pc2scan.requests import Warn
@@ -58,39 +54,15 @@ _MOST_POINTS = 40_000
 _OUTLIERS = 0.01
 
 
-@dataclass(frozen=True, slots=True)
-class Plotted(Result):
-    """What is known about a figure.
+class Plot(Picture):
+    """What is known about a figure."""
 
-    Attributes
-    ----------
-    path
-        Its file.
-    bytes
-        The size of the file.
-    notes
-        Notes about the figure.
-    warnings
-        What is not as the options ask.
-    damage
-        The damage in the parts of the recording that were read.
-    """
+    __slots__ = ()
 
     kind: ClassVar[str] = "figure"
-    json_names: ClassVar[tuple[str, ...]] = ("path", "bytes")
-
-    path: str
-    bytes: int
-    notes: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
-    damage: tuple[Damage, ...] = ()
-
-    def body(self, *, verbose: bool = False) -> Iterator[Part]:
-        """Yield the file and its size."""
-        yield f"{leading(self.path)}: {size(self.bytes)}"
 
 
-def plot(sources: Sequence[Path], destination: Path, options: Options, *, warn: Warn | None = None) -> Plotted:
+def plot(sources: Sequence[Path], destination: Path, options: Options, *, warn: Warn | None = None) -> Plot:
     """Draw clouds; see `pc2scan.plot`."""
     request = first_output(conversion_of(options, warn), "shown", warn)
     kind = destination.suffix.lower().removeprefix(".")
@@ -98,18 +70,16 @@ def plot(sources: Sequence[Path], destination: Path, options: Options, *, warn: 
         suffix = f"'.{kind}'" if kind else "no suffix"
         text = f"has {suffix}, a figure is one of .{', .'.join(FORMATS)}"
         raise UsageError(text, path=destination, hint=f"such as `destination={shlex.quote(destination.stem)}.png`")
-    if not 1 <= options.clouds <= _MOST_CLOUDS:
-        raise UsageError(f"`clouds` is {options.clouds}, it must be from 1 to {_MOST_CLOUDS}")
     refuse_overlap(inputs_of(sources, options.tf_from, request.files), [destination])
     with (
         files_output([destination], overwrite=options.overwrite) as deliver,
-        opened(sources, request, options, warn) as recording,
+        opened(sources, request, options, warn, _MOST_CLOUDS) as recording,
     ):
         taken = take_shots(recording, level=True)
         figure = _figure(taken, title_of(sources), kind)
         deliver([figure])
         told = (*request.notes, *taken.warnings)
-        return Plotted(str(destination), len(figure), tuple(taken.notes), told, taken.damage)
+        return Plot(str(destination), len(figure), tuple(taken.notes), told, taken.damage)
 
 
 def _figure(taken: Shots, title: str, kind: str) -> bytes:
@@ -147,7 +117,7 @@ def _draw(
     above: Any,
     side: Any,
     shot: Shot,
-    points: Sequence[NDArray[np.float32]],
+    points: NDArray[np.float32],
     params: ProjectionParams,
     limits: Sequence[tuple[float, float]],
 ) -> None:
@@ -209,11 +179,8 @@ def _limits(values: Sequence[NDArray[Any]]) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _place_points(shot: Shot) -> Sequence[NDArray[np.float32]]:
-    """Return the coordinates in the scan's frame, in float32 like in the projection."""
-    x, y, z = (shot.columns[axis] for axis in "xyz")
+def _place_points(shot: Shot) -> NDArray[np.float32]:
+    """Return the coordinates in the scan's frame, (3, N), in float32 like in the projection."""
+    points = np.stack([shot.columns[axis] for axis in "xyz"], axis=1)
     rigid = shot.place.target_from_source
-    if rigid is None:
-        return x, y, z
-    placed: NDArray[np.float32] = rigid.apply(np.stack((x, y, z), axis=1))
-    return placed[:, 0].copy(), placed[:, 1].copy(), placed[:, 2].copy()
+    return np.ascontiguousarray((points if rigid is None else rigid.apply(points)).T)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import heapq
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from functools import partial
 from itertools import islice
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -27,10 +27,10 @@ from pc2scan.conversion.steps import CloudToScan, PlaceStage, SelectStage
 from pc2scan.core.points import NUMBER
 from pc2scan.core.rule import PointCounts
 from pc2scan.core.scene import CloudSample, are_enough
-from pc2scan.errors import DecodeError, MessageError, RecordingError, TopicError, UsageError, stamp_text
+from pc2scan.errors import DecodeError, MessageError, RecordingError, TopicError, UsageError, leading, stamp_text
 from pc2scan.messages.clouds import CLOUDS
-from pc2scan.result import tell_early
-from pc2scan.text import counted
+from pc2scan.result import Part, Result, tell_early
+from pc2scan.text import counted, size
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -59,6 +59,37 @@ _OF_SEVERAL = (checks.frame_not_level, checks.swapped_transform, checks.clouds_i
 
 #: Fields that a picture can show besides x, y and z.
 _MOST_FIELDS = 8
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Picture(Result):
+    """What is known about a page or a figure.
+
+    Attributes
+    ----------
+    path
+        Its file; empty if it is not written.
+    bytes
+        The size of the file.
+    notes
+        Notes about the picture.
+    warnings
+        What is not as the options ask.
+    damage
+        The damage in the parts of the recording that were read.
+    """
+
+    json_names: ClassVar[tuple[str, ...]] = ("path", "bytes")
+
+    path: str
+    bytes: int
+    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    damage: tuple[Damage, ...] = ()
+
+    def body(self, *, verbose: bool = False) -> Iterator[Part]:
+        """Yield the file and its size."""
+        yield f"{leading(self.path) or 'a page'}: {size(self.bytes)}"
 
 
 class Shot(NamedTuple):
@@ -147,8 +178,12 @@ class Opened(NamedTuple):
 
 
 @contextmanager
-def opened(sources: Sequence[Path], request: Request, options: Options, warn: Warn | None) -> Iterator[Opened]:
-    """Open recordings as one."""
+def opened(
+    sources: Sequence[Path], request: Request, options: Options, warn: Warn | None, most: int = 0
+) -> Iterator[Opened]:
+    """Open recordings as one, for a picture of at most so many clouds; 0: it has none."""
+    if most and not 1 <= options.clouds <= most:
+        raise UsageError(f"`clouds` is {options.clouds:,}, it must be from 1 to {most:,}")
     with ExitStack() as stack:
         reader = as_one(open_recordings(sources, stack, strict=request.strict))
         if request.cloud_scale != 1:

@@ -18,7 +18,7 @@ from pc2scan.transforms.placing import FrameOptions
 from pc2scan.transforms.reading import read_transforms, tf_connections
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from pc2scan.bags.damage import Damage
@@ -88,9 +88,6 @@ class FrameTree(Result):
             # None means the latest time.
             err.stamp_ns = stamp_ns or None
             raise
-
-    def __repr__(self) -> str:
-        return f"<FrameTree of {len(self.frames)} transforms in {len(self.trees)} trees>"
 
     def body(self, *, verbose: bool = False) -> Iterator[Part]:
         """Yield a drawing of each tree, and the table of frames."""
@@ -204,20 +201,13 @@ def frame_tree(sources: Sequence[Path], options: FrameOptions | None = None) -> 
     return FrameTree(buffer.infos, buffer.trees, buffer, warnings, damage)
 
 
-def topics_in(paths: Iterable[Path], endings: tuple[str, ...] = ()) -> Iterator[str]:
-    """Yield the topics of recordings, of types with these endings, or of any type."""
+def names_in(path: Path, endings: tuple[str, ...], *, frames: bool) -> Iterator[str]:
+    """Yield the topics of a recording, of types with these endings; or its frames, as often as they occur."""
     with ExitStack() as stack:
-        for reader in open_recordings(paths, stack):
-            for connection in reader.connections:
-                if not endings or connection.ros_type.endswith(endings):
-                    yield connection.topic
-
-
-def frames_in(paths: Iterable[Path], tf_topics: Sequence[str] = ()) -> Iterator[str]:
-    """Yield the frames of the transforms in recordings, as they are read, each as often as it occurs."""
-    with ExitStack() as stack:
-        for reader in open_recordings(paths, stack):
-            for message in reader.messages(tf_connections(reader.connections, tf_topics)):
-                for parent, child, *_ in decode_transforms(message.data, message.connection.serialization):
-                    yield parent
-                    yield child
+        (reader,) = open_recordings([path], stack)
+        if not frames:
+            yield from (own.topic for own in reader.connections if own.ros_type.endswith(endings))
+            return
+        for message in reader.messages(tf_connections(reader.connections)):
+            for parent, child, *_ in decode_transforms(message.data, message.connection.serialization):
+                yield from (parent, child)

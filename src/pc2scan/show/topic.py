@@ -62,10 +62,6 @@ _STUTTER = 0.5
 #: A ``scan_time`` that differs from the median interval by more than this share of it is reported.
 _SCAN_TIME = 0.2
 
-#: Stamps and log times farther apart than this, nanoseconds, are reported: the difference is one of clocks, not a
-#: delay.
-_FAR_NS = 1_000_000_000
-
 #: A scan is a part of a turn if returns are in less than this share of its directions, and less than this share of them
 #: in directions in which the scan before it has returns.
 _PART = 0.5
@@ -282,9 +278,8 @@ class ScanTopic:
         #: Zeros that are returns, because range_min is 0 or less.
         self._zeros = 0
         self._median = 0.0
-        #: The last stamp, the smallest and the largest difference to log times, and the intervals that are positive.
+        #: The last stamp, and the intervals that are positive.
         self._last_ns: int | None = None
-        self._offsets: tuple[int, int] | None = None
         self._intervals = array("q")
         self._sectors = _Sectors()
 
@@ -301,9 +296,9 @@ class ScanTopic:
             self._undecodable.add(message.log_time_ns)
             self._reason = self._reason or err.message
         else:
-            self._add(scan, message.log_time_ns, place(scan.frame_id, scan.stamp_ns, message.log_time_ns))
+            self._add(scan, place(scan.frame_id, scan.stamp_ns, message.log_time_ns))
 
-    def _add(self, message: LaserScan, log_time_ns: int, placed: ScanTransforms) -> None:
+    def _add(self, message: LaserScan, placed: ScanTransforms) -> None:
         stamp_ns, frame = message.stamp_ns, message.frame_id
         scan = scan_for_consumers(message)
         self.scans += 1
@@ -315,7 +310,7 @@ class ScanTopic:
         self.beams.add(scan.beams)
         self._judge(scan, frame, stamp_ns, placed)
         self._zeros += scan.zero if scan.range_min <= 0 else 0
-        if fault := self._stamp_fault(stamp_ns, log_time_ns):
+        if fault := self._stamp_fault(stamp_ns):
             self._tallies[fault].add(stamp_ns)
         if scan.returns:
             self._sectors.add(frame, scan, message.ranges, stamp_ns)
@@ -333,13 +328,10 @@ class ScanTopic:
                 self._kept_of.setdefault((consumer, frame), scan)
             verdicts.setdefault(verdict.outcome, Counted()).add(stamp_ns, verdict)
 
-    def _stamp_fault(self, stamp_ns: int, log_time_ns: int) -> str:
+    def _stamp_fault(self, stamp_ns: int) -> str:
         """Return what is wrong with the stamp of the next scan; empty if nothing is."""
         if stamp_ns == 0:
             return "stamps-zero"
-        late = log_time_ns - stamp_ns
-        low, high = self._offsets or (late, late)
-        self._offsets = min(late, low), max(late, high)
         last_ns, self._last_ns = self._last_ns, stamp_ns
         if last_ns is None:
             return ""
@@ -354,12 +346,11 @@ class ScanTopic:
         middle = (len(self._intervals) - 1) // 2
         return float(np.partition(np.array(self._intervals), middle)[middle]) if self._intervals else None
 
-    def result(self, name: str, interval_ns: float | None, findings: Iterable[Finding] | None = None) -> TopicCheck:
-        """Return the result of a topic of this name, with these findings, or only what cannot be decoded."""
+    def result(self, name: str, interval_ns: float | None, findings: Iterable[Finding]) -> TopicCheck:
+        """Return the result of a topic of this name, with these findings."""
         beams = min(self.beams, default=0), max(self.beams, default=0)
         frames, consumers = tuple(self.frames), tuple(self._consumers())
-        chosen = tuple(self.undecodable() if findings is None else findings)
-        return TopicCheck(name, self.scans, frames, beams, interval_ns, self.first, consumers, chosen)
+        return TopicCheck(name, self.scans, frames, beams, interval_ns, self.first, consumers, tuple(findings))
 
     def _consumers(self) -> Iterator[ConsumerCheck]:
         """Yield the worst verdict of each consumer.
@@ -410,10 +401,6 @@ class ScanTopic:
             yield Finding("ranges-zero", "notice", text, "consumers see obstacles at the sensor: `range_min=0.1`")
 
     def _time_findings(self, first: ConsumerScan) -> Iterator[Finding]:
-        if self._offsets and max(map(abs, self._offsets)) > _FAR_NS:
-            text = "log times minus stamps are {:,.3f} to {:,.3f} s".format(*(each / 1e9 for each in self._offsets))
-            hint = "transforms are looked up by stamp: they must come from the same clock"
-            yield Finding("stamps-far", "notice", text, hint)
         if self.interval_ns is None:
             return
         period = self.interval_ns / 1e9

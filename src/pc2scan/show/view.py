@@ -31,33 +31,24 @@ from pc2scan.conversion.corrections import corrected, corrected_transforms
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.presets import PRESETS
 from pc2scan.core.rigid import Rigid
-from pc2scan.errors import (
-    MessageError,
-    Pc2ScanError,
-    RecordingError,
-    UsageError,
-    leading,
-    stamp_text,
-    visible,
-)
+from pc2scan.errors import MessageError, Pc2ScanError, RecordingError, UsageError, stamp_text, visible
 from pc2scan.files.outputs import files_output, inputs_of, refuse_overlap
 from pc2scan.files.urls import path_of, path_or_url
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.options.call import Options, call_words
-from pc2scan.options.table import PARAMETERS
+from pc2scan.options.table import PARAMETERS, options_of
 from pc2scan.requests import conversion_of, first_output
-from pc2scan.result import Call, Part, Result
-from pc2scan.text import counted, size
+from pc2scan.result import Call
+from pc2scan.text import counted
 from pc2scan.transforms.static import added_transforms
 
 from .check import check, scan_connections
 from .info import info_of
-from .shots import chosen_messages, damage_of, moment_text, opened, take_shots, title_of
+from .shots import Picture, chosen_messages, damage_of, moment_text, opened, take_shots, title_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
-    from typing import TypeAlias
 
     from numpy.typing import NDArray
 
@@ -72,9 +63,6 @@ if TYPE_CHECKING:
 
     from .check import Check
     from .shots import Opened, Shot
-
-    #: A page as `html` takes it, description and blobs; and the damage in what was read.
-    Described: TypeAlias = tuple[dict[str, Any], dict[str, bytes], tuple[Damage, ...]]
 
 #: Clouds and scans of a topic on one page. They share its size.
 _MOST_CLOUDS = 1_000
@@ -108,55 +96,27 @@ _OF_PAGES = {
 #: The pose of a scan that is shown in its own frame.
 _HERE = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
 
-#: Options that the check of scans has, too.
-_OF_CHECK = {"tf_topics", "tf_from", "odom_topic", "trajectory", "trajectory_frames", "urdf"}
-
 _FOLDER = files("pc2scan.show") / "page"
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class Page(Result):
+class Page(Picture):
     """A page. Notebooks show it in their cell.
 
     Attributes
     ----------
     pieces
         The HTML file, in pieces.
-    notes
-        What the page says above the pictures.
-    warnings
-        What is not as the options ask.
-    damage
-        The damage in the parts of the recording that were read.
-    path
-        Its file; empty if it is not written.
     """
 
     kind: ClassVar[str] = "page"
-    json_names: ClassVar[tuple[str, ...]] = ("path", "bytes")
 
-    pieces: tuple[bytes, ...]
-    notes: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
-    damage: tuple[Damage, ...] = ()
-    path: str = ""
-
-    @property
-    def bytes(self) -> int:
-        """The size of the file."""
-        return sum(map(len, self.pieces))
+    pieces: tuple[bytes, ...] = ()
 
     @property
     def html(self) -> str:
         """The whole HTML file."""
         return b"".join(self.pieces).decode()
-
-    def body(self, *, verbose: bool = False) -> Iterator[Part]:
-        """Yield the file and its size."""
-        yield f"{leading(self.path) or 'a page'}: {size(self.bytes)}"
-
-    def __repr__(self) -> str:
-        return f"<pc2scan.Page of {len(self.html):,} characters>"
 
     def _repr_html_(self) -> str:
         """Return the page in a sandboxed frame with its own policy, so that it cannot access the notebook."""
@@ -204,17 +164,17 @@ def view(sources: Sequence[Path], destination: PathText | None, options: Options
 
 def _page(sources: Sequence[Path], request: Request, options: Options, warn: Warn | None) -> Page:
     """Make a page of a recording: of its clouds and their projection, or of its scans if it has no clouds."""
-    if not 1 <= options.clouds <= _MOST_CLOUDS:
-        raise UsageError(f"`clouds` is {options.clouds:,}, it must be from 1 to {_MOST_CLOUDS:,}")
-    with opened(sources, request, options, warn) as recording:
+    with opened(sources, request, options, warn, _MOST_CLOUDS) as recording:
         has_clouds = any(each.ros_type in CLOUDS for each in recording.reader.connections)
         describe = _clouds_page if has_clouds and not request.scan.reverse else _scans_page
-        description, blobs, damage = describe(recording)
+        blobs: dict[str, bytes] = {}
+        description, damage = describe(recording, blobs)
         notes, warnings = description["notes"], [*request.notes, *description.pop("warnings")]
         # The page shows both.
         description["notes"] = [*notes, *warnings]
         description |= {"title": title_of(sources), "subtitle": _subtitle(recording.reader)}
-        return Page(html(description, blobs), tuple(notes), tuple(warnings), damage)
+        pieces = html(description, blobs)
+        return Page("", sum(map(len, pieces)), tuple(notes), tuple(warnings), damage, pieces)
 
 
 def _subtitle(reader: Reader) -> str:
@@ -319,7 +279,7 @@ def compressed(blobs: dict[str, bytes], columns: Mapping[str, NDArray[Any]]) -> 
     return {"id": name, "length": len(next(iter(columns.values()))), "fields": fields}
 
 
-def _clouds_page(recording: Opened) -> Described:
+def _clouds_page(recording: Opened, blobs: dict[str, bytes]) -> tuple[dict[str, Any], tuple[Damage, ...]]:
     """Describe a page of clouds, which opens with the heights that info proposes if none are given."""
     options = recording.options
     # The node's heights are part of its parameters, also where a file of these does not have them.
@@ -327,7 +287,6 @@ def _clouds_page(recording: Opened) -> Described:
     request = recording.request if is_given else _as_proposed(recording)
     scan, preset = request.scan, options.preset or ""
     topics: dict[str, list[dict[str, Any]]] = {}
-    blobs: dict[str, bytes] = {}
     count = max(1, len({each.topic for each in recording.reader.connections if each.ros_type in CLOUDS}))
     most = _MOST_POINTS // (count * (len(options.at) or options.clouds))
     taken = take_shots(recording._replace(request=request), level=False, keep=partial(_packed, blobs, max(1, most)))
@@ -366,7 +325,7 @@ def _clouds_page(recording: Opened) -> Described:
         "targetFrame": scan.params.target_frame,
         "topics": [{"topic": topic, "clouds": clouds} for topic, clouds in topics.items()],
     }
-    return description, blobs, taken.damage
+    return description, taken.damage
 
 
 def _as_proposed(recording: Opened) -> Request:
@@ -470,7 +429,7 @@ def _origins(buffer: TransformBuffer, target: str, stamp_ns: int) -> Iterator[di
             yield {"name": name, "x": x, "y": y, "z": z}
 
 
-def _scans_page(recording: Opened) -> Described:
+def _scans_page(recording: Opened, blobs: dict[str, bytes]) -> tuple[dict[str, Any], tuple[Damage, ...]]:
     """Describe a page of scans: the moments of the first topic, each with the next scan of every other topic.
 
     Scans are shown in the target frame or, without one, in the first topic's frame, as far as transforms connect them.
@@ -490,7 +449,6 @@ def _scans_page(recording: Opened) -> Described:
     taken: dict[str, list[RawMessage]] = {topic: [] for topic in topics}
     for message in chosen_messages(recording._replace(reader=reader), topics):
         taken[message.connection.topic].append(message)
-    blobs: dict[str, bytes] = {}
     moments = []
     failed: list[str] = []
     for together in zip_longest(*taken.values()):
@@ -516,9 +474,9 @@ def _scans_page(recording: Opened) -> Described:
         why = f"no scan can be shown; {failed[0]}" if failed else f"no scans on {', '.join(topics)}"
         raise RecordingError(why, path=reader.path)
     warnings = [f"Not shown: {counted(len(failed), 'scan')}; {failed[0]}."] if failed else []
-    checked = check(recording.sources, Options("check", {"topics": names, **options.among(_OF_CHECK)}))
+    checked = check(recording.sources, Options("check", {**options.among(options_of("check")), "topics": names}))
     description = {"kind": "scans", "notes": [], "warnings": warnings, "moments": moments}
-    return description | {"findings": _findings(checked)}, blobs, damage_of(reader, *others)
+    return description | {"findings": _findings(checked)}, damage_of(reader, *others)
 
 
 def _pose(buffer: TransformBuffer, target: str, source: str, stamp_ns: int) -> list[float] | None:
