@@ -89,7 +89,7 @@ def test_a_file_of_parameters_is_beaten_by_keywords(tmp_path: Path) -> None:
     assert (report.params.min_height, report.params.range_max, report.params.range_min) == (-0.5, 15.0, 0.1)
     params = pc2scan.ProjectionParams.from_file(file, min_height=-0.25)
     assert (params.min_height, params.range_max) == (-0.25, 20.0)
-    with pytest.raises(UsageError, match="params has all parameters"):
+    with pytest.raises(UsageError, match="`preset` has no effect with `params`, which has all parameters"):
         pc2scan.convert(HALL, tmp_path / "b.bag", params=params, preset="nav2")
     report = pc2scan.convert(HALL, tmp_path / "b.bag", params=params, max_height=3)
     assert (report.params.min_height, report.params.max_height) == (-0.25, 3.0)

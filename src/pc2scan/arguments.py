@@ -14,6 +14,16 @@ if TYPE_CHECKING:
 _LONGEST = 80
 
 
+def value_text(value: object) -> str:
+    """Return a value for an error message, as it is written in a file."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, list | tuple | dict):
+        return "a mapping" if isinstance(value, dict) else "a list"
+    text = str(value).lower() if isinstance(value, bool) else repr(value)
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
+
+
 def value_and_type(value: object) -> str:
     """Return a value and its type, for an error message."""
     text = repr(value)

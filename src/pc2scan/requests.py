@@ -104,7 +104,7 @@ def conversion_of(options: Options, warn: Warn | None = None) -> Request:
     """
     if options.clouds_as != "recorded" and not options.keep_clouds:
         _refuse_scans(options)
-    given = [options, parse_params(options.param)]
+    given = [options, parse_params(options.param)] if options.param else [options]
     if options.scans is not None:
         refuse_beside(options.of_one_output)
         outputs, where = load_scans(options.scans, given), "scans"

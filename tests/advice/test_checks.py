@@ -162,7 +162,9 @@ def test_a_check_of_the_counts_of_several_messages(counts: dict[str, Any], name:
 
 
 def test_every_check_has_a_case() -> None:
-    groups: list[Any] = [group for name, group in vars(checks).items() if name.isupper() and isinstance(group, tuple)]
+    groups: list[Any] = [
+        group for name, group in vars(checks).items() if name.isupper() and isinstance(group, tuple | dict)
+    ]
     groups += result.TOPIC_CHECKS.values()
     known = {check.__name__ for group in groups for check in group}
     assert len(known) == sum(map(len, groups))

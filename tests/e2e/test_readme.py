@@ -120,7 +120,7 @@ def test_every_command_parameter_and_preset_is_named() -> None:
 def test_every_key_of_an_output_is_named() -> None:
     table = after(PAGES["scans-file"], "## Keys of an output")
     rows = re.findall(r"^\| (`.*?) \|", table, re.MULTILINE)
-    filters = {kind.name for kind in FILTERS}
+    filters = {*FILTERS}
     assert quoted("\n".join(rows)) == {"sources", *output_options()} - filters
     listed = set(re.findall(r"^\| `--([a-z-]+) ", PAGES["choosing-points"], re.MULTILINE))
     assert listed >= {name.replace("_", "-") for name in filters}

@@ -41,6 +41,9 @@ if TYPE_CHECKING:
 
 _INTERRUPTED = 128 + signal.SIGINT
 
+#: What shows a text, and runs nothing.
+_ABOUT = {"-h", "--help", "--help-all", "--version"}
+
 
 def run(words: Sequence[str]) -> int:
     """Run the command that was typed after ``pc2scan``, and return its exit status.
@@ -50,13 +53,17 @@ def run(words: Sequence[str]) -> int:
     is_question = not words and "_PC2SCAN_COMPLETE" not in os.environ
     try:
         with _interruptible():
-            if lines := help_of("") if is_question else _about(words):
+            lines = help_of("") if is_question else _about(words) if _ABOUT & {*words} else ()
+            if lines:
                 for line in lines:
                     say(line, err=is_question)
                 return 2 if is_question else 0
-            typed = parse(words)
-            command = _command_of(words[0])
-            return command(**_arguments_of(words[0], typed), options=_call_options(words[0], typed))
+            typed, name = parse(words), words[0]
+            module, _, function = COMMANDS[name].door.partition(":")
+            door: Callable[..., Any] = getattr(import_module(f"pc2scan.{module}"), function)
+            command = door if module.startswith("cli.") else partial(_show_result, door)
+            status: int = command(**_arguments_of(name, typed), options=_call_options(name, typed))
+            return status
     except Pc2ScanError as err:
         return show_failure(err, words)
     except KeyboardInterrupt as err:
@@ -76,13 +83,6 @@ def run(words: Sequence[str]) -> int:
         if err.filename is not None:
             raise
         return show_failure(OutputError("the current folder was deleted", hint="cd to another one"), words)
-
-
-def _command_of(name: str) -> Callable[..., int]:
-    """Return the function that does what a command does, and returns its exit status."""
-    module, _, function = COMMANDS[name].door.partition(":")
-    door: Callable[..., Any] = getattr(import_module(f"pc2scan.{module}"), function)
-    return door if module.startswith("cli.") else partial(_show_result, door)
 
 
 def _show_result(door: Callable[..., Any], *, options: Options, **arguments: Any) -> int:
@@ -214,7 +214,8 @@ def application(command: str) -> Any:
     )
     for name in [command] if command else COMMANDS:
         text = COMMANDS[name].help.partition("\n")[0]
-        app.command(name, help=text, add_help_option=False, no_args_is_help=False, cls=_Command)(_parser_of(name))
+        parser = _parser_of(name, completes=not command)
+        app.command(name, help=text, add_help_option=False, no_args_is_help=False, cls=_Command)(parser)
     return get_command(app)
 
 
@@ -236,8 +237,10 @@ class _Command(TyperCommand):
         return rest
 
 
-def _parser_of(name: str) -> Callable[..., dict[str, Any]]:
+def _parser_of(name: str, *, completes: bool) -> Callable[..., dict[str, Any]]:
     """Return the function that Typer calls with what was typed; its signature is made from the table of options.
+
+    With ``completes``, it also has what a shell completes.
 
     All values are text, and an option that is not typed is None: `pc2scan.options` reads and checks them.
     """
@@ -246,7 +249,9 @@ def _parser_of(name: str) -> Callable[..., dict[str, Any]]:
         return {key: value for key, value in values.items() if value not in (None, [])}
 
     keywords = {argument.name: _annotation_of_own(argument) for argument in COMMANDS[name].arguments}
-    keywords |= {key: _annotation(option) for key, option in options_of(name).items() if option.spelling}
+    known = options_of(name)
+    offers = {key: _offering(known[key].value.offers) for key in known if known[key].value.offers} if completes else {}
+    keywords |= {key: _annotation(each, offers.get(key)) for key, each in known.items() if each.spelling}
     parameters = [Keyword(key, Keyword.KEYWORD_ONLY, default=None, annotation=each) for key, each in keywords.items()]
     parsed.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
     parsed.__annotations__ = {}
@@ -263,15 +268,14 @@ def _annotation_of_own(argument: Argument) -> Any:
     return Annotated[list[str] | None, typer.Option(*argument.spellings)]
 
 
-def _annotation(option: Option) -> Any:
+def _annotation(option: Option, offers: Callable[[str], list[str]] | None) -> Any:
     """Return the annotation of an option of the table."""
     value, spellings = option.value, [option.spelling, *filter(None, [option.short])]
     if value.kind == "bool":
         if isinstance(option, Parameter):
             spellings[0] += f"/{option.negation}"
         return Annotated[bool | None, typer.Option(*spellings)]
-    how = typer.Option(*spellings, autocompletion=_offering(value.offers) if value.offers else None)
-    return Annotated[(list[str] if value.repeats else str) | None, how]
+    return Annotated[(list[str] if value.repeats else str) | None, typer.Option(*spellings, autocompletion=offers)]
 
 
 def _offering(offers: Sequence[str]) -> Callable[[str], list[str]]:

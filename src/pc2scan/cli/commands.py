@@ -52,21 +52,15 @@ class Command:
         self.door, self.help, self.arguments, self.examples = door, text, arguments, examples
 
 
-def _sources(text: str) -> Argument:
-    return Argument("sources", "SRC...", text, required=True)
-
-
-def _output(metavar: str, text: str, default_text: str = "") -> Argument:
-    return Argument("destination", metavar, text, ("-o", "--output"), not default_text, default_text)
-
-
+_sources = partial(Argument, "sources", "SRC...", required=True)
+_output = partial(Argument, "destination", spellings=("-o", "--output"))
 _word = partial(Argument, is_path=False)
 
 _DST = _output(
     "DST",
     "*.bag: ROS 1 bag; *.mcap: MCAP file; DIR/: a file in this folder, named after SRC; any other name: rosbag2 "
     "directory.",
-    "next to SRC, in SRC's format, with _scan (repair: _repaired) in its name",
+    default_text="next to SRC, in SRC's format, with _scan (repair: _repaired) in its name",
 )
 
 #: The commands in the order of the help.
@@ -92,7 +86,7 @@ COMMANDS = {
         If a recording fails, the others are still converted. A second run converts only what is missing, has changed or
         failed. OUT/manifest.jsonl has the result of each recording.""",
         _sources("Folders that have recordings; recordings; globs in quotes; URLs.")._replace(is_path=False),
-        _output("OUT", "Folder for the results and manifest.jsonl."),
+        _output("OUT", "Folder for the results and manifest.jsonl.", required=True),
         examples={
             "pc2scan batch recordings/ -o scans/ --preset slam_toolbox": "every recording, several at a time",
             "pc2scan batch recordings/ -o scans/ --dataset dataset.yaml": "other options for some recordings",
@@ -106,7 +100,7 @@ COMMANDS = {
         With any parameter of the projection, clouds are converted to scans first. Poses are interpolated as in tf2:
         messages without a pose at their stamp are skipped and counted, and the exit status is 3.""",
         _sources("Recordings with scans or clouds; several are merged in time order."),
-        _output("OUT", "The file. DIR/: a file for each topic, in a new folder. For clouds: a folder."),
+        _output("OUT", "The file. DIR/: a file for each topic, in a new folder. For clouds: a folder.", required=True),
         examples={
             "pc2scan export scans.mcap -o scans.npz --pose-frame odom": "scans with poses, as NumPy arrays",
             "pc2scan export drive.bag -o scans.csv --min-height -0.3": "convert its clouds; one row per scan",
@@ -120,7 +114,7 @@ COMMANDS = {
         The page is one HTML file that needs no network. It computes the same scans as `pc2scan convert`, to the bit,
         and shows the command line for them. Of a recording without clouds, it shows the scans.""",
         _sources("Recordings with clouds or scans; several are merged in time order."),
-        _output("PAGE", "The page, an HTML file.", "next to SRC, with _view.html in its name"),
+        _output("PAGE", "The page, an HTML file.", default_text="next to SRC, with _view.html in its name"),
         examples={
             "pc2scan view drive.bag": "a page that shows its clouds and scans",
             "pc2scan view drive.bag --min-height 0.1 --max-height 1.5": "with scans of these heights",
@@ -132,7 +126,7 @@ COMMANDS = {
 
         Needs matplotlib: pip install "pc2scan[plot]". To tune parameters, use `pc2scan view`.""",
         _sources("Recordings with clouds; several are merged in time order."),
-        _output("FIGURE", "The figure: *.png, *.svg or *.pdf."),
+        _output("FIGURE", "The figure: *.png, *.svg or *.pdf.", required=True),
         examples={
             "pc2scan plot drive.bag -o figure.png --min-height -0.3 --max-height 1": "a cloud and its scan",
             "pc2scan plot drive.bag -o figure.pdf --frames 3": "three moments side by side",
@@ -145,7 +139,7 @@ COMMANDS = {
         Nothing is matched or corrected: doubled walls show that mounts, stamps or odometry do not fit together. Clouds
         are converted and drawn if there are no scans, if --topic names them, or with an option about conversion.""",
         _sources("Recordings with scans or clouds; several are merged in time order."),
-        _output("MAP", "NAME.yaml: for map_server, with NAME.pgm and NAME.png. NAME.png: a picture."),
+        _output("MAP", "NAME.yaml: for map_server, with NAME.pgm and NAME.png. NAME.png: a picture.", required=True),
         examples={
             "pc2scan map scans.mcap -o map.png": "its scans, placed by the odometry",
             "pc2scan map drive.bag -o map.yaml --min-height 0.1 --max-height 1.5": "for map_server, of clouds",

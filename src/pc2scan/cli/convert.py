@@ -48,24 +48,21 @@ def repair(source: Path, destination: str | None, *, options: Options) -> int:
 
 def _say_next(report: Report, options: Options) -> None:
     """Show the command that most users run after a recording was written: scans are checked, clouds are played."""
-    if not options.given.keys() & {"quiet", "as_json"}:
-        say(f"next: {_next_command(report)}")
-
-
-def _next_command(report: Report) -> str:
-    """Return the next command: quoted for a shell, and right for the destination's container and ROS version."""
+    if options.given.keys() & {"quiet", "as_json"}:
+        return
     entry, destination = FORMATS[report.container], _quoted(report.destination)
-    if report.all_empty:
-        return f"pc2scan info {_quoted(report.sources[0])}"
-    if consumer := next(filter(None, map(preset_of, report.origins.values())), ""):
-        return f"pc2scan check {destination} --for {consumer}"
     specs = [topic.spec for topic in report.converted]
-    if any(spec is not None and not spec.reverse for spec in specs):
-        return f"pc2scan check {destination}"
-    if specs and entry.play and entry.ros_version == report.ros_version and not is_url(report.destination or ""):
-        return entry.play.format(destination)
-    # For the rest there is no player: none reads URLs, and none of ROS 1 reads MCAP.
-    return f"pc2scan info {destination}"
+    # Where there is no player: none reads URLs, and none of ROS 1 reads MCAP.
+    command = f"pc2scan info {destination}"
+    if report.all_empty:
+        command = f"pc2scan info {_quoted(report.sources[0])}"
+    elif consumer := next(filter(None, map(preset_of, report.origins.values())), ""):
+        command = f"pc2scan check {destination} --for {consumer}"
+    elif any(spec is not None and not spec.reverse for spec in specs):
+        command = f"pc2scan check {destination}"
+    elif specs and entry.play and entry.ros_version == report.ros_version and not is_url(report.destination or ""):
+        command = entry.play.format(destination)
+    say(f"next: {command}")
 
 
 def _quoted(path: str) -> str:

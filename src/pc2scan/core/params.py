@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from pc2scan.arguments import refuse_unknown
+from pc2scan.arguments import refuse_unknown, value_text
 from pc2scan.errors import ParameterError
 from pc2scan.text import did_you_mean
 
@@ -58,8 +58,6 @@ MEASURED = ("scan_time", "time_increment", "beams")
 _EXPECTED = {float: "a number", bool: "true or false", int: "a whole number", str: "text"}
 #: Python's types, and NumPy's by their names in versions 1 and 2, so that NumPy need not be imported.
 _TRUTHS = {"bool", "bool_"}
-#: How many characters of a value an error message shows.
-_LONGEST = 80
 
 _LAYOUTS = {
     "upstream": upstream_layout,
@@ -228,7 +226,7 @@ class ProjectionParams:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value = _typed_value(field.name, type(field.default), getattr(self, field.name))
+            value = typed_value(field.name, getattr(self, field.name))
             object.__setattr__(self, field.name, value)
             if isinstance(value, float) and math.isnan(value):
                 raise ParameterError(f"{field.name} is NaN", name=field.name)
@@ -246,8 +244,16 @@ class ProjectionParams:
         for low, high in (("range_min", "range_max"), ("min_height", "max_height")):
             if getattr(self, low) > getattr(self, high):
                 raise ParameterError(f"{low} {getattr(self, low)} m is above {high} {getattr(self, high)} m", name=low)
+        if not 1 <= self.min_points <= _MOST_RETURNS:
+            message = f"min_points is {self.min_points:,}, it must be from 1 to {_MOST_RETURNS:,}"
+            raise ParameterError(message, name="min_points")
+        if self.no_return.startswith("range-max") and math.isinf(float32(self.range_max)):
+            raise ParameterError(
+                f"no_return is {self.no_return}, which needs a finite range_max",
+                name="no_return",
+                hint="say how far the sensor sees: `range_max=100.0`",
+            )
         self._check_beams()
-        self._check_returns()
 
     def _check_beams(self) -> None:
         if self.beams != "auto" and (self.beams == 1 or self.beams > MAX_BEAMS):
@@ -286,17 +292,6 @@ class ProjectionParams:
                 "as the symmetric geometry requires: MRPT takes every sector for symmetric",
                 name="angle_min",
                 hint=f"`angle_min={-widest:.6g}` `angle_max={widest:.6g}`, or a full circle",
-            )
-
-    def _check_returns(self) -> None:
-        if not 1 <= self.min_points <= _MOST_RETURNS:
-            message = f"min_points is {self.min_points:,}, it must be from 1 to {_MOST_RETURNS:,}"
-            raise ParameterError(message, name="min_points")
-        if self.no_return.startswith("range-max") and math.isinf(float32(self.range_max)):
-            raise ParameterError(
-                f"no_return is {self.no_return}, which needs a finite range_max",
-                name="no_return",
-                hint="say how far the sensor sees: `range_max=100.0`",
             )
 
     def at_resolution(self, step: float) -> ProjectionParams:
@@ -365,17 +360,23 @@ def kth_of(reduction: str) -> int:
     return int(match[1]) if match else 0
 
 
-def _typed_value(name: str, kind: type, value: Any) -> float | bool | str:
+def typed_value(name: str, value: Any) -> float | bool | str:
     """Return a value as the Python type that its parameter has.
 
-    NumPy's numbers are converted to Python's, because they would overflow when compared with limits beyond their range.
-    Nothing else is converted: true is not a number, and 1.0 is not a whole number.
+    NumPy's numbers are converted to Python's, because they would overflow when compared with limits beyond their range,
+    and whole numbers to floats. Nothing else is converted: true is not a number, and 1.0 is not a whole number.
+
+    Raises
+    ------
+    ParameterError
+        If it has another type.
     """
+    kind = type(ProjectionParams.__dataclass_fields__[name].default)
     words = ("auto",) if name in MEASURED else CHOICES.get(name, ())
     if isinstance(value, str):
-        if name == "reduce" and kth_of(value):
-            return str(value)
         if (value in words and "=" not in value) or (kind is str and not words) or (name == "no_return" and not value):
+            return str(value)
+        if name == "reduce" and kth_of(value):
             return str(value)
     elif type(value).__name__ in _TRUTHS:
         if kind is bool:
@@ -387,6 +388,4 @@ def _typed_value(name: str, kind: type, value: Any) -> float | bool | str:
         with suppress(OverflowError):
             return float(value)
     expected = f"one of {', '.join(words)}" if kind is str and words else " or ".join((_EXPECTED[kind], *words))
-    text = repr(value)
-    shown = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
-    raise ParameterError(f"{name} is {shown}, it must be {expected}", name=name)
+    raise ParameterError(f"{name}: expected {expected}, got {value_text(value)}", name=name)

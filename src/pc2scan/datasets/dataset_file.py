@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.errors import UsageError
 from pc2scan.options.table import dataset_options
 from pc2scan.options.values import FLAG, texts
-from pc2scan.request.entries import entries_in, naming_place, not_quoting, read_text
+from pc2scan.request.entries import entries_in, naming_place, read_text
 from pc2scan.request.parameters import RIVALS
 from pc2scan.requests import NAMED_FILES
 
@@ -187,6 +187,6 @@ class Choices:
                 for path in (keywords[name] if isinstance(keywords[name], tuple) else (keywords[name],))
                 if dataset_options()[name].value.is_path(str(path))
             )
-            with naming_place(origins, last), not_quoting(files):
+            with naming_place(origins, last, files):
                 self._made[numbers] = None if skip else request_of(keywords, origins)
         return self._made[numbers]

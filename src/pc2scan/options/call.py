@@ -61,9 +61,10 @@ class Options:
             if isinstance(option, Parameter):
                 # NumPy's scalars as Python's.
                 self.given[name] = value.item() if getattr(value, "ndim", None) == 0 else value
-            elif value is not None and not _is_default(value, option.default):
-                read = option.value.read(name, value)
-                if not _is_default(read, option.default):
+            elif value is not None:
+                read, default = option.value.read(name, value), option.default
+                is_default = read is default or (type(read) is type(default) and bool(read == default))
+                if not is_default and read != ():
                     self.given[name] = read
 
     def __getattr__(self, name: str) -> Any:
@@ -108,12 +109,6 @@ class Options:
         return any(self.given.get(name) for name in ("params", "preset", "params_file", "param")) or any(
             name in PARAMETERS or name in combining for name in self.given
         )
-
-
-def _is_default(value: object, default: object) -> bool:
-    if isinstance(value, tuple) and not value:
-        return True
-    return value is default or (type(value) is type(default) and bool(value == default))
 
 
 def call_words(call: Call) -> list[str]:

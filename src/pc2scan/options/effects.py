@@ -36,6 +36,7 @@ _OF_SCANS |= {"preset", "keep_used", "min_used"}
 
 #: An option, those that have no effect beside it, and why.
 IDLE = (
+    ("params", "preset params_file node", "which has all parameters"),
     ("reverse", " ".join(sorted(_OF_SCANS - SHARED - {"deskew"})), "which makes clouds"),
     ("rebin", "point_time", "which converts scans, whose beams have the times of their time_increment"),
     ("accumulate", "window", "which uses all messages of an interval"),

@@ -5,19 +5,19 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import timedelta
+from functools import partial
 from numbers import Integral, Real
 from os import PathLike
 from typing import Any, TypeAlias
 
 from pc2scan.arguments import names_in, value_and_type
-from pc2scan.core.params import kth_of
 from pc2scan.core.quantities import EXAMPLES, quantity
 from pc2scan.errors import UsageError
 from pc2scan.files.urls import path_of, paths_in
 from pc2scan.text import did_you_mean
+from pc2scan.transforms.static import number_in
 
 from .moment import TimeBound
 
@@ -107,33 +107,14 @@ class Value:
         """Return whether a value of a file is a path, which is relative to this file."""
         return text.lower().endswith(self.paths)
 
-    def accept(self, value: object) -> Any:
-        """Return a value of a parameter, from Python or a file, in its type; None if it has another one."""
-        if isinstance(value, bool) or self.kind == "bool":
-            return value if isinstance(value, bool) and self.kind == "bool" else None
-        if self.kind == "str":
-            # YAML reads the words inf and nan as numbers.
-            text = str(value) if isinstance(value, float) and self.words else value
-            if not isinstance(text, str):
-                return None
-            is_kth = "kth=N" in self.words and kth_of(text)
-            return text if not self.words or text in self.words or is_kth else None
-        if isinstance(value, str):
-            return value if value in self.words else self._quantity(value)
-        if self.kind == "int":
-            # Where 0 is no value, it is the default of a parameter: none is given.
-            return value if isinstance(value, int) and (value != 0 or self.low == 0) else None
-        # A whole number of 309 digits does not fit into a float.
-        with suppress(OverflowError):
-            return float(value) if isinstance(value, Real) else None
-        return None
-
-    def _quantity(self, text: str) -> float | None:
-        """Return a number with a unit; a plain number must not be text."""
-        with suppress(ValueError):
-            float(text)
-            return None
-        return quantity(text, self.unit) if self.unit else None
+    def in_unit(self, value: Any) -> Any:
+        """Return the number or the word that a value of a parameter stands for: ``50cm``; others as they are."""
+        # A plain number must not be text: the node does not take it.
+        if isinstance(value, str) and self.unit and number_in(value, "") is None:
+            number = quantity(value, self.unit)
+            return value if number is None else number
+        # YAML reads the words inf and nan as numbers.
+        return str(value) if isinstance(value, float) and str(value) in self.words else value
 
 
 def text(metavar: str | None = None, words: Iterable[str] = (), *, offers: tuple[str, ...] = ()) -> Value:
@@ -177,16 +158,13 @@ def number(unit: str = "", metavar: str | None = None, words: tuple[str, ...] = 
 
 def _read_number(kind: Value, name: str, value: Any) -> float:
     """Return the number in metres, radians or seconds."""
-    if isinstance(value, str):
-        # What is typed is text, also if it is a plain number.
-        with suppress(ValueError):
-            return float(value)
-    elif not _is_number(value):
+    if not isinstance(value, str) and not _is_number(value):
         raise TypeError(f"{name} is {value_and_type(value)}, it must be a number")
-    read = kind.accept(value)
+    # What is typed is text, also if it is a plain number.
+    read = number_in(value, kind.unit) if isinstance(value, str) else float(value)
     if read is None:
         raise UsageError(f"`{name}`: {value!r} is not a number", hint=EXAMPLES.get(kind.unit))
-    return float(read)
+    return read
 
 
 def count(low: int = 0, high: int | None = None, words: tuple[str, ...] = ()) -> Value:
@@ -337,12 +315,8 @@ def _as_it_is(_: Value, __: str, value: Any) -> Any:
     return value
 
 
-def duration(metavar: str) -> Value:
-    """Return the type of a time: seconds, text such as ``500ms``, or a `datetime.timedelta`; see `nanoseconds_of`."""
-    usual = "a number of seconds, or text such as 500ms"
-    return Value(_as_it_is, metavar, usual, note="Also a timedelta.")
-
-
+#: The type of a time: seconds, text such as ``500ms``, or a `datetime.timedelta`; see `nanoseconds_of`.
+duration = partial(Value, _as_it_is, usual="a number of seconds, or text such as 500ms", note="Also a timedelta.")
 FLAG = Value(_read_flag, usual="true or false", kind="bool")
 #: True, or a text: an option whose value may be left out.
 SWITCH = Value(_read_switch, "[ADDRESS]", kind="switch", is_text=True)

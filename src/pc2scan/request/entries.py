@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from pc2scan.arguments import value_text
 from pc2scan.core.quantities import written_angle
 from pc2scan.errors import ParameterError, UsageError
 from pc2scan.files.urls import is_url, local_path
@@ -18,7 +19,7 @@ from pc2scan.options.table import PARAMETERS
 from pc2scan.text import did_you_mean
 from pc2scan.transforms.text_files import text_of
 
-from .parameters import plain_scalar, value_text
+from .parameters import plain_scalar
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Generator, Iterable
@@ -59,19 +60,12 @@ def compose(text: str, place: str) -> Any:
     except YAMLError as err:
         problem = getattr(err, "problem", None) or getattr(err, "reason", None) or "a syntax error"
         hint = "indent with spaces, not with tabs" if r"'\t'" in str(problem) else None
-        message = f"{place}, {_yaml_position(err, spaced)}: not valid YAML: {problem}"
-        raise ParameterError(message, hint=hint) from err
+        # Unreadable characters have none.
+        mark = getattr(err, "problem_mark", None)
+        line = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
+        raise ParameterError(f"{place}{line}: not valid YAML: {problem}", hint=hint) from err
     except RecursionError as err:
         raise ParameterError(f"{place}: nested too deeply") from err
-
-
-def _yaml_position(err: Exception, text: str) -> str:
-    """Return `line 3, column 5` of a YAML error: most have a mark, unreadable characters have an index."""
-    mark = getattr(err, "problem_mark", None)
-    if mark is not None:
-        return f"line {mark.line + 1}, column {mark.column + 1}"
-    before = text[: getattr(err, "position", 0)]
-    return f"line {before.count(chr(10)) + 1}, column {len(before) - before.rfind(chr(10))}"
 
 
 def scalar_value(node: Any, name: str, origin: str, *, ros1: bool = False) -> object:
@@ -96,7 +90,7 @@ def read_text(path: Path, example: str) -> str:
     try:
         return text_of(path, MAX_FILE_BYTES, "a file of options").removeprefix("\ufeff")
     except UsageError as err:
-        # `not_quoting` asks whether the cause is an OSError.
+        # `naming_place` asks whether the cause is an OSError.
         raise ParameterError(f"{path}: {err.message}", hint=err.hint or example) from err.__cause__
 
 
@@ -144,7 +138,7 @@ class Entry(NamedTuple):
     @property
     def shown(self) -> str:
         """What it is, for errors."""
-        return "a mapping" if isinstance(self.value, dict) else value_text(self.value)
+        return value_text(self.value)
 
 
 def entries_in(text: str, path: Path | str, example: str, scalar: Callable[..., object] = scalar_value) -> Entry:
@@ -214,25 +208,17 @@ def entries_of(value: Any, place: str, depth: int = 0) -> Entry:
 
 
 @contextmanager
-def naming_place(places: Mapping[str, str], default: str) -> Generator[None]:
-    """Add the place of the key that an error names, unless the error has one; ``default`` if it names none."""
-    try:
-        yield
-    except UsageError as err:
-        said = f"{err.message} {err.hint or ''}"
-        own = err.name if isinstance(err, ParameterError) else ""
-        named = (place for key, place in places.items() if key == own or f"`{key}`" in said or f"`{key}=" in said)
-        if default and default.partition(",")[0] not in err.message:
-            err.message += f" (from {next(named, default)})"
-        raise
+def naming_place(
+    places: Mapping[str, str], default: str, files: Iterable[tuple[str | PathLike[str], str, str]] = ()
+) -> Generator[None]:
+    """Add the place of the key that an error names, unless the error has one; and quote nothing of files.
 
-
-@contextmanager
-def not_quoting(files: Iterable[tuple[str | PathLike[str], str, str]]) -> Generator[None]:
-    """Replace errors about files by such with the line and column, but nothing of the content.
+    Errors about the files are replaced by such with the line and column, but nothing of the content.
 
     Parameters
     ----------
+    places, default
+        The places of keys, and that of an error which names none of them.
     files
         The files, as errors show them; the place that names each; and the option with which the user can name it, and
         then errors may quote it.
@@ -240,15 +226,19 @@ def not_quoting(files: Iterable[tuple[str | PathLike[str], str, str]]) -> Genera
     try:
         yield
     except UsageError as err:
-        said = f"{err.where}: {err.message}"
+        said, own = f"{err.where}: {err.message}", err.name if isinstance(err, ParameterError) else ""
         for file, named_in, option in files:
             # If the file cannot be read, there is nothing to quote.
             if str(file) in said and not isinstance(err.__cause__, OSError):
                 position = re.search(re.escape(str(file)) + r"(?:, |: )((?:line|entry) \d+(?:, column \d+)?)", said)
                 # Any other name is content.
-                name = err.name if isinstance(err, ParameterError) and err.name in PARAMETERS else ""
+                name = own if own in PARAMETERS else ""
                 what = f"{name}: expected another value" if name else "not valid"
                 message = f"{file}{f', {position[1]}' if position else ''}: {what} (named in {named_in}"
                 hint = f"`{option}={file}` shows what is wrong"
                 raise ParameterError(f"{message}, so nothing of it is shown)", name=name, hint=hint) from None
+        said = f"{err.message} {err.hint or ''}"
+        named = (place for key, place in places.items() if key == own or f"`{key}`" in said or f"`{key}=" in said)
+        if default and default.partition(",")[0] not in err.message:
+            err.message += f" (from {next(named, default)})"
         raise

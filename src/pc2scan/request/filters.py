@@ -23,7 +23,7 @@ from pc2scan.errors import UsageError
 from pc2scan.transforms.static import number_in
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping
 
     from numpy.typing import NDArray
 
@@ -40,10 +40,8 @@ class Frame(Enum):
 class Filter(Protocol):
     """Selects points of a cloud: a frozen dataclass with its parameters, and these attributes.
 
-    The result of a filter depends only on the cloud; threads share the filter. Two more attributes are optional:
-    ``absent``, a warning for the case that nothing is rejected, and ``text``, the value of the option that makes the
-    same filter, which pages show in their command. The filter of an option has a class method ``parse``; see
-    `filters_of`.
+    The result of a filter depends only on the cloud; threads share the filter. One more attribute is optional:
+    ``absent``, a warning for the case that nothing is rejected.
     """
 
     @property
@@ -141,16 +139,6 @@ class Where:
     name = "where"
     explanation = "rejected by `where`"
     frame = Frame.SOURCE
-
-    @classmethod
-    def parse(cls, text: str, _: float = 0.0) -> Where:
-        """Return the filter of a condition."""
-        return cls(text)
-
-    @property
-    def text(self) -> str:
-        """The condition."""
-        return self.condition
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_read", _Condition(self.condition))
@@ -309,7 +297,7 @@ class ExcludeBox:
                 )
 
     @classmethod
-    def parse(cls, text: str, _: float = 0.0) -> ExcludeBox:
+    def parse(cls, text: str) -> ExcludeBox:
         """Read ``frame x0 x1 y0 y1 z0 z1``: metres, or with a unit (``20cm``).
 
         Raises
@@ -322,11 +310,6 @@ class ExcludeBox:
             raise UsageError(f"`exclude_box`: {text!r} has {len(numbers)} numbers, a box has 6", hint=_BOX)
         x0, x1, y0, y1, z0, z1 = numbers
         return cls(frame, (x0, x1), (y0, y1), (z0, z1))
-
-    @property
-    def text(self) -> str:
-        """The box as `parse` reads it."""
-        return " ".join((self.frame, *map(repr, (*self.x, *self.y, *self.z))))
 
     def __call__(self, points: Points) -> NDArray[np.bool_]:
         """Return which points are outside; see `Filter`."""
@@ -373,7 +356,7 @@ class ExcludePolygon:
             )
 
     @classmethod
-    def parse(cls, text: str, _: float = 0.0) -> ExcludePolygon:
+    def parse(cls, text: str) -> ExcludePolygon:
         """Read ``frame x0 y0 x1 y1 x2 y2 ...``; brackets, as in a footprint of Nav2, make no difference.
 
         Raises
@@ -385,11 +368,6 @@ class ExcludePolygon:
         if len(numbers) % 2:
             raise UsageError(f"`exclude_polygon`: {text!r} has {len(numbers)} numbers, which is odd", hint=_POLYGON)
         return cls(frame, tuple(zip(numbers[::2], numbers[1::2], strict=True)))
-
-    @property
-    def text(self) -> str:
-        """The polygon as `parse` reads it."""
-        return " ".join((self.frame, *(repr(value) for corner in self.corners for value in corner)))
 
     def __call__(self, points: Points) -> NDArray[np.bool_]:
         """Return which points are outside; see `Filter`."""
@@ -430,12 +408,6 @@ class RemoveGround:
     )
     fields = ()
     frame = Frame.TARGET
-    text = "remove"
-
-    @classmethod
-    def parse(cls, *_: Any) -> RemoveGround:
-        """Return the filter of ``remove``, the only value that is not the default."""
-        return cls()
 
     def __call__(self, points: Points) -> NDArray[np.bool_]:
         """Return which points are not on the ground; see `Filter`."""
@@ -476,16 +448,6 @@ class MinHeightSlope:
         if not math.isfinite(self.min_height):
             raise UsageError(f"`min_height_slope` needs a finite min_height, which is {self.min_height}")
 
-    @classmethod
-    def parse(cls, slope: float, min_height: float) -> MinHeightSlope:
-        """Return the filter of a value of the option."""
-        return cls(min_height, slope)
-
-    @property
-    def text(self) -> str:
-        """The slope as the option takes it."""
-        return repr(self.slope)
-
     def __call__(self, points: Points) -> NDArray[np.bool_]:
         """Return which points are outside of the wedge; see `Filter`."""
         x, y, z = (axis.astype(np.float64) for axis in points.xyz())
@@ -494,14 +456,19 @@ class MinHeightSlope:
         return ~below | (z < self.min_height)
 
 
-#: In the order of the table of options, in which they are applied.
-FILTERS: Sequence[Any] = (Where, ExcludeBox, ExcludePolygon, RemoveGround, MinHeightSlope)
+#: What makes the filter of an option, of its value and ``min_height``; in the order of the table of options, in which
+#: they are applied.
+FILTERS: Mapping[str, Callable[[Any, float], Filter]] = {
+    "where": lambda text, _: Where(text),
+    "exclude_box": lambda text, _: ExcludeBox.parse(text),
+    "exclude_polygon": lambda text, _: ExcludePolygon.parse(text),
+    "ground": lambda _, __: RemoveGround(),
+    "min_height_slope": lambda slope, min_height: MinHeightSlope(min_height, slope),
+}
 
 
 def filters_of(values: Mapping[str, Any], min_height: float) -> Iterator[Filter]:
     """Yield the filters that options ask for, in the order of the table of options.
-
-    The class of a filter has ``parse(value, min_height)``, which makes a filter of a value of the option.
 
     Parameters
     ----------
@@ -515,7 +482,7 @@ def filters_of(values: Mapping[str, Any], min_height: float) -> Iterator[Filter]
     UsageError
         If a value cannot be read.
     """
-    for kind in FILTERS:
-        value = values.get(kind.name, ())
+    for name, filter_of in FILTERS.items():
+        value = values.get(name, ())
         for each in value if isinstance(value, tuple) else (value,):
-            yield kind.parse(each, min_height)
+            yield filter_of(each, min_height)

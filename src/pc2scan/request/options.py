@@ -21,7 +21,7 @@ from pc2scan.transforms.placing import FrameOptions
 from .filters import as_dict, rejection_of
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable, Iterator, Mapping
+    from collections.abc import Generator, Iterable, Mapping
     from pathlib import Path
 
     from pc2scan.core.rule import Rejection
@@ -187,41 +187,39 @@ class ScanSpec:
     echo: str = "first"
 
     def __post_init__(self) -> None:
-        for is_wrong, message in self._contradictions():
-            if is_wrong:
-                raise UsageError(message)
-
-    def _contradictions(self) -> Iterator[tuple[object, str]]:
-        """Yield what may be wrong: whether it is, and the message."""
         combines, steps, fixed = self.may_combine, self.params.time_increment, self.fixed_frame
         deskews_clouds = self.deskew and not self.reverse
-        is_echo_idle = self.echo != "first" and not (self.reverse or combines)
-        yield is_echo_idle, "`echo` chooses among the echoes of 2D scans, which need `reverse` or `rebin`"
+        contradictions = {
+            "`echo` chooses among the echoes of 2D scans, which need `reverse` or `rebin`": (
+                self.echo != "first" and not (self.reverse or combines)
+            ),
+            "`level` needs a frame whose z is up, such as `fixed_frame=odom`, or an IMU: `imu=/imu/data`": (
+                self.level and not (self.imu or fixed)
+            ),
+            "`fixed_frame` needs `deskew` or `level` of clouds, `accumulate`, or topics that become one scan": (
+                fixed and not (self.deskew or self.level or combines)
+            ),
+            "`deskew` needs a frame that does not move with the sensor, such as `target_frame=odom`": (
+                self.deskew and self.reverse and not self.params.target_frame
+            ),
+            "`deskew` of clouds needs a frame that does not move, such as `fixed_frame=odom`": (
+                deskews_clouds and not fixed
+            ),
+            f"time_increment is {steps}, but a scan that is deskewed, or of several messages, has one time": (
+                steps != 0 and (deskews_clouds or combines)
+            ),
+            "`window` needs several topics that become one scan: `topics=/front:=/scan` `topics=/rear:=/scan`": (
+                self.combining.window_ns is not None and not self.may_share
+            ),
+            "`keep_used` needs scans of one cloud each, without `accumulate`, `every` and `rebin`": (
+                combines and self.keep_used
+            ),
+        }
+        if wrong := [message for message, is_wrong in contradictions.items() if is_wrong]:
+            raise UsageError(wrong[0])
         for name in (each.name for each in self.filters):
-            is_taken = name in PointCounts().as_dict() or not name.isidentifier()
-            yield is_taken, f"a filter is named {name!r}, which cannot be the name of its count"
-        is_blind = self.level and not (self.imu or fixed)
-        yield is_blind, "`level` needs a frame whose z is up, such as `fixed_frame=odom`, or an IMU: `imu=/imu/data`"
-        yield (
-            fixed and not (self.deskew or self.level or combines),
-            "`fixed_frame` needs `deskew` or `level` of clouds, `accumulate`, or topics that become one scan",
-        )
-        yield (
-            self.deskew and self.reverse and not self.params.target_frame,
-            "`deskew` needs a frame that does not move with the sensor, such as `target_frame=odom`",
-        )
-        is_deskew_blind = deskews_clouds and not fixed
-        yield is_deskew_blind, "`deskew` of clouds needs a frame that does not move, such as `fixed_frame=odom`"
-        yield (
-            steps != 0 and (deskews_clouds or combines),
-            f"time_increment is {steps}, but a scan that is deskewed, or of several messages, has one time",
-        )
-        yield (
-            self.combining.window_ns is not None and not self.may_share,
-            "`window` needs several topics that become one scan, such as `topics=/front:=/scan` `topics=/rear:=/scan`",
-        )
-        is_made_of_several = combines and self.keep_used
-        yield is_made_of_several, "`keep_used` needs scans of one cloud each, without `accumulate`, `every` and `rebin`"
+            if name in PointCounts().as_dict() or not name.isidentifier():
+                raise UsageError(f"a filter is named {name!r}, which cannot be the name of its count")
 
     def as_dict(self) -> dict[str, Any]:
         """Return the parameters of the projection, their origins and the filters, for reports."""

@@ -21,10 +21,10 @@ from pc2scan.options.values import texts
 from pc2scan.text import did_you_mean
 from pc2scan.transforms.attitude import ImuRequest
 
-from .entries import Entry, compose, entries_in, entries_of, naming_place, not_quoting, read_text, scalar_value
+from .entries import Entry, compose, entries_in, entries_of, naming_place, read_text, scalar_value
 from .filters import filters_of
 from .options import Combining, ScanSpec, TopicRequest
-from .parameters import ALIASES, TOPICS, expected_message, is_every_nodes, resolve, unknown_parameter
+from .parameters import ALIASES, TOPICS, is_every_nodes, resolve, unknown_parameter
 from .params_file import ParamsFile, load_params_file
 from .point_time import PointTime
 
@@ -84,7 +84,7 @@ def read_output(options: Options, given: Sequence[Options], *, name: str = "", p
     UsageError
         If a parameter, the file or the preset is not valid, or the file is for the other direction.
     """
-    sources, remaps = [*given], _remaps_of(options.remap)
+    sources, remaps = [*given], _remaps_of(options.remap) if options.remap else {}
     names = {key for source in given for key in source.given}
     file = ParamsFile(options)
     if options.params is not None:
@@ -98,7 +98,8 @@ def read_output(options: Options, given: Sequence[Options], *, name: str = "", p
     reverse = options.reverse or bool(file.reverse)
     refuse_idle({*options.given, *names, *(["reverse"] * reverse)})
     params, origins = resolve(sources)
-    topics, tf_topics = _moved({**file.remaps, **remaps}, reverse=reverse)
+    renamed = {**file.remaps, **remaps}
+    topics, tf_topics = _moved(renamed, reverse=reverse) if renamed else ((), ())
     requests = tuple(map(TopicRequest.parse, options.topics or topics))
     more = options.among(_AS_GIVEN)
     if name:
@@ -124,11 +125,6 @@ def _all_params(options: Options) -> Options:
     params = options.params
     if not isinstance(params, ProjectionParams):
         raise TypeError(f"params is {type(params).__name__}, it must be ProjectionParams")
-    if given := [f"`{name}`" for name in ("preset", "params_file", "node") if name in options.given]:
-        raise UsageError(
-            f"params has all parameters, so {' and '.join(given)} would have no effect",
-            hint="use ProjectionParams.preset() or ProjectionParams.from_file(), which take changes by name",
-        )
     values = {name: getattr(params, name) for name, row in PARAMETERS.items() if getattr(params, name) != row.default}
     idle = {"angle_increment": params.beams, "use_inf": params.no_return}
     return Options("convert", {name: value for name, value in values.items() if not idle.get(name)})
@@ -237,7 +233,7 @@ def _scalar(written: str, name: str, origin: str) -> object:
         err.name = name
         raise
     if node is not None and node.id != "scalar":
-        raise ParameterError(expected_message(name, f"a {node.id.replace('sequence', 'list')}", origin), name=name)
+        return {} if node.id == "mapping" else []
     return None if node is None else scalar_value(node, name, origin, ros1=True)
 
 
@@ -315,7 +311,7 @@ def _output(topic: str, entry: Entry, defaults: Entry, folder: Path, given: Sequ
             raise ParameterError(message, name="sources", hint="an output's topic is its key")
     options = Options("convert", {**values, "topics": topics})
     file, place = options.params_file, f"{entry.place}, {topic}"
-    with naming_place(places, place), not_quoting([(file, place, "params_file")] if file else ()):
+    with naming_place(places, place, [(file, place, "params_file")] if file else ()):
         output = read_output(options, sources, name=topic, place=entry.place)
         if output.specs[0].reverse:
             raise UsageError(f"{file} is for laserscan_to_pointcloud, scans are made of clouds")

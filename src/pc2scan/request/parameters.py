@@ -13,7 +13,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.core.layout import FULL_TURN
-from pc2scan.core.params import ProjectionParams
+from pc2scan.core.params import ProjectionParams, typed_value
 from pc2scan.core.quantities import EXAMPLES
 from pc2scan.errors import ParameterError
 from pc2scan.options.call import CALL
@@ -67,24 +67,6 @@ def unknown_parameter(name: str, origin: str) -> ParameterError:
     return ParameterError(message, name=name, hint=hint)
 
 
-def expected_message(name: str, given: str, origin: str) -> str:
-    """Return the message that a value is not of the parameter's kind."""
-    parameter = PARAMETERS.get(name)
-    return f"{name}: expected {parameter.value.expected if parameter else 'a value'}, got {given} (from {origin})"
-
-
-def value_text(value: object) -> str:
-    """Return a value as text for a message, at most 80 characters."""
-    if value is None:
-        return "nothing"
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str | int | float):
-        text = repr(value)
-        return text if len(text) <= 80 else f"{text[:77]}..."
-    return "a list" if isinstance(value, list | tuple) else repr(value)
-
-
 def _type_hint(parameter: Parameter, value: object) -> str | None:
     if isinstance(value, str) and parameter.value.unit and isinstance(plain_scalar(value), str):
         return EXAMPLES[parameter.value.unit]
@@ -92,10 +74,7 @@ def _type_hint(parameter: Parameter, value: object) -> str | None:
         return did_you_mean(str(value), parameter.value.words) or None
     if parameter.value.kind == "str" and isinstance(value, bool | int | float):
         return "YAML reads it as a number or a truth value; put it in quotes"
-    if parameter.value.kind == "bool" and isinstance(value, int):
-        return "write true or false"
-    quoted = isinstance(value, str) and not isinstance(plain_scalar(value), str | bool | None)
-    if parameter.value.kind in {"float", "int"} and quoted:
+    if isinstance(value, str) and not isinstance(plain_scalar(value), str | bool | None):
         return "the quotes make it text; remove them"
     return None
 
@@ -127,11 +106,17 @@ def resolve(sources: Iterable[Options]) -> tuple[ProjectionParams, Mapping[str, 
         for name, text in source.among(PARAMETERS).items():
             parameter, origin, rival = PARAMETERS[name], source.origins.get(name, CALL), RIVALS.get(name, "")
             # A whole number is accepted where a float is expected; ROS 2 itself requires `30.0`. A number may have a
-            # unit, or be arithmetic (`180deg`, `pi/2`, `50cm`). Nothing else is converted.
-            value = parameter.value.accept(text)
-            if value is None:
-                message, hint = expected_message(name, value_text(text), origin), _type_hint(parameter, text)
-                raise ParameterError(message, name=name, hint=hint)
+            # unit, or be arithmetic (`180deg`, `pi/2`, `50cm`).
+            value = parameter.value.in_unit(text)
+            try:
+                value = typed_value(name, value)
+            except ParameterError as err:
+                message, hint = f"{err.message} (from {origin})", _type_hint(parameter, text)
+                raise ParameterError(message, name=name, hint=hint) from err
+            # The default of a parameter, which says that another one is used.
+            if value == 0 and parameter.value.low:
+                message = f"{name} is 0, it must be {parameter.value.low} or more (from {origin})"
+                raise ParameterError(message, name=name)
             if rival in chosen:
                 message = f"{rival} and {name} set the same thing in two ways; give one of them"
                 raise ParameterError(f"{message} ({rival} from {origins[rival]}; {name} from {origin})", name=rival)

@@ -12,12 +12,11 @@ from pc2scan.options.projection import SHARED, NodeParameters
 from pc2scan.options.table import PARAMETERS
 from pc2scan.text import did_you_mean, nearest
 
-from .entries import Entry, entries_in, not_quoting, read_text, scalar_value
+from .entries import Entry, entries_in, naming_place, read_text, scalar_value
 from .launch import ELSEWHERE, LaunchFile, UnreadError, qualified
 from .parameters import (
     ALIASES,
     TOPICS,
-    expected_message,
     is_every_nodes,
     plain_scalar,
     resolve,
@@ -111,7 +110,8 @@ def load_params_file(
         match, the node has no such parameter, or a value is not a scalar.
     """
     text = read_text(path, _EXAMPLE)
-    if path.suffix == ".py" or _is_launch_xml(text):
+    # No YAML file of parameters begins with ``<``.
+    if path.suffix == ".py" or re.match(r"\s*<[?!a-zA-Z]", text):
         return _from_launch(text, path, node, arguments or {}, overridden)
     if arguments:
         raise ParameterError(f"{path}: only launch files have arguments", hint="remove `launch_args`")
@@ -156,11 +156,6 @@ def _from_launch(
                     ignored.append(origin)
     options = Options("convert", values, origins)
     return ParamsFile(options, False, chosen.name, tuple(ignored), remaps, tuple(files))
-
-
-def _is_launch_xml(text: str) -> bool:
-    """Whether the text of a parameter file is XML: no YAML file of parameters begins with ``<``."""
-    return re.match(r"\s*<[?!a-zA-Z]", text) is not None
 
 
 def _launch_node(
@@ -228,16 +223,14 @@ def _unread(param: LaunchValue, name: str, err: UnreadError, path: Path) -> Para
 
 def _named_file(file: Path, place: str, node: LaunchNode) -> ParamsFile:
     """Read a parameter file that a launch file names. Errors do not quote it, because it may be any file."""
-    with not_quoting([(file, place, "params_file")]):
+    with naming_place({}, "", [(file, place, "params_file")]):
         text = read_text(file, _EXAMPLE)
-        if not _is_launch_xml(text):
-            try:
-                params = _from_yaml(text, file, node.name)
-            except ParameterError:
-                params = _from_yaml(text, file, None)
-            resolve([params.options])
-            return params
-    raise ParameterError(f"{file}: is a launch file, where parameters are expected (from {place})")
+        try:
+            params = _from_yaml(text, file, node.name)
+        except ParameterError:
+            params = _from_yaml(text, file, None)
+        resolve([params.options])
+        return params
 
 
 def _launch_values(param: LaunchValue, text: str, place: str) -> list[tuple[str, object]]:
@@ -277,10 +270,7 @@ class _Leaf(NamedTuple):
     def read(self, name: str, *, ros1: bool) -> object:
         """Return its value as that of a parameter."""
         value = self.entry.value
-        if isinstance(value, dict | list):
-            kind = "a mapping" if isinstance(value, dict) else "a list"
-            raise ParameterError(expected_message(name, kind, self.origin), name=name)
-        return scalar_value(value, name, self.origin, ros1=ros1)
+        return value if isinstance(value, dict | list) else scalar_value(value, name, self.origin, ros1=ros1)
 
 
 #: For each node, by its fully qualified name or pattern: its parameters by name.

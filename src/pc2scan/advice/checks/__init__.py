@@ -6,8 +6,8 @@ function, a line in this table, and a row in a test. Users see the warnings of a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
@@ -26,15 +26,15 @@ if TYPE_CHECKING:
 Facts = TypeVar("Facts")
 Checks: TypeAlias = tuple[Callable[[Facts], Iterable[str]], ...]
 
-#: What the request of an output says, before anything is read.
-REQUEST: Checks[OutputRequest] = (
-    request.unused_transforms,
-    request.accumulated_without_motion,
-    request.returns_without_object,
-    request.times_in_milliseconds,
-    request.increment_in_degrees,
-    request.beams_beyond_half_turn,
-)
+#: What the request of an output says, before anything is read; and what must not have its default for that.
+REQUEST: Mapping[Callable[[OutputRequest], Iterable[str]], set[str]] = {
+    request.unused_transforms: {"frames", "transform_tolerance"},
+    request.accumulated_without_motion: {"combining"},
+    request.returns_without_object: {"reduce"},
+    request.times_in_milliseconds: {"transform_tolerance", "scan_time"},
+    request.increment_in_degrees: {"angle_increment"},
+    request.beams_beyond_half_turn: {"angle_min", "angle_max"},
+}
 
 #: What the first clouds of a topic show, each by itself.
 EACH_CLOUD: Checks[CloudFacts] = (
@@ -64,8 +64,16 @@ def found_by(checks: Checks[Facts], facts: Facts, label: str = "") -> list[str]:
 
 def request_warnings(options: Request, recorded: Summary) -> list[str]:
     """Return the warnings about a request, of each output, and about the recording's extent."""
-    warnings = [text for spec in options.scans for text in found_by(REQUEST, OutputRequest(options, spec), spec.label)]
-    return [*warnings, *request.cut_in_another_unit(options, recorded), *request.log_times_of_centuries(recorded)]
+    warnings: list[str] = []
+    for spec in options.scans:
+        attributes = ((part, each) for part in (options, spec) for each in fields(part))
+        chosen = {each.name for part, each in attributes if getattr(part, each.name) != each.default}
+        chosen |= {name for name, origin in spec.origins.items() if origin != "default"}
+        checks = tuple(check for check, names in REQUEST.items() if names & chosen)
+        warnings += found_by(checks, OutputRequest(options, spec), spec.label)
+    if options.start or options.end:
+        warnings += request.cut_in_another_unit(options, recorded)
+    return [*warnings, *request.log_times_of_centuries(recorded)]
 
 
 class Judgement(NamedTuple):
