@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
 
 from .errors import Pc2ScanError, visible
-from .tables import Table
-from .text import stamp
+from .text import Table, stamp
 from .version import __version__
 
 if TYPE_CHECKING:

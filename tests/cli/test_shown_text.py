@@ -13,7 +13,7 @@ from pc2scan.conversion.report import Report
 from pc2scan.errors import DecodeError, UsageError
 from pc2scan.options.call import Options
 from pc2scan.request.options import ScanSpec
-from pc2scan.tables import fitted
+from pc2scan.text import fitted
 from support.tables import rows
 
 TABLES = Path(__file__).with_name("shown_text.txt")

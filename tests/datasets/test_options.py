@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import pc2scan
-from pc2scan.datasets.dataset_file import DatasetEntry
+from pc2scan.datasets.planning import DatasetEntry
 from support import ROOT
 from support.batches import in_this_process, manifest_of, place
 from support.tables import rows

@@ -20,8 +20,7 @@ from pc2scan.errors import visible
 from pc2scan.options.call import call_words
 from pc2scan.options.table import spellings
 from pc2scan.result import Call
-from pc2scan.tables import Table
-from pc2scan.text import shell_word
+from pc2scan.text import Table, shell_word
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterable, Iterator

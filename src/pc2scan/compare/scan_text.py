@@ -33,7 +33,7 @@ _VALUES_A_LINE = 10
 
 @dataclass(frozen=True, slots=True)
 class ScanText:
-    """Scans read from text; a `pc2scan.compare.match.OpenRecording`."""
+    """Scans read from text; a `pc2scan.compare.diff.OpenRecording`."""
 
     path: Path
     connections: list[Connection] = field(default_factory=list)

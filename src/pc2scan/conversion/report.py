@@ -13,8 +13,7 @@ from pc2scan.errors import leading
 from pc2scan.options.table import PARAMETERS
 from pc2scan.options.values import in_words
 from pc2scan.result import Part, Remark, Result, Skipped, skipped_remarks
-from pc2scan.tables import Table
-from pc2scan.text import count, counted, duration, size
+from pc2scan.text import Table, count, counted, duration, size
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

@@ -18,11 +18,10 @@ from pc2scan.files.urls import UrlPath, absolute, refuse_without_room
 from pc2scan.result import BEGINNING
 from pc2scan.threads import cores
 
-from .dataset_file import Choices, load_dataset_file
 from .executors import run_jobs, run_jobs_on_dask
 from .find import find, natural_key
 from .manifest import BEGUN, MANIFEST, open_folder
-from .planning import have_same_outcome, make_plan
+from .planning import Choices, have_same_outcome, load_dataset_file, make_plan
 from .summary import BatchReport, Outcome
 
 if TYPE_CHECKING:

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from pc2scan.errors import leading, name_list
 from pc2scan.result import Part, Result
-from pc2scan.tables import Table
-from pc2scan.text import count, counted, duration, size
+from pc2scan.text import Table, count, counted, duration, size
 
 from .manifest import NO_CLOUDS
 

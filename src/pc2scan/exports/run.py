@@ -18,11 +18,9 @@ from pc2scan.progress import Meter
 from pc2scan.requests import conversion_of, destination_of
 from pc2scan.result import MAX_LISTED, Part, Result, Skipped, tell_early
 from pc2scan.streams.stream import Clouds, Scans
-from pc2scan.tables import Table
-from pc2scan.text import count
+from pc2scan.text import Table, count
 
-from .formats import format_of
-from .poses import Poses
+from .formats import Poses, format_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

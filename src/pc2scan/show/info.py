@@ -27,8 +27,7 @@ from pc2scan.model import copied_message, declared_counts
 from pc2scan.request.point_time import PointTime
 from pc2scan.requests import OF_FRAMES, frames_of
 from pc2scan.result import Call, Part, Result
-from pc2scan.tables import Table
-from pc2scan.text import count, counted, height_text, size, stamp
+from pc2scan.text import Table, count, counted, height_text, size, stamp
 from pc2scan.transforms.buffer import ADDS_ODOMETRY
 from pc2scan.transforms.frames import BODIES, WORLDS
 from pc2scan.transforms.motion import find_body_motion

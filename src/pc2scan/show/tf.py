@@ -12,8 +12,7 @@ from pc2scan.bags.opening import open_recordings
 from pc2scan.errors import TransformError, leading, stamp_text
 from pc2scan.messages.tfmessage import decode_transforms
 from pc2scan.result import Part, Result
-from pc2scan.tables import Table
-from pc2scan.text import count
+from pc2scan.text import Table, count
 from pc2scan.transforms.placing import FrameOptions
 from pc2scan.transforms.reading import read_transforms, tf_connections
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.compare.match import Match, TopicStream, match_messages
+from pc2scan.compare.diff import Match, TopicStream, match_messages
 from pc2scan.compare.scan_text import ScanText
 from pc2scan.messages.wire import Packer
 from pc2scan.model import Connection, RawMessage
