@@ -8,6 +8,7 @@ from __future__ import annotations
 import bz2
 import zlib
 from contextlib import suppress
+from functools import partial
 from importlib import import_module
 from typing import IO, TYPE_CHECKING, Any
 
@@ -73,7 +74,7 @@ def decompress(compression: str, data: Buffer, out: memoryview) -> None:
     """
     try:
         size = _DECOMPRESS[compression](data, out)
-    except (zstandard.ZstdError, OSError, EOFError) as err:
+    except zstandard.ZstdError as err:
         raise CompressionError(str(err)) from err
     if size != len(out):
         raise CompressionError("there is more" if size > len(out) else f"it ends after {size} bytes")
@@ -155,19 +156,10 @@ def zstd_head(file: IO[bytes], size: int) -> bytes:
         raise CompressionError(str(err)) from err
 
 
-def _from_bz2(data: Buffer, out: memoryview) -> int:
-    bunzip2 = bz2.BZ2Decompressor()
-    unpacked = bunzip2.decompress(data, len(out) + 1)
-    if not bunzip2.eof and len(unpacked) <= len(out):
-        raise EOFError(f"it ends after {len(unpacked)} bytes")
-    out[: len(unpacked)] = unpacked[: len(out)]
-    return len(unpacked)
-
-
-def _from_lz4(data: Buffer, out: memoryview) -> int:
+def _from_cramjam(name: str, data: Buffer, out: memoryview) -> int:
     cramjam = import_module("cramjam")
     try:
-        return int(cramjam.lz4.decompress_into(data, out))
+        return int(getattr(cramjam, name).decompress_into(data, out))
     except cramjam.DecompressionError as err:
         # What it says of memory that is too small.
         raise CompressionError(str(err).replace("failed to write whole buffer", "there is more")) from err
@@ -204,8 +196,8 @@ def _zstd_within(data: Buffer, limit: int) -> Buffer:
 
 
 _DECOMPRESS: dict[str, Callable[[Buffer, memoryview], int]] = {
-    "bz2": _from_bz2,
-    "lz4": _from_lz4,
+    "bz2": partial(_from_cramjam, "bzip2"),
+    "lz4": partial(_from_cramjam, "lz4"),
     "zstd": _from_zstd,
 }
 

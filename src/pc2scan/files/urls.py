@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 #: The library that fsspec needs for a scheme; empty if it needs none.
 LIBRARIES = {"s3": "s3fs", "gs": "gcsfs", "az": "adlfs", "https": "aiohttp", "http": "aiohttp", "memory": ""}
 
-#: The slowest transfer: so many bytes, or all that are left, arrive in so many seconds.
+#: The slowest transfer, on average: so many bytes arrive in so many seconds.
 LEAST_BYTES = 1 << 16
 SLOWEST_SECONDS = 60.0
 
@@ -287,18 +287,15 @@ class UrlPath(_LocalPath):
 
         file_system, key = self.store
         size = most = self.size
-        wanted, deadline = 0, 0.0
+        begun = monotonic()
         message = f"the server declares {size:,} bytes, and sends another number of them"
         other_size = RecordingError(message, path=self, hint=_AGAIN)
 
         def arrived(_: object, received: int) -> None:
-            nonlocal wanted, deadline
             if received > most:
                 raise other_size
-            if received >= wanted:
-                wanted, deadline = received + LEAST_BYTES, monotonic() + SLOWEST_SECONDS
-            elif monotonic() > deadline:
-                least = f"fewer than {LEAST_BYTES:,} bytes arrived in {SLOWEST_SECONDS:g} seconds"
+            if monotonic() - begun > SLOWEST_SECONDS * (1 + received // LEAST_BYTES):
+                least = f"fewer than {LEAST_BYTES:,} bytes arrive in {SLOWEST_SECONDS:g} seconds"
                 raise RecordingError(f"the transfer is too slow to finish: {least}", path=self, hint=_AGAIN)
 
         with translated_errors(self):
