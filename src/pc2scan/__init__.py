@@ -64,7 +64,7 @@ if TYPE_CHECKING:
     from .datasets.summary import BatchReport as BatchReport
     from .errors import Pc2ScanError as Pc2ScanError
     from .errors import RecordingWarning as RecordingWarning
-    from .exports.run import ExportReport as ExportReport
+    from .exports.export import ExportReport as ExportReport
     from .request.filters import ExcludeBox as ExcludeBox
     from .request.filters import ExcludePolygon as ExcludePolygon
     from .request.filters import MinHeightSlope as MinHeightSlope
@@ -108,7 +108,7 @@ _PUBLIC = {
     "core.unproject": ("UnprojectParams",),
     "datasets.summary": ("BatchReport",),
     "errors": ("Pc2ScanError", "RecordingWarning", "errors"),
-    "exports.run": ("ExportReport",),
+    "exports.export": ("ExportReport",),
     "request.filters": ("ExcludeBox", "ExcludePolygon", "MinHeightSlope", "Where"),
     "show.check": ("Check",),
     "show.info": ("Info",),

@@ -15,7 +15,7 @@ from .conversion.run import convert as convert_by
 from .conversion.run import repair as repair_by
 from .datasets.batch import run_batch
 from .errors import UsageError
-from .exports.run import export as write
+from .exports.export import export as write
 from .files.urls import path_of, paths_in
 from .options.call import Options
 from .options.effects import refuse_idle
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from .compare.golden import GoldenReport
     from .conversion.report import Report
     from .datasets.summary import BatchReport
-    from .exports.run import ExportReport
+    from .exports.export import ExportReport
     from .files.urls import PathText
     from .options import table
     from .show.check import Check

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from pc2scan.compare.messages import GEOMETRY
+from pc2scan.compare.rules import GEOMETRY
 from pc2scan.compare.scan_text import is_scan_text, open_scan_text, render_scans
 from pc2scan.errors import RecordingError, UsageError
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, encode_laserscan

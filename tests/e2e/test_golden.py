@@ -10,7 +10,7 @@ import pytest
 
 import pc2scan
 from pc2scan.compare.golden import load_case
-from pc2scan.compare.messages import Rules
+from pc2scan.compare.rules import Rules
 from support import GOLDEN, ROOT, sampled
 from support.command import run
 from support.outputs import opened

@@ -15,8 +15,8 @@ import pytest
 import pc2scan
 from exports.driving import PATTERN, POSED, STAMPS, by_odometry, by_tf, drive
 from pc2scan.errors import TransformError, UsageError, stamp_text
-from pc2scan.exports.formats import FORMATS
-from pc2scan.exports.run import file_names
+from pc2scan.exports.export import file_names
+from pc2scan.exports.writers import FORMATS
 from pc2scan.options.table import options_of
 from support import HALL
 from support.builders import write_mcap

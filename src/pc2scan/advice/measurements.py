@@ -251,7 +251,7 @@ def _timing(facts: TopicFacts, spec: ScanSpec, placer: Placer, notes: list[str])
     """Return the times to write into the scans, and add notes about them."""
     params, topic = spec.params, facts.topic
     wanted = _wanted_shapes(spec)
-    shapes = [] if wanted is None else facts.found(wanted)
+    shapes = [] if wanted is None else facts.values(wanted)
     step = _resolution(topic, shapes, params, notes) if params.beams == "auto" and facts.headers else 0.0
     layout = (params.at_resolution(step) if step else params).layout
     scan_time, time_increment, first_beam_ns = params.scan_time, params.time_increment, 0
@@ -362,7 +362,7 @@ def time_warnings(facts: TopicFacts, point_time: PointTime) -> Iterator[str]:
 
     Times that are impossible are not among them: those are errors when their cloud is converted.
     """
-    topic, clouds = facts.topic, [] if point_time.turn is not None else facts.found(times_of(point_time))
+    topic, clouds = facts.topic, [] if point_time.turn is not None else facts.values(times_of(point_time))
     if doubt := duration_warning(facts, point_time):
         yield doubt
         return
@@ -384,7 +384,7 @@ def duration_warning(facts: TopicFacts, point_time: PointTime) -> str:
     """Return the warning that clouds or scans take far too long or too short by their own times; empty if not."""
     if any(each.turn for each in facts.headers):
         return increment_warning(facts)
-    return "" if point_time.turn is not None else _duration_doubt(facts.topic, facts.found(times_of(point_time)))
+    return "" if point_time.turn is not None else _duration_doubt(facts.topic, facts.values(times_of(point_time)))
 
 
 def increment_warning(facts: TopicFacts) -> str:
@@ -463,7 +463,7 @@ def measure_turns(topics: Iterable[TopicFacts], point_time: PointTime) -> tuple[
     notes: list[str] = []
     if point_time.turn is not None and not point_time.turn.period:
         for facts in topics:
-            if samples := facts.found(TURNS):
+            if samples := facts.values(TURNS):
                 turns[facts.topic], note = measure_turn(facts.topic, point_time.turn, samples)
                 notes.append(note)
     return turns, notes

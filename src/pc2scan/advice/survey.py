@@ -172,7 +172,7 @@ class TopicFacts:
         """The frame of the first message; empty if there is none."""
         return next((each.frame_id for each in self.headers), "")
 
-    def found(self, fact: Fact[_Value]) -> list[_Value]:
+    def values(self, fact: Fact[_Value]) -> list[_Value]:
         """Return what was taken of the first clouds, in the order of log time, and no more than this fact wants.
 
         Raises
@@ -189,7 +189,7 @@ class TopicFacts:
         """
         clouds: list[CloudSample] = []
         above = Rigid.from_rpy(0.0, 0.0, 0.0, (0.0, 0.0, _ABOVE_ROBOT))
-        for sample in self.found(self._samples):
+        for sample in self.values(self._samples):
             try:
                 place = placer.place(sample.frame_id, sample.stamp_ns)
             except TransformError:
@@ -216,7 +216,7 @@ class TopicFacts:
 
     def unit_warning(self) -> str:
         """Return the warning that the clouds are in another unit than metres; empty if they are not."""
-        return next((unit_warning(self.topic, each) for each in self.found(self._samples)), "")
+        return next((unit_warning(self.topic, each) for each in self.values(self._samples)), "")
 
     def _observed(self, fact: Hashable) -> Observer[Any]:
         if fact not in self._observers:

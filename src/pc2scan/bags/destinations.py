@@ -104,10 +104,6 @@ def plan_destination(
     DestinationError
         If the name has the suffix of another format, or the options contradict it or each other.
     """
-    if str(path) == "-":
-        raise DestinationError(
-            "a recording is not written to standard output", hint="name a file: `destination=scans.mcap`"
-        )
     suffix = path.suffix.lower()
     written, known = _formats_by_suffix(), {entry.suffix for entry in FORMATS.values()}
     # The suffix of a storage is one that a directory must not have.

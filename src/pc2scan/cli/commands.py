@@ -94,7 +94,7 @@ COMMANDS = {
         },
     ),
     "export": Command(
-        "exports.run:export",
+        "exports.export:export",
         """Write scans with poses, the trajectory, or clouds as files for learning and evaluation.
 
         With any parameter of the projection, clouds are converted to scans first. Poses are interpolated as in tf2:

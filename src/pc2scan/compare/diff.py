@@ -24,7 +24,7 @@ from pc2scan.progress import Meter
 from pc2scan.text import did_you_mean
 
 from .differences import Difference, MessageTimes, TopicDifference
-from .messages import DECODED_TYPES, Rules, compare_bytes, compare_messages
+from .rules import DECODED_TYPES, Rules, compare_bytes, compare_messages
 from .scan_text import is_scan_text, open_scan_text
 
 if TYPE_CHECKING:

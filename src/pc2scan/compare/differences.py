@@ -15,7 +15,7 @@ from pc2scan.text import counted
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from .messages import MessageDifference
+    from .rules import MessageDifference
 
 
 #: Maximum number of messages that are listed; all of them are counted.

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
 from pc2scan.bags.opening import open_recordings
 from pc2scan.bags.topics import find_topics, types_by_topic
 from pc2scan.compare.diff import diff, open_source
-from pc2scan.compare.messages import Rules
+from pc2scan.compare.rules import Rules
 from pc2scan.compare.scan_text import render_scans
 from pc2scan.conversion.run import OutputOptions, run
 from pc2scan.errors import DestinationError, OutputError, Pc2ScanError, RecordingError, ResultError, UsageError

@@ -16,7 +16,7 @@ from pc2scan.files.source import open_bytes, open_text
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan, encode_laserscan
 from pc2scan.model import Connection, RawMessage
 
-from .messages import GEOMETRY
+from .rules import GEOMETRY
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Sequence

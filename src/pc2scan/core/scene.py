@@ -556,11 +556,11 @@ def are_upright(points: _Points, floor: float, wide: float = 0.0) -> NDArray[np.
     lowest = np.maximum(low, floor)
     behind = np.minimum.accumulate(lowest - slope) + slope
     before = np.minimum.accumulate((lowest + slope)[::-1])[::-1] - slope
-    found = (z > np.minimum(behind, before)[ring, sector] + _UNEVEN + 2 * rise) | (z - floor > _STEEPEST_RISE * ranges)
+    stands = (z > np.minimum(behind, before)[ring, sector] + _UNEVEN + 2 * rise) | (z - floor > _STEEPEST_RISE * ranges)
     for beyond in (-1, 0, 1):
         near = ring + beyond, sector
-        found |= np.maximum(high[near] - z, z - low[near]) > _UNEVEN + (1 + abs(beyond)) * rise
-    upright[known] = found
+        stands |= np.maximum(high[near] - z, z - low[near]) > _UNEVEN + (1 + abs(beyond)) * rise
+    upright[known] = stands
     return upright
 
 

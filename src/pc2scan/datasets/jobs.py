@@ -18,9 +18,9 @@ from pc2scan.bags.opening import open_recordings
 from pc2scan.conversion.run import OutputOptions, run
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import DestinationError, NothingToConvertError, OutputError, Pc2ScanError, UsageError
-from pc2scan.exports.formats import FORMATS
-from pc2scan.exports.run import ExportOptions, ExportReport
-from pc2scan.exports.run import run as export
+from pc2scan.exports.export import ExportOptions, ExportReport
+from pc2scan.exports.export import run as export
+from pc2scan.exports.writers import FORMATS
 from pc2scan.files.system import copying_to, is_full
 from pc2scan.files.urls import absolute
 from pc2scan.options.call import Options

@@ -202,15 +202,15 @@ def _launch_node(
 
 def _refuse_several(matches: Sequence[str], names: Iterable[str], node: str | None, path: Path) -> None:
     """Raise if several of the nodes of a file match, or none."""
-    found = sorted(matches or names)
-    hint = f"choose one, for example `node={found[0]}`" if len({*found}) == len(found) else ELSEWHERE
+    nodes = sorted(matches or names)
+    hint = f"choose one, for example `node={nodes[0]}`" if len({*nodes}) == len(nodes) else ELSEWHERE
     if len(matches) > 1:
         raise ParameterError(f"{path}: several nodes match: {name_list(matches)}", hint=hint)
     if not matches:
         what = "section is named pointcloud_to_laserscan or laserscan_to_pointcloud, and none has only their parameters"
         if node is not None:
-            what, hint = f"node {node!r} (from `node`)", did_you_mean(node, found)
-        raise ParameterError(f"{path}: no {what}; found {name_list(found, 10)}", hint=hint or None)
+            what, hint = f"node {node!r} (from `node`)", did_you_mean(node, nodes)
+        raise ParameterError(f"{path}: no {what}; found {name_list(nodes, 10)}", hint=hint or None)
 
 
 def _unread(param: LaunchValue, name: str, err: UnreadError, path: Path) -> ParameterError:

@@ -116,9 +116,9 @@ def _sparse_points(points: Points, _: RawMessage) -> NDArray[np.float32] | None:
         return np.stack([np.ravel(axis).astype(np.float32) for axis in xyz])
 
 
-def _are_whole(found: Sequence[int]) -> bool:
+def _are_whole(masks: Sequence[int]) -> bool:
     """Whether the first clouds are no packets, whatever directions further ones have."""
-    return len(found) >= _SEVERAL and all(each.bit_count() >= _PART * DIRECTIONS for each in found[:_SEVERAL])
+    return len(masks) >= _SEVERAL and all(each.bit_count() >= _PART * DIRECTIONS for each in masks[:_SEVERAL])
 
 
 _DIRECTIONS = Fact(lambda points, _: directions_of(points), HEADERS, are_enough=_are_whole)
@@ -211,7 +211,7 @@ class Lidar:
     @cached_property
     def duration(self) -> float:
         """The time that the points of a cloud take by their own times, seconds; 0 without plausible ones."""
-        times = self.facts.found(_TIMES)
+        times = self.facts.values(_TIMES)
         if not times or self.is_registered or any(time_warnings(self.facts, PointTime())):
             return 0.0
         return median([each.high - each.low for each in times])
@@ -221,18 +221,18 @@ class Lidar:
         """The times of a cloud's first and last point, seconds after its stamp; without them, the tolerance."""
         if not self.duration:
             return -TOLERANCE, TOLERANCE
-        times = self.facts.found(_TIMES)
+        times = self.facts.values(_TIMES)
         return min(each.low for each in times), max(each.high for each in times)
 
     @cached_property
     def time_field(self) -> str:
         """The field with the times of points."""
-        return self.facts.found(_TIMES)[0].field
+        return self.facts.values(_TIMES)[0].field
 
     @cached_property
     def step(self) -> float | None:
         """How finely a turning lidar samples azimuth, radians; None for others."""
-        shapes = self.facts.found(_SHAPE)
+        shapes = self.facts.values(_SHAPE)
         turns = any(each.sweep is not None for each in shapes) or self.covered > 0.5
         return regular_step(shapes) if turns else None
 
@@ -247,13 +247,13 @@ class Lidar:
     @cached_property
     def covered(self) -> float:
         """The share of all directions that a cloud has."""
-        masks = self.facts.found(_DIRECTIONS)
+        masks = self.facts.values(_DIRECTIONS)
         return median([each.bit_count() / DIRECTIONS for each in masks]) if masks else 0.0
 
     @cached_property
     def turn(self) -> float:
         """The time of a turn, seconds, of clouds that are parts of one; 0 if they are not, or it is not regular."""
-        masks = self.facts.found(_DIRECTIONS)
+        masks = self.facts.values(_DIRECTIONS)
         union = reduce(or_, masks, 0)
         if len(masks) < _SEVERAL or self.covered >= _PART * union.bit_count() / DIRECTIONS:
             return 0.0
@@ -286,7 +286,7 @@ class Lidar:
         heights = self.mounting.heights
         if self.step is not None or self.turn or heights is None:
             return Pattern()
-        placed = (self.in_target(each, self.mounting.frame) for each in self.facts.found(_PATTERN))
+        placed = (self.in_target(each, self.mounting.frame) for each in self.facts.values(_PATTERN))
         filled = [_filled_beams(points, heights.low, heights.high) for points in placed]
         clouds = [each for each in filled if each.any()]
         if len(clouds) < _MOST_CLOUDS:
@@ -326,12 +326,12 @@ class Lidar:
         if merges:
             is_own = self.mounting.judged_in == self.mounting.frame
             stamps_ns = (each.stamp_ns for each in self.facts.headers)
-            found = list(zip(stamps_ns, self.facts.found(_PATTERN) if is_own else [], strict=False))
+            stamped = list(zip(stamps_ns, self.facts.values(_PATTERN) if is_own else [], strict=False))
         else:
             chosen = self.clouds[:: max(1, len(self.clouds) // most)][:most]
-            found = [(stamp_ns, each[:, :: -(-each.shape[1] // points) or 1]) for stamp_ns, each in chosen]
+            stamped = [(stamp_ns, each[:, :: -(-each.shape[1] // points) or 1]) for stamp_ns, each in chosen]
         clouds = []
-        for stamp_ns, xyz in found:
+        for stamp_ns, xyz in stamped:
             axes = self.in_target(xyz, stamp_ns=stamp_ns).T if is_placed else xyz
             at_ns = stamp_ns + round(sum(self.reach) / 2 * 1e9) if is_level else 0
             frame = self.target if is_placed else self.mounting.judged_in

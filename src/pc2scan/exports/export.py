@@ -20,7 +20,7 @@ from pc2scan.result import MAX_LISTED, Part, Result, Skipped, tell_early
 from pc2scan.streams.stream import Clouds, Scans
 from pc2scan.text import Table, count
 
-from .formats import Poses, format_of
+from .writers import Poses, format_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from pc2scan.request.options import Request
     from pc2scan.requests import Warn
 
-    from .formats import ExportFormat, Write
+    from .writers import ExportFormat, Write
 
 #: The longest name: file systems allow 255 bytes, and staging adds an ending.
 _MAX_NAME = 120
@@ -143,7 +143,7 @@ class ExportOptions:
     Attributes
     ----------
     format
-        A name in `pc2scan.exports.formats.FORMATS`; None for the format of the destination's suffix.
+        A name in `pc2scan.exports.writers.FORMATS`; None for the format of the destination's suffix.
     pose_frame
         The frame of reference of the poses, such as ``odom`` or ``map``; empty for that of the poses of a topic.
     base_frame

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from pc2scan.compare.messages import Rules, compare_messages
+from pc2scan.compare.rules import Rules, compare_messages
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.model import Connection, RawMessage
