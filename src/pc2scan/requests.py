@@ -15,7 +15,7 @@ from .options.conversion import ConversionFrames
 from .options.effects import refuse_idle
 from .options.table import PARAMETERS, options_about_scans
 from .request.options import TRAJECTORY, Request, ScanSpec, StampOptions, TopicRequest
-from .request.outputs import load_scans, parse_params, read_output, refuse_beside
+from .request.outputs import load_scans, parse_params, read_output
 from .result import tell_early
 from .transforms.placing import FrameOptions
 from .transforms.sources import PoseTopic, frames_of_trajectory, load_trajectory
@@ -106,7 +106,7 @@ def conversion_of(options: Options, warn: Warn | None = None) -> Request:
         _refuse_scans(options)
     given = [options, parse_params(options.param)] if options.param else [options]
     if options.scans is not None:
-        refuse_beside(options.of_one_output)
+        refuse_idle(options.given, options.command)
         outputs, where = load_scans(options.scans, given), "scans"
     elif options.remap and options.topics:
         raise UsageError(

@@ -249,8 +249,10 @@ def _parser_of(name: str, *, completes: bool) -> Callable[..., dict[str, Any]]:
         return {key: value for key, value in values.items() if value not in (None, [])}
 
     keywords = {argument.name: _annotation_of_own(argument) for argument in COMMANDS[name].arguments}
-    known = options_of(name)
-    offers = {key: _offering(known[key].value.offers) for key in known if known[key].value.offers} if completes else {}
+    known, offers = options_of(name), dict[str, Any]()
+    for key, option in known.items() if completes else ():
+        if words := option.value.offers or (option.value.words and ("words", *option.value.words)):
+            offers[key] = _offering(words)
     keywords |= {key: _annotation(each, offers.get(key)) for key, each in known.items() if each.spelling}
     parameters = [Keyword(key, Keyword.KEYWORD_ONLY, default=None, annotation=each) for key, each in keywords.items()]
     parsed.__signature__ = Signature(parameters)  # type: ignore[attr-defined]

@@ -50,20 +50,15 @@ def _say_next(report: Report, options: Options) -> None:
     """Show the command that most users run after a recording was written: scans are checked, clouds are played."""
     if options.given.keys() & {"quiet", "as_json"}:
         return
-    entry, destination = FORMATS[report.container], _quoted(report.destination)
-    specs = [topic.spec for topic in report.converted]
-    # Where there is no player: none reads URLs, and none of ROS 1 reads MCAP.
-    command = f"pc2scan info {destination}"
-    if report.all_empty:
-        command = f"pc2scan info {_quoted(report.sources[0])}"
-    elif consumer := next(filter(None, map(preset_of, report.origins.values())), ""):
-        command = f"pc2scan check {destination} --for {consumer}"
+    path = report.sources[0] if report.all_empty else report.destination
+    quoted = shell_word(f"./{path}" if path.startswith("-") else path)
+    entry, specs = FORMATS[report.container], [topic.spec for topic in report.converted if not report.all_empty]
+    # Also where there is no player: none reads URLs, and none of ROS 1 reads MCAP.
+    command = f"pc2scan info {quoted}"
+    if specs and (consumer := next(filter(None, map(preset_of, report.origins.values())), "")):
+        command = f"pc2scan check {quoted} --for {consumer}"
     elif any(spec is not None and not spec.reverse for spec in specs):
-        command = f"pc2scan check {destination}"
+        command = f"pc2scan check {quoted}"
     elif specs and entry.play and entry.ros_version == report.ros_version and not is_url(report.destination or ""):
-        command = entry.play.format(destination)
+        command = entry.play.format(quoted)
     say(f"next: {command}")
-
-
-def _quoted(path: str) -> str:
-    return shell_word(f"./{path}" if path.startswith("-") else path)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import struct
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -300,11 +299,6 @@ class Rules:
     def __post_init__(self) -> None:
         for name in {*self.atol, *self.rtol}:
             self.tolerance(name)
-        if not (math.isfinite(self.allow_beams) and 0 <= self.allow_beams <= 1):
-            raise UsageError(
-                f"allow_beams is {self.allow_beams}, it must be a share from 0 to 1",
-                hint="0.001 allows one beam in a thousand",
-            )
         if unknown := sorted(self.ignore - {*IGNORABLE}):
             near = did_you_mean(unknown[0], IGNORABLE)
             hint = f"{near} these can be ignored: {', '.join(IGNORABLE)}".strip()

@@ -13,7 +13,7 @@ from pc2scan.bags.topics import unheard
 from pc2scan.errors import MessageError, RecordingError, UnwritableError, UsageError
 from pc2scan.messages.clouds import to_pointcloud2, written_as_pointcloud2
 from pc2scan.messages.definitions import definition
-from pc2scan.messages.laserscan import encode_laserscan
+from pc2scan.messages.laserscan import LASERSCAN, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, encode_cloud
 from pc2scan.model import LATCHED_QOS, NEW_ID, TF_QOS, ChunkRule, Connection, Definition, StoredChunk
 from pc2scan.transforms.reading import tf_connections
@@ -115,9 +115,8 @@ def open_routes(
                     output.combiner = combiners[output.key]
                     output.combiner.reports[output.sources.index(topic)] = output.report
             if leads and topics is not None:
-                topics.add_like(
-                    connection, output.target, POINTCLOUD2 if output.used else output.spec.made_type, output
-                )
+                makes_clouds = output.used or output.spec.reverse
+                topics.add_like(connection, output.target, POINTCLOUD2 if makes_clouds else LASERSCAN, output)
     return opened, list(entries.values())
 
 

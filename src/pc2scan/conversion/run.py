@@ -43,7 +43,6 @@ from pc2scan.files.outputs import (
 from pc2scan.files.source import changed_while_read, state_of
 from pc2scan.files.system import copying_to
 from pc2scan.files.urls import UrlPath, exists
-from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.progress import Meter
 from pc2scan.request.options import Request
 from pc2scan.requests import conversion_of, destination_of, named_files
@@ -349,7 +348,7 @@ def _judge(prepared: Preparation, target: Destination, report: Report) -> None:
     report.add(reader.remarks)
     report.damage += [damage for each in (reader, *prepared.others) for damage in each.damage]
     outputs = [output for route in prepared.routes.values() for output in route.outputs if output.first]
-    first_scans = [(each.report, each.first) for each in outputs if each.spec and each.spec.made_type == LASERSCAN]
+    first_scans = [(each.report, each.first) for each in outputs if each.spec and not each.spec.reverse]
     report.add(*result_findings(report, first_scans, target.serialization))
     # With a fixed frame, an IMU or a corrected clock, clocks were compared before.
     far = {

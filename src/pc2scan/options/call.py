@@ -6,7 +6,7 @@ from copy import copy
 from typing import TYPE_CHECKING, Any
 
 from .conversion import CloudCombination
-from .option import Parameter, Scope
+from .option import Parameter
 from .table import PARAMETERS, conversion_options, options_of, spellings
 
 if TYPE_CHECKING:
@@ -87,15 +87,6 @@ class Options:
     def among(self, names: Container[str]) -> dict[str, Any]:
         """Return what was given of these options, in the order in which it was given."""
         return {name: value for name, value in self.given.items() if name in names}
-
-    @property
-    def of_one_output(self) -> list[str]:
-        """The names of what was given and describes one output, except parameters of the projection."""
-        return [
-            name
-            for name in self.given
-            if name not in PARAMETERS and self._known[name].scope in (Scope.ONE_OUTPUT, Scope.SINGLE)
-        ]
 
     @property
     def of_conversions(self) -> dict[str, Any]:

@@ -27,7 +27,7 @@ from .option import (
     group,
 )
 from .running import MAX_JOBS
-from .values import FUNCTION, MOMENTS, SWITCH, TOLERANCES, count, number, path, texts
+from .values import FUNCTION, MOMENTS, SHARE, SWITCH, TOLERANCES, count, path, texts
 
 
 @group(Section.EXPORT, Scope.CALL_ONLY)
@@ -163,7 +163,7 @@ class CheckRules(RobotFrames, total=False):
 
     consumers: Annotated[
         Names | None,
-        texts("CONSUMER", words=PRESETS),
+        texts("CONSUMER", words=tuple(PRESETS)),
         f"Consumer that decides the exit status: {', '.join(PRESETS)}. Default: all of them, and defects for all "
         "consumers too.",
         How(typed="--for"),
@@ -220,7 +220,7 @@ class ComparisonRules(TypedDict, total=False):
     ]
     allow_beams: Annotated[
         float,
-        number(metavar="SHARE"),
+        SHARE,
         "Share of a topic's beams (clouds: points) that may be beyond the tolerance: 0.001 is one in a thousand.",
         How(default=0.0),
     ]

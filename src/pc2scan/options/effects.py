@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import UsageError, name_list
 
 from .conversion import CloudCombination, PointSelection, RobotMotion
+from .option import Parameter, Scope
 from .projection import SHARED, Projection
+from .table import options_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -34,8 +36,16 @@ _OF_SCANS = {
 }
 _OF_SCANS |= {"preset", "keep_used", "min_used"}
 
+#: Options that describe one output, but for parameters of the projection: these override those of a file.
+_OF_ONE_OUTPUT = [
+    name
+    for name, option in options_of("convert").items()
+    if option.scope in (Scope.ONE_OUTPUT, Scope.SINGLE) and not isinstance(option, Parameter)
+]
+
 #: An option, those that have no effect beside it, and why.
 IDLE = (
+    ("scans", " ".join(_OF_ONE_OUTPUT), "which has it for each output, or for all of them under 'defaults'"),
     ("params", "preset params_file node", "which has all parameters"),
     ("reverse", " ".join(sorted(_OF_SCANS - SHARED - {"deskew"})), "which makes clouds"),
     ("rebin", "point_time", "which converts scans, whose beams have the times of their time_increment"),

@@ -49,7 +49,7 @@ Radians: TypeAlias = Annotated[Quantity, number("rad")]
 Seconds: TypeAlias = Annotated[Quantity, number("s")]
 SecondsOrAuto: TypeAlias = Annotated[Quantity, number("s", words=("auto",))]
 Frame: TypeAlias = Annotated[str, text("FRAME", offers=("frames",))]
-File: TypeAlias = Annotated[Path | None, path()]
+File: TypeAlias = Annotated[Path | None, path("FILE")]
 When: TypeAlias = Annotated[Time | None, MOMENT]
 
 
@@ -145,7 +145,7 @@ class Option:
         how: How = parts.pop(How, How())
         self.help: str = parts.pop(str)
         words = [word for part in (kind, *get_args(kind)) if get_origin(part) is Literal for word in get_args(part)]
-        self.value: Value = next(iter(parts.values()), text(words=filter(None, words)) if words else FLAG)
+        self.value: Value = next(iter(parts.values()), text(words=tuple(filter(None, words))) if words else FLAG)
         self.spelling = f"--{name.replace('_', '-')}" if how.typed == "--" else how.typed
         self.negation = f"--no-{name.replace('_', '-')}"
         self.panel = panel if how.panel is None else how.panel

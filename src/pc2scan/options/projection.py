@@ -129,7 +129,7 @@ class ParameterSources(TypedDict, total=False):
     ]
     preset: Annotated[
         Preset | None,
-        text("CONSUMER", words=PRESETS),
+        text("CONSUMER", words=tuple(PRESETS)),
         "Parameters for a consumer of the scans: slam_toolbox, cartographer, gmapping, amcl, nav2, mrpt. Parameters "
         "given here or in a file override them.",
         How(panel=Section.SLAM),

@@ -48,7 +48,7 @@ class Value:
         ``float``, ``bool``, ``int`` or ``str``; ``switch``: true, or a text; ``object``: only functions take it.
     words
         The allowed texts; or the texts that a number may be instead. Empty: any text.
-    completes
+    offers
         What the shell completes, if not the words: ``frames``, or ``topics`` and the ends of their types (none: all
         topics).
     unit
@@ -70,7 +70,7 @@ class Value:
     usual: str = "text"
     kind: str = "str"
     words: tuple[str, ...] = ()
-    completes: tuple[str, ...] = ()
+    offers: tuple[str, ...] = ()
     unit: str = ""
     low: int = 0
     high: int | None = None
@@ -85,11 +85,6 @@ class Value:
         if self.words and self.kind == "str":
             return f"one of {', '.join(self.words)}"
         return " or ".join((self.usual, *self.words))
-
-    @property
-    def offers(self) -> tuple[str, ...]:
-        """What the shell completes: `completes`, or ``words`` and the words."""
-        return self.completes or (("words", *self.words) if self.words else ())
 
     def read(self, name: str, value: Any) -> Any:
         """Read a value from Python or as it was typed; errors name the option.
@@ -117,11 +112,6 @@ class Value:
         return str(value) if isinstance(value, float) and str(value) in self.words else value
 
 
-def text(metavar: str | None = None, words: Iterable[str] = (), *, offers: tuple[str, ...] = ()) -> Value:
-    """Return the type of a text, or of one of a few words."""
-    return Value(_read_text, metavar, words=tuple(words), completes=offers, is_text=True)
-
-
 def _read_text(kind: Value, name: str, value: Any) -> Any:
     if not isinstance(value, str):
         raise TypeError(f"{name} is {value_and_type(value)}, it must be a str, or None")
@@ -133,10 +123,8 @@ def _read_text(kind: Value, name: str, value: Any) -> Any:
     return value
 
 
-def texts(metavar: str | None = None, words: Iterable[str] = (), *, offers: tuple[str, ...] = ()) -> Value:
-    """Return the type of one text, or several."""
-    one = text(metavar, words, offers=offers)
-    return replace(one, reader=_read_texts, usual="text, or a list of texts", repeats=True, note="One or several.")
+#: The type of a text, or of one of a few words.
+text = partial(Value, _read_text, is_text=True)
 
 
 def _read_texts(kind: Value, name: str, value: Any) -> tuple[str, ...]:
@@ -148,6 +136,12 @@ def _read_texts(kind: Value, name: str, value: Any) -> tuple[str, ...]:
                 hint=did_you_mean(each, kind.words) or None,
             )
     return read
+
+
+#: The type of one text, or several.
+texts = partial(
+    Value, _read_texts, usual="text, or a list of texts", is_text=True, repeats=True, note="One or several."
+)
 
 
 def number(unit: str = "", metavar: str | None = None, words: tuple[str, ...] = ()) -> Value:
@@ -187,13 +181,12 @@ def _read_count(kind: Value, name: str, value: Any) -> int:
     return read
 
 
-def path(metavar: str = "FILE") -> Value:
-    """Return the type of a path: `str` or `pathlib.Path`."""
-    return Value(_read_path, metavar, "a path", is_text=True, paths=("",))
-
-
 def _read_path(_: Value, name: str, value: Any) -> Any:
     return path_of(name, value)
+
+
+#: The type of a path: `str` or `pathlib.Path`.
+path = partial(Value, _read_path, usual="a path", is_text=True, paths=("",))
 
 
 def _read_flag(_: Value, name: str, value: Any) -> bool:
@@ -229,12 +222,11 @@ def _read_outputs(_: Value, name: str, value: Any) -> Any:
 
 
 def _read_share(kind: Value, name: str, value: Any) -> float:
-    if not isinstance(value, str):
-        return _read_number(kind, name, value)
-    try:
-        return float(value.removesuffix("%")) / (100 if value.endswith("%") else 1)
-    except ValueError as err:
-        raise UsageError(f"`{name}`: {value!r} is not a share", hint="write 0.05 or 5%") from err
+    is_percent = isinstance(value, str) and value.endswith("%")
+    share = _read_number(kind, name, value[:-1] if is_percent else value) / (100 if is_percent else 1)
+    if not 0 <= share <= 1:
+        raise UsageError(f"`{name}` is {share:g}, it must be a share from 0 to 1", hint="write 0.05 or 5%")
+    return share
 
 
 def nanoseconds_of(name: str, value: Any, more: str = "") -> int:
@@ -323,14 +315,14 @@ SWITCH = Value(_read_switch, "[ADDRESS]", kind="switch", is_text=True)
 #: Transforms as texts, and files with some; in Python also as `pc2scan.transforms.static.StaticTransform`.
 TRANSFORMS = replace(texts("TRANSFORM"), reader=_read_transforms, paths=(".yaml", ".yml"))
 #: Fields of clouds; in Python also `pc2scan.UnprojectParams`.
-CHANNELS = replace(texts("NAME", ("distances", "stamps", "viewpoint")), reader=_read_channels)
+CHANNELS = replace(texts("NAME", words=("distances", "stamps", "viewpoint")), reader=_read_channels)
 #: The paths of one recording, or of several.
 RECORDINGS = replace(
-    path(), reader=_read_recordings, usual="a path or a list of paths", repeats=True, note="One or several."
+    path("FILE"), reader=_read_recordings, usual="a path or a list of paths", repeats=True, note="One or several."
 )
 #: A file with several outputs, or its content as mappings.
 OUTPUTS = replace(
-    path(),
+    path("FILE"),
     reader=_read_outputs,
     note="Or the content of such a file: ``{'/scan': {'min_height': 0.1}, '/low': {'max_height': 0.1}}``.",
 )

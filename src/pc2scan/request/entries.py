@@ -193,17 +193,15 @@ def entries_in(text: str, path: Path | str, example: str, scalar: Callable[..., 
     return entry(root, "", 0, 1)
 
 
-def entries_of(value: Any, place: str, depth: int = 0) -> Entry:
+def entries_of(value: Any, place: str) -> Entry:
     """Return the entries of Python's dicts and lists."""
-    if depth > _MAX_DEPTH:
-        raise UsageError(f"{place}: nested more than {_MAX_DEPTH} levels deep")
     if isinstance(value, Mapping):
         for key in value:
             if not isinstance(key, str):
                 raise TypeError(f"{place} has the key {key!r}, it must be text")
-        return Entry({key: entries_of(each, f"{place}[{key!r}]", depth + 1) for key, each in value.items()}, place)
+        return Entry({key: entries_of(each, f"{place}[{key!r}]") for key, each in value.items()}, place)
     if isinstance(value, Sequence) and not isinstance(value, str | bytes):
-        return Entry([entries_of(each, f"{place}[{n}]", depth + 1) for n, each in enumerate(value)], place)
+        return Entry([entries_of(each, f"{place}[{n}]") for n, each in enumerate(value)], place)
     return Entry(value.item() if getattr(value, "ndim", None) == 0 else value, place)
 
 

@@ -13,8 +13,6 @@ from pc2scan.core.quantities import duration_ns
 from pc2scan.core.rule import NO_TIME, NO_TRANSFORM, PointCounts
 from pc2scan.errors import ParameterError, UsageError
 from pc2scan.messages.clouds import CLOUDS, SCANS
-from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.options.values import nanoseconds_of
 from pc2scan.transforms.placing import FrameOptions
 
@@ -308,11 +306,6 @@ class ScanSpec:
         """The types that are converted if a topic is requested by name."""
         return (*self.source_types, *SCANS) if self.may_combine and not self.combining.rebin else self.source_types
 
-    @property
-    def made_type(self) -> str:
-        """The type of the new messages."""
-        return POINTCLOUD2 if self.reverse else LASERSCAN
-
 
 @dataclass(frozen=True, slots=True)
 class StampOptions:
@@ -441,9 +434,6 @@ class Request:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if not 0 <= self.min_used <= 1:
-            hint = f"{self.min_used:g} % is {self.min_used / 100:g}" if 1 < self.min_used <= 100 else None
-            raise UsageError(f"`min_used` is {self.min_used:g}, it must be a share from 0 to 1", hint=hint)
         named = {request.source for spec in self.scans for request in spec.topics}
         if twice := [topic for topic in self.drop if topic in named]:
             raise UsageError(f"`drop={twice[0]}` has no effect on a topic that `topics` converts")

@@ -85,7 +85,7 @@ def read_output(options: Options, given: Sequence[Options], *, name: str = "", p
         If a parameter, the file or the preset is not valid, or the file is for the other direction.
     """
     sources, remaps = [*given], _remaps_of(options.remap) if options.remap else {}
-    names = {key for source in given for key in source.given}
+    names = {key for source in given for key in source.among(PARAMETERS)}
     file = ParamsFile(options)
     if options.params is not None:
         sources.append(_all_params(options))
@@ -316,19 +316,3 @@ def _output(topic: str, entry: Entry, defaults: Entry, folder: Path, given: Sequ
         if output.specs[0].reverse:
             raise UsageError(f"{file} is for laserscan_to_pointcloud, scans are made of clouds")
     return output._replace(files=(file, *output.files) if file else ())
-
-
-def refuse_beside(names: Sequence[str]) -> None:
-    """Raise if arguments are given together with ``scans`` that only the file may have.
-
-    Raises
-    ------
-    UsageError
-        If there are any.
-    """
-    if names:
-        given = ", ".join(f"`{name}`" for name in names)
-        raise UsageError(
-            f"{given} cannot be combined with `scans`, which has it for each output",
-            hint="write it under 'defaults' there, to have it for all; only parameters of the projection may be given",
-        )
