@@ -185,12 +185,14 @@ def closure(root: str, known: Mapping[str, Any]) -> Types:
                 raise DecodeError(f"{name}: {field.name} is an array without elements")
             width = 1 if field.type in _WIDTHS else max(field.size, 1)
             declared += width
+            if declared > MAX_FIELDS:
+                raise DecodeError(f"{root}: more than {MAX_FIELDS} fields")
             nested = 1 if field.type in _WIDTHS or field.type == "string" else visit(field.type, (*path, name))
             if field.size < 0 and nested > 64 * min_size(types, field.type, 1):
                 raise DecodeError(f"{name}: {field.name} is a sequence of messages with {nested} fields and few bytes")
             total += width * nested
-        if declared > MAX_FIELDS or total > MAX_LEAVES:
-            raise DecodeError(f"{root}: more than {MAX_FIELDS} fields, or {MAX_LEAVES} when written out")
+        if total > MAX_LEAVES:
+            raise DecodeError(f"{root}: more than {MAX_LEAVES} fields when written out")
         leaves[name] = total
         return total
 

@@ -17,7 +17,6 @@ from pc2scan.bags.chunks import Record, Segment, Segments, sound_records, times_
 from pc2scan.files.compression import decompressed_prefix
 
 from .records import (
-    BAG_HEADER,
     CHUNK,
     CONNECTION,
     FIRST_LINE,
@@ -25,7 +24,6 @@ from .records import (
     Connections,
     FormatError,
     chunk_segment,
-    field_of,
     indexed_entries,
     number_field,
     read_record,
@@ -50,11 +48,16 @@ _KIND = re.compile(rb"\x04\0\0\0op=[\x03-\x06]")
 _REACH = 72
 
 
+#: A field that a record needs, by its kind, so that neither other text nor a changed kind is detected as a record.
+_NEEDED = dict(enumerate((b"time", b"index_pos", b"count", b"size", b"count", b"topic"), MESSAGE))
+
+
 def _plausible_record(read: Callable[[int, int], Buffer], position: int, size: int) -> BagRecord | None:
     """Return the record that begins here, if one does; its body may reach beyond ``size``."""
     with suppress(FormatError):
         if position + 4 <= size and int.from_bytes(read(position, 4), "little") <= _MAX_HEADER:
-            return read_record(read, position, size)
+            record = read_record(read, position, size)
+            return record if _NEEDED.get(record.kind) in record.fields else None
     return None
 
 
@@ -77,7 +80,7 @@ def _records(file: BagFile, gaps: list[tuple[int, int, str]]) -> Iterator[tuple[
     position = len(FIRST_LINE)
     while position < file.size:
         record = record_from(position)
-        if record is None or not BAG_HEADER <= record.kind <= CONNECTION:
+        if record is None or record.kind == MESSAGE:
             stop, what = _next_record(file, position), "no record begins here"
             if file.read(position, min(len(FIRST_LINE), file.size - position)) == FIRST_LINE:
                 stop, what = file.size, "the recording ends here: what follows is not read"
@@ -168,7 +171,6 @@ def record_at(data: memoryview, place: int) -> Record | None:
     record = _plausible_record(reading(data), place, len(data))
     with suppress(FormatError):
         if record is not None and record.kind == CONNECTION:
-            field_of(record.fields, "topic")
             return Record(record.stop, record.start)
         if record is not None and record.kind == MESSAGE:
             time_ns = time_field(record.fields, "time")
