@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 needs_compiled = pytest.mark.skipif(not kernel.COMPILED, reason="there was no C compiler")
 
-_NAMES = ("angles", "apart", "deskew", "follow", "gather", "nodes", "project", "span", "trace")
+_NAMES = ("angles", "deskew", "follow", "gather", "nodes", "project", "span", "trace")
 
 
 @contextmanager

@@ -46,8 +46,6 @@ _SHORTEST = 1e-9
 #: times the third power of the angle: at most 0.8 micrometres at 100 m.
 _STEP_NS = 2_000_000
 _STEP = 0.01
-#: If the squared differences of two rotation matrices add up to less, the angle is below `_STEP` despite rounding.
-_SURELY = 8 * math.sin(_STEP / 2) ** 2 * (1 - 1e-9)
 _MOST_NODES = 20_000
 
 #: The stamps of a transform that is valid at all times.
@@ -300,8 +298,6 @@ def _raise_why(buffer: TransformBuffer, fixed: str, source: str, time_ns: int, s
 
 def _step_ns(stamps_ns: NDArray[np.int64], rows: NDArray[np.float64]) -> int:
     """Return how far nodes may be apart, given some nodes, and their rows with those of the middles."""
-    if kernel.apart(rows, None)[0] < _SURELY:
-        return int(stamps_ns[-1] - stamps_ns[0])
     differences = rows[2::2, :9] - rows[:-2:2, :9]
     squares = np.einsum("ni,ni->n", differences, differences)
     # np.fmax ignores NaN.

@@ -5,14 +5,14 @@ An installation from source without a C compiler uses NumPy.
 
 from __future__ import annotations
 
-__all__ = ["COMPILED", "angles", "apart", "deskew", "follow", "gather", "nodes", "project", "span", "trace"]
+__all__ = ["COMPILED", "angles", "deskew", "follow", "gather", "nodes", "project", "span", "trace"]
 
 try:
-    from ._kernel import angles, apart, deskew, follow, gather, nodes, project, span, trace
+    from ._kernel import angles, deskew, follow, gather, nodes, project, span, trace
 
     #: Whether the loops are compiled.
     COMPILED = True
 except ImportError:
-    from .plain import angles, apart, deskew, follow, gather, nodes, project, span, trace
+    from .plain import angles, deskew, follow, gather, nodes, project, span, trace
 
     COMPILED = False

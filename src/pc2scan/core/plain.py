@@ -402,30 +402,6 @@ def nodes(stamps: tuple[NDArray[np.int64], ...], begin_ns: int, end_ns: int, ste
     return both.tobytes(), gap_ns
 
 
-def apart(rows: NDArray[np.float64], row: NDArray[np.float64] | None, /) -> tuple[float, float]:
-    """Return how far transforms are apart at most: the sums of the squared differences of rotations and translations.
-
-    Parameters
-    ----------
-    rows
-        (N, 12), contiguous: the rows of the rotation, then the translation. Rows with a NaN are ignored.
-    row
-        (12,) What all rows are compared with; None: each second row is compared with the next but one.
-
-    Returns
-    -------
-    (float, float)
-        NaN if there is nothing to compare.
-    """
-    differences = rows[2::2] - rows[:-2:2] if row is None else rows - row
-    turned, moved = (
-        # One after the other, as the compiled function adds them.
-        float(np.fmax.reduce(sum((column * column for column in part), np.zeros(len(differences))), initial=np.nan))
-        for part in (differences.T[:9], differences.T[9:])
-    )
-    return turned, moved
-
-
 def trace(
     cells: NDArray[np.int16],
     width: int,

@@ -1,4 +1,4 @@
-/* The transforms of frames over time: when they are looked up, what they are, and how far they are apart. */
+/* The transforms of frames over time: when they are looked up, and what they are. */
 
 #include "arrays.h"
 #include "functions.h"
@@ -194,34 +194,4 @@ PyObject *nodes(PyObject *self, PyObject *args) {
 release:
     PyMem_Free(times);
     return result;
-}
-
-/* Return the sum of the squared differences of `count` numbers. */
-static double squared(const double *one, const double *other, int count) {
-    double sum = 0;
-    for (int i = 0; i < count; i++) sum += (one[i] - other[i]) * (one[i] - other[i]);
-    return sum;
-}
-
-PyObject *apart(PyObject *self, PyObject *args) {
-    (void)self;
-    PyObject *rows_of, *row_of;
-    if (!PyArg_ParseTuple(args, "OO", &rows_of, &row_of)) return NULL;
-    Py_buffer rows, row = {0};
-    if (contiguous(rows_of, &rows, PyBUF_SIMPLE, 8, -1) < 0) return NULL;
-    if (row_of != Py_None && contiguous(row_of, &row, PyBUF_SIMPLE, 8, 12) < 0) {
-        PyBuffer_Release(&rows);
-        return NULL;
-    }
-    double turned = NAN, moved = NAN;
-    const double *first = rows.buf;
-    for (Py_ssize_t i = row.obj ? 0 : 2; i < rows.len / 96; i += row.obj ? 1 : 2) {
-        const double *one = first + 12 * i, *other = row.obj ? row.buf : one - 24;
-        const double angle = squared(one, other, 9), distance = squared(one + 9, other + 9, 3);
-        turned = angle <= turned || angle != angle ? turned : angle;
-        moved = distance <= moved || distance != distance ? moved : distance;
-    }
-    if (row.obj) PyBuffer_Release(&row);
-    PyBuffer_Release(&rows);
-    return Py_BuildValue("(dd)", turned, moved);
 }

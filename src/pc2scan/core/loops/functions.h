@@ -8,7 +8,6 @@
 HIDDEN PyObject *span(PyObject *self, PyObject *args);
 HIDDEN PyObject *follow(PyObject *self, PyObject *args);
 HIDDEN PyObject *nodes(PyObject *self, PyObject *args);
-HIDDEN PyObject *apart(PyObject *self, PyObject *args);
 HIDDEN PyObject *trace(PyObject *self, PyObject *args);
 
 #endif

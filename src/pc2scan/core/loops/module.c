@@ -231,7 +231,6 @@ static PyMethodDef methods[] = {
     {"span", span, METH_VARARGS, "span(x, values) -> (least, largest, measured, unknown); see plain.py"},
     {"follow", follow, METH_VARARGS, "follow(times, stamps, poses, rows): one frame's poses; see plain.py"},
     {"nodes", nodes, METH_VARARGS, "nodes(stamps, begin, end, step) -> (times as bytes, longest gap); see plain.py"},
-    {"apart", apart, METH_VARARGS, "apart(rows, row) -> (squared turn, squared distance); see plain.py"},
     {"trace", trace, METH_VARARGS, "trace(cells, width, mark, rays, hits): rays into a grid; see plain.py"},
     {"angles", angles, METH_VARARGS, "angles(x, y, out, glibc=False): atan2(y, x) of contiguous float32; see plain.py"},
     {"lanes", lanes, METH_VARARGS,
