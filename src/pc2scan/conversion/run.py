@@ -191,7 +191,7 @@ def run(
         report.bytes_read = reader.summary.size_bytes
         if readers[1:]:
             tell(*overlap_warnings(readers))
-        tell(*plan.warnings, *request_warnings(options, reader.summary))
+        tell(*plan.warnings, *request_warnings(options, reader.summary, reader.connections))
         with _writing(target, inputs, output, report) as writer:
             span = span_of(reader, options)
             refuse_no_messages(reader, plan.converted, span.start_ns, span.stop_ns)

@@ -92,9 +92,10 @@ _WIDE, _FIRST_RING, _WIDER = 2.0, 5.0, 0.01
 _CLEAR = 2.5
 
 #: The floor is as far from a sensor as its transform says that it is high, but for this share. Only a level plane with
-#: a larger share of a cloud, seen from nearer than so many times its distance, contradicts that.
+#: a larger share of a cloud, seen from nearer than so many times its distance, and not by one ring, whose elevations
+#: differ by less (sine), contradicts that.
 NEAR_MOUNT = 0.3
-_LARGE_FLOOR, _SEEN_FROM = 0.1, 8.0
+_LARGE_FLOOR, _SEEN_FROM, _RING = 0.1, 8.0, 0.03
 
 #: How many clouds of a topic are judged if the first one has no level floor, how many points of each are sampled, and
 #: with how many a cloud is not judged.
@@ -188,7 +189,8 @@ class CloudSample:
     @cached_property
     def ground(self) -> Ground:
         """How the frame in which it is judged is mounted, by this cloud alone."""
-        return find_ground(self.points).believed(self.points, self.origin[2])
+        ground = find_ground(self.points)
+        return ground if self.transform is None else ground.believed(self.points, self.origin[2])
 
     @property
     def floor(self) -> Ground | None:
@@ -410,8 +412,11 @@ class Ground(NamedTuple):
     def is_large(self, points: _Points) -> bool:
         """Return whether it is so large, and seen from so near, that it contradicts what is recorded."""
         on_it = np.abs(points @ np.array(self.normal) + self.height) < tolerances(points)
+        if on_it.mean() <= _LARGE_FLOOR:
+            return False
         near = np.linalg.norm(points[on_it], axis=1)
-        return bool(on_it.mean() > _LARGE_FLOOR and percentiles(near, 10)[0] < _SEEN_FROM * self.height)
+        low, high = percentiles(points[on_it, 2] / near, 10, 90)
+        return percentiles(near, 10)[0] < _SEEN_FROM * self.height and high - low > _RING
 
 
 def common_ground(looks: Sequence[Ground]) -> Ground:

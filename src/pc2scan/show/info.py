@@ -282,7 +282,7 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
                 continue
             # Where the robot moves in the frame of these points, its own body is not at one place.
             parts, has_zeros = [(each.stamp_ns, each.points) for each in placed if is_own], bool(cloud.zero_share)
-            of_robot = recorded, surveyed.knows_end, surveyed.clocks.get(topic), surveyed.ups
+            of_robot = recorded, reader.connections, surveyed.knows_end, surveyed.clocks.get(topic), surveyed.ups
             lidars.append(Lidar(surveyed.facts[topic], mounting, surveyed.buffer, parts, has_zeros, *of_robot))
         if not any(topic.msgtype in {*CLOUDS, *SCANS} for topic in topics) and (
             instead := instead_of_clouds(reader.connections)

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from pc2scan.advice.survey import TopicFacts
     from pc2scan.core.rigid import Rigid
     from pc2scan.core.rule import PointCounts
-    from pc2scan.model import RawMessage, Summary
+    from pc2scan.model import Connection, RawMessage, Summary
     from pc2scan.request.options import ScanSpec
     from pc2scan.transforms.attitude import UpEstimate
     from pc2scan.transforms.buffer import TransformBuffer
@@ -159,8 +159,8 @@ class Lidar:
         judged; registered ones in their own.
     has_zeros
         Whether points at (0, 0, 0) stand for no return.
-    recorded
-        The recording's extent.
+    recorded, connections
+        The recording's extent, and its connections.
     knows_end
         Whether all transforms at its end are known.
     clock
@@ -177,6 +177,7 @@ class Lidar:
     clouds: Sequence[tuple[int, NDArray[np.floating[Any]]]]
     has_zeros: bool
     recorded: Summary
+    connections: Sequence[Connection]
     knows_end: bool
     clock: ClockFinding | None
     ups: Mapping[str, UpEstimate]
@@ -439,7 +440,7 @@ def tried(options: Mapping[str, Any], lidar: Lidar) -> Trial:
     given = {name: value for name, value in options.items() if name != "destination"}
     try:
         request = conversion_of(Options("convert", given))
-        spec, findings = request.scan, request_warnings(request, lidar.recorded)
+        spec, findings = request.scan, request_warnings(request, lidar.recorded, lidar.connections)
         is_placed = bool(lidar.mounting.static_tf) or lidar.is_registered
         clouds, merges = lidar.tried_clouds(_CLOUDS, _POINTS, is_placed=is_placed, is_level=spec.level)
         placer = _placer(spec, lidar, "" if is_placed else spec.params.target_frame)

@@ -329,7 +329,8 @@ def _times(group: Sequence[Lidar]) -> Iterator[Choice]:
         yield Choice("every", float(f"{turn:.4g}"), f"a cloud is a part of a turn, which takes {turn:.3g} s")
     if clouds:
         seconds = float(f"{clouds * lidar.period:.3g}")
-        yield Choice("accumulate", f"{seconds:g}s", f"the pattern is sparse: {clouds} clouds fill a scan")
+        stands = "" if lidar.world else ", if the robot stands: nothing says how it moves"
+        yield Choice("accumulate", f"{seconds:g}s", f"the pattern is sparse: {clouds} clouds fill a scan{stands}")
         yield Choice("reduce", "surface", "the nearest of so many returns would be too near by the noise")
     moving = within_scan if gathered else within_cloud
     if deskews and moving is not None:

@@ -446,7 +446,7 @@ class Scans(Stream[Scan]):
         plan = make_plan(reader.connections, options)
         report = Report([str(path) for path in self._paths], "", plan.specs)
         report.source_frame = options.frames.source_frame
-        report.warnings += (*plan.warnings, *request_warnings(options, reader.summary))
+        report.warnings += (*plan.warnings, *request_warnings(options, reader.summary, reader.connections))
         prepared = prepare(
             reader,
             plan,

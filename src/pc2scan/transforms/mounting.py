@@ -191,7 +191,8 @@ def mounting(
         is_unknown = seen.ground.kind == "unknown"
         if is_unknown and transform and (lying := _on_its_side(seen, judged_in, transform, _IDENTITY)):
             return lying
-        heights = suitable_heights(seen.ground, samples, frame=judged_in, origin_z=origin_z)
+        recorded = _recorded_floor(buffer, judged_in, stamp_ns)
+        heights = suitable_heights(seen.ground, samples, frame=judged_in, origin_z=origin_z, recorded=recorded)
         return seen._replace(fault=fault, heights=heights)
     if buffer is not None and (by_transforms := _by_transforms(seen, buffer, stamp_ns)):
         return by_transforms
@@ -245,12 +246,14 @@ def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int) -> Mo
     if body_ground.off:
         # The frame itself is level and its transform tilts it, so the transform is wrong.
         return _corrected(seen, name, body_from_frame, body_ground, turn) if ground.off else None
-    if body_ground.kind == "unknown" and ground.kind == "slanted":
+    tilt = _tilt(body_from_frame)
+    # A transform that tilts the frame says why it is slanted.
+    if body_ground.kind == "unknown" and ground.kind == "slanted" and tilt <= LEVEL:
         return None
     if body_ground.kind == ground.kind == "unknown" and (lying := _on_its_side(seen, name, body_from_frame, turn)):
         return lying
-    heights = suitable_heights(body_ground, samples, frame=name, origin_z=height)
-    tilt = _tilt(body_from_frame)
+    recorded = _recorded_floor(buffer, name, stamp_ns)
+    heights = suitable_heights(body_ground, samples, frame=name, origin_z=height, recorded=recorded)
     fault = _fault(ground)
     if not fault and tilt > _NOTABLE_TILT:
         if ground.kind == "level" and tilt < math.pi - _NOTABLE_TILT:
@@ -323,6 +326,14 @@ def _body(buffer: TransformBuffer, frame: str, stamp_ns: int) -> tuple[str, Rigi
     return None
 
 
+def _recorded_floor(buffer: TransformBuffer | None, frame: str, stamp_ns: int) -> float:
+    """Return how high base_footprint, which is on the floor, is in a frame of the robot; 0 if it is not known."""
+    if buffer is None or "base_footprint" not in buffer.frames:
+        return 0.0
+    moved = _lookup(buffer, frame, "base_footprint", stamp_ns)
+    return 0.0 if moved is None else _height(moved)
+
+
 def _tilt(rigid: Rigid) -> float:
     """Return the angle between the z axes of two frames, radians."""
     return math.acos(max(-1.0, min(1.0, float(rigid.matrix[2, 2]))))
@@ -380,6 +391,7 @@ def suitable_heights(
     *,
     frame: str = "",
     origin_z: float = 0.0,
+    recorded: float = 0.0,
 ) -> Heights | None:
     """Return heights that suit scans: above the floor, below the ceiling, and at obstacles of a robot.
 
@@ -392,10 +404,11 @@ def suitable_heights(
     target_from_frame
         The transform to the frame of the heights; None for the samples' frame.
     frame
-        The robot's frame, if the recording says where the sensor is in it: its z = 0 is the floor, unless the clouds
-        show another one.
+        The robot's frame, if the recording says where the sensor is in it.
     origin_z
         The height of the sensor in the samples' frame.
+    recorded
+        The floor in the robot's frame by the recording, unless the clouds show another one.
 
     Notes
     -----
@@ -413,16 +426,18 @@ def suitable_heights(
     floor = ceiling = None
     question, least = "", _LOW
     if ground.height:
-        floor = _along(ground.normal, -ground.height, moved)
+        floor = float(moved.apply(np.array([ground.normal]) * -ground.height)[0, 2])
         least = min(_ROUGHEST, max(_LOW, 1.5 * ground.rough))
     if ground.ceiling is not None:
         ceiling = sensor + ground.ceiling
-    if frame and sensor > _ONE_FLOOR:
-        if floor is not None and abs(floor) > _ONE_FLOOR + 0.03 * sensor and ground.is_large(every):
-            side = "above" if floor < 0 else "below"
-            question = f"{frame} is {abs(floor):.2f} m {side} the floor that the clouds show: is its z = 0 the floor?"
+    if frame and sensor > recorded + _ONE_FLOOR:
+        off = 0.0 if floor is None else recorded - floor
+        if floor is not None and abs(off) > _ONE_FLOOR + 0.03 * (sensor - recorded) and ground.is_large(every):
+            side = "above" if off > 0 else "below"
+            name, at = (frame, "its z = 0") if not recorded else ("base_footprint", "it")
+            question = f"{name} is {abs(off):.2f} m {side} the floor that the clouds show: is {at} the floor?"
         else:
-            floor = 0.0
+            floor = recorded
     top = math.inf if ceiling is None else ceiling - _BELOW_CEILING
     if floor is None:
         return _around(z, sensor, top)
@@ -470,11 +485,6 @@ def sensor_exclusion(frame: str, target: str) -> tuple[str, str]:
     if target.removeprefix("/") in {"", frame.removeprefix("/")}:
         return "range_min", "0.1"
     return "exclude_box", f"{frame} -0.05 0.05 -0.05 0.05 -0.05 0.05"
-
-
-def _along(up: tuple[float, float, float], distance: float, moved: Rigid) -> float:
-    """Return the height of a point that is this far above the sensor."""
-    return float(moved.apply(np.array([up]) * distance)[0, 2])
 
 
 def _round_down(value: float) -> float:

@@ -18,7 +18,7 @@ from . import clouds, request
 from .request import OutputRequest
 
 if TYPE_CHECKING:
-    from pc2scan.model import Summary
+    from pc2scan.model import Connection, Summary
     from pc2scan.request.options import Request
 
     from .clouds import CloudFacts
@@ -62,7 +62,7 @@ def found_by(checks: Checks[Facts], facts: Facts, label: str = "") -> list[str]:
     return [label + text for check in checks for text in check(facts)]
 
 
-def request_warnings(options: Request, recorded: Summary) -> list[str]:
+def request_warnings(options: Request, recorded: Summary, connections: Sequence[Connection]) -> list[str]:
     """Return the warnings about a request, of each output, and about the recording's extent."""
     warnings: list[str] = []
     for spec in options.scans:
@@ -70,7 +70,7 @@ def request_warnings(options: Request, recorded: Summary) -> list[str]:
         chosen = {each.name for part, each in attributes if getattr(part, each.name) != each.default}
         chosen |= {name for name, origin in spec.origins.items() if origin != "default"}
         checks = tuple(check for check, names in REQUEST.items() if names & chosen)
-        warnings += found_by(checks, OutputRequest(options, spec), spec.label)
+        warnings += found_by(checks, OutputRequest(options, spec, connections), spec.label)
     if options.start or options.end:
         warnings += request.cut_in_another_unit(options, recorded)
     return [*warnings, *request.log_times_of_centuries(recorded)]

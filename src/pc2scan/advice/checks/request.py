@@ -8,14 +8,15 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
+from pc2scan.advice.clocks import moving
 from pc2scan.errors import name_list
 from pc2scan.request.parameters import is_given
 from pc2scan.text import stamp
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
-    from pc2scan.model import Summary
+    from pc2scan.model import Connection, Summary
     from pc2scan.request.options import Request, ScanSpec
 
 #: An angle_increment of this many radians (11 degrees) or more is nearly always meant in degrees.
@@ -36,10 +37,11 @@ _CENTURY_NS = 100 * 365 * 86_400 * 1_000_000_000
 
 
 class OutputRequest(NamedTuple):
-    """The request of one output: all options, and its own."""
+    """The request of one output: all options, and its own; and the recording's connections."""
 
     options: Request
     spec: ScanSpec
+    connections: Sequence[Connection]
 
     @property
     def given(self) -> set[str]:
@@ -67,13 +69,14 @@ def unused_transforms(request: OutputRequest) -> Iterator[str]:
 
 
 def accumulated_without_motion(request: OutputRequest) -> Iterator[str]:
-    """Yield a warning if clouds are accumulated without regard to the robot's motion."""
+    """Yield a warning if clouds are accumulated without regard to the robot's motion, which is recorded."""
     combining = request.spec.combining
     if (
         combining.accumulates
         and combining.count != 1
         and not request.spec.fixed_frame
         and not 0 < combining.every_ns < _TURN_NS
+        and moving(request.connections, request.options.frames.tf_topics)
     ):
         yield (
             "`accumulate` and `every` without `fixed_frame` combine messages as if the robot had not moved; "
