@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from messages.twins import CODES, SEPARATOR, Twin, check_both_ways, of_kind, ros1, ros2
 from pc2scan.errors import DecodeError
-from pc2scan.messages import schema
+from pc2scan.messages import transcode
 from pc2scan.messages.transcode import transcoder
 from pc2scan.model import Connection, ros1_type
 from support import sampled
@@ -28,15 +28,15 @@ TABLES = Path(__file__).with_name("damaged.txt")
 
 @cache
 def common_types() -> list[str]:
-    noetic, jazzy = schema.known_types(1), schema.known_types(2)
-    return sorted(name for name in noetic if schema.same_layout(noetic, jazzy, name) and name in jazzy)
+    noetic, jazzy = transcode.known_types(1), transcode.known_types(2)
+    return sorted(name for name in noetic if transcode.same_layout(noetic, jazzy, name) and name in jazzy)
 
 
 @pytest.mark.parametrize("name", sampled(common_types(), 14))
 def test_common_types_go_there_and_back(name: str) -> None:
     from rosbags.typesys import Stores, get_typestore
 
-    structs = schema.known_types(1)
+    structs = transcode.known_types(1)
     connection = Connection(1, "/topic", ros1_type(name), "ros1")
     for seed in range(5):
         check_both_ways(connection, name, structs, seed)
@@ -120,7 +120,7 @@ def ros1_definitions(draw: st.DrawFn) -> str:
 @given(text=ros1_definitions(), seed=st.integers(0, 1 << 32))
 def test_any_type_goes_there_and_back(text: str, seed: int) -> None:
     connection = ros1(text)
-    structs = schema.known_types(1) | schema.parse(connection.definition, connection.msgtype)
+    structs = transcode.known_types(1) | transcode.parse(connection.definition, connection.msgtype)
     check_both_ways(connection, "pkg/msg/Type", structs, seed)
 
 

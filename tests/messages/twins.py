@@ -6,7 +6,7 @@ import random
 import struct
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.messages import schema
+from pc2scan.messages import transcode
 from pc2scan.messages.transcode import transcoder
 from pc2scan.model import Connection, Definition
 
@@ -80,11 +80,11 @@ class Twin:
             self.primitive(CODES[word], low + self.random.getrandbits(bits))
 
     def message(self, name: str) -> None:
-        if name in schema.BUILTIN:
+        if name in transcode.BUILTIN:
             self.primitive("i", self.random.getrandbits(31))
             self.primitive("I", self.random.randrange(1_000_000_000))
             return
-        if name == schema.HEADER:
+        if name == transcode.HEADER:
             self.ros1 += struct.pack("<I", self.random.getrandbits(32))
             self.ros1_unnumbered += bytes(4)
         fields = self.structs[name][1]

@@ -18,7 +18,7 @@ from pc2scan.bags.opening import open_recording
 from pc2scan.bags.topics import by_topic
 from pc2scan.errors import DecodeError, RecordingError, TopicError, UsageError, name_list
 from pc2scan.files.urls import fetched
-from pc2scan.messages.schema import canonical_type
+from pc2scan.messages.transcode import canonical_type
 from pc2scan.messages.wire import Cursor
 from pc2scan.progress import Meter
 from pc2scan.text import did_you_mean
