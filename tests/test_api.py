@@ -79,20 +79,21 @@ def test_the_words_are_those_of_the_command_line(tmp_path: Path) -> None:
         target_frame="map",
     )
     assert (tmp_path / "called.mcap").read_bytes() == (tmp_path / "typed.mcap").read_bytes()
-    assert (report.exit_status, report.origins["min_height"]) == (0, "the call")
+    assert (report.exit_status, report.scans[0].origins["min_height"]) == (0, "the call")
 
 
 def test_a_file_of_parameters_is_beaten_by_keywords(tmp_path: Path) -> None:
     file = tmp_path / "params.yaml"
     file.write_text("min_height: -0.5\nrange_max: 20.0\n", "utf-8")
     report = pc2scan.convert(HALL, tmp_path / "a.bag", params_file=str(file), preset="nav2", range_max=np.float32(15))
-    assert (report.params.min_height, report.params.range_max, report.params.range_min) == (-0.5, 15.0, 0.1)
+    params = report.scans[0].params
+    assert (params.min_height, params.range_max, params.range_min) == (-0.5, 15.0, 0.1)
     params = pc2scan.ProjectionParams.from_file(file, min_height=-0.25)
     assert (params.min_height, params.range_max) == (-0.25, 20.0)
     with pytest.raises(UsageError, match="`preset` has no effect with `params`, which has all parameters"):
         pc2scan.convert(HALL, tmp_path / "b.bag", params=params, preset="nav2")
     report = pc2scan.convert(HALL, tmp_path / "b.bag", params=params, max_height=3)
-    assert (report.params.min_height, report.params.max_height) == (-0.25, 3.0)
+    assert (report.scans[0].params.min_height, report.scans[0].params.max_height) == (-0.25, 3.0)
     with pytest.raises(Pc2ScanError, match="does not exist"):
         pc2scan.ProjectionParams.from_file(tmp_path / "none.yaml")
 

@@ -277,9 +277,7 @@ def tell_early(warnings: list[str], warn: Callable[[str], None] | None, *texts: 
                 warn(text)
 
 
-def skipped_remarks(
-    skipped: Sequence[Skipped], total: int, *, targets: bool = False, verbose: bool = False
-) -> Iterator[Remark]:
+def skipped_remarks(skipped: Sequence[Skipped], total: int, *, verbose: bool = False) -> Iterator[Remark]:
     """Yield the reasons for which messages were skipped, with a hint for the one that is farthest from any transform.
 
     Parameters
@@ -288,24 +286,21 @@ def skipped_remarks(
         The messages that are listed.
     total
         How many messages were skipped.
-    targets
-        Whether to name the topics of the destination.
     verbose
         Whether to yield all reasons.
     """
-    reasons: dict[tuple[str, str, tuple[str, ...]], list[Skipped]] = {}
+    reasons: dict[tuple[str, str], list[Skipped]] = {}
     for entry in skipped:
-        reasons.setdefault((entry.topic, entry.reason, entry.targets), []).append(entry)
+        reasons.setdefault((entry.topic, entry.reason), []).append(entry)
     shown = 0
-    for (topic, reason, missing), entries in list(reasons.items())[: None if verbose else SHOWN]:
+    for (topic, reason), entries in list(reasons.items())[: None if verbose else SHOWN]:
         first, count = entries[0], sum(entry.messages for entry in entries)
         more = f" and {count - 1:,} more" if count > 1 else ""
         is_one = first.stamp_ns is not None or first.log_time_ns is not None
         of = first.message + more if is_one else f"{count:,} of {topic}"
-        to = f" (for {', '.join(missing)})" if targets and missing else ""
-        yield Remark("skipped", f"{of}{to}: {reason}")
+        yield Remark("skipped", f"{of}: {reason}")
         # A message counts once for each output that lacks it, like in the counts of the topics.
-        shown += count * max(1, len(missing))
+        shown += sum(entry.messages * max(1, len(entry.targets)) for entry in entries)
     if total > shown:
         yield Remark("skipped", f"{total - shown:,} more")
     # What helps the farthest helps the others, too.

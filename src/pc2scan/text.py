@@ -147,8 +147,8 @@ _MAX_CELL = 255
 #: The space between columns, and the smaller one for tables that do not fit otherwise.
 _GAP, _NARROW_GAP = 3, 2
 
-#: The smallest width of a column of wrapped text is that of its longest word, but at most this.
-_NARROWEST, _LONGEST_WORD = 12, 24
+#: The smallest width of a column of wrapped text.
+_NARROWEST = 15
 
 _NOTHING = frozenset({"", "-"})
 
@@ -165,21 +165,6 @@ class Table(NamedTuple):
         rows = ([visible(cell, _MAX_CELL, ascii_only=ascii_only) for cell in row] for row in self.rows)
         safe = ([leading(cell) for cell in row[:1]] + row[1:] for row in rows)
         return fitted([self.columns, *safe], self.left, width)
-
-
-def csv_cell(text: str) -> str:
-    r"""Return text as a cell of a CSV file: visible, in quotes if necessary, and never a formula.
-
-    Spreadsheets compute a cell that begins with ``=``, ``+``, ``-`` or ``@``, and names come from untrusted recordings.
-    No frame or topic of ROS begins with one of these, so the character is escaped like a control character.
-
-    >>> print(csv_cell("base_link"), csv_cell("a,b"), csv_cell("=cmd|' /C calc'!A0"))
-    base_link "a,b" \x3dcmd|' /C calc'!A0
-    """
-    if text[:1] in ("=", "+", "-", "@"):
-        text = f"\\x{ord(text[0]):02x}{text[1:]}"
-    text = visible(text, None)
-    return '"' + text.replace('"', '""') + '"' if "," in text or '"' in text else text
 
 
 def fitted(cells: Sequence[Sequence[str]], left: Collection[str], width: int | None) -> Iterator[str]:
@@ -207,8 +192,7 @@ def fitted(cells: Sequence[Sequence[str]], left: Collection[str], width: int | N
         kept = [i for i in kept if i == 0 or not rows or any(row[i] not in _NOTHING for row in rows)]
         gap = _GAP if needed() <= width else _NARROW_GAP
         texts = [i for i in kept if headings[i] in left]
-        least = {i: max(_NARROWEST, *(_longest_word(line[i]) for line in cells)) for i in texts}
-        while needed() > width and (wide := [i for i in texts if widths[i] > least[i]]):
+        while needed() > width and (wide := [i for i in texts if widths[i] > _NARROWEST]):
             # Narrow the widest column by one at a time, so that all columns share the space.
             widths[max(wide, key=widths.__getitem__)] -= 1
         while needed() > width and len(kept) > 1:
@@ -228,11 +212,6 @@ def fitted(cells: Sequence[Sequence[str]], left: Collection[str], width: int | N
             yield "-" * needed()
     if dropped:
         yield f"(no room for: {', '.join(dropped)})"
-
-
-def _longest_word(text: str) -> int:
-    words = text.split() if " " in text else text.replace("/", "/ ").split()
-    return min(_LONGEST_WORD, max(map(len, words), default=0))
 
 
 def _broken(text: str, width: int) -> list[str]:

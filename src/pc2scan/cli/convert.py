@@ -55,7 +55,7 @@ def _say_next(report: Report, options: Options) -> None:
     entry, specs = FORMATS[report.container], [topic.spec for topic in report.converted if not report.all_empty]
     # Also where there is no player: none reads URLs, and none of ROS 1 reads MCAP.
     command = f"pc2scan info {quoted}"
-    if specs and (consumer := next(filter(None, map(preset_of, report.origins.values())), "")):
+    if specs and (consumer := next(filter(None, map(preset_of, report.scans[0].origins.values())), "")):
         command = f"pc2scan check {quoted} --for {consumer}"
     elif any(spec is not None and not spec.reverse for spec in specs):
         command = f"pc2scan check {quoted}"

@@ -16,10 +16,9 @@ from pc2scan.result import Part, Remark, Result, Skipped, skipped_remarks
 from pc2scan.text import Table, count, counted, duration, size
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
     from pc2scan.bags.damage import Damage
-    from pc2scan.core.params import ProjectionParams
     from pc2scan.errors import Pc2ScanError
     from pc2scan.request.options import ScanSpec
 
@@ -250,16 +249,6 @@ class Report(Result):
     seconds: float = 0.0
 
     @property
-    def params(self) -> ProjectionParams:
-        """The projection's parameters of the first output."""
-        return self.scans[0].params
-
-    @property
-    def origins(self) -> Mapping[str, str]:
-        """The origin of each parameter of the first output, by name; ``default`` if it was not given."""
-        return self.scans[0].origins
-
-    @property
     def converted(self) -> list[TopicReport]:
         """The topics whose messages became others."""
         return [topic for topic in self.topics if topic.action == "converted"]
@@ -372,7 +361,7 @@ class Report(Result):
         """Yield skipped messages, damage and what was recovered, and warnings."""
         # Topics that are skipped completely are not counted here: they have their own warning.
         single = sum(topic.skipped for topic in self.topics if topic.action != "skipped")
-        yield from skipped_remarks(self.skipped, single, targets=len(self.scans) > 1, verbose=verbose)
+        yield from skipped_remarks(self.skipped, single, verbose=verbose)
         yield from self.usual_remarks(self._recovered() if self.damage else "", verbose=verbose)
 
     def _recovered(self) -> str:

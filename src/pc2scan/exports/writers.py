@@ -18,8 +18,8 @@ import numpy as np
 
 from pc2scan.advice.odometry import odometry_of
 from pc2scan.core.rigid import IDENTITY_POSE
-from pc2scan.errors import TransformError, UnwritableError, UsageError, name_list, stamp_text
-from pc2scan.text import csv_cell, did_you_mean
+from pc2scan.errors import TransformError, UnwritableError, UsageError, name_list, stamp_text, visible
+from pc2scan.text import did_you_mean
 from pc2scan.transforms.frames import BODIES
 
 if TYPE_CHECKING:
@@ -132,6 +132,21 @@ def lines_file(path: Path) -> IO[str]:
     return path.open("x", encoding="utf-8", errors="surrogateescape", newline="\n")
 
 
+def _csv_cell(text: str) -> str:
+    r"""Return text as a cell of a CSV file: visible, in quotes if necessary, and never a formula.
+
+    Spreadsheets compute a cell that begins with ``=``, ``+``, ``-`` or ``@``, and names come from untrusted recordings.
+    No frame or topic of ROS begins with one of these, so the character is escaped like a control character.
+
+    >>> print(_csv_cell("base_link"), _csv_cell("a,b"), _csv_cell("=cmd|' /C calc'!A0"))
+    base_link "a,b" \x3dcmd|' /C calc'!A0
+    """
+    if text[:1] in ("=", "+", "-", "@"):
+        text = f"\\x{ord(text[0]):02x}{text[1:]}"
+    text = visible(text, None)
+    return '"' + text.replace('"', '""') + '"' if "," in text or '"' in text else text
+
+
 def _texts(values: ArrayLike) -> list[str]:
     """Return the shortest texts that float32 reads back as these values: ``nan``, ``inf``, ``1.5707964``."""
     return list(map(str, np.atleast_1d(np.asarray(values, np.float32))))
@@ -179,7 +194,7 @@ def write_csv(path: Path) -> Iterator[Write]:
                 names += [f"range_{i}" for i in beams] + [f"intensity_{i}" for i in beams if _has_intensities(scan)]
                 file.write(",".join(names) + "\n")
             _refuse_other_beams(scan, first, "a CSV file", angles=False)
-            row = [str(scan.stamp_ns), str(scan.log_time_ns), csv_cell(scan.frame)]
+            row = [str(scan.stamp_ns), str(scan.log_time_ns), _csv_cell(scan.frame)]
             row += map(repr, _planar(posed.robot) if posed else ())
             row += _texts([getattr(scan, name) for name in _GEOMETRY]) + _texts(scan.ranges)
             row += _texts(scan.intensities) if _has_intensities(scan) else ()

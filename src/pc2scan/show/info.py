@@ -270,7 +270,7 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
         survey = Survey(reader, open_recordings(frames.tf_from, stack), frames, Span(None, None, start_ns or 0))
         shown = _described(topics, options.topics, types_by_topic(reader.connections))
         sampled, of_scans = _sampled(survey, shown, samples, start_ns, end_ns)
-        surveyed = _Surveyed(survey, topics, shown, end_ns, options.target_frame)
+        surveyed = _Surveyed(survey, shown, end_ns, options.target_frame)
         warnings = [*log_times_of_centuries(reader.summary), *surveyed.warnings]
         clouds: list[CloudInfo] = []
         lidars: list[Lidar] = []
@@ -345,8 +345,8 @@ class _Surveyed:
     ----------
     survey
         The survey, which is read here.
-    topics, shown
-        All topics, and those to describe.
+    shown
+        The topics to describe.
     end_ns
         The end of the recording; None without messages.
     target_frame
@@ -370,14 +370,7 @@ class _Surveyed:
         Whether all transforms at the end of the recording are known.
     """
 
-    def __init__(
-        self,
-        survey: Survey,
-        topics: Sequence[TopicInfo],
-        shown: Sequence[TopicInfo],
-        end_ns: int | None,
-        target_frame: str,
-    ) -> None:
+    def __init__(self, survey: Survey, shown: Sequence[TopicInfo], end_ns: int | None, target_frame: str) -> None:
         moved = bool(target_frame)
         names = {topic.topic for topic in shown}
         connections = [each for each in survey.reader.connections if each.topic in names]
@@ -390,8 +383,8 @@ class _Surveyed:
         for facts in clouds.values():
             ask_facts(facts, end_ns)
         clocks = Clocks(survey, clouds.values())
-        imus = [each.topic for each in topics if clouds and each.msgtype == IMU and each.messages]
-        readings = {topic: survey.imu(topic, _MAX_IMU) for topic in imus}
+        imus = {each.topic for each in survey.reader.connections if clouds and each.ros_type == IMU}
+        readings = {topic: survey.imu(topic, _MAX_IMU) for topic in sorted(imus)}
         if moved or survey.others or survey.frames.adds_poses:
             survey.ask_transforms((target_frame,))
         elif any(each.ros_type in CLOUDS for each in survey.reader.connections):

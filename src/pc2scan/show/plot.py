@@ -30,10 +30,8 @@ if TYPE_CHECKING:
 
     from .shots import Shot, Shots
 
-#: The formats of figures, by the suffix of the file.
-FORMATS = ("png", "svg", "pdf")
-#: What matplotlib writes into a file that differs each time.
-_METADATA = {"png": ("Software",), "svg": ("Date", "Creator"), "pdf": ("CreationDate", "Creator", "Producer")}
+#: The formats of figures, by the suffix of the file, and what matplotlib writes into them that differs each time.
+_FORMATS = {"png": ("Software",), "svg": ("Date", "Creator"), "pdf": ("CreationDate", "Creator", "Producer")}
 
 #: Maximum number of columns of a figure; more are too small to read.
 _MOST_CLOUDS = 24
@@ -66,9 +64,9 @@ def plot(sources: Sequence[Path], destination: Path, options: Options, *, warn: 
     """Draw clouds; see `pc2scan.plot`."""
     request = first_output(conversion_of(options, warn), "shown", warn)
     kind = destination.suffix.lower().removeprefix(".")
-    if kind not in FORMATS:
+    if kind not in _FORMATS:
         suffix = f"'.{kind}'" if kind else "no suffix"
-        text = f"has {suffix}, a figure is one of .{', .'.join(FORMATS)}"
+        text = f"has {suffix}, a figure is one of .{', .'.join(_FORMATS)}"
         raise UsageError(text, path=destination, hint=f"such as `destination={shlex.quote(destination.stem)}.png`")
     refuse_overlap(inputs_of(sources, options.tf_from, request.files), [destination])
     with (
@@ -109,7 +107,7 @@ def _figure(taken: Shots, title: str, kind: str) -> bytes:
         style: dict[str, Any] = {"loc": "outside lower center", "fontsize": 8, "frameon": False, "markerscale": 3}
         figure.legend(list(named.values()), list(named), ncols=4 if columns > 1 else 2, **style)
         file = io.BytesIO()
-        figure.savefig(file, format=kind, metadata=dict.fromkeys(_METADATA[kind]))
+        figure.savefig(file, format=kind, metadata=dict.fromkeys(_FORMATS[kind]))
     return file.getvalue()
 
 

@@ -23,7 +23,7 @@ from pc2scan.core.consumers import (
 from pc2scan.core.layout import TURN
 from pc2scan.core.percentiles import median
 from pc2scan.core.timing import IN_SECONDS, increment_doubt
-from pc2scan.errors import DecodeError, TransformError, leading, stamp_text
+from pc2scan.errors import DecodeError, TransformError, leading, name_list, stamp_text
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.laserscan import scan_for_consumers
 from pc2scan.text import agreeing, counted
@@ -74,9 +74,6 @@ _FEWEST_RETURNS = 4
 
 #: What to do about stamps that are out of order.
 _BACK = "SLAM mixes such scans up; pc2scan convert `stamps=log` takes the log times, with `rebin` for a 2D lidar"
-
-#: How many frames are shown as text.
-_MAX_SHOWN = 5
 
 #: What is counted scan by scan: a verb that agrees with the count, the problem, and what the user can do.
 _EACH_SCAN: dict[str, tuple[str, str, str]] = {
@@ -213,7 +210,7 @@ class TopicCheck:
         if scan is None:
             yield f"{leading(self.topic)}: no scans"
         else:
-            frames = ", ".join(map(repr, self.frames[:_MAX_SHOWN])) + (", ..." if self.frames[_MAX_SHOWN:] else "")
+            frames = name_list(list(map(repr, self.frames)), 5)
             rate = "" if self.interval_ns is None else f", {1e9 / self.interval_ns:.2f} Hz"
             beams = f"{count_range(*self.beams)} beams"
             yield f"{leading(self.topic)}: {counted(self.scans, 'scan')} of {beams}{rate}, in frame {frames}"

@@ -476,7 +476,7 @@ def _scans_page(recording: Opened, blobs: dict[str, bytes]) -> tuple[dict[str, A
     warnings = [f"Not shown: {counted(len(failed), 'scan')}; {failed[0]}."] if failed else []
     checked = check(recording.sources, Options("check", {**options.among(options_of("check")), "topics": names}))
     description = {"kind": "scans", "notes": [], "warnings": warnings, "moments": moments}
-    return description | {"findings": _findings(checked)}, damage_of(reader, *others)
+    return description | {"findings": list(_findings(checked))}, damage_of(reader, *others)
 
 
 def _pose(buffer: TransformBuffer, target: str, source: str, stamp_ns: int) -> list[float] | None:
@@ -509,19 +509,13 @@ def _layer(name: str, colour: int, scan: LaserScan, blobs: dict[str, bytes], pos
     }
 
 
-def _findings(checked: Check) -> list[dict[str, Any]]:
-    """Return the results of `pc2scan check` for each topic."""
-    sections = []
+def _findings(checked: Check) -> Iterator[dict[str, Any]]:
+    """Yield the results of `pc2scan check` for each topic."""
     for topic in checked.topics:
-        lines = [
-            {"text": f"{consumer.consumer}: {consumer.outcome}", "wrong": consumer.outcome != "accepted"}
-            for consumer in topic.consumers
-        ]
-        lines += [
-            {"text": f"{entry.level}: {entry.text}", "wrong": entry.level == "defect"} for entry in topic.findings
-        ]
-        sections.append({"heading": f"pc2scan check: {topic.topic}", "lines": lines})
-    return sections
+        told = [(f"{each.consumer}: {each.outcome}", each.outcome != "accepted") for each in topic.consumers]
+        told += [(f"{each.level}: {each.text}", each.level == "defect") for each in topic.findings]
+        lines = [{"text": text, "wrong": is_wrong} for text, is_wrong in told]
+        yield {"heading": f"pc2scan check: {topic.topic}", "lines": lines}
 
 
 def _finite(value: float, largest: float = 0.0) -> float:
