@@ -20,7 +20,7 @@ from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.rule import PointCounts
 from pc2scan.core.scene import CloudSample
-from pc2scan.model import Summary
+from pc2scan.model import Connection, Summary
 from pc2scan.options.call import Options
 from pc2scan.request.options import ScanSpec
 from pc2scan.requests import conversion_of
@@ -56,15 +56,16 @@ def named(group: Iterable[Any], *facts: Any) -> dict[str, list[str]]:
 
 #: A recording without messages.
 RECORDED = Summary("mcap", "", (), 0, 0, None, None)
+MOVING = (Connection(0, "/tf", "tf2_msgs/msg/TFMessage", "cdr"),)
 
 
 @pytest.mark.parametrize(("options", "name", "text"), rows(TABLE, "request"))
 def test_a_check_of_the_request(options: dict[str, Any], name: str, text: str) -> None:
     request = conversion_of(Options("convert", options))
-    found = named(checks.REQUEST, OutputRequest(request, request.scan))
+    found = named(checks.REQUEST, OutputRequest(request, request.scan, MOVING))
     assert list(found) == [name]
     assert found[name][0].startswith(text)
-    assert checks.request_warnings(request, RECORDED) == found[name]
+    assert checks.request_warnings(request, RECORDED, MOVING) == found[name]
 
 
 @pytest.mark.parametrize(("roll", "options", "used", "name", "text"), rows(TABLE, "clouds"))
