@@ -8,7 +8,6 @@ from __future__ import annotations
 import bz2
 import zlib
 from contextlib import suppress
-from functools import partial
 from importlib import import_module
 from typing import IO, TYPE_CHECKING, Any
 
@@ -72,10 +71,7 @@ def decompress(compression: str, data: Buffer, out: memoryview) -> None:
     CompressionError
         If the data have another format, are damaged, or have another size decompressed.
     """
-    try:
-        size = _DECOMPRESS[compression](data, out)
-    except zstandard.ZstdError as err:
-        raise CompressionError(str(err)) from err
+    size = _from_zstd(data, out) if compression == "zstd" else _from_cramjam(compression, data, out)
     if size != len(out):
         raise CompressionError("there is more" if size > len(out) else f"it ends after {size} bytes")
 
@@ -156,10 +152,10 @@ def zstd_head(file: IO[bytes], size: int) -> bytes:
         raise CompressionError(str(err)) from err
 
 
-def _from_cramjam(name: str, data: Buffer, out: memoryview) -> int:
+def _from_cramjam(compression: str, data: Buffer, out: memoryview) -> int:
     cramjam = import_module("cramjam")
     try:
-        return int(getattr(cramjam, name).decompress_into(data, out))
+        return int((cramjam.bzip2 if compression == "bz2" else cramjam.lz4).decompress_into(data, out))
     except cramjam.DecompressionError as err:
         # What it says of memory that is too small.
         raise CompressionError(str(err).replace("failed to write whole buffer", "there is more")) from err
@@ -168,9 +164,12 @@ def _from_cramjam(name: str, data: Buffer, out: memoryview) -> int:
 def _from_zstd(data: Buffer, out: memoryview) -> int:
     reader = zstandard.ZstdDecompressor().stream_reader(data)
     done = 0
-    while done < len(out) and (more := reader.readinto(out[done:])):
-        done += more
-    return done + len(reader.read(1))
+    try:
+        while done < len(out) and (more := reader.readinto(out[done:])):
+            done += more
+        return done + len(reader.read(1))
+    except zstandard.ZstdError as err:
+        raise CompressionError(str(err)) from err
 
 
 def _zlib_within(data: Buffer, limit: int) -> Buffer:
@@ -194,12 +193,6 @@ def _zstd_within(data: Buffer, limit: int) -> Buffer:
     except zstandard.ZstdError as err:
         raise CompressionError(str(err)) from err
 
-
-_DECOMPRESS: dict[str, Callable[[Buffer, memoryview], int]] = {
-    "bz2": partial(_from_cramjam, "bzip2"),
-    "lz4": partial(_from_cramjam, "lz4"),
-    "zstd": _from_zstd,
-}
 
 # --- CRC-32 ---
 
