@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,7 @@ import pc2scan
 from pc2scan.advice import checks
 from pc2scan.advice.checks.clouds import CloudFacts, KnownTransforms
 from pc2scan.advice.checks.request import OutputRequest
-from pc2scan.conversion import result_checks as result
+from pc2scan.conversion import checks as result
 from pc2scan.conversion.combine.grouping import Run, SourceCounts
 from pc2scan.conversion.report import Report, TopicReport
 from pc2scan.core.params import ProjectionParams
@@ -122,7 +123,7 @@ def of_topic(spec: ScanSpec, **attributes: Any) -> dict[str, list[str]]:
     known = {"messages_in": 4, "messages_out": 4, "points": PointCounts(100, 40, height=60), "action": "converted"}
     topic = TopicReport("/points", "", "/scan", spec=spec, **{**known, **attributes})
     report = Report([], "", (spec,), topics=[topic])
-    groups = [group for attribute, group in result.TOPIC_CHECKS.items() if getattr(topic, attribute)]
+    groups = [group for attribute, group in result.TOPIC_CHECKS.items() if attrgetter(attribute)(topic)]
     found = named([check for group in groups for check in group], topic, spec, report)
     warnings, notes = result.result_findings(report)
     assert sorted(text for texts in found.values() for text in texts) == sorted(warnings + notes)

@@ -63,7 +63,7 @@ def test_topics_that_share_a_target_become_one_scan() -> None:
     ]
     # A glob may name them.
     made = plan({"/l_1": "cloud", "/l_2": "cloud", "/imu": "imu"}, "/l_*:=/s", **BASE)
-    assert [each.sources for each in made.combined.values()] == [("/l_1", "/l_2")]
+    assert {each.sources for route in made.routes for each in route.outputs} == {("/l_1", "/l_2")}
     with pytest.raises(TopicError, match="both become /c"):
         plan({"/a": "scan", "/b": "scan"}, "/a:=/c /b:=/c", reverse=True)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -25,20 +26,15 @@ class Recorded:
 
 def publisher(topic: str = "/tf", text: str = "string data\n", **changes: Any) -> Connection:
     definition = Definition("ros2msg", text.encode()) if text else Definition()
-    known: dict[str, Any] = {
-        "id": 1,
-        "topic": topic,
-        "msgtype": "a/msg/B",
-        "serialization": "cdr",
-        "definition": definition,
-    }
-    return Connection(**(known | changes))
+    known: dict[str, Any] = {"id": 1, "msgtype": "a/msg/B", "serialization": "cdr", "definition": definition}
+    return Connection(topic=topic, **(known | changes))
 
 
 def declared(*connections: Connection, one_a_topic: bool = True) -> tuple[list[int], list[Connection]]:
     writer = Recorded()
-    handles = declare(writer, connections, one_a_topic=one_a_topic)  # type: ignore[arg-type]
-    return handles, writer.connections
+    owners = [SimpleNamespace(handle=-1) for _ in connections]
+    declare(writer, list(zip(connections, zip(owners), strict=True)), one_a_topic=one_a_topic)  # type: ignore[arg-type]
+    return [owner.handle for owner in owners], writer.connections
 
 
 @pytest.mark.parametrize(

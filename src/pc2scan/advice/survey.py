@@ -14,7 +14,7 @@ from pc2scan.bags.observers import Observer, observe
 from pc2scan.bags.topics import by_topic
 from pc2scan.core.layout import TURN
 from pc2scan.core.rigid import Rigid
-from pc2scan.core.scene import PARTS, CloudSample, are_enough
+from pc2scan.core.scene import PARTS, CloudSample, are_enough, far_away
 from pc2scan.errors import TransformError
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.transforms.attitude import ImuReading
@@ -216,7 +216,8 @@ class TopicFacts:
 
     def unit_warning(self) -> str:
         """Return the warning that the clouds are in another unit than metres; empty if they are not."""
-        return next((unit_warning(self.topic, each) for each in self.values(self._samples)), "")
+        distance = next((far_away(each.points) for each in self.values(self._samples)), 0.0)
+        return unit_warning(self.topic, distance) if distance else ""
 
     def _observed(self, fact: Hashable) -> Observer[Any]:
         if fact not in self._observers:

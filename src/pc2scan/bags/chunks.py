@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from abc import abstractmethod
 from bisect import bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -156,6 +156,7 @@ _ROW = np.dtype([(name, "<u8") for name in (*_NUMBERS, "kind", "count")])
 _PACKED = struct.Struct(f"<{len(_NUMBERS) + 2}Q")
 
 
+@dataclass(slots=True, eq=False)
 class Segments:
     """The segments of a file, as a table of numbers: a long recording has 200,000. Each `Segment` is made when needed.
 
@@ -165,12 +166,9 @@ class Segments:
         What segments have in common with many others, compression and connections, in the place that `rows` names.
     """
 
-    __slots__ = ("_numbers", "_packed", "kinds")
-
-    def __init__(self) -> None:
-        self.kinds: list[tuple[str, frozenset[int] | None]] = []
-        self._numbers: dict[tuple[str, frozenset[int] | None], int] = {}
-        self._packed = bytearray()
+    kinds: list[tuple[str, frozenset[int] | None]] = field(default_factory=list)
+    _numbers: dict[tuple[str, frozenset[int] | None], int] = field(default_factory=dict)
+    _packed: bytearray = field(default_factory=bytearray)
 
     @property
     def rows(self) -> NDArray[np.void]:
@@ -207,10 +205,7 @@ class Segments:
 
     def select(self, chosen: Bools) -> Segments:
         """Return the chosen segments; ``chosen`` has the shape (segments,)."""
-        segments = Segments()
-        segments.kinds, segments._numbers = self.kinds, self._numbers
-        segments._packed += self.rows[chosen].view(np.uint8).data
-        return segments
+        return Segments(self.kinds, self._numbers, bytearray(self.rows[chosen].view(np.uint8).data))
 
     def sort(self) -> None:
         """Sort them as they are in the file, which they usually are."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.errors import DamageError, stamp_text
@@ -99,6 +100,7 @@ def mention(damage: Sequence[Damage], err: TopicError) -> None:
         err.hint = f"{err.hint}; {note}" if err.hint else note
 
 
+@dataclass(slots=True, eq=False)
 class DamageLog:
     """The damage that one reader has found so far.
 
@@ -110,10 +112,9 @@ class DamageLog:
         Whether damage is an error.
     """
 
-    def __init__(self, *, strict: bool = False) -> None:
-        self.strict = strict
-        self._found: dict[object, Damage] = {}
-        self._path: Path | None = None
+    strict: bool = False
+    _found: dict[object, Damage] = field(default_factory=dict)
+    _path: Path | None = None
 
     def note(self, error: DamageError, *, key: object = None, **details: Any) -> None:
         """Note damage, or raise it.

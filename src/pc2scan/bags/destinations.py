@@ -35,8 +35,8 @@ class Destination(NamedTuple):
         Of an MCAP file: ``ros1`` or ``ros2``; else empty.
     chunk_compressions
         Compressions that chunks copied from the source may have: the given one, else all of the container.
-    ros_version
-        Of its messages: 1 or 2.
+    ros_version, serialization
+        Of its messages: 1 or 2, ``ros1`` or ``cdr``.
     """
 
     path: Path
@@ -46,6 +46,7 @@ class Destination(NamedTuple):
     profile: str
     chunk_compressions: frozenset[str]
     ros_version: int
+    serialization: str
 
     @property
     def times_ns(self) -> tuple[int, int]:
@@ -62,11 +63,6 @@ class Destination(NamedTuple):
         """Return whether the source has chunks of the same format, so that they can be copied as a whole."""
         entry = FORMATS.get(source.storage or source.container)
         return entry is not None and entry.has_chunks and entry.name == self.file_format.name
-
-    @property
-    def serialization(self) -> str:
-        """The serialisation of its messages: ``ros1`` or ``cdr``."""
-        return "ros1" if self.ros_version == 1 else "cdr"
 
 
 def plan_destination(
@@ -131,6 +127,7 @@ def plan_destination(
         default = entry.profiles[0 if source_ros_version == 1 else 1]
         profile = _one_of("profile", profile or default, entry.profiles, path)
     files = FORMATS[storage] if storage else entry
+    ros_version = 1 if entry.profiles and profile == entry.profiles[0] else entry.ros_version
     return Destination(
         path=path,
         format=entry,
@@ -138,7 +135,8 @@ def plan_destination(
         compression=_one_of("compression", compression or files.default_compression, files.compressions, path),
         profile=profile or "",
         chunk_compressions=frozenset((compression,) if compression else files.compressions),
-        ros_version=1 if entry.profiles and profile == entry.profiles[0] else entry.ros_version,
+        ros_version=ros_version,
+        serialization="ros1" if ros_version == 1 else "cdr",
     )
 
 

@@ -5,6 +5,7 @@ A new container is an entry here and a package with its reader and its writer.
 
 from __future__ import annotations
 
+from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -95,22 +96,17 @@ class Format(NamedTuple):
         return not self.magic
 
 
-def _late(place: str) -> Callable[..., Any]:
-    """Return a function whose module is imported by the first call, because each format imports its libraries."""
-    module, _, name = place.partition(":")
-
-    def call(*args: object, **options: object) -> Any:
-        return getattr(import_module(module, __package__), name)(*args, **options)
-
-    return call
+def _late(module: str, name: str, /, *args: object, **options: object) -> Any:
+    """Call a function of a module, which is imported by the first call, because each format imports its libraries."""
+    return getattr(import_module(module, __package__), name)(*args, **options)
 
 
 _ENTRIES = (
     Format(
         name="rosbag1",
         readable="ROS 1 bag",
-        open_reader=_late(".rosbag1.read:Rosbag1Reader"),
-        open_writer=_late(".rosbag1.write:Rosbag1Writer"),
+        open_reader=partial(_late, ".rosbag1.read", "Rosbag1Reader"),
+        open_writer=partial(_late, ".rosbag1.write", "Rosbag1Writer"),
         magic=b"#ROSBAG V2.0\n",
         suffix=".bag",
         to="bag",
@@ -124,8 +120,8 @@ _ENTRIES = (
     Format(
         name="rosbag2",
         readable="rosbag2 directory",
-        open_reader=_late(".rosbag2.read:Rosbag2Reader"),
-        open_writer=_late(".rosbag2.write:Rosbag2Writer"),
+        open_reader=partial(_late, ".rosbag2.read", "Rosbag2Reader"),
+        open_writer=partial(_late, ".rosbag2.write", "Rosbag2Writer"),
         to="rosbag2",
         play="ros2 bag play {} --clock",
         storages=("mcap", "sqlite3"),
@@ -134,10 +130,10 @@ _ENTRIES = (
     Format(
         name="sqlite3",
         readable=".db3 file",
-        open_reader=_late(".rosbag2.sqlite3.read:Sqlite3Reader"),
+        open_reader=partial(_late, ".rosbag2.sqlite3.read", "Sqlite3Reader"),
         magic=b"SQLite format 3\0",
         suffix=".db3",
-        open_storage=_late(".rosbag2.sqlite3.write:open_storage"),
+        open_storage=partial(_late, ".rosbag2.sqlite3.write", "open_storage"),
         written_as="rosbag2",
         compressions=("none", "zstd"),
         packs_messages=True,
@@ -146,13 +142,13 @@ _ENTRIES = (
     Format(
         name="mcap",
         readable="MCAP file",
-        open_reader=_late(".mcap.read:McapReader"),
-        open_writer=_late(".mcap.write:McapWriter"),
+        open_reader=partial(_late, ".mcap.read", "McapReader"),
+        open_writer=partial(_late, ".mcap.write", "McapWriter"),
         magic=b"\x89MCAP0\r\n",
         suffix=".mcap",
         to="mcap",
         play="ros2 bag play -s mcap {} --clock",
-        open_storage=_late(".rosbag2.write:open_mcap_storage"),
+        open_storage=partial(_late, ".rosbag2.write", "open_mcap_storage"),
         compressions=("none", "lz4", "zstd"),
         default_compression="zstd",
         has_chunks=True,

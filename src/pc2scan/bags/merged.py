@@ -71,6 +71,7 @@ class MergedReader(Reader):
         self._maps = [{own: by_id[number] for own, number in numbers.items()} for numbers in ids]
         self.summary = merge_summaries([reader.summary for reader in readers])
         self.has_chunks = all(reader.has_chunks for reader in readers)
+        self.has_extras = any(reader.has_extras for reader in readers)
 
     def _amend(self, amended: Mapping[int, Connection], added: Iterable[Connection] = ()) -> None:
         """Replace connections by ones with more information and the same ids, and add some without messages."""

@@ -70,7 +70,9 @@ def sniff(path: Path) -> str:
         raise RecordingError(f"cannot be read: {err.strerror}", path=path) from err
     except CompressionError as err:
         raise RecordingError(f"cannot be decompressed: {err}", path=path) from err
-    return _content_hint(head, path, " (after zstd decompression)" if packed else "") + packed
+    magics = {entry.magic: name for name, entry in FORMATS.items() if entry.magic}
+    name = next((name for magic, name in magics.items() if head.startswith(magic)), "")
+    return (name or _content_hint(head, path, magics, " (after zstd decompression)" if packed else "")) + packed
 
 
 def open_recording(path: Path, *, strict: bool = False) -> Reader:
@@ -122,11 +124,7 @@ def _sniff_directory(path: Path) -> str:
     )
 
 
-def _content_hint(head: bytes, path: Path, state: str = "") -> str:
-    magics = {entry.magic: name for name, entry in FORMATS.items() if entry.magic}
-    for magic, name in magics.items():
-        if head.startswith(magic):
-            return name
+def _content_hint(head: bytes, path: Path, magics: Iterable[bytes], state: str) -> str:
     if not head:
         raise RecordingError(f"is empty{state}", path=path)
     if any(magic.startswith(head) for magic in magics):

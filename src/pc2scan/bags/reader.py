@@ -12,6 +12,7 @@ import heapq
 from abc import ABC, abstractmethod
 from collections import deque
 from contextlib import closing
+from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 from operator import attrgetter
@@ -343,12 +344,15 @@ class Reader(ABC):
         The summary, made without reading messages.
     has_chunks
         Whether messages of several topics are stored together, so that reading one topic reads others, too.
+    has_extras
+        Whether it may have attachments and metadata records.
     """
 
     path: Path
     connections: Sequence[Connection]
     summary: Summary
     has_chunks: bool = False
+    has_extras: bool = False
     _log: DamageLog
     _temporary: TemporaryDirectory[str] | None = None
 
@@ -454,6 +458,7 @@ class Reader(ABC):
         return iter(())
 
 
+@dataclass(slots=True, eq=False)
 class ConnectionLimit:
     """Counts the connections of a recording and their descriptions as they are found, and refuses too many.
 
@@ -468,10 +473,10 @@ class ConnectionLimit:
         Its bytes.
     """
 
-    def __init__(self, path: Path, size: int = 0) -> None:
-        self._path = path
-        self._size = size
-        self._count = self._bytes = 0
+    path: Path
+    size: int = 0
+    _count: int = 0
+    _bytes: int = 0
 
     def add(self, described: int = 0, *, count: int = 1, most: int | None = None) -> None:
         """Count connections that take so many bytes to describe, with their definitions.
@@ -488,13 +493,13 @@ class ConnectionLimit:
             raise RecordingError(
                 f"has more than {most:,} connections (one for each publisher of a topic), the largest number that is "
                 "read",
-                path=self._path,
+                path=self.path,
             )
-        if self._bytes > (allowed := allowed_bytes(self._size)):
+        if self._bytes > (allowed := allowed_bytes(self.size)):
             raise RecordingError(
                 f"describes its connections in more than {allowed:,} bytes, the largest size for a recording of "
-                f"{self._size:,} bytes",
-                path=self._path,
+                f"{self.size:,} bytes",
+                path=self.path,
             )
 
     def add_file(self, connections: Sequence[Connection], size: int) -> None:
@@ -503,7 +508,7 @@ class ConnectionLimit:
         Those that files share count in each, because each reader keeps its own; so files of any size may repeat them, a
         kilobyte for each. Definitions that connections share count once.
         """
-        self._size += size
+        self.size += size
         definitions = {id(own.definition.data): own.definition.data for own in connections}
         described = sum(map(len, definitions.values())) + sum(len(own.qos) for own in connections)
-        self.add(described, count=len(connections), most=MAX_CONNECTIONS + self._size // 1000)
+        self.add(described, count=len(connections), most=MAX_CONNECTIONS + self.size // 1000)

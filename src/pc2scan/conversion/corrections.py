@@ -171,13 +171,15 @@ _TYPES = (
 
 
 def scaled(reader: Reader, factor: float) -> Reader:
-    """Return a recording with multiplied coordinates of clouds.
+    """Return a recording with multiplied coordinates of clouds; by 1, as it is.
 
     Raises
     ------
     UsageError
         If the factor is not positive, or no message has coordinates.
     """
+    if factor == 1:
+        return reader
     if not 0 < factor < math.inf:
         raise UsageError(
             f"`cloud_scale` is {factor:g}, it must be above 0", hint="for millimetres: `cloud_scale=0.001`"

@@ -8,9 +8,8 @@ frame, at the scan's time.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -23,12 +22,12 @@ from pc2scan.errors import DecodeError, TransformError
 from pc2scan.request.point_time import BY_AZIMUTH, PointTime
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
     from numpy.typing import NDArray
 
     from pc2scan.core.rigid import Rigid
-    from pc2scan.request.point_time import FieldTimes, Times
+    from pc2scan.request.point_time import Times
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.placing import Placer
 
@@ -52,34 +51,13 @@ _MOST_NODES = 20_000
 _ALWAYS = np.empty(0, np.int64)
 
 
-class _LazyTimes(Mapping[str, "NDArray[Any]"]):
-    """The field `TIME` of a cloud, computed on request: the loops over points read times as they are stored."""
-
-    def __init__(self, known: FieldTimes) -> None:
-        self._known = known
-
-    def __getitem__(self, name: str) -> NDArray[Any]:
-        if name != TIME:
-            raise KeyError(name)
-        times = self._known.at()
-        # Some drivers set no time for points without a return.
-        times[~np.isfinite(times) | np.isnan(self._known.points.field("x"))] = np.nan
-        return times
-
-    def __iter__(self) -> Iterator[str]:
-        return iter((TIME,))
-
-    def __len__(self) -> int:
-        return 1
-
-
 class MovingCloud(NamedTuple):
     """A cloud that was measured while its sensor moved.
 
     Attributes
     ----------
     points
-        With their own times in the field `TIME`.
+        As recorded.
     stamp_ns
         The scan's stamp.
     transform
@@ -132,7 +110,7 @@ class Track(NamedTuple):
     Attributes
     ----------
     points
-        With their own times in the field `TIME`.
+        As recorded; with the field `TIME` if their times are not.
     reference_ns
         The stamp of a scan of this cloud alone.
     time_field, offset, unit, node_times, rows
@@ -254,9 +232,8 @@ class Deskew:
         times[0], times[-1] = min(times[0], low), max(times[-1], high)
         if self.sample is not None and not of_scan:
             self.sample(points, known.at)
-        timed = points if given else points.replace(_LazyTimes(known), points.frame_id)
         all_timed = not unknown and bool(times[0] <= low and high <= times[-1])
-        return Track(timed, reference_ns, name, offset, unit, times, rows, gap_ns, all_timed)
+        return Track(points, reference_ns, name, offset, unit, times, rows, gap_ns, all_timed)
 
     def _check(self, name: str, low: float, high: float, unit: float, *, several: bool, stamp_ns: int) -> None:
         """Raise an error for impossible times."""

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
@@ -240,6 +241,7 @@ class Item(NamedTuple):
         return errors[0] if errors and len(errors) == len(self.results) else self.error
 
 
+@dataclass(slots=True, eq=False)
 class Tally:
     """The counts of a conversion: those of the routes, and those of the entries that the report has for each topic.
 
@@ -262,14 +264,13 @@ class Tally:
         from message to message, so that it is certain only after the last one.
     """
 
-    def __init__(self, routes: Mapping[int, Route], *, strict: bool) -> None:
-        self.skipped: list[Skipped] = []
-        self.failures = 0
-        self._farthest_ns = 0
-        self.is_connected = False
-        self._routes = routes
-        self._strict = strict
-        self._first_unconnected: tuple[str, UnconnectedError] | None = None
+    routes: Mapping[int, Route]
+    strict: bool
+    skipped: list[Skipped] = field(default_factory=list)
+    failures: int = 0
+    is_connected: bool = False
+    _farthest_ns: int = 0
+    _first_unconnected: tuple[str, UnconnectedError] | None = None
 
     def count(self, item: Item, refused: Mapping[int, MessageError] = NOTHING_REFUSED) -> None:
         """Count an item.
@@ -326,7 +327,7 @@ class Tally:
     def count_chunk(self, chunk: StoredChunk) -> None:
         """Count the messages of a chunk that passes as a whole."""
         for connection_id, entries in chunk.index.items():
-            route = self._routes[connection_id]
+            route = self.routes[connection_id]
             route.messages += len(entries)
             (entry,) = route.reports
             entry.messages_in += len(entries)
@@ -354,7 +355,7 @@ class Tally:
             errors.setdefault(error.message, (error, []))[1].append(entry.target or "")
         for error, targets in errors.values():
             error.topic = topic
-            if self._strict:
+            if self.strict:
                 raise error
             gap_ns = error.gap_ns if isinstance(error, TransformError) else 0
             if len(self.skipped) >= MAX_LISTED:
@@ -378,6 +379,7 @@ Work: TypeAlias = tuple[Callable[[], "Item | StoredChunk"], int, bool]
 Arrival: TypeAlias = tuple["Route", "Output", Contribution, int]
 
 
+@dataclass(slots=True, eq=False)
 class Combiner:
     """Combines the messages of several topics to scans.
 
@@ -399,26 +401,23 @@ class Combiner:
         The report's entry of each topic, by the topic's number. All publishers of a topic share one.
     """
 
-    def __init__(
-        self, conversion: MessagesToScan, grouper: Grouper, last: Callable[[ConvertedMessage], ConvertedMessage]
-    ) -> None:
-        self.reports: dict[int, TopicReport] = {}
-        self._conversion = conversion
-        self._last = last
-        self._grouper = grouper
-        self._last_ns = 0
+    conversion: MessagesToScan
+    grouper: Grouper
+    last: Callable[[ConvertedMessage], ConvertedMessage]
+    reports: dict[int, TopicReport] = field(default_factory=dict)
+    _last_ns: int = 0
 
     def add(self, arrival: Arrival, log_time_ns: int) -> list[Work]:
         """Take a message, and return how the scans are made that are complete now."""
         self._last_ns, message = log_time_ns, arrival[2]
-        groups = self._grouper.add(message.source, message.stamp_ns, log_time_ns, message.size, arrival)
+        groups = self.grouper.add(message.source, message.stamp_ns, log_time_ns, message.size, arrival)
         return list(map(self._work, groups))
 
     def finish(self) -> list[Work]:
         """Return how the scans are made that are still open, and add the counts to the report."""
-        groups = self._grouper.finish()
+        groups = self.grouper.finish()
         for number, entry in self.reports.items():
-            entry.joined = self._grouper.counts[number]
+            entry.joined = self.grouper.counts[number]
             if number:
                 entry.messages_out = entry.joined.used
         return list(map(self._work, groups))
@@ -428,7 +427,7 @@ class Combiner:
         if not isinstance(result, Contribution) or result.source:
             return result
         try:
-            return self._last(self._conversion.alone(result))
+            return self.last(self.conversion.alone(result))
         except MessageError as err:
             return err
 
@@ -442,7 +441,7 @@ class Combiner:
         route, output, contribution, sequence = group.lead.item
         result: ConvertedMessage | MessageError
         try:
-            result = self._last(self._conversion.scan(contribution, [member.item[2] for member in group.members]))
+            result = self.last(self.conversion.scan(contribution, [member.item[2] for member in group.members]))
         except MessageError as err:
             result = err
             err.stamp_ns = err.stamp_ns or contribution.stamp_ns

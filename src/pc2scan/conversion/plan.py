@@ -61,11 +61,6 @@ class Output:
     combiner: Any = None
     first: Any = None
 
-    @property
-    def key(self) -> tuple[Any, str]:
-        """What names its conversion, which it may share with other outputs."""
-        return self.spec, self.scan
-
 
 @dataclass(slots=True, eq=False)
 class Route:
@@ -128,21 +123,12 @@ class Route:
 
 
 class Plan(NamedTuple):
-    """The routes in the order of the source's connections, the outputs, and warnings."""
+    """The routes in the order of the source's connections, those that are converted, the outputs, and warnings."""
 
-    routes: tuple[Route, ...]
-    specs: tuple[ScanSpec, ...] = ()
-    warnings: tuple[str, ...] = ()
-
-    @property
-    def converted(self) -> list[Connection]:
-        """The connections whose messages are converted."""
-        return [route.connection for route in self.routes if route.outputs]
-
-    @property
-    def combined(self) -> Mapping[tuple[Any, str], Output]:
-        """The outputs whose scans are made of several messages, by their conversions."""
-        return {each.key: each for route in self.routes for each in route.outputs if each.scan}
+    routes: Sequence[Route]
+    converted: Sequence[Connection]
+    specs: tuple[ScanSpec, ...]
+    warnings: Sequence[str]
 
     def sources_of(self, spec: ScanSpec, scan: str | None = None) -> list[Connection]:
         """Return the connections that an output converts.
@@ -216,7 +202,7 @@ def make_plan(connections: Sequence[Connection], options: Request) -> Plan:
     if options.keep or options.drop:
         replaced = {topic for topics in targets.values() for topic in topics if not options.keep_clouds}
         idle = [*_idle_patterns("keep", options.keep, types, replaced), *_idle_patterns("drop", options.drop, types)]
-    return Plan(tuple(routes), specs, tuple(idle))
+    return Plan(routes, [route.connection for route in routes if route.outputs], specs, idle)
 
 
 def _outputs(

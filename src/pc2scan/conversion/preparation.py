@@ -35,12 +35,11 @@ from pc2scan.text import stamp
 from pc2scan.transforms.placing import Placer, UpByFrame, UpByImu
 from pc2scan.transforms.reading import read_robot_transforms
 
+from .checks import check_fixed_frame, check_given_frames, result_findings
 from .combine.conversion import MessagesToScan, SourceFacts, measure_sources
 from .corrections import corrected
 from .deskew import Deskew
 from .engine import convert
-from .result_checks import result_findings
-from .source_checks import check_fixed_frame, check_given_frames
 from .steps import CloudToScan, ConvertedMessage, ScanToCloud
 
 if TYPE_CHECKING:
@@ -83,7 +82,7 @@ class Preparation:
     recorded
         All transforms; None if they were not read.
     conversions
-        By `pc2scan.conversion.plan.Output.key`.
+        By the request of their outputs, and the topic of scans that are made of several messages.
     routes
         As for `pc2scan.conversion.engine.items_of`, without those that are counted already.
     levels, trajectory
@@ -111,11 +110,6 @@ class Preparation:
     rule: ChunkRule | None = None
     surroundings: list[tuple[str, Surroundings]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-
-    @property
-    def transforms(self) -> TransformBuffer | None:
-        """All transforms, for lookups; None if they were not read."""
-        return None if self.recorded is None else self.recorded.buffer
 
     def add(self, spec: ScanSpec, warnings: Iterable[str], notes: Iterable[str] = ()) -> None:
         """Add warnings and notes about an output."""
@@ -330,8 +324,8 @@ class _OutputFacts:
             references.append([connection for each in observers for connection in each.connections])
         self._clocks = [Clocks(survey, self._topics, each) for each in references]
         self._alone = survey.topics(plan.sources_of(spec, ""))
-        joined = [output for output in plan.combined.values() if output.spec is spec]
-        self._sources = [SourceFacts(each, survey.topics(plan.sources_of(spec, each.scan))) for each in joined]
+        joined = {each.scan: each for route in plan.routes for each in route.outputs if each.scan and each.spec is spec}
+        self._sources = [SourceFacts(each, survey.topics(plan.sources_of(spec, each.scan))) for each in joined.values()]
         for topics in (self._alone, *(each.facts for each in self._sources)):
             for facts in topics.values():
                 if spec.needs_measuring:
@@ -365,7 +359,7 @@ class _OutputFacts:
             seen = self._surroundings(placer, odometry, prepared, topics)
             deskews = self._deskews(placer, prepared, sources.facts, seen)
             scan = MessagesToScan(spec, topics, placer, timing, grouper, deskews, seen)
-            prepared.conversions[sources.output.key] = scan
+            prepared.conversions[spec, sources.output.scan] = scan
         if self._alone or not self._sources:
             measurements, notes = measure(self._alone.values(), spec, placer) if spec.needs_measuring else ({}, [])
             prepared.add(spec, (), notes)
@@ -486,7 +480,8 @@ def _samples(
     if isinstance(points, Points):
         sample = CloudSample.of(points)
         for spec, (output, scan) in scans.items():
-            place = prepared.conversions[output.key].placer.place(points.frame_id, scan.stamp_ns or points.stamp_ns)
+            placer = prepared.conversions[spec, output.scan].placer
+            place = placer.place(points.frame_id, scan.stamp_ns or points.stamp_ns)
             yield spec, sample.placed_in(place.frame_id, place.target_from_source), scan.counts
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -55,7 +55,7 @@ def open_routes(
     Parameters
     ----------
     conversions
-        By the key of their outputs.
+        See `Preparation`.
     topics
         The topics of the recording that results are written to, serialised. None: no message passes as it is.
     finish
@@ -90,7 +90,7 @@ def open_routes(
         if not route.outputs:
             route.report = shared(passing or TopicReport(topic, msgtype, None, "skipped"))
             continue
-        chosen = {output.index: conversions[output.key] for output in route.outputs}
+        chosen = {output.index: conversions[output.spec, output.scan] for output in route.outputs}
         spec = route.outputs[0].spec
         route.decode = decoder_of(msgtype, connection.serialization, spec.echo)
         route.steps = [conversion.steps(topic) for conversion in chosen.values()]
@@ -110,9 +110,10 @@ def open_routes(
                     entry.note, entry.lost = passing.note, True
                 output.report = shared(entry)
                 if isinstance(conversion, MessagesToScan) and conversion.grouper is not None:
-                    if output.key not in combiners:
-                        combiners[output.key] = Combiner(conversion, conversion.grouper(), route.encode)
-                    output.combiner = combiners[output.key]
+                    key = output.spec, output.scan
+                    if key not in combiners:
+                        combiners[key] = Combiner(conversion, conversion.grouper(), route.encode)
+                    output.combiner = combiners[key]
                     output.combiner.reports[output.sources.index(topic)] = output.report
             if leads and topics is not None:
                 makes_clouds = output.used or output.spec.reverse
@@ -151,12 +152,12 @@ def open_output(prepared: Preparation, target: Destination, writer: Writer | Non
         prepared.levels = AddedTransforms(entry, target.serialization)
         topics.add(connection, prepared.levels)
         entries.append(entry)
-    prepared.tell(*topics.warnings)
+    prepared.tell(*(f"{what}; {cure}" for what, cure in unheard(connection for connection, _ in topics.added)))
     prepared.routes = count_skipped(routes, reader, span)
     if writer is None:
         return
-    topics.declare(writer)
-    if not options.only_scans:
+    declare(writer, topics.added, one_a_topic=target.format.is_directory)
+    if reader.has_extras and not options.only_scans:
         prepared.tell(*_copy_extras(reader, target, writer))
     if frames.write_static:
         earliest_ns, latest_ns = target.times_ns
@@ -334,31 +335,32 @@ _MAX_COMPILED_FIELDS = 20_000
 _COMMENT = rb"#[^\n]*"
 
 
-def declare(writer: Writer, connections: Sequence[Connection], *, one_a_topic: bool) -> list[int]:
-    """Declare connections, before the first message is written; return the writer's handle of each.
+def declare(writer: Writer, topics: Sequence[tuple[Connection, Sequence[HasHandle]]], *, one_a_topic: bool) -> None:
+    """Declare topics, before the first message is written, and set the writer's handles.
 
     Parameters
     ----------
     writer
         The writer of the destination.
+    topics
+        The connection of each, and who writes to it.
     one_a_topic
         Whether the publishers of a topic share a connection, as in rosbag2's recordings: programs that read these
         find a topic by its name, and use the first connection of this name.
     """
-    if not one_a_topic:
-        return [writer.add_connection(connection) for connection in connections]
-    topics: dict[tuple[str, str, str], list[int]] = {}
-    for place, connection in enumerate(connections):
-        plain = connection.in_utf8
-        msgtype = plain.ros_type if plain.serialization == "cdr" else plain.msgtype
-        topics.setdefault((plain.topic, msgtype, plain.serialization), []).append(place)
-    handles = [-1] * len(connections)
-    publishers = ({place: connections[place] for place in places} for places in topics.values())
-    for group in sorted(group for each in publishers for group in _by_layout(each)):
-        handle = writer.add_connection(_merge_connections([connections[place] for place in group]))
-        for place in group:
-            handles[place] = handle
-    return handles
+    groups: Iterable[list[int]] = ([place] for place in range(len(topics)))
+    if one_a_topic:
+        publishers: dict[tuple[str, str, str], dict[int, Connection]] = {}
+        for place, (connection, _) in enumerate(topics):
+            plain = connection.in_utf8
+            msgtype = plain.ros_type if plain.serialization == "cdr" else plain.msgtype
+            publishers.setdefault((plain.topic, msgtype, plain.serialization), {})[place] = connection
+        groups = sorted(group for each in publishers.values() for group in _by_layout(each))
+    for group in groups:
+        connections = [topics[place][0] for place in group]
+        handle = writer.add_connection(connections[0] if len(group) == 1 else _merge_connections(connections))
+        for owner in (owner for place in group for owner in topics[place][1]):
+            owner.handle = handle
 
 
 def _by_layout(publishers: Mapping[int, Connection]) -> Iterable[list[int]]:
@@ -405,8 +407,6 @@ def _layout(connection: Connection) -> str:
 def _merge_connections(publishers: Sequence[Connection]) -> Connection:
     """Return one connection for several publishers: the first, with the QoS profiles of all."""
     first = publishers[0]
-    if len(publishers) == 1:
-        return first
     return replace(
         first,
         definition=next((each.definition for each in publishers if each.definition.data), first.definition),
@@ -442,6 +442,7 @@ class HasHandle(Protocol):
     handle: int
 
 
+@dataclass(slots=True, eq=False)
 class RecordingTopics:
     """The topics of a recording that is to be written, collected before they are declared.
 
@@ -456,28 +457,22 @@ class RecordingTopics:
 
     Attributes
     ----------
-    as_pointcloud2
-        Whether clouds of other types that pass are written as PointCloud2.
-
-    Notes
-    -----
-    Whoever adds a topic has its ``handle``. Until `declare` is called, that is a place among the topics.
+    added
+        The connection of each topic, and who has its ``handle``. Until they are declared, that is a place among them.
     """
 
-    def __init__(self, target: Destination, options: Request, *, same_kind: bool) -> None:
-        self.target = target
-        self.as_pointcloud2 = options.clouds_as == "pointcloud2"
-        self._same_kind = same_kind
-        self._options = options
-        self._added: list[tuple[Connection, tuple[HasHandle, ...]]] = []
-        #: The fields of all types that were compiled for re-encoding; their number is bounded.
-        self._compiled: dict[tuple[str, Definition], int] = {}
+    target: Destination
+    options: Request
+    same_kind: bool
+    added: list[tuple[Connection, tuple[HasHandle, ...]]] = field(default_factory=list)
+    #: The fields of all types that were compiled for re-encoding; their number is bounded.
+    _compiled: dict[tuple[str, Definition], int] = field(default_factory=dict)
 
     def add(self, connection: Connection, *owners: HasHandle) -> None:
         """Add a connection, and set the handle of its owners."""
         for owner in owners:
-            owner.handle = len(self._added)
-        self._added.append((connection, owners))
+            owner.handle = len(self.added)
+        self.added.append((connection, owners))
 
     def add_like(self, source: Connection, topic: str, msgtype: str, owner: HasHandle) -> None:
         """Add a topic with the QoS profile, latching and caller id of a source's, and set the handle of its owner."""
@@ -491,15 +486,15 @@ class RecordingTopics:
 
         The entry of the report says if its messages are re-encoded, or cannot pass.
         """
-        target, options, connection = self.target, self._options, route.connection
-        if self.as_pointcloud2 and written_as_pointcloud2(connection):
+        target, options, connection = self.target, self.options, route.connection
+        if options.clouds_as == "pointcloud2" and written_as_pointcloud2(connection):
             entry.action, entry.note = "re-encoded", "as PointCloud2"
             route.reencode = to_pointcloud2(connection, target.serialization)
             self.add_like(connection, connection.topic, POINTCLOUD2, route)
             return
         foreign = connection.ros_version is None
         # The same kind of container can store the message as it is, even if its type is unknown.
-        as_it_is = (self._same_kind and (foreign or options.repair)) or (foreign and bool(target.format.profiles))
+        as_it_is = (self.same_kind and (foreign or options.repair)) or (foreign and bool(target.format.profiles))
         defined_already = connection.definition.data or options.repair
         if as_it_is or (connection.ros_version == target.ros_version and defined_already):
             self.add(connection, route)
@@ -528,15 +523,3 @@ class RecordingTopics:
         entry.action, entry.note = "re-encoded", "; ".join(transcoding.notes)
         route.reencode = transcoding.encode
         self.add(transcoding.connection, route)
-
-    @property
-    def warnings(self) -> list[str]:
-        """What programs will not receive of the recording when it is played."""
-        return [f"{what}; {cure}" for what, cure in unheard([connection for connection, _ in self._added])]
-
-    def declare(self, writer: Writer) -> None:
-        """Declare all topics, and set the writer's handles."""
-        handles = declare(writer, [each for each, _ in self._added], one_a_topic=self.target.format.is_directory)
-        for (_, owners), handle in zip(self._added, handles, strict=True):
-            for owner in owners:
-                owner.handle = handle

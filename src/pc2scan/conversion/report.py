@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
@@ -25,9 +26,6 @@ if TYPE_CHECKING:
     from .combine.grouping import SourceCounts
     from .steps import ConvertedMessage
 
-#: No clock that is set differs by more from the log times, nanoseconds, unless a driver is slow.
-_EARLY_NS, _LATE_NS = -100_000_000, 500_000_000
-
 
 @dataclass(slots=True)
 class StampCounts:
@@ -35,41 +33,31 @@ class StampCounts:
 
     Attributes
     ----------
-    back, zero
-        How many are before the one before, and how many are 0.
+    faults
+        How many are wrong, by what is wrong with them.
     delay_ns
         The time from the first one to its log time; None without any.
     """
 
-    back: int = 0
-    zero: int = 0
+    faults: Counter[str] = field(default_factory=Counter)
     delay_ns: int | None = None
     _last_ns: int = 0
 
     def add(self, stamp_ns: int, log_time_ns: int) -> None:
         """Count the next stamp."""
         if stamp_ns == 0:
-            self.zero += 1
+            self.faults["without a stamp (0)"] += 1
             return
         if self.delay_ns is None:
             self.delay_ns = log_time_ns - stamp_ns
-        self.back += stamp_ns < self._last_ns
+        if stamp_ns < self._last_ns:
+            self.faults["with a stamp before that of the message before"] += 1
         self._last_ns = stamp_ns
 
-    @property
-    def is_far(self) -> bool:
-        """Whether the first one is far from its log time: of another clock, or of a driver that is slow."""
-        return self.delay_ns is not None and not _EARLY_NS <= self.delay_ns <= _LATE_NS
-
-    def faults(self, topic: str) -> list[str]:
+    def texts(self, topic: str) -> list[str]:
         """Return what is wrong with them, and what to do."""
-        counts = (self.back, "with a stamp before that of the message before"), (self.zero, "without a stamp (0)")
-        return [
-            f"{topic}: {counted(number, 'message')} {what}: SLAM drops or mixes up such scans; `stamps=log` takes the "
-            "log times"
-            for number, what in counts
-            if number
-        ]
+        cure = "SLAM drops or mixes up such scans; `stamps=log` takes the log times"
+        return [f"{topic}: {counted(number, 'message')} {what}: {cure}" for what, number in self.faults.items()]
 
 
 @dataclass(slots=True)
@@ -148,11 +136,6 @@ class TopicReport:
     def scan(self) -> str:
         """The name of its output in a scans file; empty without one."""
         return self.spec.name if self.spec else ""
-
-    @property
-    def is_made(self) -> bool:
-        """Whether messages were converted."""
-        return self.action == "converted" and self.messages_out > 0
 
     @property
     def tilt(self) -> dict[str, float] | None:

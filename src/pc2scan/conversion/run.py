@@ -49,13 +49,13 @@ from pc2scan.requests import conversion_of, destination_of, named_files
 from pc2scan.result import BEGINNING, Failure, Result, tell_early
 from pc2scan.threads import Threads, cores
 
+from .checks import compare_counts, refuse_nothing, refuse_unsatisfied, result_findings
 from .corrections import scaled
 from .engine import Tally, items_of
 from .plan import make_plan
 from .preparation import count_by_index, judge_first, prepare, refuse_no_messages, span_of
 from .recording import open_output, write_items
 from .report import Report
-from .result_checks import compare_counts, refuse_nothing, refuse_unsatisfied, result_findings
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Sequence
@@ -71,6 +71,10 @@ if TYPE_CHECKING:
     from pc2scan.requests import Warn
 
     from .preparation import Preparation
+
+
+#: No clock that is set differs by more from the log times, nanoseconds, unless a driver is slow.
+_EARLY_NS, _LATE_NS = -100_000_000, 500_000_000
 
 
 class OutputOptions(NamedTuple):
@@ -113,11 +117,6 @@ class OutputOptions(NamedTuple):
     like_source: bool = False
     scratch: Path | None = None
 
-    @classmethod
-    def of(cls, options: Options) -> OutputOptions:
-        """Return those among the options of a call."""
-        return cls(**options.among(cls._fields))
-
 
 def convert(
     sources: Sequence[Path],
@@ -129,7 +128,7 @@ def convert(
 ) -> Report:
     """Convert a recording; see `pc2scan.convert`. Options that contradict each other are in the report's file, too."""
     path, folder = destination_of(destination)
-    output = OutputOptions.of(options)._replace(folder=folder)
+    output = OutputOptions(**options.among(OutputOptions._fields), folder=folder)
     try:
         conversion = conversion_of(options, warn)
     except Pc2ScanError as err:
@@ -142,7 +141,7 @@ def convert(
 def repair(source: Path, destination: PathText | None, options: Options, *, progress: Progress | None = None) -> Report:
     """Write what can be recovered of a recording; see `pc2scan.repair`."""
     path, folder = destination_of(destination)
-    output = OutputOptions.of(options)._replace(folder=folder)
+    output = OutputOptions(**options.among(OutputOptions._fields), folder=folder)
     return run([source], path, Request(repair=True), output, progress=progress)
 
 
@@ -174,9 +173,7 @@ def run(
     tell = partial(tell_early, report.warnings, warn)
     with copying_to(output.scratch), _reporting(report, inputs, output), ExitStack() as stack:
         readers = _open(stack, sources, destination, options, output)
-        reader = as_one(readers)
-        if options.cloud_scale != 1:
-            reader = scaled(reader, options.cloud_scale)
+        reader = scaled(as_one(readers), options.cloud_scale)
         if options.repair and reader.damage and not reader.connections:
             damage = reader.damage[0]
             raise DamageError(f"nothing of it can be recovered: {damage.what}", path=damage.path)
@@ -348,13 +345,15 @@ def _judge(prepared: Preparation, target: Destination, report: Report) -> None:
     report.add(reader.remarks)
     report.damage += [damage for each in (reader, *prepared.others) for damage in each.damage]
     outputs = [output for route in prepared.routes.values() for output in route.outputs if output.first]
-    first_scans = [(each.report, each.first) for each in outputs if each.spec and not each.spec.reverse]
+    first_scans = [(each.report, each.spec, each.first) for each in outputs if each.spec and not each.spec.reverse]
     report.add(*result_findings(report, first_scans, target.serialization))
     # With a fixed frame, an IMU or a corrected clock, clocks were compared before.
     far = {
         each.topic
         for each in report.topics
-        if each.stamps.is_far and each.spec is not None and not (each.spec.fixed_frame or each.spec.imu)
+        if not _EARLY_NS <= (each.stamps.delay_ns or 0) <= _LATE_NS
+        and each.spec is not None
+        and not (each.spec.fixed_frame or each.spec.imu)
     }
     if far and not options.clock:
         doubtful = [each for each in prepared.plan.converted if each.topic in far]
@@ -363,7 +362,7 @@ def _judge(prepared: Preparation, target: Destination, report: Report) -> None:
         survey.read()
         report.add(clocks.warnings())
     compare_counts(reader, options, prepared.routes.values(), report)
-    if prepared.plan.specs:
+    if prepared.plan.specs and not any(topic.messages_out for topic in report.converted):
         refuse_nothing(report)
-    if not options.repair:
+    if options.fail_on or options.min_used:
         refuse_unsatisfied(report, options)

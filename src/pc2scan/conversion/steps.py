@@ -32,14 +32,13 @@ from pc2scan.request.filters import Frame
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from pc2scan.core.params import ProjectionParams
     from pc2scan.core.points import Points
     from pc2scan.core.project import ProjectedScan, Transform
     from pc2scan.core.rigid import MovingTransform
     from pc2scan.model import Buffer
     from pc2scan.request.filters import Filter
     from pc2scan.request.options import ScanSpec
-    from pc2scan.transforms.placing import LevelTransform, Placement, Placer
+    from pc2scan.transforms.placing import LevelFrame, LevelTransform, Placement, Placer
 
     from .deskew import Deskew, MovingCloud
 
@@ -294,25 +293,25 @@ class Beams:
 
     Parameters
     ----------
-    params
-        The projection's parameters.
+    spec
+        The request.
     measured
         What was measured in the topic's first clouds.
 
     Attributes
     ----------
-    layout
-        Their directions.
     projector
         The projection to them.
     """
 
-    __slots__ = ("_geometry", "_no_returns", "layout", "projector")
+    __slots__ = ("_geometry", "_no_returns", "_remove", "projector")
 
-    def __init__(self, params: ProjectionParams, measured: Measurements) -> None:
+    def __init__(self, spec: ScanSpec, measured: Measurements) -> None:
+        params = spec.params
+        self._remove = partial(remove_beams, spec.remove, params.empty_range) if spec.remove else None
         if params.beams == "auto":
             params = measured.resolve(params)
-        layout = self.layout = params.layout
+        layout = params.layout
         self.projector = Projector(params)
         self._no_returns = np.full(params.length, params.empty_range, np.float32).tobytes()
         with np.errstate(over="ignore"):
@@ -321,10 +320,21 @@ class Beams:
         angles = layout.angle_min, layout.angle_max, layout.angle_increment
         self._geometry = (*angles, measured.time_increment, measured.scan_time, params.range_min, range_max)
 
-    def message(self, sequence: int, stamp_ns: int, frame_id: str, scan: ProjectedScan) -> tuple[LaserScan, bool]:
-        """Return the message of projected points, and whether no beam has a return."""
-        message = LaserScan(sequence, stamp_ns, frame_id, *self._geometry, scan.ranges, scan.intensities)
-        return message, scan.ranges.tobytes() == self._no_returns
+    def message(
+        self,
+        header: tuple[int, int, str],
+        scan: ProjectedScan,
+        counts: PointCounts,
+        level: LevelFrame | None,
+        gap_ns: int,
+        stamp_ns: int,
+        used: UsedPoints | None = None,
+    ) -> ConvertedMessage:
+        """Return the message of projected points with its counts; ``header`` has its number, stamp and frame."""
+        message = LaserScan(*header, *self._geometry, scan.ranges, scan.intensities)
+        made_level, empty = None if level is None else level.at(header[1]), scan.ranges.tobytes() == self._no_returns
+        result = ConvertedMessage(message, counts, empty, gap_ns, made_level, used, scan.removed, stamp_ns=stamp_ns)
+        return result if self._remove is None else self._remove(result)
 
 
 class CloudToScan:
@@ -363,12 +373,11 @@ class CloudToScan:
             0.0 if params.time_increment == "auto" else params.time_increment,
         )
         self._select = SelectStage(spec.filters, placer, bool(spec.keep_used)) if spec.filters else None
-        self._remove = partial(remove_beams, spec.remove, params.empty_range) if spec.remove else None
 
     def steps(self, topic: str) -> Steps:
         """Return what is done with the clouds of one topic; see `Conversion`."""
         measured = self.measurements.get(topic, self._default)
-        project = partial(self._make_scan, measured.first_beam_ns, Beams(self.spec.params, measured))
+        project = partial(self._make_scan, measured.first_beam_ns, Beams(self.spec, measured))
         place = PlaceStage(self.placer, self.deskews.get(topic))
         return Steps(place, self._select, project)
 
@@ -384,12 +393,10 @@ class CloudToScan:
         if first_beam_ns:
             # Simulated time begins at 0, and ROS 1 cannot represent a time before it.
             stamp_ns = max(0, stamp_ns + first_beam_ns)
-        message, empty = beams.message(points.sequence, stamp_ns, placed.place.frame_id, scan)
+        header = points.sequence, stamp_ns, placed.place.frame_id
         gap_ns = 0 if placed.moving is None else placed.moving.gap_ns
-        level = None if placed.place.level is None else placed.place.level.at(stamp_ns)
         used = self._gather_used(placed, beams.projector, transform) if self.spec.keep_used else None
-        result = ConvertedMessage(message, counts, empty, gap_ns, level, used, scan.removed, stamp_ns=placed.stamp_ns)
-        return result if self._remove is None else self._remove(result)
+        return beams.message(header, scan, counts, placed.place.level, gap_ns, placed.stamp_ns, used)
 
     def _gather_used(
         self, placed: PlacedCloud, projector: Projector, transform: Transform | MovingTransform | None

@@ -81,7 +81,7 @@ def request_of(keywords: Mapping[str, Any], origins: Mapping[str, str] | None = 
     """
     options = Options("batch", keywords, origins)
     _check_export(options)
-    output = OutputOptions.of(options)._replace(like_source=True)
+    output = OutputOptions(**options.among(OutputOptions._fields), like_source=True)
     conversion = conversion_of(options)
     export = None if options.format is None else ExportOptions.of(options, conversion)
     # Absolute: another process may have another current folder.

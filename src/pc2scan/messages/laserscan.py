@@ -108,7 +108,15 @@ def encode_laserscan(scan: LaserScan, serialization: str) -> bytes:
     packer = Packer(serialization)
     packer.header(scan.sequence, scan.stamp_ns, scan.frame_id)
     packer.align(4)
-    packer.raw(_pack_geometry(scan))
+    geometry = (
+        *(scan.angle_min, scan.angle_max, scan.angle_increment, scan.time_increment, scan.scan_time),
+        *(scan.range_min, scan.range_max),
+    )
+    try:
+        packer.raw(_GEOMETRY.pack(*geometry))
+    except OverflowError:
+        with np.errstate(over="ignore"):
+            packer.raw(np.array(geometry).astype("<f4").tobytes())
     # From the geometry on, everything is aligned in both formats.
     for values in (scan.ranges, scan.intensities):
         if not len(values):
@@ -117,24 +125,6 @@ def encode_laserscan(scan: LaserScan, serialization: str) -> bytes:
         packer.raw(_COUNT.pack(len(values)))
         packer.raw((values if values.dtype is _FLOAT32 else values.astype(_FLOAT32)).tobytes())
     return packer.finish()
-
-
-def _pack_geometry(scan: LaserScan) -> bytes:
-    """Return the angles, times and limits of a scan as float32."""
-    geometry = (
-        scan.angle_min,
-        scan.angle_max,
-        scan.angle_increment,
-        scan.time_increment,
-        scan.scan_time,
-        scan.range_min,
-        scan.range_max,
-    )
-    try:
-        return _GEOMETRY.pack(*geometry)
-    except OverflowError:
-        with np.errstate(over="ignore"):
-            return np.array(geometry).astype("<f4").tobytes()
 
 
 def scan_for_consumers(message: LaserScan) -> ConsumerScan:

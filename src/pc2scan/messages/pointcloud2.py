@@ -142,8 +142,8 @@ class PointCloud2:
         Raises
         ------
         DecodeError
-            If the field is missing or of an unknown datatype, if it does not fit into a point, or if ``data``
-            is shorter than declared.
+            If the field is missing or of an unknown datatype, if it does not fit into a point, if ``data`` is shorter
+            than declared, or if there are more than `MAX_SMALL_POINTS` tiny points.
         """
         layout = self._layouts.get(name)
         if layout is None:
@@ -176,7 +176,6 @@ class PointCloud2:
             raise self._error("a field has no name")
         if twice := [name for name, count in names.items() if count > 1]:
             raise self._error(f"two fields are named {twice[0]!r}")
-        self.check_size()
         sizes = [np.dtype(DATATYPES.get(each.datatype, "f8")).itemsize * max(each.count, 1) for each in self.fields]
         if sum(sizes) > _MOST_OVERLAP * max(self.point_step, 1):
             raise self._error(f"its fields have {sum(sizes)} bytes, and a point has {self.point_step}")
@@ -205,6 +204,11 @@ class PointCloud2:
         return np.ndarray((*first.shape, count), first.dtype, self.data, field.offset, (*first.strides, size))
 
     def _layout_of(self, name: str) -> _FieldLayout:
+        if self.point_step < _SMALL and self.points > MAX_SMALL_POINTS:
+            raise self._error(
+                f"the cloud declares {self.points:,} points of {self.point_step} bytes, "
+                f"at most {MAX_SMALL_POINTS:,} of fewer than {_SMALL} bytes are allowed"
+            )
         requested = next((field for field in self.fields if field.name == name), None)
         if requested is None:
             names = ", ".join(field.name for field in self.fields) or "none"
@@ -227,29 +231,8 @@ class PointCloud2:
         return _FieldLayout(dtype, requested.offset, (self.height, self.width), (row_step, self.point_step), needed)
 
     def xyz(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """Return the coordinates: `field` of ``x``, ``y`` and ``z``, metres in ``frame_id``.
-
-        Raises
-        ------
-        DecodeError
-            As `field` and `check_size` do.
-        """
-        self.check_size()
+        """Return the coordinates: `field` of ``x``, ``y`` and ``z``, metres in ``frame_id``."""
         return self.field("x"), self.field("y"), self.field("z")
-
-    def check_size(self) -> None:
-        """Raise if the cloud has too many tiny points.
-
-        Raises
-        ------
-        DecodeError
-            If it has more than `MAX_SMALL_POINTS`.
-        """
-        if self.point_step < _SMALL and self.points > MAX_SMALL_POINTS:
-            raise self._error(
-                f"the cloud declares {self.points:,} points of {self.point_step} bytes, "
-                f"at most {MAX_SMALL_POINTS:,} of fewer than {_SMALL} bytes are allowed"
-            )
 
     def _outside(self, field: PointField, size: int) -> DecodeError:
         place = f"bytes {field.offset} to {field.offset + size} of a point"
@@ -273,6 +256,7 @@ class _Description(NamedTuple):
     layouts: dict[str, _FieldLayout]
 
 
+@dataclass(slots=True, eq=False)
 class CloudDecoder:
     """Decodes clouds of one serialisation, fastest if they are of one topic. Threads may share one.
 
@@ -280,19 +264,16 @@ class CloudDecoder:
     long as projecting some thousand points, so the last result is kept and used again for equal bytes.
     """
 
-    __slots__ = ("_last", "_serialization")
-
-    def __init__(self, serialization: str) -> None:
-        self._serialization = serialization
-        #: The byte order, the bytes of a description, and the description.
-        self._last: tuple[str, bytes, _Description] | None = None
+    serialization: str
+    #: The byte order, the bytes of a description, and the description.
+    _last: tuple[str, bytes, _Description] | None = None
 
     def __call__(self, data: Buffer, cursor: Cursor | None = None) -> PointCloud2:
         """Decode a message; see `decode_pointcloud2`.
 
         With a cursor at the beginning of a message that has further fields, it is at these afterwards.
         """
-        cursor = cursor or Cursor(data, self._serialization)
+        cursor = cursor or Cursor(data, self.serialization)
         sequence, stamp_ns = cursor.stamp()
         try:
             description = self._description(cursor)
@@ -369,8 +350,6 @@ class CloudFields(Mapping[str, "NDArray[Any]"]):
     further: Mapping[str, object] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        if name == "x":
-            self.cloud.check_size()
         return self.replaced[name] if name in self.replaced else self.cloud.field(name)
 
     def __contains__(self, name: object) -> bool:

@@ -260,9 +260,7 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
         If there is no such topic.
     """
     with ExitStack() as stack:
-        reader = as_one(readers)
-        if options.cloud_scale != 1:
-            reader = scaled(reader, options.cloud_scale)
+        reader = scaled(as_one(readers), options.cloud_scale)
         counts, start_ns, end_ns = _message_counts(reader)
         recorded = reader.summary._replace(start_ns=start_ns, end_ns=end_ns)
         topics = _topic_infos(reader.connections, counts, start_ns, end_ns)

@@ -104,7 +104,7 @@ def stamp_faults(facts: TopicFacts) -> list[str]:
     stamps = StampCounts()
     for header in facts.headers:
         stamps.add(header.stamp_ns, header.log_time_ns)
-    return stamps.faults(facts.topic)
+    return stamps.texts(facts.topic)
 
 
 def _sparse_points(points: Points, _: RawMessage) -> NDArray[np.float32] | None:

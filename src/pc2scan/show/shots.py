@@ -185,9 +185,7 @@ def opened(
     if most and not 1 <= options.clouds <= most:
         raise UsageError(f"`clouds` is {options.clouds:,}, it must be from 1 to {most:,}")
     with ExitStack() as stack:
-        reader = as_one(open_recordings(sources, stack, strict=request.strict))
-        if request.cloud_scale != 1:
-            reader = scaled(reader, request.cloud_scale)
+        reader = scaled(as_one(open_recordings(sources, stack, strict=request.strict)), request.cloud_scale)
         try:
             yield Opened(sources, reader, request, options, stack, warn)
         except TopicError as err:
@@ -321,7 +319,8 @@ def take_shots(recording: Opened, *, level: bool, keep: Callable[[Shot], Shot] =
         warnings.append(f"Not shown: {len(failed)} of {counted(len(failed) + len(shots), 'cloud')}; {failed[0]}.")
     measured = next((each for topic in topics if (each := conversion.measurements.get(topic))), Measurements(0.0))
     resolved, damage = measured.resolve(conversion.spec.params), damage_of(reader, *prepared.others)
-    return Shots(shots, resolved, prepared.transforms, prepared.notes, warnings, damage)
+    transforms = prepared.recorded and prepared.recorded.buffer
+    return Shots(shots, resolved, transforms, prepared.notes, warnings, damage)
 
 
 def _shot(message: RawMessage, conversion: CloudToScan, placer: Placer, samples: list[CloudSample]) -> Shot:

@@ -15,13 +15,13 @@ from pc2scan.advice.checks import request_warnings
 from pc2scan.bags.damage import mention
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import by_topic, find_topics, short_types, types_by_topic
+from pc2scan.conversion.checks import result_findings
 from pc2scan.conversion.corrections import corrected, scaled
 from pc2scan.conversion.engine import Tally, items_of
 from pc2scan.conversion.plan import Output, Route, make_plan
 from pc2scan.conversion.preparation import judge_first, prepare, refuse_no_messages, span_of
 from pc2scan.conversion.recording import open_routes
 from pc2scan.conversion.report import Report, TopicReport
-from pc2scan.conversion.result_checks import result_findings
 from pc2scan.conversion.steps import ConvertedMessage, Steps
 from pc2scan.core.rule import NO_POINTS
 from pc2scan.errors import NothingToConvertError, Pc2ScanError, RecordingWarning, TopicError, name_list, visible
@@ -236,9 +236,7 @@ class Stream(ABC, Generic[Item]):
     def _open(self) -> StreamSource:
         options = self._options
         with ExitStack() as stack:
-            reader = as_one(open_recordings(self._paths, stack, strict=options.strict))
-            if options.cloud_scale != 1:
-                reader = scaled(reader, options.cloud_scale)
+            reader = scaled(as_one(open_recordings(self._paths, stack, strict=options.strict)), options.cloud_scale)
             try:
                 source = self._source(stack, reader)
             except TopicError as err:
@@ -457,7 +455,7 @@ class Scans(Stream[Scan]):
             transform_frames=self._transform_frames,
             meter=self._meter,
         )
-        self.transforms = prepared.transforms
+        self.transforms = prepared.recorded and prepared.recorded.buffer
         report.add((), prepared.notes)
         self.notes = tuple(report.notes)
         prepared.routes, report.topics = open_routes(plan, prepared.conversions, finish=_as_in_message)

@@ -145,10 +145,8 @@ class Mounting(NamedTuple):
         return f"{self.topic}: frame {self.judged_in!r} is {self.fault}" + (f". {self.cure}" if self.cure else "")
 
 
-def unit_warning(topic: str, sample: CloudSample) -> str:
-    """Return the warning that a cloud is in another unit than metres; empty if it is not."""
-    if not (distance := far_away(sample.points)):
-        return ""
+def unit_warning(topic: str, distance: float) -> str:
+    """Return the warning that a cloud is in another unit than metres, because its points are so far away."""
     return (
         f"{topic}: the points are {distance:,.0f} m away (median), so they are in another unit: in millimetres "
         f"that is {distance / 1000:.3g} m (`cloud_scale=0.001` corrects it), in centimetres "

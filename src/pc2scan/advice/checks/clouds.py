@@ -13,7 +13,7 @@ import numpy as np
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import percentiles
 from pc2scan.core.rule import PointCounts
-from pc2scan.core.scene import FEWEST_POINTS, WHOLE_POINTS, CloudSample, gathered, tolerances
+from pc2scan.core.scene import FEWEST_POINTS, WHOLE_POINTS, CloudSample, far_away, gathered, tolerances
 from pc2scan.text import agreeing, counted, height_text
 from pc2scan.transforms.frames import BODIES
 from pc2scan.transforms.motion import find_body_motion
@@ -327,8 +327,8 @@ def lossy_clouds(clouds: CloudFacts) -> Iterator[str]:
 
 def clouds_in_another_unit(clouds: CloudFacts) -> Iterator[str]:
     """Yield a warning if the points are so far away that they are in another unit."""
-    if text := unit_warning(clouds.topic, clouds.samples[0]):
-        yield text
+    if distance := far_away(clouds.samples[0].points):
+        yield unit_warning(clouds.topic, distance)
 
 
 def nearly_empty_scans(clouds: CloudFacts) -> Iterator[str]:

@@ -64,6 +64,7 @@ class McapReader(ChunkedReader):
     """
 
     _file: RecordFile
+    has_extras = True
     _container = "mcap"
     _record_at = staticmethod(record_at)
 

@@ -9,7 +9,7 @@ import struct
 from io import BytesIO
 from typing import TYPE_CHECKING, TypeVar
 
-from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Footer, Header, Metadata, Schema, Statistics
@@ -25,8 +25,6 @@ from pc2scan.model import RawMessage, StoredChunk
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
     from pathlib import Path
-
-    from mcap.records import McapRecord
 
     from pc2scan.model import Buffer, ChunkRule, Connection
 
@@ -101,20 +99,6 @@ def parse_fields(kind: type[_Record], content: Buffer, offset: int, path: Path |
 def parse(kind: type[_Record], content: Buffer, offset: int, file: RecordFile) -> _Record:
     """Parse a record's content; ``offset`` is its place in the file, for the error."""
     return parse_fields(kind, content, offset, file.path)[0]
-
-
-def encode_record(record: McapRecord) -> bytes:
-    """Pack a record, with its opcode and length.
-
-    Raises
-    ------
-    struct.error
-        If a number is negative or too large.
-    """
-    builder = RecordBuilder()
-    record.write(builder)
-    packed: bytes = builder.end()  # type: ignore[no-untyped-call]
-    return packed
 
 
 # --- Messages ---

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from io import BytesIO
 from itertools import chain
 from typing import TYPE_CHECKING
 
 from mcap import records
+from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 
 from pc2scan.errors import OutputError, UnwritableError
@@ -26,7 +27,6 @@ from .records import (
     OP_MESSAGE_INDEX,
     RECORD,
     UINT64,
-    encode_record,
 )
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ class McapWriter:
             self._file = NewFile(path)
         except OSError as err:
             raise OutputError(f"cannot be written: {err.strerror}", path=path) from err
-        self._file.put(MAGIC, encode_record(records.Header(profile, "pc2scan")))
+        self._file.put(MAGIC, _packed(records.Header(profile, "pc2scan")))
         for record in metadata:
             self.add_metadata(record)
 
@@ -161,7 +161,7 @@ class McapWriter:
         return equal[wanted]
 
     def _declare(self, opcode: Opcode, record: records.McapRecord) -> None:
-        packed = encode_record(record)
+        packed = _packed(record)
         self._put(packed)
         self._declared.add(packed)
         self._groups[opcode] += packed
@@ -214,6 +214,7 @@ class McapWriter:
             data = bytes(chunk.buffer.getbuffer()[: chunk.size])
             small = StoredChunk("", data, chunk.size, crc32(data), chunk.index)
             self._ahead.put(partial(self._recompress, small), self._put_chunk, chunk.size)
+            chunk.buffer.seek(0)
             self._chunk = _OpenChunk(chunk.buffer)
         elif chunk.size:
             put = partial(self._put_chunk, buffer=chunk.buffer)
@@ -260,7 +261,7 @@ class McapWriter:
             message_start_time=start_ns,
             uncompressed_size=chunk.size,
         )
-        self._groups[Opcode.CHUNK_INDEX] += encode_record(index)
+        self._groups[Opcode.CHUNK_INDEX] += _packed(index)
         self._numbers[Opcode.CHUNK_INDEX] += 1
         self._first_ns = start_ns if self._first_ns is None else min(self._first_ns, start_ns)
         self._last_ns = max(self._last_ns, end_ns)
@@ -268,6 +269,7 @@ class McapWriter:
             if isinstance(chunk.stored, memoryview):
                 # A buffer with a view of it cannot be written.
                 chunk.stored.release()
+            buffer.seek(0)
             self._spare.append(buffer)
 
     def add_attachment(self, attachment: Attachment) -> None:
@@ -279,7 +281,7 @@ class McapWriter:
             media_type=attachment.media_type,
             data=attachment.data,
         )
-        packed = encode_record(record)
+        packed = _packed(record)
         index = records.AttachmentIndex(
             offset=self._put(packed),
             length=len(packed),
@@ -289,20 +291,20 @@ class McapWriter:
             name=record.name,
             media_type=record.media_type,
         )
-        self._groups[Opcode.ATTACHMENT_INDEX] += encode_record(index)
+        self._groups[Opcode.ATTACHMENT_INDEX] += _packed(index)
         self._numbers[Opcode.ATTACHMENT_INDEX] += 1
 
     def add_metadata(self, metadata: Metadata) -> None:
         """Append a metadata record, with index."""
-        packed = encode_record(records.Metadata(metadata.name, dict(metadata.entries)))
+        packed = _packed(records.Metadata(metadata.name, dict(metadata.entries)))
         index = records.MetadataIndex(offset=self._put(packed), length=len(packed), name=metadata.name)
-        self._groups[Opcode.METADATA_INDEX] += encode_record(index)
+        self._groups[Opcode.METADATA_INDEX] += _packed(index)
         self._numbers[Opcode.METADATA_INDEX] += 1
 
     def finish(self) -> None:
         """Write the last chunk and the summary, and put everything on the disk."""
         self._finish_chunk()
-        self._put(encode_record(records.DataEnd(0)))
+        self._put(_packed(records.DataEnd(0)))
         statistics = records.Statistics(
             attachment_count=self._numbers[Opcode.ATTACHMENT_INDEX],
             channel_count=len(self._channels),
@@ -314,13 +316,13 @@ class McapWriter:
             metadata_count=self._numbers[Opcode.METADATA_INDEX],
             schema_count=sum(map(len, self._schemas.values())),
         )
-        self._groups[Opcode.STATISTICS] += encode_record(statistics)
+        self._groups[Opcode.STATISTICS] += _packed(statistics)
         start, crc, offsets = self._file.position, 0, []
         for opcode, packed in self._groups.items():
             if group := memoryview(packed):
-                offsets.append(encode_record(records.SummaryOffset(opcode, self._file.put(group), len(group))))
+                offsets.append(_packed(records.SummaryOffset(opcode, self._file.put(group), len(group))))
                 crc = crc32(group, crc)
-        tail = b"".join((*offsets, encode_record(records.Footer(start, self._file.position, 0))))
+        tail = b"".join((*offsets, _packed(records.Footer(start, self._file.position, 0))))
         # The footer's last field is the CRC of the summary and of the footer's other fields.
         self._file.put(tail[:-4], struct.pack("<I", crc32(tail[:-4], crc)), MAGIC)
         self._file.finish()
@@ -336,23 +338,38 @@ class McapWriter:
         return self._file.put(data)
 
 
+@dataclass(slots=True, eq=False)
 class _OpenChunk:
     """The messages of the next chunk.
 
-    Parameters
+    Attributes
     ----------
     buffer
         Is written from its start on. Chunks share it, because new memory for every chunk takes a third of the time
         of lz4.
+    size
+        How many bytes of it are written.
+    index
+        As in `StoredChunk`.
     """
 
-    __slots__ = ("buffer", "index", "size")
+    buffer: BytesIO
+    size: int = 0
+    index: dict[int, list[tuple[int, int]]] = field(default_factory=dict)
 
-    def __init__(self, buffer: BytesIO) -> None:
-        buffer.seek(0)
-        self.buffer = buffer
-        self.size = 0
-        self.index: dict[int, list[tuple[int, int]]] = {}
+
+def _packed(record: records.McapRecord) -> bytes:
+    """Pack a record, with its opcode and length.
+
+    Raises
+    ------
+    struct.error
+        If a number is negative or too large.
+    """
+    builder = RecordBuilder()
+    record.write(builder)
+    packed: bytes = builder.end()  # type: ignore[no-untyped-call]
+    return packed
 
 
 def _channel_metadata(connection: Connection) -> dict[str, str]:

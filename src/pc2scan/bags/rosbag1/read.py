@@ -30,10 +30,10 @@ from .records import (
     indexed_entries,
     number_field,
     parse_connection,
+    part_of,
     read_chunk,
     read_index,
     read_record,
-    reading,
     time_field,
 )
 from .recover import payload_prefix, record_at, recover_index, times_in
@@ -285,7 +285,7 @@ def scan_messages(
                 if position > end:
                     raise FormatError(f"a message reaches to byte {position} of a chunk of {end} bytes")
             else:
-                kind, fields, start, following = read_record(reading(data), position, end)
+                kind, fields, start, following = read_record(partial(part_of, data), position, end)
                 # Writers use one order of fields: use it from now on, and read this record again.
                 other = LAYOUTS.get(tuple(fields), current)
                 if other is not current and kind == MESSAGE:

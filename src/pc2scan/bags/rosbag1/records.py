@@ -20,7 +20,8 @@ from __future__ import annotations
 
 import struct
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.chunks import NearbyFile, Segment, Segments, unpacked
@@ -193,9 +194,9 @@ def read_record(read: Callable[[int, int], Buffer], position: int, size: int) ->
 # --- Inside chunks ---
 
 
-def reading(data: memoryview) -> Callable[[int, int], memoryview]:
-    """Return the function that reads bytes of a chunk."""
-    return lambda offset, length: data[offset : offset + length]
+def part_of(data: memoryview, offset: int, length: int) -> memoryview:
+    """Return bytes of a chunk, for `read_record`."""
+    return data[offset : offset + length]
 
 
 def read_chunk(file: BagFile, segment: Segment, *, keep: bool = False) -> tuple[memoryview, memoryview]:
@@ -212,7 +213,7 @@ def records_of(file: BagFile, segment: Segment) -> Iterator[tuple[BagRecord, mem
     _, data = read_chunk(file, segment)
     position = 0
     while position < len(data):
-        record = read_record(reading(data), position, len(data))
+        record = read_record(partial(part_of, data), position, len(data))
         yield record, data[record.start : record.stop]
         position = record.stop
 
@@ -234,24 +235,24 @@ USUAL_LAYOUT = LAYOUTS[b"conn", b"op", b"time"]
 _ENTRY = struct.Struct("<III")
 
 
+@dataclass(slots=True, eq=False)
 class Connections:
     """The connections of a bag by id, of which the first description counts; they are limited (`ConnectionLimit`)."""
 
-    def __init__(self, file: BagFile) -> None:
-        self.by_id: dict[int, Connection] = {}
-        self._limit = ConnectionLimit(file.path, file.size)
+    limit: ConnectionLimit
+    by_id: dict[int, Connection] = field(default_factory=dict)
 
     def add(self, fields: Mapping[bytes, bytes], body: Buffer) -> None:
         """Add the connection of a record with these fields and this body."""
         connection = parse_connection(fields, body)
         if self.by_id.setdefault(connection.id, connection) is connection:
-            self._limit.add(len(body))
+            self.limit.add(len(body))
 
 
 def read_index(file: BagFile, log: DamageLog) -> tuple[dict[int, Connection], Segments]:
     """Read the index of a bag: connections by id, and chunks with messages, in the order of the file."""
     position, connection_count, chunk_count = _read_bag_header(file)
-    connections = Connections(file)
+    connections = Connections(ConnectionLimit(file.path, file.size))
     for _ in range(connection_count):
         record = file.record(position, CONNECTION)
         connections.add(record.fields, file.nearby(record.start, record.stop - record.start))
@@ -294,7 +295,9 @@ def read_index(file: BagFile, log: DamageLog) -> tuple[dict[int, Connection], Se
     if (stored := int(segments.rows["length"].sum())) > 2 * file.size:
         raise FormatError(f"the chunks have {stored} bytes together, in a bag of {file.size}")
     unlisted = set(counts.keys() - connections.by_id.keys())
-    _compare_connections(file, segments, unlisted, connections)
+    doubtful = {key for key, connection in connections.by_id.items() if "topic" in connection.metadata}
+    if unlisted or doubtful:
+        _compare_connections(file, segments, unlisted | doubtful, doubtful, connections)
     for identity in sorted(unlisted):
         error = f"connection {identity} has messages, and only chunks describe it"
         log.note(file.damage_error(error), key=("unlisted", identity), messages_lost=0)
@@ -341,14 +344,14 @@ def indexed_entries(file: BagFile, segment: Segment) -> Iterator[tuple[int, list
             yield number_field(fields, "conn"), [(time * SECOND_NS + more, place) for time, more, place in entries]
 
 
-def _compare_connections(file: BagFile, segments: Segments, unlisted: set[int], connections: Connections) -> None:
+def _compare_connections(
+    file: BagFile, segments: Segments, missing: set[int], doubtful: set[int], connections: Connections
+) -> None:
     """Add connections that only chunks describe, and compare those of whose topic the index says two things.
 
     Chunks are right: where they differ, the index is not used.
     """
-    doubtful = {key for key, connection in connections.by_id.items() if "topic" in connection.metadata}
-    missing = unlisted | doubtful
-    for segment in segments if missing else ():
+    for segment in segments:
         if not missing.isdisjoint(segment.connection_ids or ()):
             for record, body in records_of(file, segment):
                 if record.kind == CONNECTION and (identity := number_field(record.fields, "conn")) in missing:

@@ -10,10 +10,11 @@ from __future__ import annotations
 import re
 from contextlib import suppress
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.chunks import Record, Segment, Segments, sound_records, times_around
+from pc2scan.bags.reader import ConnectionLimit
 from pc2scan.files.compression import decompressed_prefix
 
 from .records import (
@@ -26,8 +27,8 @@ from .records import (
     chunk_segment,
     indexed_entries,
     number_field,
+    part_of,
     read_record,
-    reading,
     time_field,
 )
 
@@ -101,7 +102,7 @@ def recover_index(file: BagFile, problem: DamageError, log: DamageLog) -> tuple[
     """
     if log.strict:
         raise problem
-    connections, segments = Connections(file), Segments()
+    connections, segments = Connections(ConnectionLimit(file.path, file.size)), Segments()
     described: list[BagRecord] = []
     gaps: list[tuple[int, int, str]] = []
     for position, record in _records(file, gaps):
@@ -156,7 +157,7 @@ def times_in(file: BagFile, segment: Segment, connections: Connections | None = 
             times.setdefault(record.connection_id, []).append(record.log_time_ns)
         elif connections is not None:
             with suppress(FormatError):
-                connections.add(read_record(reading(data), place, len(data)).fields, data[record.start : stop])
+                connections.add(read_record(partial(part_of, data), place, len(data)).fields, data[record.start : stop])
     return times
 
 
@@ -168,7 +169,7 @@ def payload_prefix(file: BagFile, segment: Segment) -> memoryview:
 
 def record_at(data: memoryview, place: int) -> Record | None:
     """Return the record that begins at a place of a damaged chunk; None if none does."""
-    record = _plausible_record(reading(data), place, len(data))
+    record = _plausible_record(partial(part_of, data), place, len(data))
     with suppress(FormatError):
         if record is not None and record.kind == CONNECTION:
             return Record(record.stop, record.start)

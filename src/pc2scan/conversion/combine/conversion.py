@@ -15,12 +15,11 @@ import numpy as np
 
 from pc2scan.advice.clocks import MEASURES, are_doubtful
 from pc2scan.advice.measurements import Measurements, measure, require_fields, unknown_step
-from pc2scan.conversion.steps import Beams, ConvertedMessage, SelectStage, Steps, remove_beams
+from pc2scan.conversion.steps import Beams, ConvertedMessage, SelectStage, Steps
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import median_low
 from pc2scan.core.points import Points
 from pc2scan.core.project import PointsPart, ProjectedScan, contiguous
-from pc2scan.core.rigid import Rigid
 from pc2scan.core.rule import PointCounts
 from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import UsageError, name_list
@@ -40,7 +39,7 @@ if TYPE_CHECKING:
     from pc2scan.conversion.deskew import Deskew, Track
     from pc2scan.conversion.plan import Output
     from pc2scan.core.project import Transform
-    from pc2scan.core.rigid import MovingTransform
+    from pc2scan.core.rigid import MovingTransform, Rigid
     from pc2scan.request.filters import Filter
     from pc2scan.request.options import ScanSpec
     from pc2scan.transforms.placing import LevelFrame, Placer
@@ -52,9 +51,6 @@ _OVERHEAD = 2_000
 
 _DEFAULTS = ProjectionParams()
 _AXES = frozenset("xyz")
-
-#: The transform that changes nothing.
-_NOWHERE = Rigid.identity()
 
 
 class Contribution(NamedTuple):
@@ -142,7 +138,7 @@ class MessagesToScan:
         surroundings: Surroundings | None = None,
     ) -> None:
         params = spec.params
-        self._beams = Beams(params, measured)
+        self._beams = Beams(spec, measured)
         self.spec = spec
         self.topics = tuple(topics)
         self.grouper = grouper
@@ -163,7 +159,6 @@ class MessagesToScan:
             self._early = SelectStage(early, placer) if early else None
             self._late = SelectStage(late, placer) if late else None
         self._intensity = params.intensity_field or ("intensity" if spec.combining.rebin else "")
-        self._remove = partial(remove_beams, spec.remove, params.empty_range) if spec.remove else None
         self._kept = {"x", "y", "z", self._intensity, *(field for each in late for field in each.fields)}
         #: Upstream's default minimum, the smallest positive number, is meant for clouds: it rejects all beams of scans.
         self._any_height = params.min_height == _DEFAULTS.min_height
@@ -278,13 +273,8 @@ class MessagesToScan:
             scan = self._projector.nearest_of([*known, *map(self._projector.nearest, parts)])
         else:
             scan = self._projector.together(parts)
-        message, empty = self._beams.message(lead.points.sequence, lead.reference_ns, lead.frame_id, scan)
-        level = None if lead.level is None else lead.level.at(lead.reference_ns)
-        counts = sum(others, scan.counts)
-        result = ConvertedMessage(
-            message, counts, empty, longest_ns, level, removed=scan.removed, stamp_ns=lead.reference_ns
-        )
-        return result if self._remove is None else self._remove(result)
+        header, counts = (lead.points.sequence, lead.reference_ns, lead.frame_id), sum(others, scan.counts)
+        return self._beams.message(header, scan, counts, lead.level, longest_ns, lead.reference_ns)
 
     def _place(
         self, lead: Contribution, member: Contribution

@@ -94,12 +94,6 @@ class SourceCounts:
         if self.longest_unmatched is None or number + 1 > self.longest_unmatched.number:
             self.longest_unmatched = self._unmatched
 
-    def jump(self, stamp_ns: int, by_ns: int) -> None:
-        """Count a jump of the stamps."""
-        if not self.jumped:
-            self.first_jump = stamp_ns, by_ns
-        self.jumped += 1
-
 
 class _Moment(NamedTuple):
     """The stamp and the log time of a message, nanoseconds."""
@@ -181,7 +175,9 @@ class Grouper:
         groups: list[Group] = []
         if not self._continues(source, moment):
             if last is not None and not moment.follows(last, _BACK_NS, _APART_NS):
-                counts.jump(stamp_ns, stamp_ns - last.stamp_ns - log_time_ns + last.log_time_ns)
+                counts.jumped += 1
+                if counts.jumped == 1:
+                    counts.first_jump = stamp_ns, stamp_ns - last.stamp_ns - log_time_ns + last.log_time_ns
             if source:
                 counts.let_go(stamp_ns, used=False)
                 return groups

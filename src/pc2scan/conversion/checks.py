@@ -1,9 +1,10 @@
-"""Checks of the result of a conversion: its first scans, and the counts of its topics. Notes about it, too."""
+"""Checks of a conversion: of the frames that options name, before the first message, and of its result. Notes, too."""
 
 from __future__ import annotations
 
 from collections import Counter
 from functools import partial
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,14 +13,18 @@ from pc2scan.advice.checks.clouds import notable_share
 from pc2scan.bags.damage import RECOVER, Damage, count_details
 from pc2scan.core.consumers import judge
 from pc2scan.core.params import ProjectionParams
-from pc2scan.errors import DamageError, ResultError, name_list, stamp_text
+from pc2scan.errors import DamageError, ParameterError, ResultError, UsageError, name_list, stamp_text
 from pc2scan.messages.laserscan import decode_laserscan, scan_for_consumers
 from pc2scan.request.parameters import preset_of
 from pc2scan.result import Remark
-from pc2scan.text import agreeing, counted
+from pc2scan.text import agreeing, counted, did_you_mean, nearest
+from pc2scan.transforms.buffer import frames_text
+from pc2scan.transforms.frames import WORLDS
+from pc2scan.transforms.motion import find_body_motion
+from pc2scan.transforms.static import static_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
     from pc2scan.bags.reader import Reader
     from pc2scan.core.consumers import Outcome
@@ -27,9 +32,146 @@ if TYPE_CHECKING:
     from pc2scan.messages.laserscan import LaserScan
     from pc2scan.model import Buffer
     from pc2scan.request.options import Request, ScanSpec
+    from pc2scan.transforms.buffer import TransformBuffer
+    from pc2scan.transforms.placing import FrameOptions
+    from pc2scan.transforms.static import StaticTransform
 
-    from .plan import Route
+    from .plan import Plan, Route
     from .report import Report, TopicReport
+
+# --- The frames that options name and add ---
+
+_MOST_NAMES = 5
+
+
+def check_given_frames(
+    own: Iterable[str],
+    plan: Plan,
+    options: FrameOptions,
+    buffer: TransformBuffer | None,
+    robot: TransformBuffer | None,
+) -> Iterator[str]:
+    """Yield a warning for each added transform, and for a source frame, that is probably a mistake.
+
+    Parameters
+    ----------
+    own
+        The frames of the first messages that are converted.
+    buffer
+        All transforms; None if nothing is transformed.
+    robot
+        The transforms between the robot's frames, if nothing is transformed; None if there are none.
+
+    Raises
+    ------
+    UsageError
+        If an added transform and the recorded ones form a loop, or one is for a frame whose name is nearly that of the
+        clouds, which no transform has.
+    """
+    frames = [frame.removeprefix("/") for frame in dict.fromkeys(own) if frame]
+    if source := options.source_frame.removeprefix("/"):
+        transforms = robot if buffer is None else buffer
+        known = dict.fromkeys((*(() if transforms is None else transforms.frames), *frames))
+        if source not in known and (meant := did_you_mean(source, known)):
+            yield (
+                f"`source_frame` is {source!r}, which neither a cloud nor a transform of the recording has (the clouds "
+                f"are in {name_list(frames, _MOST_NAMES) or 'no frame'}); {meant}"
+            )
+        frames = [source]
+    if buffer is None:
+        return
+    for static in options.static:
+        _refuse_loop(static, buffer)
+    targets = {spec.params.target_frame.removeprefix("/") for spec in plan.specs} - {""}
+    named = {frame.removeprefix("/") for spec in plan.specs for frame in spec.frames}
+    used = {name for frame in (*frames, *named) for name in _upwards(buffer, frame)}
+    if options.write_static or not frames or any(spec.imu for spec in plan.specs):
+        return
+    for static in options.static:
+        child = static.child.removeprefix("/")
+        if child not in used:
+            near = nearest(child, frames)
+            text = (
+                f"`static_tf` from {static.parent} to {static.child} has no effect: the clouds are in "
+                f"{name_list(frames, _MOST_NAMES)}"
+            )
+            if near and targets and not any(frame in buffer.frames for frame in frames):
+                # Nothing could be placed.
+                raise UsageError(text, hint=f"did you mean `static_tf='{static_text(static.parent, near, static)}'`?")
+            yield text + (f"; did you mean {near}?" if near else "")
+
+
+def _upwards(buffer: TransformBuffer, frame: str) -> list[str]:
+    """Return a frame and those above it; none twice."""
+    ancestors: dict[str, None] = {}
+    while frame and frame not in ancestors:
+        ancestors[frame] = None
+        history = buffer.history(frame)
+        frame = "" if history is None else buffer.frames[history.parent_at(None)]
+    return list(ancestors)
+
+
+def _refuse_loop(static: StaticTransform, buffer: TransformBuffer) -> None:
+    parent, child = static.parent.removeprefix("/"), static.child.removeprefix("/")
+    above = _upwards(buffer, parent)
+    if child not in above:
+        return
+    way = " in ".join(above[: above.index(child) + 1])
+    swapped = static_text(child, parent, static)
+    raise UsageError(
+        f"`static_tf` makes {parent} the parent of {child}, which is above {parent} already: {way}",
+        hint=f"the parent comes first; `static_tf='{swapped}'` replaces the recorded transform",
+    )
+
+
+def check_fixed_frame(source: str, spec: ScanSpec, buffer: TransformBuffer) -> list[str]:
+    """Return a warning if nothing moves in the fixed frame.
+
+    Parameters
+    ----------
+    source
+        The frame of the clouds: the one that the user gives, or that of the first cloud; empty if there is none.
+
+    Raises
+    ------
+    ParameterError
+        If the frame does not exist.
+    """
+    fixed = spec.fixed_frame.removeprefix("/")
+    if fixed not in buffer.frames:
+        near = did_you_mean(fixed, sorted(buffer.frames)) or _offered(buffer, "")
+        advice = "`static_tf` or `tf_from` adds a transform"
+        raise ParameterError(
+            f"`fixed_frame` is {fixed!r}, which is in no transform; {frames_text(buffer.frames)}",
+            hint=f"{near}{'' if near.endswith('?') or not near else ';'} {advice}".strip(),
+        )
+    frame = (spec.params.target_frame or source).removeprefix("/")
+    if not frame or not buffer.is_rigid(fixed, frame):
+        return []
+    if fixed == frame and find_body_motion(buffer, fixed, source):
+        return []  # the target frame itself is wrong, which another warning says
+    which = "the frame of the scans itself" if fixed == frame else f"and {frame} never moves in it"
+    advice = _offered(buffer, fixed) or "no recorded transform moves; `tf_from` adds the odometry of another recording"
+    return [f"`fixed_frame` is {fixed}, {which}: no point is moved; {advice}"]
+
+
+def _offered(buffer: TransformBuffer, fixed: str) -> str:
+    """Return a hint that suggests a frame in which something moves; empty if there is none."""
+    frame = frame_that_stays(buffer, fixed)
+    return f"`fixed_frame={frame}` is a frame that does not move" if frame else ""
+
+
+def frame_that_stays(buffer: TransformBuffer, fixed: str) -> str:
+    """Return a frame in which something moves, also against ``fixed``; empty if there is none."""
+    roots = [root for tree in buffer.trees if not fixed or fixed in tree.frames for root in tree.roots]
+    names = dict.fromkeys((*(name for name in WORLDS if name in buffer.frames), *roots))
+    moving = {child for child in buffer.frames if (link := buffer.history(child)) is not None and not link.static}
+    frames = [name for name in names if any(not buffer.is_rigid(name, child) for child in moving if child != name)]
+    frames = [name for name in frames if not fixed or not buffer.is_rigid(name, fixed)]
+    return frames[0] if frames else ""
+
+
+# --- The first scans, and the counts of topics ---
 
 warning, note = partial(Remark, "warning"), partial(Remark, "note")
 
@@ -77,19 +219,6 @@ _DOES: dict[Outcome, str] = {
 }
 
 
-def _refusal(topic: TopicReport, scan: LaserScan) -> str:
-    """Return a warning if the consumer that scans are made for would not use scans like this one as they are meant.
-
-    Without a preset, this is slam_toolbox, and only whether it ignores them: `pc2scan check` judges for all consumers.
-    """
-    chosen = next(filter(None, map(preset_of, topic.spec.origins.values() if topic.spec else ())), "")
-    verdict = judge(chosen or "slam_toolbox", scan_for_consumers(scan))
-    if verdict.outcome == "accepted" or not (chosen or verdict.refused):
-        return ""
-    cure = f"{verdict.cure[:1].upper()}{verdict.cure[1:]}"
-    return f"{verdict.consumer} {_DOES[verdict.outcome]}: {verdict.observed} where it allows {verdict.allowed}. {cure}"
-
-
 def _shared_beams(topic: TopicReport, spec: ScanSpec, scan: LaserScan) -> Iterator[str]:
     """Yield a note where upstream's beams end at the angles of a 2D lidar's: two are in one, and none in the next."""
     if topic.joined is not None or spec.params.geometry != "upstream":
@@ -104,15 +233,24 @@ def _shared_beams(topic: TopicReport, spec: ScanSpec, scan: LaserScan) -> Iterat
         )
 
 
-def _of_first_scans(first_scans: Sequence[tuple[TopicReport, Buffer]], serialization: str) -> Iterator[Remark]:
-    """Yield what consumers would do with the first scans, a warning for each reason with the topics; and notes."""
+def _of_first_scans(
+    first_scans: Sequence[tuple[TopicReport, ScanSpec, Buffer]], serialization: str
+) -> Iterator[Remark]:
+    """Yield a warning for each reason why the consumer that scans are made for would not use them as they are meant.
+
+    Without a preset, this is slam_toolbox, and only whether it ignores them: `pc2scan check` judges for all consumers.
+    """
     topics: dict[str, list[str]] = {}
-    for topic, data in first_scans:
+    for topic, spec, data in first_scans:
         scan = decode_laserscan(data, serialization)
-        if text := _refusal(topic, scan):
+        chosen = next(filter(None, map(preset_of, spec.origins.values())), "")
+        verdict = judge(chosen or "slam_toolbox", scan_for_consumers(scan))
+        if verdict.outcome != "accepted" and (chosen or verdict.refused):
+            does = f"{_DOES[verdict.outcome]}: {verdict.observed} where it allows {verdict.allowed}"
+            text = f"{verdict.consumer} {does}. {verdict.cure[:1].upper()}{verdict.cure[1:]}"
             topics.setdefault(text, []).append(topic.target or "")
-        if topic.spec is not None and topic.spec.combining.rebin:
-            yield from map(note, _shared_beams(topic, topic.spec, scan))
+        if spec.combining.rebin:
+            yield from map(note, _shared_beams(topic, spec, scan))
     yield from (warning(f"{', '.join(dict.fromkeys(names))}: {text}") for text, names in topics.items())
 
 
@@ -153,7 +291,7 @@ def unconverted_topic(topic: TopicReport, *_: object) -> Iterator[Remark]:
 
 def unordered_stamps(topic: TopicReport, *_: object) -> Iterator[Remark]:
     """Yield a warning if stamps go back or are 0."""
-    yield from map(warning, topic.stamps.faults(topic.topic))
+    yield from map(warning, topic.stamps.texts(topic.topic))
 
 
 def scans_without_return(topic: TopicReport, spec: ScanSpec, report: Report) -> Iterator[Remark]:
@@ -173,7 +311,7 @@ def rejected_points(topic: TopicReport, spec: ScanSpec, report: Report) -> Itera
     Not of limits, conditions and regions, nor of the ground: they reject what users ask them to, and often most of it.
     """
     points = topic.points
-    for name, rejection in report.rejections.items():
+    for name, rejection in report.rejections.items() if topic.action == "converted" else ():
         count = points.rejected.get(name)
         if rejection.remedy:
             yield from _removed(
@@ -316,9 +454,10 @@ def tilt_of_frame(topic: TopicReport, spec: ScanSpec, report: Report) -> Iterato
 
 #: Checks of a topic, by the attribute that a topic must have for them; each yields warnings and notes.
 TOPIC_CHECKS: Mapping[str, Sequence[Callable[[TopicReport, ScanSpec, Report], Iterator[Remark]]]] = {
-    "action": (unconverted_topic, unordered_stamps),
+    "action": (unconverted_topic,),
+    "stamps.faults": (unordered_stamps,),
     "empty_scans": (scans_without_return,),
-    "is_made": (rejected_points,),
+    "messages_out": (rejected_points,),
     "removed_beams": (removed_beams,),
     "joined": (jumping_stamps, source_in_no_scan, messages_in_no_scan),
     "longest_gap_s": (missing_transforms,),
@@ -327,7 +466,7 @@ TOPIC_CHECKS: Mapping[str, Sequence[Callable[[TopicReport, ScanSpec, Report], It
 
 
 def result_findings(
-    report: Report, first_scans: Sequence[tuple[TopicReport, Buffer]] = (), serialization: str = ""
+    report: Report, first_scans: Sequence[tuple[TopicReport, ScanSpec, Buffer]] = (), serialization: str = ""
 ) -> tuple[list[str], list[str]]:
     """Return the warnings and the notes about a result.
 
@@ -336,7 +475,7 @@ def result_findings(
     report
         The counts of its topics.
     first_scans
-        The first scan of each topic that was written, serialised. Empty for a dry run.
+        The first scan of each topic that was written, serialised, and its request. Empty for a dry run.
     serialization
         That of the scans: ``ros1`` or ``cdr``.
     """
@@ -344,7 +483,7 @@ def result_findings(
     remarks += (remark for spec in report.scans for remark in _of_request(spec))
     for topic in report.topics:
         if (spec := topic.spec) is not None:
-            groups = (checks for name, checks in TOPIC_CHECKS.items() if getattr(topic, name))
+            groups = (checks for name, checks in TOPIC_CHECKS.items() if attrgetter(name)(topic))
             remarks += (remark for checks in groups for check in checks for remark in check(topic, spec, report))
     warnings = [remark.text for remark in remarks if remark.label == "warning"]
     return warnings, list(dict.fromkeys(remark.text for remark in remarks if remark.label == "note"))
@@ -383,15 +522,13 @@ def compare_counts(reader: Reader, options: Request, routes: Collection[Route], 
 
 
 def refuse_nothing(report: Report) -> None:
-    """Raise if no message was converted.
+    """Raise because no message was converted.
 
     Raises
     ------
     ResultError
         The error names the most frequent reason.
     """
-    if any(topic.messages_out for topic in report.converted):
-        return
     read = sum(topic.messages_in for topic in report.converted)
     joined = [topic.topic for topic in report.topics if topic.action == "joined" and topic.messages_in]
     why, path, hint = "there was none to convert", None, "check `topics`, `start` and `end`"
