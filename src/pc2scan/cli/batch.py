@@ -13,7 +13,7 @@ from .render import as_typed, progress_bar, say, show
 
 if TYPE_CHECKING:
     from pc2scan.datasets.planning import BatchPlan
-    from pc2scan.datasets.summary import Outcome
+    from pc2scan.datasets.summary import RecordingOutcome
 
 
 def batch(sources: list[str], destination: str, *, options: Options) -> int:
@@ -49,7 +49,7 @@ def _show_plan(plan: BatchPlan, options: Options) -> None:
     say(text + (f", {len(skip):,} skipped by the dataset file" if skip else ""), err=True)
 
 
-def _show_outcome(done: Outcome, options: Options) -> None:
+def _show_outcome(done: RecordingOutcome, options: Options) -> None:
     """Show a line for a recording that is finished."""
     if options.quiet and not (done.error and done.exit_status):
         return

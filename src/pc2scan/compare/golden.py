@@ -56,7 +56,7 @@ _ALSO_READ = {"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage", "sensor_msgs/msg/Imu
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class GoldenCase:
     """A conversion and its expected output.
 
     Attributes
@@ -135,7 +135,7 @@ def _cases_in(folder: Path) -> Iterator[Path]:
             yield from _cases_in(path)
 
 
-def load_case(folder: Path) -> Case:
+def load_case(folder: Path) -> GoldenCase:
     """Read a case from its folder.
 
     Raises
@@ -165,7 +165,7 @@ def load_case(folder: Path) -> Case:
     expected = _only(folder, _EXPECTED)
     if expected and any(file.samefile(expected[0]) for file in (*inputs, *params)):
         raise UsageError("is a file of a case", path=expected[0])
-    return Case(
+    return GoldenCase(
         folder=folder,
         inputs=tuple(inputs),
         params=params[0] if params else None,
@@ -343,7 +343,7 @@ def check_case(name: str, folder: Path, command: Command, *, update: bool = Fals
     return CaseResult(name, outcome, tuple(lines), difference, time.monotonic() - began)
 
 
-def _run_case(case: Case, command: Command, *, update: bool) -> tuple[str, list[str], Difference | None]:
+def _run_case(case: GoldenCase, command: Command, *, update: bool) -> tuple[str, list[str], Difference | None]:
     """Return the outcome, the lines about it, and the difference."""
     difference = None
     with TemporaryDirectory(prefix="pc2scan-golden-") as folder:
@@ -372,7 +372,7 @@ def _run_case(case: Case, command: Command, *, update: bool) -> tuple[str, list[
         return "updated" if update else "failed", lines, difference
 
 
-def _run_conversion(case: Case, command: Command, destination: Path, *further: str) -> CommandResult:
+def _run_conversion(case: GoldenCase, command: Command, destination: Path, *further: str) -> CommandResult:
     """Run the case's conversion."""
     arguments = ["convert", *map(str, case.inputs), "-o", str(destination), *further]
     if case.params is not None:
@@ -385,7 +385,7 @@ def _run_conversion(case: Case, command: Command, destination: Path, *further: s
         raise UsageError(f"arguments: {err.message}", path=case.folder / SETTINGS, hint=err.hint) from err
 
 
-def _write_expected(case: Case, actual: Path, command: Command) -> None:
+def _write_expected(case: GoldenCase, actual: Path, command: Command) -> None:
     """Write the actual output as the expected one, in its form; scans without one yet, as text."""
     with closing(open_source(actual)) as source:
         scans = all(connection.ros_type == LASERSCAN for connection in source.connections)

@@ -22,7 +22,7 @@ from .executors import run_jobs, run_jobs_on_dask
 from .find import find, natural_key
 from .manifest import BEGUN, MANIFEST, open_folder
 from .planning import Choices, have_same_outcome, load_dataset_file, make_plan
-from .summary import BatchReport, Outcome
+from .summary import BatchReport, RecordingOutcome
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -43,7 +43,7 @@ def run_batch(
     options: Options,
     *,
     planned: Callable[[BatchPlan], object] | None = None,
-    done: Callable[[Outcome], object] | None = None,
+    done: Callable[[RecordingOutcome], object] | None = None,
     progress: Callable[[int, int, int, int], object] | None = None,
 ) -> BatchReport:
     """Convert every recording of a dataset; see `pc2scan.batch`.
@@ -77,12 +77,12 @@ def run_batch(
         if planned is not None:
             planned(plan)
         jobs = {job.key: job for job in plan.jobs}
-        outcomes = {job.key: Outcome.of(job, folder.records[job.key]) for job in plan.of("keep")}
+        outcomes = {job.key: RecordingOutcome.of(job, folder.records[job.key]) for job in plan.of("keep")}
         total, size, count = len(plan.of("convert")), 0, 0
         size_in_all = sum(job.size_bytes for job in plan.of("convert"))
         for record in _records(plan, folder, options):
             job = jobs[record.key]
-            outcomes[job.key] = outcome = Outcome.of(job, record)
+            outcomes[job.key] = outcome = RecordingOutcome.of(job, record)
             if done is not None:
                 done(outcome)
             if job.action == "convert":
@@ -92,7 +92,7 @@ def run_batch(
         report = BatchReport(
             out,
             outcomes=sorted(
-                [*outcomes.values(), *(Outcome.skipped_by_file(each.key) for each in plan.skipped)],
+                [*outcomes.values(), *(RecordingOutcome.skipped_by_file(each.key) for each in plan.skipped)],
                 key=lambda outcome: natural_key(outcome.key),
             ),
             dry_run=options.dry_run,

@@ -38,7 +38,7 @@ _VARIABLE = re.compile(r":(?: `[^`]*`)+$|'[^']*'|(?<![\w.])/[\w./-]+(?:, /[\w./-
 _AGREEING = re.compile(r"\b(?:is|are|was|were|has|have|its|their)\b|(?<=# )([a-z]+?)s?\b")
 
 
-class Group(NamedTuple):
+class RemarkGroup(NamedTuple):
     """Recordings of which the same is said, with other names or numbers.
 
     Attributes
@@ -57,7 +57,7 @@ class Group(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
+class RecordingOutcome:
     """The outcome of one recording.
 
     Attributes
@@ -105,12 +105,12 @@ class Outcome:
     hint: str = ""
 
     @classmethod
-    def skipped_by_file(cls, key: str) -> Outcome:
+    def skipped_by_file(cls, key: str) -> RecordingOutcome:
         """Return the outcome of a recording that the dataset file skips."""
         return cls(key=key, action="skip", why="the dataset file skips it", outcome="skipped")
 
     @classmethod
-    def of(cls, job: Job, record: ManifestRecord) -> Outcome:
+    def of(cls, job: Job, record: ManifestRecord) -> RecordingOutcome:
         """Return the outcome of a job, given its line of the manifest."""
         report: Mapping[str, Any] = record.report or {}
         error: Mapping[str, Any] = record.error or {}
@@ -155,7 +155,7 @@ class Outcome:
         return ", ".join([*told, counted(len(self.warnings), "warning")] if self.warnings else told)
 
     def remarks(self) -> Iterator[tuple[str, str]]:
-        """Yield what is said of it: of which kind (see `Group`), and the text."""
+        """Yield what is said of it: of which kind (see `RemarkGroup`), and the text."""
         if self.error:
             yield self.outcome, f"{self.error} ({self.hint})" if self.hint else self.error
         if self.skipped:
@@ -164,7 +164,7 @@ class Outcome:
         yield from (("warning", text) for text in self.warnings)
 
 
-def groups_of(outcomes: Iterable[Outcome]) -> list[Group]:
+def groups_of(outcomes: Iterable[RecordingOutcome]) -> list[RemarkGroup]:
     """Return what is said of several recordings, the worst first, then what is said of most."""
     remarks: dict[tuple[str, str], tuple[str, dict[str, None]]] = {}
     for outcome in outcomes:
@@ -173,7 +173,7 @@ def groups_of(outcomes: Iterable[Outcome]) -> list[Group]:
             _, keys = remarks.setdefault((kind, alike), (text, {}))
             keys[outcome.key] = None
     kinds = [*_ORDER, "skipped", "damaged", "warning"]
-    groups = [Group(kind, text, tuple(keys)) for (kind, _), (text, keys) in remarks.items()]
+    groups = [RemarkGroup(kind, text, tuple(keys)) for (kind, _), (text, keys) in remarks.items()]
     return sorted(groups, key=lambda group: (kinds.index(group.kind), -len(group.recordings)))
 
 
@@ -204,7 +204,7 @@ class BatchReport(Result):
     )
 
     destination: Path | str
-    outcomes: list[Outcome] = field(default_factory=list)
+    outcomes: list[RecordingOutcome] = field(default_factory=list)
     dry_run: bool = False
     seconds: float = 0.0
     workers: int = 0
@@ -228,12 +228,12 @@ class BatchReport(Result):
         return sum(outcome.action == "keep" for outcome in self.outcomes)
 
     @property
-    def groups(self) -> list[Group]:
+    def groups(self) -> list[RemarkGroup]:
         """What is said of several recordings, the worst first, then what is said of most."""
         return groups_of(self.recordings)
 
     @property
-    def recordings(self) -> list[Outcome]:
+    def recordings(self) -> list[RecordingOutcome]:
         """The outcomes, the bad ones first."""
         return sorted(self.outcomes, key=lambda outcome: outcome.rank)
 
@@ -281,7 +281,7 @@ class BatchReport(Result):
             yield f"{leading(str(self.destination))}: nothing to do ({duration(self.seconds)})"
 
 
-def _table_of(outcomes: Iterable[Outcome]) -> Table:
+def _table_of(outcomes: Iterable[RecordingOutcome]) -> Table:
     rows = [
         (
             each.key,
@@ -298,7 +298,7 @@ def _table_of(outcomes: Iterable[Outcome]) -> Table:
     return Table(headings, rows, left=("recording", "outcome", "why", "remark"))
 
 
-def _table_of_groups(groups: Iterable[Group]) -> Table:
+def _table_of_groups(groups: Iterable[RemarkGroup]) -> Table:
     rows = [
         (f"{len(each.recordings):,}", each.kind, each.text, name_list(each.recordings, _EXAMPLES)) for each in groups
     ]

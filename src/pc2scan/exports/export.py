@@ -20,7 +20,7 @@ from pc2scan.result import MAX_LISTED, Part, Result, Skipped, tell_early
 from pc2scan.streams.stream import Clouds, Scans
 from pc2scan.text import Table, count
 
-from .writers import Poses, format_of
+from .writers import RobotPoses, format_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from pc2scan.request.options import Request
     from pc2scan.requests import Warn
 
-    from .writers import ExportFormat, Write
+    from .writers import FileWriter, Write
 
 #: The longest name: file systems allow 255 bytes, and staging adds an ending.
 _MAX_NAME = 120
@@ -147,7 +147,7 @@ class ExportOptions:
     pose_frame
         The frame of reference of the poses, such as ``odom`` or ``map``; empty for that of the poses of a topic.
     base_frame
-        The frame that has these poses. Empty: see `Poses`.
+        The frame that has these poses. Empty: see `RobotPoses`.
     converting
         Whether scans are made of clouds; otherwise they are read.
     """
@@ -256,7 +256,7 @@ def run(
             transforms, others = corrected_transforms(as_one(readers), own, stack, needed, meter)
             readers += others
             # Scans that are made of clouds have the right frame in their headers.
-            poses = Poses(transforms, *needed, "" if form.converting else frames.source_frame)
+            poses = RobotPoses(transforms, *needed, "" if form.converting else frames.source_frame)
             tell(*transforms.warnings, *transforms.notes)
         try:
             if any(names.values()):
@@ -272,7 +272,7 @@ def run(
     return report
 
 
-def _check_request(file_format: ExportFormat, options: Request, form: ExportOptions) -> None:
+def _check_request(file_format: FileWriter, options: Request, form: ExportOptions) -> None:
     """Raise if an option has no effect on an export, or if one is missing."""
     scan, frames = options.scan, options.frames
     posed = form.pose_frame or frames.odometry
@@ -295,7 +295,7 @@ def _check_request(file_format: ExportFormat, options: Request, form: ExportOpti
         raise UsageError(message, hint=hint or None)
 
 
-def _names(topics: Sequence[str], destination: Path, file_format: ExportFormat, *, in_folder: bool) -> dict[str, str]:
+def _names(topics: Sequence[str], destination: Path, file_format: FileWriter, *, in_folder: bool) -> dict[str, str]:
     """Return the name of each topic's file or folder in the destination; empty: it is the destination."""
     if len(topics) == 1 and (file_format.clouds or not in_folder):
         return {topics[0]: ""}
@@ -309,10 +309,10 @@ def _names(topics: Sequence[str], destination: Path, file_format: ExportFormat, 
 
 def _write(
     stream: Scans | Clouds,
-    file_format: ExportFormat,
+    file_format: FileWriter,
     paths: Mapping[str, Path],
     report: ExportReport,
-    poses: Poses | None,
+    poses: RobotPoses | None,
 ) -> None:
     """Write the messages of all topics, and remove the files of those of which none can be written."""
     entries = {entry.topic: entry for entry in report.topics}

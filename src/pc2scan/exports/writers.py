@@ -35,10 +35,10 @@ if TYPE_CHECKING:
     from pc2scan.transforms.reading import RecordedTransforms
 
     #: Writes a message, a `pc2scan.Scan` or a `pc2scan.Cloud`, with the poses at its stamp; None without poses.
-    Write: TypeAlias = Callable[[Any, "Posed | None"], None]
+    Write: TypeAlias = Callable[[Any, "MessagePoses | None"], None]
 
 
-class Posed(NamedTuple):
+class MessagePoses(NamedTuple):
     """The poses of the robot, and of a message's sensor, at the message's stamp.
 
     Attributes
@@ -59,7 +59,7 @@ class Posed(NamedTuple):
     sensor: Callable[[], Rigid]
 
 
-class Poses:
+class RobotPoses:
     """The poses of a recording.
 
     The base frame, if none is given: with poses of a topic and no ``pose_frame``, the frame that these poses move;
@@ -95,7 +95,7 @@ class Poses:
         self._source_frame = source_frame
         self._bases: dict[str, None] = {}
 
-    def at(self, item: Scan | Cloud) -> Posed:
+    def at(self, item: Scan | Cloud) -> MessagePoses:
         """Return the poses at the stamp of a message.
 
         Raises
@@ -109,7 +109,7 @@ class Poses:
         base, lookup = self._base_frame or frame, self._transforms.lookup
         self._bases[base] = None
         robot = lookup(self.pose_frame, base, stamp_ns)
-        return Posed(self.pose_frame, base, frame, robot, lambda: robot.compose(lookup(base, frame, stamp_ns)))
+        return MessagePoses(self.pose_frame, base, frame, robot, lambda: robot.compose(lookup(base, frame, stamp_ns)))
 
     def doubts(self) -> Iterator[str]:
         """Yield what may be wrong with the poses that were read."""
@@ -185,7 +185,7 @@ def write_csv(path: Path) -> Iterator[Write]:
     first: Scan | None = None
     with lines_file(path) as file:
 
-        def write(scan: Scan, posed: Posed | None) -> None:
+        def write(scan: Scan, posed: MessagePoses | None) -> None:
             nonlocal first
             if first is None:
                 first = scan
@@ -217,7 +217,7 @@ def write_npz(path: Path) -> Iterator[Write]:
     files: dict[str, IO[bytes]] = {}
     with ExitStack() as stack:
 
-        def write(scan: Scan, posed: Posed | None) -> None:
+        def write(scan: Scan, posed: MessagePoses | None) -> None:
             nonlocal count, first, row
             row = {"ranges": np.asarray(scan.ranges, "<f4")}
             if _has_intensities(scan):
@@ -260,7 +260,7 @@ def write_tum(path: Path) -> Iterator[Write]:
     last_ns: int | None = None
     with lines_file(path) as file:
 
-        def write(scan: Scan, posed: Posed | None) -> None:
+        def write(scan: Scan, posed: MessagePoses | None) -> None:
             nonlocal last_ns
             assert posed is not None
             if last_ns is not None and scan.stamp_ns <= last_ns:
@@ -280,7 +280,7 @@ def write_pcd(path: Path) -> Iterator[Write]:
     path.mkdir()
     stamps: Counter[int] = Counter()
 
-    def write(cloud: Cloud, posed: Posed | None) -> None:
+    def write(cloud: Cloud, posed: MessagePoses | None) -> None:
         points = cloud.points()
         names = points.dtype.names or ()
         if odd := [name for name in names if name == "_" or not _WORD.fullmatch(name)]:
@@ -320,7 +320,7 @@ def write_kitti(path: Path) -> Iterator[Write]:
     with ExitStack() as stack:
         lists: dict[str, IO[str]] = {}
 
-        def write(cloud: Cloud, posed: Posed | None) -> None:
+        def write(cloud: Cloud, posed: MessagePoses | None) -> None:
             name = next((each for each in _INTENSITIES if each in cloud.fields), None)
             if name is None:
                 raise UnwritableError(
@@ -347,7 +347,7 @@ def write_kitti(path: Path) -> Iterator[Write]:
         yield write
 
 
-class ExportFormat(NamedTuple):
+class FileWriter(NamedTuple):
     """A format of export.
 
     Attributes
@@ -374,15 +374,15 @@ class ExportFormat(NamedTuple):
 
 #: The formats by name.
 FORMATS = {
-    "npz": ExportFormat("npz", ".npz", write_npz),
-    "csv": ExportFormat("csv", ".csv", write_csv),
-    "tum": ExportFormat("tum", ".tum", write_tum, needs_poses=True),
-    "pcd": ExportFormat("pcd", ".pcd", write_pcd, clouds=True),
-    "kitti": ExportFormat("kitti", ".bin", write_kitti, clouds=True),
+    "npz": FileWriter("npz", ".npz", write_npz),
+    "csv": FileWriter("csv", ".csv", write_csv),
+    "tum": FileWriter("tum", ".tum", write_tum, needs_poses=True),
+    "pcd": FileWriter("pcd", ".pcd", write_pcd, clouds=True),
+    "kitti": FileWriter("kitti", ".bin", write_kitti, clouds=True),
 }
 
 
-def format_of(name: str | None, destination: Path) -> ExportFormat:
+def format_of(name: str | None, destination: Path) -> FileWriter:
     """Return the format with a name, or if there is none, the format of a file's suffix.
 
     Raises

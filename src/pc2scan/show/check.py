@@ -33,7 +33,7 @@ from pc2scan.transforms.motion import find_body_motion
 from pc2scan.transforms.reading import tf_connections
 from pc2scan.transforms.static import RobotModel
 
-from .topic import Counted, Finding, Level, ScanTopic, few_unplaced
+from .topic import Finding, Level, ScanCount, ScanTopic, few_unplaced
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -271,7 +271,7 @@ class _Frame:
     """
 
     scans: int = 0
-    missing: Counted = field(default_factory=Counted)
+    missing: ScanCount = field(default_factory=ScanCount)
     pose: tuple[float, float, float] | None = None
     moving: list[str] | None = None
 
@@ -304,7 +304,7 @@ class ScanFrames:
         self._knows_base = bool(base_frame) or not self._known or self._base in self._known
         self._frames: dict[str, _Frame] = {}
         self._looked = 0
-        self._tilted, self._sideways, self._late = Counted(), Counted(), Counted()
+        self._tilted, self._sideways, self._late = ScanCount(), ScanCount(), ScanCount()
         self._tilt = 0.0
         #: The last scan: its stamp, and when its transform was known.
         self._waiting = (0, 0)

@@ -268,7 +268,7 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
         survey = Survey(reader, open_recordings(frames.tf_from, stack), frames, Span(None, None, start_ns or 0))
         shown = _described(topics, options.topics, types_by_topic(reader.connections))
         sampled, of_scans = _sampled(survey, shown, samples, start_ns, end_ns)
-        surveyed = _Surveyed(survey, shown, end_ns, options.target_frame)
+        surveyed = _SurveyResult(survey, shown, end_ns, options.target_frame)
         warnings = [*log_times_of_centuries(reader.summary), *surveyed.warnings]
         clouds: list[CloudInfo] = []
         lidars: list[Lidar] = []
@@ -336,7 +336,7 @@ def _lacking(reader: Reader, counts: Counter[int]) -> str:
     return f"SLAM and navigation also need {needs}, which the recording does not have: {ADDS_ODOMETRY}{mount}"
 
 
-class _Surveyed:
+class _SurveyResult:
     """What a survey finds that the description and the proposals depend on.
 
     Parameters

@@ -150,7 +150,7 @@ class Shots(NamedTuple):
     damage: tuple[Damage, ...]
 
 
-class Opened(NamedTuple):
+class PictureSource(NamedTuple):
     """A recording that is open for pictures.
 
     Attributes
@@ -180,14 +180,14 @@ class Opened(NamedTuple):
 @contextmanager
 def opened(
     sources: Sequence[Path], request: Request, options: Options, warn: Warn | None, most: int = 0
-) -> Iterator[Opened]:
+) -> Iterator[PictureSource]:
     """Open recordings as one, for a picture of at most so many clouds; 0: it has none."""
     if most and not 1 <= options.clouds <= most:
         raise UsageError(f"`clouds` is {options.clouds:,}, it must be from 1 to {most:,}")
     with ExitStack() as stack:
         reader = scaled(as_one(open_recordings(sources, stack, strict=request.strict)), request.cloud_scale)
         try:
-            yield Opened(sources, reader, request, options, stack, warn)
+            yield PictureSource(sources, reader, request, options, stack, warn)
         except TopicError as err:
             mention(reader.damage, err)
             raise
@@ -211,7 +211,7 @@ def moment_text(stamp_ns: int) -> str:
     return f"{datetime.fromtimestamp(seconds, timezone.utc):%Y-%m-%d %H:%M:%S}.{rest // 1_000_000:03d} UTC"
 
 
-def chosen_messages(recording: Opened, topics: Mapping[str, Sequence[Connection]]) -> Iterator[RawMessage]:
+def chosen_messages(recording: PictureSource, topics: Mapping[str, Sequence[Connection]]) -> Iterator[RawMessage]:
     """Yield the first message of each topic at or after each moment of the call.
 
     Without any, the first message of each of so many equal parts of the recording, or of the cut. If a topic has no
@@ -264,7 +264,7 @@ def _moments(reader: Reader, at: Sequence[TimeBound]) -> list[int]:
     return at_ns
 
 
-def take_shots(recording: Opened, *, level: bool, keep: Callable[[Shot], Shot] = lambda shot: shot) -> Shots:
+def take_shots(recording: PictureSource, *, level: bool, keep: Callable[[Shot], Shot] = lambda shot: shot) -> Shots:
     """Take some clouds of each topic that a conversion converts.
 
     Parameters

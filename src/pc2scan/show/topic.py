@@ -120,7 +120,7 @@ class Finding:
 
 
 @dataclass(slots=True)
-class Counted:
+class ScanCount:
     """How many scans have a problem, and the stamp of the first; of verdicts, also the first one."""
 
     count: int = 0
@@ -267,11 +267,11 @@ class ScanTopic:
         self.frames: dict[str, None] = {}
         self.beams: set[int] = set()
         #: The verdicts of each consumer, by outcome; those about transforms are beside the others.
-        self._verdicts: dict[str, dict[str, Counted]] = {consumer: {} for consumer in CONSUMERS}
-        self._undecodable = Counted()
+        self._verdicts: dict[str, dict[str, ScanCount]] = {consumer: {} for consumer in CONSUMERS}
+        self._undecodable = ScanCount()
         self._reason = ""
         self._kept_of: dict[tuple[str, str], ConsumerScan] = {}
-        self._tallies = {kind: Counted() for kind in _EACH_SCAN}
+        self._tallies = {kind: ScanCount() for kind in _EACH_SCAN}
         #: Zeros that are returns, because range_min is 0 or less.
         self._zeros = 0
         self._median = 0.0
@@ -319,11 +319,11 @@ class ScanTopic:
             kept = self._kept_of.get((consumer, frame))
             verdict = judge(consumer, scan, kept, placed)
             if verdict.unplaced:
-                verdicts.setdefault("unplaced", Counted()).add(stamp_ns, verdict)
+                verdicts.setdefault("unplaced", ScanCount()).add(stamp_ns, verdict)
                 verdict = judge(consumer, scan, kept)
             else:
                 self._kept_of.setdefault((consumer, frame), scan)
-            verdicts.setdefault(verdict.outcome, Counted()).add(stamp_ns, verdict)
+            verdicts.setdefault(verdict.outcome, ScanCount()).add(stamp_ns, verdict)
 
     def _stamp_fault(self, stamp_ns: int) -> str:
         """Return what is wrong with the stamp of the next scan; empty if nothing is."""
@@ -356,7 +356,7 @@ class ScanTopic:
         """
         for consumer, verdicts in self._verdicts.items() if self.scans else ():
             outcome = [known for known in OUTCOMES if known in verdicts][-1]
-            unplaced = verdicts.get("unplaced", Counted())
+            unplaced = verdicts.get("unplaced", ScanCount())
             few = few_unplaced(unplaced.count, self.scans, self.interval_ns)
             worst = unplaced if outcome in ("accepted", "shifted") and not few else verdicts[outcome]
             verdict = worst.verdict
@@ -429,7 +429,7 @@ class _Sectors:
         #: The frame of the last scan, and which directions have a return; None if it is no part.
         self._last: tuple[str, NDArray[np.bool_]] | None = None
         self._pairs = -1
-        self._parts = Counted()
+        self._parts = ScanCount()
 
     def add(self, frame_id: str, scan: ConsumerScan, ranges: NDArray[np.float32], stamp_ns: int) -> None:
         """Add the next scan, and its ranges, float32, shape (beams,), metres."""

@@ -62,7 +62,7 @@ if TYPE_CHECKING:
     from pc2scan.transforms.buffer import TransformBuffer
 
     from .check import Check
-    from .shots import Opened, Shot
+    from .shots import PictureSource, Shot
 
 #: Clouds and scans of a topic on one page. They share its size.
 _MOST_CLOUDS = 1_000
@@ -279,7 +279,7 @@ def compressed(blobs: dict[str, bytes], columns: Mapping[str, NDArray[Any]]) -> 
     return {"id": name, "length": len(next(iter(columns.values()))), "fields": fields}
 
 
-def _clouds_page(recording: Opened, blobs: dict[str, bytes]) -> tuple[dict[str, Any], tuple[Damage, ...]]:
+def _clouds_page(recording: PictureSource, blobs: dict[str, bytes]) -> tuple[dict[str, Any], tuple[Damage, ...]]:
     """Describe a page of clouds, which opens with the heights that info proposes if none are given."""
     options = recording.options
     # The node's heights are part of its parameters, also where a file of these does not have them.
@@ -328,7 +328,7 @@ def _clouds_page(recording: Opened, blobs: dict[str, bytes]) -> tuple[dict[str, 
     return description, taken.damage
 
 
-def _as_proposed(recording: Opened) -> Request:
+def _as_proposed(recording: PictureSource) -> Request:
     """Return the conversion with the frame and the heights that info proposes first.
 
     It is as it was if heights are given, or if nothing can be proposed in the given frame.
@@ -429,7 +429,7 @@ def _origins(buffer: TransformBuffer, target: str, stamp_ns: int) -> Iterator[di
             yield {"name": name, "x": x, "y": y, "z": z}
 
 
-def _scans_page(recording: Opened, blobs: dict[str, bytes]) -> tuple[dict[str, Any], tuple[Damage, ...]]:
+def _scans_page(recording: PictureSource, blobs: dict[str, bytes]) -> tuple[dict[str, Any], tuple[Damage, ...]]:
     """Describe a page of scans: the moments of the first topic, each with the next scan of every other topic.
 
     Scans are shown in the target frame or, without one, in the first topic's frame, as far as transforms connect them.
