@@ -15,10 +15,11 @@ _MAX_BRACKETS = 100
 
 
 @lru_cache(maxsize=16)
-def load_yaml(text: str) -> Any:
+def load_yaml(text: str, *, nodes: bool = False) -> Any:
     """Read a document, which may not be changed: it is kept, because most topics have equal QoS profiles.
 
-    Tags construct no objects, and aliases may not make a document larger than its text.
+    Tags construct no objects, and aliases may not make a document larger than its text. With ``nodes``, the library's
+    nodes are returned, which have their lines.
 
     Raises
     ------
@@ -43,16 +44,17 @@ def load_yaml(text: str) -> Any:
         yaml.composer.warn_double_anchors = False
         node = yaml.compose(text)
         size = 0 if node is None else _unfolded_size(node, {})
-        if 0 < size <= len(text):
-            document = yaml.constructor.construct_document(node)
+        # The two characters of `a:` are three nodes.
+        if 0 < size <= len(text) + 1:
+            document = node if nodes else yaml.constructor.construct_document(node)
     except (YAMLError, RecursionError, ValueError, ArithmeticError, LookupError, TypeError, AttributeError) as err:
         # Besides its own, the library raises errors for, say, a mapping as a key, or a tag on a value of another type.
         mark = getattr(err, "problem_mark", None)
         place = f" in line {mark.line + 1}" if mark is not None else ""
         # Without Python's advice about long integers.
-        reason = getattr(err, "problem", None) or str(err).partition(";")[0]
+        reason = getattr(err, "problem", None) or getattr(err, "reason", None) or str(err).partition(";")[0]
         raise ValueError(f"is not valid YAML{place}: {reason}") from err
-    if size > len(text):
+    if size > len(text) + 1:
         raise ValueError("is not valid YAML: its aliases multiply to more values than it has characters")
     return document
 

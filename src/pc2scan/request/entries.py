@@ -15,6 +15,7 @@ from pc2scan.arguments import value_text
 from pc2scan.core.quantities import written_angle
 from pc2scan.errors import ParameterError, UsageError
 from pc2scan.files.urls import is_url, local_path
+from pc2scan.files.yaml import load_yaml
 from pc2scan.options.table import PARAMETERS
 from pc2scan.text import did_you_mean
 from pc2scan.transforms.text_files import text_of
@@ -30,9 +31,6 @@ if TYPE_CHECKING:
 #: Maximum size of a file. A larger one was given by mistake.
 MAX_FILE_BYTES = 1_000_000
 
-#: Maximum number of levels of nesting. It also stops an alias that contains itself.
-_MAX_DEPTH = 20
-
 _YAML_TAG = "tag:yaml.org,2002:"
 
 #: Tags that YAML gives to plain text; any other tag was written by the user.
@@ -42,30 +40,14 @@ _PLAIN_TAGS = frozenset(
 
 
 def compose(text: str, place: str) -> Any:
-    """Parse YAML to ruamel's nodes, which have their lines; None for an empty document.
-
-    Nodes are used instead of values, so that aliases are not expanded, tags construct nothing, and scalars
-    are read by ROS's rules.
-    """
-    from ruamel.yaml import YAML  # noqa: PLC0415  # see `pc2scan.files.yaml`
-    from ruamel.yaml.error import YAMLError  # noqa: PLC0415
-
+    """Parse YAML to the library's nodes; None for an empty document. Scalars are read by ROS's rules."""
     # ROS 2's parser accepts tabs between tokens, ruamel does not. Both reject tabs as indentation.
     spaced = re.sub(r"(?m)(?<=[^ \t\n])[ \t]*\t[ \t]*", lambda tabs: " " * len(tabs.group()), text)
-    yaml = YAML(typ="safe", pure=True)
-    # An anchor that is defined twice is legal, so ruamel's warning is ignored.
-    yaml.composer.warn_double_anchors = False
     try:
-        return yaml.compose(spaced)
-    except YAMLError as err:
-        problem = getattr(err, "problem", None) or getattr(err, "reason", None) or "a syntax error"
-        hint = "indent with spaces, not with tabs" if r"'\t'" in str(problem) else None
-        # Unreadable characters have none.
-        mark = getattr(err, "problem_mark", None)
-        line = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
-        raise ParameterError(f"{place}{line}: not valid YAML: {problem}", hint=hint) from err
-    except RecursionError as err:
-        raise ParameterError(f"{place}: nested too deeply") from err
+        return load_yaml(spaced, nodes=True)
+    except ValueError as err:
+        hint = "indent with spaces, not with tabs" if r"'\t'" in str(err) else None
+        raise ParameterError(f"{place}: {err}", hint=hint) from err
 
 
 def scalar_value(node: Any, name: str, origin: str, *, ros1: bool = False) -> object:
@@ -161,20 +143,13 @@ def entries_in(text: str, path: Path | str, example: str, scalar: Callable[..., 
     root = compose(text, str(path))
     if root is None or not (root.value or getattr(root, "style", None)):
         raise ParameterError(f"{path}: the file is empty", hint=example)
-    left = len(text)
 
-    def entry(node: Any, name: str, depth: int, line: int) -> Entry:
-        nonlocal left
+    def entry(node: Any, name: str, line: int) -> Entry:
         place = f"{path}, line {line}"
-        left -= 1
-        if left < 0:
-            raise ParameterError(f"{path}: its aliases multiply to more values than the file has characters")
-        if depth > _MAX_DEPTH:
-            raise ParameterError(f"{place}: nested more than {_MAX_DEPTH} levels deep")
         if node.id == "scalar":
             return Entry(scalar(node, name, place), place, str(node.value) if node.style or node.value else None)
         if node.id == "sequence":
-            return Entry([entry(each, name, depth + 1, each.start_mark.line + 1) for each in node.value], place)
+            return Entry([entry(each, name, each.start_mark.line + 1) for each in node.value], place)
         entries: dict[str, Entry] = {}
         for key, value in node.value:
             at = key.start_mark.line + 1
@@ -187,10 +162,10 @@ def entries_in(text: str, path: Path | str, example: str, scalar: Callable[..., 
                 )
             if text in entries:
                 raise ParameterError(f"{path}, line {at}: {text!r} is given twice, first in {entries[text].place}")
-            entries[text] = entry(value, text, depth + 1, at)
+            entries[text] = entry(value, text, at)
         return Entry(entries, place)
 
-    return entry(root, "", 0, 1)
+    return entry(root, "", 1)
 
 
 def entries_of(value: Any, place: str) -> Entry:
@@ -211,7 +186,7 @@ def naming_place(
 ) -> Generator[None]:
     """Add the place of the key that an error names, unless the error has one; and quote nothing of files.
 
-    Errors about the files are replaced by such with the line and column, but nothing of the content.
+    Errors about the files are replaced by such with the line, but nothing of the content.
 
     Parameters
     ----------
@@ -228,7 +203,7 @@ def naming_place(
         for file, named_in, option in files:
             # If the file cannot be read, there is nothing to quote.
             if str(file) in said and not isinstance(err.__cause__, OSError):
-                position = re.search(re.escape(str(file)) + r"(?:, |: )((?:line|entry) \d+(?:, column \d+)?)", said)
+                position = re.search(re.escape(str(file)) + r"(?:, |: |: .*? in )((?:line|entry) \d+)", said)
                 # Any other name is content.
                 name = own if own in PARAMETERS else ""
                 what = f"{name}: expected another value" if name else "not valid"

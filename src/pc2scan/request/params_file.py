@@ -106,7 +106,7 @@ def load_params_file(
     Raises
     ------
     ParameterError
-        If the file cannot be read or is not YAML (with line and column), a key appears twice, no section or several
+        If the file cannot be read or is not YAML (with its line), a key appears twice, no section or several
         match, the node has no such parameter, or a value is not a scalar.
     """
     text = read_text(path, _EXAMPLE)
