@@ -47,41 +47,28 @@ def decompress_file(path: Path, folder: Path, log: DamageLog) -> Path:
         If there is not enough space for the result.
     """
     target = folder / without_suffix(path.name)
-    with copy_errors(path, folder):
-        broken = _decompress_pieces(path, target)
-        if broken is not None:
-            offset, reason = broken
-            log.note(
-                DamageError(f"cannot be decompressed: {reason}", path=path, hint=RECOVER),
-                offset=offset,
-                bytes_lost=path.stat().st_size - offset,
-            )
-    return target
-
-
-def _decompress_pieces(path: Path, target: Path) -> tuple[int, str] | None:
-    """Write the decompressed file; returns the offset of the first piece that cannot be decompressed, and why."""
-    offset = 0
-    with open_bytes(path) as packed, target.open("wb") as out:
-        complete = True
-        decoder = compression.Decoder("zstd")
-        allowed = MAX_UNPACKED + MAX_RATIO * path.stat().st_size
-        while piece := packed.read(_PIECE):
-            begin, offset = offset, offset + len(piece)
-            while piece:
-                try:
+    size = path.stat().st_size
+    begin, allowed = 0, MAX_UNPACKED + MAX_RATIO * size
+    decoder, complete = compression.Decoder("zstd"), True
+    with copy_errors(path, folder), open_bytes(path) as packed, target.open("wb") as out:
+        try:
+            while piece := packed.read(_PIECE):
+                while piece:
                     allowed -= out.write(decoder.feed(piece))
-                except CompressionError as err:
-                    return begin, str(err)
-                if allowed < 0:
-                    raise RecordingError(
-                        f"unpacks to more than {MAX_RATIO} times its size, which no recording does", path=path
-                    )
-                complete, piece = decoder.codec.eof, decoder.codec.unused_data
-                if complete:
-                    # Another frame may follow: pzstd writes many.
-                    decoder = compression.Decoder("zstd")
-    return None if complete else (offset, "it is cut off")
+                    if allowed < 0:
+                        what = f"unpacks to more than {MAX_RATIO} times its size, which no recording does"
+                        raise RecordingError(what, path=path)
+                    complete, piece = decoder.codec.eof, decoder.codec.unused_data
+                    if complete:
+                        # Another frame may follow: pzstd writes many.
+                        decoder = compression.Decoder("zstd")
+                begin = packed.tell()
+            if not complete:
+                raise CompressionError("it is cut off")
+        except CompressionError as err:
+            error = DamageError(f"cannot be decompressed: {err}", path=path, hint=RECOVER)
+            log.note(error, offset=begin, bytes_lost=size - begin)
+    return target
 
 
 def decompress_message(data: Buffer, path: Path, topic: str) -> Buffer:
