@@ -161,7 +161,7 @@ NUMBERS: dict[str, tuple[list[tuple[int, int, int]], list[tuple[int, int, int]],
     "rosbag2-sqlite3": (
         [(2**63, 0, 0), (-(2**63) - 1, 0, 0)],
         [(-(2**63), 0, 0), (2**63 - 1, 0, 0)],
-        "too large for SQLite|that rosbag2 can hold",
+        "that rosbag2 can hold",
     ),
 }
 

@@ -68,7 +68,7 @@ class Rosbag2Writer:
         self._message_compression = compression if entry.packs_messages else "none"
         self._connections: dict[int, Connection] = {}
         self._counts: dict[int, int] = {}
-        self._span_ns: tuple[int, int] | None = None
+        self._first_ns, self._last_ns = MAX_ROSBAG2_NS, -MAX_ROSBAG2_NS - 1
         try:
             path.mkdir()
         except OSError as err:
@@ -110,7 +110,7 @@ class Rosbag2Writer:
         UnwritableError
             If its log time is more than the format can hold; nothing is written then.
         """
-        if log_time_ns > MAX_ROSBAG2_NS:
+        if not -(2**63) <= log_time_ns < 2**63:
             raise UnwritableError(
                 f"log time {log_time_ns} ns is beyond the {MAX_ROSBAG2_NS} ns that rosbag2 can hold",
                 path=self._path,
@@ -118,18 +118,19 @@ class Rosbag2Writer:
             )
         self._storage.write(handle, log_time_ns, data, publish_time_ns, sequence)
         self._counts[handle] += 1
-        self._include(log_time_ns, log_time_ns)
+        # Not `min` and `max`, which take longer than inserting a small row.
+        if log_time_ns < self._first_ns:  # noqa: PLR1730
+            self._first_ns = log_time_ns
+        if log_time_ns > self._last_ns:  # noqa: PLR1730
+            self._last_ns = log_time_ns
 
     def write_chunk(self, chunk: StoredChunk) -> None:
         """Append a whole chunk, if the storage is MCAP."""
         self._storage.write_chunk(chunk)
         for handle, entries in chunk.index.items():
             self._counts[handle] += len(entries)
-        self._include(*chunk.span_ns())
-
-    def _include(self, first_ns: int, last_ns: int) -> None:
-        earliest_ns, latest_ns = self._span_ns or (first_ns, last_ns)
-        self._span_ns = (min(earliest_ns, first_ns), max(latest_ns, last_ns))
+        first_ns, last_ns = chunk.span_ns()
+        self._first_ns, self._last_ns = min(self._first_ns, first_ns), max(self._last_ns, last_ns)
 
     def add_attachment(self, attachment: Attachment) -> None:
         """Append an attachment, if the storage is MCAP."""
@@ -172,10 +173,9 @@ class Rosbag2Writer:
 
     def _extent(self) -> dict[str, Any]:
         """Return the times and the number of messages."""
-        first_ns, last_ns = self._span_ns or (MAX_ROSBAG2_NS, MAX_ROSBAG2_NS)
         return {
-            "duration": {"nanoseconds": last_ns - first_ns},
-            "starting_time": {"nanoseconds_since_epoch": first_ns},
+            "duration": {"nanoseconds": max(0, self._last_ns - self._first_ns)},
+            "starting_time": {"nanoseconds_since_epoch": self._first_ns},
             "message_count": sum(self._counts.values()),
         }
 

@@ -7,15 +7,14 @@ folder, where SQLite merges them.
 
 from __future__ import annotations
 
-import os
 import shutil
-import sqlite3
-import sys
 import tempfile
 from collections import deque
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import apsw
 
 from pc2scan.bags.damage import RECOVER
 from pc2scan.errors import DamageError, RecordingError
@@ -29,13 +28,11 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.damage import DamageLog
 
-#: What SQLite raises at damage. If a name in the schema is not UTF-8, Python cannot decode the error message; if a
-#: length is wrong, SQLite may run out of memory.
-SQLITE_ERRORS = (sqlite3.Error, UnicodeDecodeError, MemoryError)
+#: What SQLite raises at damage; a name that is not UTF-8 cannot be decoded.
+SQLITE_ERRORS = (apsw.Error, UnicodeDecodeError, MemoryError)
 
-_DISK_FULL = "database or disk is full"
-#: Errors that are no damage. Python 3.10 has no codes of errors; their texts are the same in all versions of SQLite.
-_NO_DAMAGE = (_DISK_FULL, "disk I/O error", "out of memory", "interrupted", "unable to open database file")
+#: Errors that are no damage.
+_NO_DAMAGE = (apsw.FullError, apsw.IOError, apsw.InterruptError, apsw.CantOpenError)
 
 #: The files that SQLite keeps beside a database, in the order in which they apply.
 _LOG_SUFFIXES = ("-journal", "-wal")
@@ -56,25 +53,16 @@ _MOST_FAILURES = 20_000
 _ROWS_OF_A_PAGE = 256
 _LEAST_ID = -(2**63)
 
-_DATA_OF = "SELECT data FROM messages WHERE rowid BETWEEN ? AND ? AND +rowid = ? LIMIT 1"
+#: The data of a message, if they are bytes.
+BLOB = "CASE WHEN typeof(data) = 'blob' THEN data END"
+_DATA_OF = f"SELECT {BLOB} FROM messages WHERE rowid BETWEEN ? AND ? AND +rowid = ? LIMIT 1"  # noqa: S608  # constants
 
 
-class _Opened:
-    """An open database, which is closed with this object: a connection itself would wait for the garbage collection."""
-
-    __slots__ = ("__weakref__", "connection")
-
-    def __init__(self, connection: sqlite3.Connection) -> None:
-        self.connection = connection
-
-    def __del__(self) -> None:
-        self.connection.close()
-
-
-class _Cursor(sqlite3.Cursor):
-    """A cursor, and the database that stays open for it."""
-
-    opened: _Opened
+def connect(file: Path, mode: str) -> apsw.Connection:
+    """Open a database with a mode of SQLite's URIs. It is closed as soon as nothing uses it."""
+    return apsw.Connection(
+        f"{file.absolute().as_uri()}?mode={mode}", flags=apsw.SQLITE_OPEN_READWRITE | apsw.SQLITE_OPEN_URI
+    )
 
 
 class Database:
@@ -109,9 +97,9 @@ class Database:
         self._copy: TemporaryDirectory[str] | None = None
         #: What is read: the file or its copy; None when it is closed. Its database may be closed for other files.
         self._file: Path | None = path.absolute()
-        self._opened: Callable[[], _Opened | None] = lambda: None
+        self._opened: Callable[[], apsw.Connection | None] = lambda: None
         #: After `recover`, the damaged database and that of its rows.
-        self._recovered: list[_Opened] = []
+        self._recovered: list[apsw.Connection] = []
         try:
             self.size = path.stat().st_size
             self._logs = {suffix: log for suffix in _LOG_SUFFIXES if (log := _log_beside(path, suffix))}
@@ -138,9 +126,9 @@ class Database:
         if journal := self._logs.get("-journal"):
             # SQLite stops in silence where a journal is damaged.
             with self.ending():
-                (result,) = self.query("PRAGMA quick_check(1)").fetchone()
-            if result != "ok":
-                raise self.damage(f"its pages do not fit together after {journal.name}: {result}")
+                problems = self.query("PRAGMA quick_check(1)").fetchall()
+            if problems != [("ok",)]:
+                raise self.damage(f"its pages do not fit together after {journal.name}: {problems[0][0]}")
 
     def recover(self, err: Exception) -> None:
         """Continue with the rows that can be found without SQLite's trees.
@@ -162,8 +150,7 @@ class Database:
                 files.append(self._copied(self._file, "filled.db3", stored))
                 with files[1].open("ab") as file:
                     file.write(b"\xff" * rest)
-            damaged = [self._connect(file) for file in files]
-            self._recovered = list(map(_Opened, damaged))
+            self._recovered = damaged = [self._connect(file) for file in files]
             for database in damaged:
                 # Without it, SQLite reads nothing of a database that is cut off.
                 database.execute("PRAGMA writable_schema = ON")
@@ -176,7 +163,7 @@ class Database:
         except (*SQLITE_ERRORS, DamageError) as error:
             raise self._lost(problem) from error
         self.is_rebuilt = True
-        self._recovered.append(_Opened(rebuilt))
+        self._recovered = [*damaged, rebuilt]
         if last_ns is None and not rebuilt.execute("SELECT 1 FROM topics").fetchone():
             raise self._lost(problem)
         self._noted.note(problem, bytes_lost=missing, first_ns=last_ns)
@@ -185,63 +172,57 @@ class Database:
         """Close the database and remove the copy, if there is one."""
         for opened in (*self._recovered, self._opened()):
             if opened is not None:
-                opened.connection.close()
+                opened.close()
         self._file, self._recovered, self._opened = None, [], lambda: None
         if self._copy is not None:
             self._copy.cleanup()
             self._copy = None
 
-    def _database(self) -> _Opened:
+    def _database(self) -> apsw.Connection:
         """Return the open database; it is opened again if it was closed for other files."""
         opened = self._recovered[-1] if self._recovered else self._opened()
         if opened is None:
             if self._file is None:
                 raise RecordingError("is closed", path=self.path)
-            opened = _Opened(self._connect(self._file))
+            opened = self._connect(self._file)
             self._opened = keep_open(opened)
         return opened
 
-    def _connect(self, file: Path, mode: str = "ro&immutable=1") -> sqlite3.Connection:
+    def _connect(self, file: Path, mode: str = "ro&immutable=1") -> apsw.Connection:
         """Open a file with the limits for untrusted recordings."""
-        # Other threads use the reader, one at a time.
-        opened = sqlite3.connect(f"{Path(os.fspath(file)).as_uri()}?mode={mode}", uri=True, check_same_thread=False)
-        # A topic's name may have bytes that are not UTF-8.
-        opened.text_factory = lambda raw: raw.decode("utf-8", "replace")
-        if sys.version_info >= (3, 11):
-            # No value is longer than the file, or than SQLite's limit.
-            opened.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(self.most_bytes, 2**31 - 1))
-            # No statement of an untrusted recording may open another file, or call functions with effects.
-            opened.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
+        opened = connect(file, mode)
+        # No value is longer than the file, or than SQLite's limit.
+        opened.limit(apsw.SQLITE_LIMIT_LENGTH, min(self.most_bytes, 2**31 - 1))
+        # No statement of an untrusted recording may open another file, or call functions with effects.
+        opened.limit(apsw.SQLITE_LIMIT_ATTACHED, 0)
         opened.execute("PRAGMA trusted_schema = OFF")
         return opened
 
-    def query(self, sql: str, values: Sequence[Any] = ()) -> sqlite3.Cursor:
+    def query(self, sql: str, values: Sequence[int | str] = ()) -> apsw.Cursor:
         """Execute a statement; raises one of `SQLITE_ERRORS` or `RecordingError`."""
-        opened = self._database()
-        cursor = opened.connection.cursor(_Cursor)
-        cursor.opened = opened
-        try:
-            return cursor.execute(sql, values)
-        except UnicodeDecodeError as err:
-            # The message quotes a damaged name, which Python cannot decode.
-            raise self.damage("SQLite cannot read it, and names what is not text") from err
+        return self._database().execute(sql, values)
+
+    def text(self, value: bytes) -> str:
+        """Return text that was selected as bytes: SQLite stores any bytes as text."""
+        ((encoding,),) = self.query("PRAGMA encoding")
+        return value.decode(encoding, "replace")
 
     @contextmanager
     def ending(self) -> Iterator[None]:
         """Interrupt SQLite if it takes more steps than a file of this size can need."""
         millions = iter(range(5 + self.size // 100_000))
         opened = self._database()
-        opened.connection.set_progress_handler(lambda: next(millions, None) is None, 1_000_000)
+        opened.set_progress_handler(lambda: next(millions, None) is None, 1_000_000)
         try:
             yield
         finally:
-            opened.connection.set_progress_handler(None, 0)
+            opened.set_progress_handler(None)
 
     def bounded_rows(self, rows: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
         """Yield rows as they are, up to the size of the file: rows that share pages may have any number of values."""
         left = self.most_bytes
         for row in rows:
-            left -= sum(len(value) for value in row if isinstance(value, str | bytes))
+            left -= sum(len(value) for value in row if isinstance(value, bytes))
             if left < 0:
                 raise self.too_many_values()
             yield row
@@ -253,17 +234,20 @@ class Database:
     def columns(self, table: str) -> set[str]:
         """Return the names of a table's columns; none if there is no such table."""
         names = set()
-        for _, name, _, _, default, _ in self.query(f"PRAGMA table_info({table})"):
+        # Damaged names may be no text.
+        sql = "SELECT CAST(name AS BLOB), CAST(dflt_value AS BLOB) FROM pragma_table_info(?)"
+        for name, default in self.query(sql, (table,)):
+            names.add(self.text(name))
             # It is the value of every row that does not store one, and may be long, or computed.
-            if len(default or "") > 40 or "(" in (default or ""):
-                raise RecordingError(f"table {table} has a column {name!r:.40} with a default value", path=self.path)
-            names.add(name)
+            if len(default or b"") > 40 or b"(" in (default or b""):
+                column = f"a column {self.text(name)!r:.40}"
+                raise RecordingError(f"table {table} has {column} with a default value", path=self.path)
         return names
 
     def refuse_made_up(self, table: str) -> None:
         """Raise if this is not a plain table: a view or a virtual table can have an endless number of rows."""
         stored = "SELECT min(type = 'table' AND rootpage > 0) FROM sqlite_master WHERE lower(name) = ?"
-        if self.query(stored, (table,)).fetchone()[0] == 0:
+        if self.query(stored, (table,)).fetchall() == [(0,)]:
             raise RecordingError(f"{table} is not a plain table, as rosbag2 makes it", path=self.path)
 
     def damage(self, message: str) -> DamageError:
@@ -275,12 +259,10 @@ class Database:
 
     def _error(self, err: Exception) -> RecordingError:
         message = f"SQLite cannot read it: {str(err) or type(err).__name__}"
-        if not isinstance(err, sqlite3.Error) or str(err) not in _NO_DAMAGE:
-            return self.damage(message)
-        if str(err) != _DISK_FULL:
-            return RecordingError(message, path=self.path)
-        place = tempfile.gettempdir()
-        return RecordingError(f"{message}: its temporary files in {place}", path=self.path, hint=TEMPORARY_HINT)
+        if isinstance(err, apsw.FullError):
+            message = f"{message}: its temporary files in {tempfile.gettempdir()}"
+            return RecordingError(message, path=self.path, hint=TEMPORARY_HINT)
+        return RecordingError(message, path=self.path) if isinstance(err, _NO_DAMAGE) else self.damage(message)
 
     # --- Logs ---
 
@@ -317,10 +299,10 @@ class Database:
         try:
             opened.execute("PRAGMA locking_mode = EXCLUSIVE")
             # Reads the logs, but no table.
-            opened.execute("PRAGMA schema_version").fetchone()
+            opened.execute("PRAGMA schema_version")
             if log := self._logs.get("-wal"):
-                (page_size,) = opened.execute("PRAGMA page_size").fetchone()
-                _, taken, _ = opened.execute("PRAGMA wal_checkpoint").fetchone()
+                ((page_size,),) = opened.execute("PRAGMA page_size")
+                ((_, taken, _),) = opened.execute("PRAGMA wal_checkpoint")
                 place, left = _left_of_log(Path(f"{target}-wal"), max(0, taken), 24 + page_size)
                 if left:
                     what = f"{counted(left, 'page')} from here on {'is' if left == 1 else 'are'} not used"
@@ -347,22 +329,22 @@ class Database:
     # --- Damage ---
 
     def _rebuild(
-        self, damaged: Sequence[sqlite3.Connection], columns: Mapping[str, list[str]]
-    ) -> tuple[sqlite3.Connection, int | None]:
+        self, damaged: Sequence[apsw.Connection], columns: Mapping[str, list[str]]
+    ) -> tuple[apsw.Connection, int | None]:
         """Make a database of the rows that can be read and are the same in all, and return the latest log time.
 
         It lies in a temporary file that SQLite removes itself, and has the messages without their data: these are read
         from the damaged database when they are asked for.
         """
 
-        def data(row_id: int) -> Any:
-            values = {_data_of(database, row_id) for database in damaged}
+        def data(*row_id: Any) -> Any:
+            values = {_data_of(database, *row_id) for database in damaged}
             return values.pop() if len(values) == 1 else None
 
-        database = sqlite3.connect("", check_same_thread=False, isolation_level=None)
-        database.text_factory = damaged[0].text_factory
-        database.create_function("data_of", 1, data)
-        database.execute("BEGIN")
+        database = apsw.Connection("")
+        database.create_scalar_function("data_of", data, 1)
+        ((encoding,),) = damaged[0].execute("PRAGMA encoding")
+        database.execute(f"PRAGMA encoding = '{encoding}'; BEGIN")
         for table, names in columns.items():
             place = "places" if table == "messages" else table
             database.execute(f"CREATE TABLE {place}({', '.join(('id INTEGER PRIMARY KEY', *names))})")
@@ -376,11 +358,11 @@ class Database:
             database.executemany(insert, self.bounded_rows(rows))
         database.execute("CREATE VIEW messages AS SELECT *, id AS rowid, data_of(id) AS data FROM places")
         database.execute("COMMIT")
-        last = database.execute("SELECT max(timestamp) FROM places WHERE typeof(timestamp) = 'integer'").fetchone()
-        return database, last[0]
+        ((last_ns,),) = database.execute("SELECT max(timestamp) FROM places")
+        return database, last_ns
 
 
-def _data_of(damaged: sqlite3.Connection, row_id: int) -> Any:
+def _data_of(damaged: apsw.Connection, row_id: int) -> Any:
     """Return the data of a message; None if they cannot be read."""
     # A page with a wrong number of rows is read from the page before it on: SQLite would search it in vain.
     for first in (row_id, row_id - _ROWS_OF_A_PAGE if row_id > _ROWS_OF_A_PAGE else _LEAST_ID):
@@ -390,15 +372,15 @@ def _data_of(damaged: sqlite3.Connection, row_id: int) -> Any:
     return None
 
 
-def _readable_rows(damaged: sqlite3.Connection, table: str, names: list[str], size: int) -> Iterator[tuple[Any, ...]]:
+def _readable_rows(damaged: apsw.Connection, table: str, names: list[str], size: int) -> Iterator[tuple[Any, ...]]:
     """Yield the rows of a table, with their rowids in front.
 
     Behind the first row of a range of rowids that fails, ranges that double are read; one that fails at once is halved.
     So what lies near is searched closely, and a file that is cut off costs no more than `_MOST_FAILURES`.
     """
-    listed = ", ".join(("rowid", *names))
-    # With LIMIT, a row counts whatever lies behind it: Python raises the error of the next row in place of a row.
-    sql = f"SELECT {listed} FROM {table} NOT INDEXED WHERE rowid BETWEEN ? AND ? ORDER BY rowid LIMIT ?"  # noqa: S608
+    number, text = "CASE WHEN typeof({0}) = 'integer' THEN {0} END", "CAST({0} AS BLOB)"
+    listed = ", ".join(("rowid", *((number if table == "messages" else text).format(name) for name in names)))
+    sql = f"SELECT {listed} FROM {table} NOT INDEXED WHERE rowid BETWEEN ? AND ? ORDER BY rowid"  # noqa: S608
     ranges = deque([(_LEAST_ID, 2**63 - 1)] if names else [])
     failures = 0
     # A row takes more than eight bytes.
@@ -408,7 +390,7 @@ def _readable_rows(damaged: sqlite3.Connection, table: str, names: list[str], si
         # Recorders count from 1 on.
         first = max(start, 1)
         try:
-            for row in damaged.execute(sql, (start, last, min(last - start, 2**63 - 2) + 1)):
+            for row in damaged.execute(sql, (start, last)):
                 left -= 1
                 if left < 0:
                     # The tree leads back to pages.

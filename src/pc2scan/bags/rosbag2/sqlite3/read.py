@@ -21,10 +21,9 @@ The number of rows is compared with that of the index of their times. Unlike SQL
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
-from itertools import repeat
-from typing import TYPE_CHECKING, Any
+from itertools import islice
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pc2scan.bags import zstd
 from pc2scan.bags.damage import DamageLog
@@ -35,21 +34,25 @@ from pc2scan.files.compression import ZSTD_MAGIC
 from pc2scan.model import Connection, Definition, RawMessage, Summary, declared_counts
 from pc2scan.text import counted
 
-from .database import SQLITE_ERRORS, Database
+from .database import BLOB, SQLITE_ERRORS, Database
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
     from pathlib import Path
-    from sqlite3 import Cursor
+
+    from apsw import Cursor
 
     from pc2scan.bags.reader import Wanted
 
-#: Limits of a chunk's bytes and rows, and of the data that are read with their row; longer ones are read one by one.
-#: Loading less takes less time than handing it to another thread.
-_CHUNK_BYTES = 1 << 19
-_LEAST_ROWS, _CHUNK_ROWS = 8, 256
-_SHORT_BYTES = 1 << 16
+#: Limits of a chunk's bytes and rows. Loading less takes less time than handing it to another thread.
+_CHUNK_BYTES, _CHUNK_ROWS = 1 << 19, 256
 _WORTH_A_THREAD = 1 << 20
+
+#: Topic, log time, rowid and data of a message.
+Row: TypeAlias = tuple[int, int, int, bytes]
+
+#: A row takes more in the file.
+_ROW_BYTES = 8
 
 #: rosbag2's index of messages by time.
 _INDEX = "timestamp_idx"
@@ -57,15 +60,10 @@ _INDEX = "timestamp_idx"
 #: The condition for rows of ``messages`` that have a place in the recording.
 _SOUND = " AND ".join(f"typeof({column}) = 'integer'" for column in ("topic_id", "timestamp"))
 
-#: The data of a message: where they are short, and those of a row, if they are bytes.
-_SHORT = f"CASE WHEN length(data) < {_SHORT_BYTES} THEN data END"
-_BLOB = "SELECT CASE WHEN typeof(data) = 'blob' THEN data END FROM messages WHERE rowid = ?"
+_BLOB = f"SELECT {BLOB} FROM messages WHERE rowid = ?"  # noqa: S608  # constants
 
-#: Topics, log times, rowids and data of messages.
-Columns = tuple[Sequence[int], Sequence[int], Sequence[int], Sequence[bytes]]
-
-#: Without the constructor, which takes longer than reading a small row.
-_make_message: Callable[[Iterable[object]], RawMessage] = partial(tuple.__new__, RawMessage)
+#: Makes messages without the constructor, which takes longer than reading a small row.
+_make: Any = tuple.__new__
 
 
 class Sqlite3Reader(Reader):
@@ -108,8 +106,8 @@ class Sqlite3Reader(Reader):
         """Check and read what the tables have without the messages."""
         database = self._database
         _check_tables(database)
-        columns = [column[2] for column in database.query(f"PRAGMA index_info({_INDEX})")]
-        self._is_indexed = columns == ["timestamp"]
+        columns = database.query("SELECT name = 'timestamp' FROM pragma_index_info(?)", (_INDEX,))
+        self._is_indexed = columns.fetchall() == [(1,)]
         with database.ending():
             self.connections, span = _read_connections(database, self._log, is_indexed=self._is_indexed)
         #: The topics whose messages are compressed one by one.
@@ -131,33 +129,35 @@ class Sqlite3Reader(Reader):
         """
         ids = None if wanted.connections is None else {connection.id for connection in wanted.connections}
         known = {own.id: own for own in self.connections if ids is None or own.id in ids}
-        for number, (columns, size) in enumerate(self._batches(known, wanted)):
-            load = partial(_load, known, columns)
-            yield Chunk(columns[1][0], (number,), size, load, is_quick=size < _WORTH_A_THREAD)
+        for number, (messages, size) in enumerate(self._batches(known, wanted)):
+            load = partial(_load, messages)
+            yield Chunk(messages[0].log_time_ns, (number,), size, load, is_quick=size < _WORTH_A_THREAD)
             # They must not stay in memory while the next ones are read.
-            del columns, load
+            del messages, load
 
-    def _batches(self, known: Mapping[int, Connection], wanted: Wanted) -> Iterator[tuple[Columns, int]]:
-        """Yield some rows at a time, by log time and rowid, with the bytes of their data."""
+    def _batches(self, known: Mapping[int, Connection], wanted: Wanted) -> Iterator[tuple[list[RawMessage], int]]:
+        """Yield some messages at a time, by log time and rowid, with the bytes of their data."""
         after: tuple[int, int] | None = None
-        expected = sum(own.message_count or 0 for own in known.values())
         left = self._database.most_bytes
         while True:
             is_rebuilt = self._database.is_rebuilt
             try:
-                for columns, size in self._fetched(self._select(known, wanted, after)):
-                    after = columns[1][-1], columns[2][-1]
-                    # Pages of a damaged tree may form a loop.
-                    expected -= len(columns[0])
-                    left -= size
-                    if expected < 0:
-                        raise RecordingError("has more messages than it counts", path=self.path)
+                cursor = self._select(known, wanted, after)
+                while rows := self._fetched(cursor):
+                    after = rows[-1][1:3]
+                    size = sum([len(row[3] or b"") for row in rows])
+                    # Pages of a damaged tree may form a loop, and rows may share pages.
+                    left -= size + _ROW_BYTES * len(rows)
                     if left < 0:
                         raise self._database.too_many_values()
-                    if self._packed_topics or None in columns[3]:
-                        columns, size = self._decompressed(known, columns)  # noqa: PLW2901
-                    if columns:
-                        yield columns, size
+                    if self._packed_topics or None in [row[3] for row in rows]:
+                        rows, size = self._decompressed(known, rows)
+                    if rows:
+                        yield (
+                            [_make(RawMessage, (known[own], stamp, data, stamp, 0)) for own, stamp, _, data in rows],
+                            size,
+                        )
+                    del rows
             except (*SQLITE_ERRORS, DamageError) as err:
                 # What was read meanwhile may have rebuilt it.
                 if is_rebuilt or not self._database.is_rebuilt:
@@ -166,49 +166,34 @@ class Sqlite3Reader(Reader):
             else:
                 return
 
-    def _fetched(self, cursor: Cursor) -> Iterator[tuple[Any, int]]:
-        """Yield columns of a growing number of rows, while they are small, with the bytes of their data."""
-        count, size = _LEAST_ROWS, 0
-        while rows := cursor.fetchmany(count):
-            for columns, size in self._filled(rows):
-                yield columns, size
-            count = min(2 * count, _CHUNK_ROWS) if size < _CHUNK_BYTES // 2 else _LEAST_ROWS
-
-    def _filled(self, rows: list[Any]) -> Iterator[tuple[Any, int]]:
-        """Yield the columns of rows, with the bytes of their data, which are read here where they are long."""
-        columns = tuple(zip(*rows, strict=True))
-        if {bytes} == set(map(type, columns[3])):
-            yield columns, sum(map(len, columns[3]))
-            return
-        batch, size = [], 0
-        for topic_id, time_ns, row_id, short in rows:
-            data = short
-            if not isinstance(data, bytes):
-                (data,) = self._database.query(_BLOB, (row_id,)).fetchone() or (None,)
-            batch.append((topic_id, time_ns, row_id, data))
+    def _fetched(self, cursor: Cursor) -> list[Row]:
+        """Return the next rows, up to a chunk's size."""
+        rows, size = [], 0
+        for row in islice(cursor, _CHUNK_ROWS):
+            data = row[3]
+            rows.append(row)
+            if data is None:
+                (data,) = self._database.query(_BLOB, row[2:3]).fetchone() or (None,)
+                rows[-1] = (*row[:3], data)
             size += len(data or b"")
             if size >= _CHUNK_BYTES:
-                columns, batch, data = tuple(zip(*batch, strict=True)), [], None
-                yield columns, size
-                del columns
-                size = 0
-        if batch:
-            yield tuple(zip(*batch, strict=True)), size
+                break
+        return rows
 
-    def _decompressed(self, known: Mapping[int, Connection], columns: Columns) -> tuple[Any, int]:
-        """Return the columns of rows with decompressed data, and the bytes of these; rows without data are noted."""
-        rows = []
-        for topic_id, time_ns, row_id, data in zip(*columns, strict=True):
+    def _decompressed(self, known: Mapping[int, Connection], rows: list[Row]) -> tuple[list[Row], int]:
+        """Return rows with decompressed data, and the bytes of these; rows without data are noted."""
+        readable = []
+        for topic_id, time_ns, row_id, data in rows:
             topic = known[topic_id].topic
             try:
                 if data is None:
                     raise self._database.damage(f"row {row_id} of messages, of topic {topic!r:.80}, has no data")
                 packed = topic_id in self._packed_topics
                 unpacked = bytes(zstd.decompress_message(data, self.path, topic)) if packed else data
-                rows.append((topic_id, time_ns, row_id, unpacked))
+                readable.append((topic_id, time_ns, row_id, unpacked))
             except DamageError as err:
                 self._log.note_message(err, row_id, time_ns)
-        return tuple(zip(*rows, strict=True)), sum(len(row[3]) for row in rows)
+        return readable, sum(len(row[3]) for row in readable)
 
     def counts(
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
@@ -216,7 +201,7 @@ class Sqlite3Reader(Reader):
         """Count rows, without their data; see `pc2scan.bags.reader.Reader`."""
         if start_ns is None and stop_ns is None:
             return declared_counts(connections)
-        counts = dict.fromkeys((connection.id for connection in connections), 0)
+        counts: dict[Any, Any] = dict.fromkeys((connection.id for connection in connections), 0)
         conditions, values = _time_conditions(start_ns, stop_ns)
         where = " AND ".join((_SOUND, *conditions))
         sql = f"SELECT topic_id, count(*) FROM messages WHERE {where} GROUP BY topic_id"  # noqa: S608
@@ -234,10 +219,7 @@ class Sqlite3Reader(Reader):
         super().close()
 
     def _select(self, topic_ids: Iterable[int], wanted: Wanted, after: tuple[int, int] | None) -> Cursor:
-        """Select topic, time, rowid, and data where they are short, by time and rowid.
-
-        They are those after ``after`` (time and rowid).
-        """
+        """Select topic, time, rowid and data, by time and rowid, after ``after`` (time and rowid)."""
         times, bounds = _time_conditions(wanted.start_ns, wanted.stop_ns)
         # Not as values, of which some builds of SQLite allow 32,766.
         conditions = [f"topic_id IN ({', '.join(map(str, topic_ids))})", _SOUND, *times]
@@ -246,17 +228,15 @@ class Sqlite3Reader(Reader):
             conditions.append("(timestamp, rowid) > (?, ?)")
         # Without INDEXED BY, SQLite may sort whole messages instead of using the index. Without an index it has to
         # sort; only ids are sorted, not messages.
-        index, data = (f"INDEXED BY {_INDEX}", _SHORT) if self._is_indexed else ("", "NULL")
+        index, data = (f"INDEXED BY {_INDEX}", BLOB) if self._is_indexed else ("", "NULL")
         where = " AND ".join(conditions)
         sql = f"SELECT topic_id, timestamp, rowid, {data} FROM messages {index} WHERE {where} ORDER BY 2, 3"  # noqa: S608
         return self._database.query(sql, values)
 
 
-def _load(known: Mapping[int, Connection], columns: Columns, callback: Callable[[RawMessage], Any]) -> list[Any]:
-    """Make messages of rows."""
-    topics, times, _, data = columns
-    fields = zip(map(known.__getitem__, topics), times, data, times, repeat(0), strict=False)
-    return list(map(callback, map(_make_message, fields)))
+def _load(messages: list[RawMessage], callback: Callable[[RawMessage], Any]) -> list[Any]:
+    """Hand out messages; see `pc2scan.bags.reader.Chunk`."""
+    return list(map(callback, messages))
 
 
 def _time_conditions(start_ns: int | None, stop_ns: int | None) -> tuple[list[str], list[int]]:
@@ -293,9 +273,9 @@ def _read_connections(
     sql = f"SELECT topic_id, count(*) FROM messages WHERE {_SOUND} GROUP BY 1 LIMIT ?"  # noqa: S608
     counts: dict[int, int] = dict(database.query(sql, (MAX_CONNECTIONS + 2,)))
     ConnectionLimit(database.path).add(count=len(counts))
-    (total,) = database.query("SELECT count(*) FROM messages NOT INDEXED").fetchone()
+    ((total,),) = database.query("SELECT count(*) FROM messages NOT INDEXED")
     if is_indexed:
-        (indexed,) = database.query(f"SELECT count(*) FROM messages INDEXED BY {_INDEX}").fetchone()  # noqa: S608
+        ((indexed,),) = database.query(f"SELECT count(*) FROM messages INDEXED BY {_INDEX}")  # noqa: S608
         if indexed != total:
             raise database.damage(f"the index of timestamps has {indexed} messages, the table {total}")
     if unsound := total - sum(counts.values()):
@@ -322,20 +302,21 @@ def _read_connections(
     )
     # Each by itself is read from the index.
     where = f"FROM messages WHERE {_SOUND} AND topic_id IN ({', '.join(map(str, topics))})"
-    sql = f"SELECT (SELECT min(timestamp) {where}), (SELECT max(timestamp) {where})"
-    return connections, database.query(sql).fetchone()
+    (span,) = database.query(f"SELECT (SELECT min(timestamp) {where}), (SELECT max(timestamp) {where})")
+    return connections, span
 
 
 def _read_topics(database: Database, noted: DamageLog) -> dict[int, list[str]]:
     """Return name, type, serialization format, QoS profiles and hash of each topic; missing columns are empty."""
     available = database.columns("topics")
     names = ("name", "type", "serialization_format", "offered_qos_profiles", "type_description_hash")
-    columns = ", ".join(_column_as_text(name) if name in available else "''" for name in names)
+    columns = ", ".join(_column_as_text(name) if name in available else "x''" for name in names)
     topics: dict[int, list[str]] = {}
     limit = ConnectionLimit(database.path, database.size)
-    sql = f"SELECT id, {columns} FROM topics ORDER BY id"  # noqa: S608 - constants
-    for topic_id, *values in database.bounded_rows(database.query(sql)):
-        if not isinstance(topic_id, int) or topic_id in topics:
+    sql = f"SELECT CASE WHEN typeof(id) = 'integer' THEN id END, {columns} FROM topics ORDER BY id"  # noqa: S608
+    for topic_id, *stored in database.bounded_rows(database.query(sql)):
+        values = list(map(database.text, stored))
+        if topic_id is None or topic_id in topics:
             error = database.damage(f"topic {values[0]!r:.80} has no id of its own")
             noted.note(error, key=("topics", topic_id, values[0]), messages_lost=0)
             continue
@@ -350,13 +331,14 @@ def _read_definitions(database: Database) -> dict[tuple[str, str | None], Defini
     columns = database.columns("message_definitions")
     if not {"topic_type", "encoding", "encoded_message_definition"} <= columns:
         return definitions
-    digest = _column_as_text("type_description_hash") if "type_description_hash" in columns else "''"
+    digest = _column_as_text("type_description_hash") if "type_description_hash" in columns else "x''"
     rows = database.query(
-        f"SELECT {_column_as_text('topic_type')}, {_column_as_text('encoding')}, "  # noqa: S608
-        f"CAST(encoded_message_definition AS BLOB), {digest} FROM message_definitions ORDER BY id LIMIT ?",
+        f"SELECT {_column_as_text('topic_type')}, {_column_as_text('encoding')}, {digest}, "  # noqa: S608
+        f"CAST(encoded_message_definition AS BLOB) FROM message_definitions ORDER BY id LIMIT ?",
         (MAX_CONNECTIONS,),
     )
-    for msgtype, encoding, data, own_digest in database.bounded_rows(rows):
+    for *texts, data in database.bounded_rows(rows):
+        msgtype, encoding, own_digest = map(database.text, texts)
         # rosbag2 writes "unknown" if it did not find the definition.
         if data and encoding not in {"", "unknown"}:
             definition = Definition(encoding, data)
@@ -379,5 +361,5 @@ def _find_compressed(database: Database, connections: Iterable[Connection]) -> f
 
 
 def _column_as_text(column: str) -> str:
-    """Return a column as text: SQLite allows any value in any column."""
-    return f"coalesce(CAST({column} AS TEXT), '')"
+    """Return a column as text, and this as bytes: SQLite allows any value in any column, and any bytes in text."""
+    return f"CAST(coalesce(CAST({column} AS TEXT), '') AS BLOB)"

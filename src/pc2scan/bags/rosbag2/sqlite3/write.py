@@ -8,17 +8,20 @@ Source: rosbag2_storage_sqlite3/sqlite_storage.cpp.
 
 from __future__ import annotations
 
-import sqlite3
 from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+import apsw
+
 from pc2scan.bags.rosbag2.read import WRITTEN_VERSION
-from pc2scan.errors import OutputError, UnwritableError
+from pc2scan.errors import OutputError
 from pc2scan.files.compression import compress
 from pc2scan.files.new_file import WriteAhead
 from pc2scan.files.outputs import sync
 from pc2scan.model import Writer
+
+from .database import connect
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -89,17 +92,17 @@ class Sqlite3Writer(Writer):
         try:
             # SQLite would append to an existing file.
             path.open("xb").close()
-            self._database = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
-        except (OSError, sqlite3.Error) as err:
+            self._database = connect(path, "rw")
+        except (OSError, apsw.Error) as err:
             raise self._write_error(err) from err
         try:
-            self._database.execute(f"PRAGMA page_size={_PAGE_BYTES}")
             # A file with errors is removed, so neither a journal nor syncing before the end is needed.
-            self._database.execute("PRAGMA journal_mode=MEMORY")
-            self._database.execute("PRAGMA synchronous=OFF")
-            self._database.executescript(_SCHEMA)
-            self._database.execute("BEGIN")
-        except sqlite3.Error as err:
+            pragmas = f"PRAGMA page_size={_PAGE_BYTES}; PRAGMA journal_mode=MEMORY; PRAGMA synchronous=OFF;"
+            # What pages have no use for is zero: the bytes of a file depend on its content alone.
+            pragmas += "PRAGMA secure_delete=ON;"
+            # A statement is executed when the rows of those before it are read.
+            self._database.execute(f"{pragmas} {_SCHEMA} BEGIN").fetchall()
+        except apsw.Error as err:
             self.abort()
             raise self._write_error(err) from err
 
@@ -140,18 +143,7 @@ class Sqlite3Writer(Writer):
         publish_time_ns: int,  # noqa: ARG002 - the storage has one time a message
         sequence: int = 0,  # noqa: ARG002 - and no sequence number
     ) -> None:
-        """Append a message.
-
-        Raises
-        ------
-        UnwritableError
-            If its log time does not fit 64 bits with a sign; nothing is written then.
-        """
-        if not -(2**63) <= log_time_ns < 2**63:
-            raise UnwritableError(
-                f"log time {log_time_ns} ns is too large for SQLite, whose numbers have 63 bits and a sign",
-                path=self._path,
-            )
+        """Append a message."""
         if self._compresses:
             # A view would keep the whole chunk in memory.
             insert = partial(self._insert_message, handle, log_time_ns)
@@ -165,12 +157,13 @@ class Sqlite3Writer(Writer):
         self._rows.append((log_time_ns, handle, data if is_full else bytes(data)))
         if is_full:
             self._commit()
-            self._run("BEGIN")
+            self._run(self._database.execute, "BEGIN")
 
     def _commit(self) -> None:
         rows, self._rows, self._pending = self._rows, [], 0
-        self._run("INSERT INTO messages(timestamp, topic_id, data) VALUES (?, ?, ?)", rows, self._database.executemany)
-        self._run("COMMIT")
+        sql = "INSERT INTO messages(timestamp, topic_id, data) VALUES (?, ?, ?)"
+        self._run(self._database.executemany, sql, rows)
+        self._run(self._database.execute, "COMMIT")
 
     def add_bag_metadata(self, text: str) -> None:
         """Write rosbag2's metadata.yaml (its ``rosbag2_bagfile_information``) to the file, as rosbag2 does."""
@@ -184,25 +177,23 @@ class Sqlite3Writer(Writer):
         try:
             self._database.close()
             sync(self._path)
-        except (OSError, sqlite3.Error) as err:
+        except (OSError, apsw.Error) as err:
             raise self._write_error(err) from err
 
     def abort(self) -> None:
         """Close; the file is not a recording."""
         self._ahead.cancel()
-        with suppress(sqlite3.Error):
+        with suppress(apsw.Error):
             self._database.close()
 
     def _insert(self, sql: str, values: Sequence[Any]) -> int:
-        row = self._run(sql, values).lastrowid
-        return row or 0
+        self._run(self._database.execute, sql, values)
+        return self._database.last_insert_rowid()
 
-    def _run(
-        self, sql: str, values: Sequence[Any] = (), execute: Callable[..., sqlite3.Cursor] | None = None
-    ) -> sqlite3.Cursor:
+    def _run(self, execute: Callable[..., apsw.Cursor], sql: str, values: Sequence[Any] = ()) -> None:
         try:
-            return (execute or self._database.execute)(sql, values)
-        except (sqlite3.Error, OverflowError) as err:
+            execute(sql, values)
+        except apsw.Error as err:
             raise self._write_error(err) from err
 
     def _write_error(self, err: Exception) -> OutputError:
