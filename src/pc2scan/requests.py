@@ -55,7 +55,7 @@ def frames_of(options: Options) -> FrameOptions:
     if options.trajectory is not None:
         frames = frames_of_trajectory(options.trajectory_frames)
         trajectory, clock = load_trajectory(options.trajectory, frames), clock_of(options)
-        trajectory = trajectory if clock is None else trajectory.moved(clock.trajectory_ns)
+        trajectory = trajectory if clock is None else trajectory.moved(clock.by_topic.get(TRAJECTORY) or 0)
     return FrameOptions(
         tf_topics=options.tf_topics,
         tf_from=options.tf_from,
@@ -120,7 +120,8 @@ def conversion_of(options: Options, warn: Warn | None = None) -> Request:
     frames = frames_of(options)
     if not frames.tf_topics:
         frames = replace(frames, tf_topics=outputs.tf_topics)
-    files = named_files(options) | {f"{path.name} (from `{where}`)": path for path in outputs.files}
+    files = named_files(options) if options.given.keys() & {*NAMED_FILES} else {}
+    files |= {f"{path.name} (from `{where}`)": path for path in outputs.files}
     how = {"frames": frames, "clock": clock_of(options), **options.among(_OF_ALL)}
     return Request(scans=outputs.specs, **how, files=files, notes=tuple(notes))
 

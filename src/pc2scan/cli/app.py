@@ -25,7 +25,7 @@ from pc2scan.request.parameters import plain_scalar
 from pc2scan.text import did_you_mean, shell_word
 from pc2scan.version import __version__
 
-from .commands import COMMANDS
+from .commands import COMMANDS, Argument
 from .completion import offered
 from .failures import in_our_words, show_failure
 from .help import ABOUT, help_of
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from types import FrameType
 
     from pc2scan.options.option import Option
-
-    from .commands import Argument
 
 _INTERRUPTED = 128 + signal.SIGINT
 
@@ -248,7 +246,7 @@ def _parser_of(name: str, *, completes: bool) -> Callable[..., dict[str, Any]]:
     def parsed(**values: Any) -> dict[str, Any]:
         return {key: value for key, value in values.items() if value not in (None, [])}
 
-    keywords = {argument.name: _annotation_of_own(argument) for argument in COMMANDS[name].arguments}
+    keywords = {argument.name: _annotation(argument) for argument in COMMANDS[name].arguments}
     known, offers = options_of(name), dict[str, Any]()
     for key, option in known.items() if completes else ():
         if words := option.value.offers or (option.value.words and ("words", *option.value.words)):
@@ -260,24 +258,22 @@ def _parser_of(name: str, *, completes: bool) -> Callable[..., dict[str, Any]]:
     return parsed
 
 
-def _annotation_of_own(argument: Argument) -> Any:
-    """Return the annotation of an argument that is not in the table."""
-    if not argument.spellings:
-        several = argument.metavar.endswith("...")
-        return Annotated[(list[str] if several else str) | None, typer.Argument(metavar=argument.metavar)]
-    if argument.name == "lookup":
-        return Annotated[tuple[str, str] | None, typer.Option("--lookup", autocompletion=_offering(("frames",)))]
-    return Annotated[list[str] | None, typer.Option(*argument.spellings)]
-
-
-def _annotation(option: Option, offers: Callable[[str], list[str]] | None) -> Any:
-    """Return the annotation of an option of the table."""
-    value, spellings = option.value, [option.spelling, *filter(None, [option.short])]
-    if value.kind == "bool":
-        if isinstance(option, Parameter):
-            spellings[0] += f"/{option.negation}"
+def _annotation(taken: Argument | Option, offers: Callable[[str], list[str]] | None = None) -> Any:
+    """Return the annotation of an argument, or of an option of the table."""
+    if isinstance(taken, Argument):
+        if not taken.spellings:
+            kind = list[str] if taken.metavar.endswith("...") else str
+            return Annotated[kind | None, typer.Argument(metavar=taken.metavar)]
+        if taken.name == "lookup":
+            return Annotated[tuple[str, str] | None, typer.Option("--lookup", autocompletion=_offering(("frames",)))]
+        return Annotated[list[str] | None, typer.Option(*taken.spellings)]
+    spellings = [taken.spelling, *filter(None, [taken.short])]
+    if taken.value.kind == "bool":
+        if isinstance(taken, Parameter):
+            spellings[0] += f"/{taken.negation}"
         return Annotated[bool | None, typer.Option(*spellings)]
-    return Annotated[(list[str] if value.repeats else str) | None, typer.Option(*spellings, autocompletion=offers)]
+    kind = list[str] if taken.value.repeats else str
+    return Annotated[kind | None, typer.Option(*spellings, autocompletion=offers)]
 
 
 def _offering(offers: Sequence[str]) -> Callable[[str], list[str]]:

@@ -46,8 +46,9 @@ class StdoutError(Exception):
 def say(text: str = "", *, err: bool = False) -> None:
     """Print one line, with whatever a terminal or a CI system would obey made visible. All commands print with it."""
     stream = sys.stderr if err else sys.stdout
-    line = visible(text, ascii_only=_ascii_only(stream))
-    width = width_of(stream) or len(line)
+    columns, ascii_only = shape_of(stream)
+    line = visible(text, ascii_only=ascii_only)
+    width = columns or len(line)
     # A command stays one line, to be copied.
     if len(line) > width and not line.lstrip().startswith(("next: ", "pc2scan ")):
         indent = line[: -len(line.lstrip())] + "  "
@@ -57,11 +58,6 @@ def say(text: str = "", *, err: bool = False) -> None:
     if label in _COLOURS and stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb":
         line = f"{_COLOURS[label]}{label}\x1b[0m{line[len(label) :]}"
     _write(f"{line}\n", stream)
-
-
-def _ascii_only(stream: TextIO) -> bool:
-    """Whether the output file or terminal cannot show every character."""
-    return not (getattr(stream, "encoding", None) or "ascii").lower().startswith("utf")
 
 
 def _write(text: str, stream: TextIO) -> None:
@@ -74,9 +70,10 @@ def _write(text: str, stream: TextIO) -> None:
         raise
 
 
-def width_of(stream: TextIO) -> int | None:
-    """Return the maximum width of lines on a stream in columns; None for no limit."""
-    return max(get_terminal_size().columns, _NARROWEST) if stream.isatty() else None
+def shape_of(stream: TextIO) -> tuple[int | None, bool]:
+    """Return the columns of a stream, None for no limit, and whether it cannot show every character."""
+    columns = max(get_terminal_size().columns, _NARROWEST) if stream.isatty() else None
+    return columns, not (getattr(stream, "encoding", None) or "ascii").lower().startswith("utf")
 
 
 def show_error(err: Pc2ScanError) -> None:
@@ -158,7 +155,8 @@ def show_parts(parts: Iterable[Part]) -> None:
     for part in parts:
         if isinstance(part, Table):
             shown = part._replace(rows=[[as_typed(cell) for cell in row] for row in part.rows])
-            for line in shown.lines(width_of(sys.stdout), ascii_only=_ascii_only(sys.stdout)):
+            columns, ascii_only = shape_of(sys.stdout)
+            for line in shown.lines(columns, ascii_only=ascii_only):
                 say(line)
         elif isinstance(part, Call):
             say(f"  {' '.join(map(shell_word, call_words(part)))}")

@@ -182,8 +182,8 @@ def make_plan(connections: Sequence[Connection], options: Request) -> Plan:
     together: dict[ScanSpec, Mapping[str, Sequence[str]]] = {}
     for spec in specs:
         with spec.naming_errors(f"{spec.place}, " if spec.place else ""):
-            if not spec.topics and all(kinds.isdisjoint(spec.source_types) for kinds in types.values()):
-                message, hint = without(short_types(spec.source_types), connections)
+            if not spec.topics and all(kinds.isdisjoint(spec.types()) for kinds in types.values()):
+                message, hint = without(short_types(spec.types()), connections)
                 raise NothingToConvertError(message, hint=_other_direction(types, spec) or hint or None)
             targets[spec] = _targets(types, spec, options)
             together[spec] = _combined(spec, targets[spec], types, options) if spec.may_combine else {}
@@ -209,8 +209,8 @@ def _outputs(
     spec: ScanSpec, kind: str, targets: Sequence[str], together: Mapping[str, Sequence[str]], begin: int
 ) -> Iterator[Output]:
     """Yield the outputs of the messages of a type on a topic; conversions are numbered from ``begin`` on."""
-    alone = [target for target in targets if target not in together] if kind in spec.source_types else []
-    joined = [target for target in targets if target in together] if kind in spec.named_types else []
+    alone = [target for target in targets if target not in together] if kind in spec.types() else []
+    joined = [target for target in targets if target in together] if kind in spec.types(named=True) else []
     for number, (scan, names) in enumerate([("", alone)] * bool(alone) + [(name, [name]) for name in joined], begin):
         sources = tuple(together.get(scan, ()))
         yield from (Output(spec, name, scan, sources, index=number) for name in names)
@@ -230,7 +230,7 @@ def _combined(
     for target, topics in list(sources.items()):
         if len(topics) == 1 and not (combining.accumulates or combining.rebin):
             # Only topics that share a target may have scans instead of clouds.
-            find_topic(topics[0], types, [topic for topic in types if topic in targets], *spec.source_types)
+            find_topic(topics[0], types, [topic for topic in types if topic in targets], *spec.types())
             del sources[target]
         elif len(topics) > 1 and not (spec.params.target_frame or options.frames.source_frame):
             raise TopicError(
@@ -244,7 +244,7 @@ def _combined(
 
 def _targets(types: dict[str, set[str]], spec: ScanSpec, options: Request) -> dict[str, tuple[str, ...]]:
     """Return the topics to convert, and the topics that their scans go to."""
-    convertible = spec.named_types if spec.topics else spec.source_types
+    convertible = spec.types(named=bool(spec.topics))
     candidates = [topic for topic, kinds in types.items() if not kinds.isdisjoint(convertible)]
     if spec.topics:
         requests: dict[str, list[str | None]] = {}
@@ -285,13 +285,13 @@ def _targets(types: dict[str, set[str]], spec: ScanSpec, options: Request) -> di
 def _matching_topics(name: str, types: dict[str, set[str]], candidates: list[str], spec: ScanSpec) -> list[str]:
     """Return the topics that a name or a glob matches."""
     try:
-        return find_topics(name, types, candidates, *spec.named_types)
+        return find_topics(name, types, candidates, *spec.types(named=True))
     except TopicError as err:
         if not spec.reverse and not SCANS.keys().isdisjoint(types.get(name, ())):
             err.hint = f"`rebin=True` makes other scans of LaserScan, `reverse=True` makes clouds; {err.hint}"
         elif not candidates and name in types:
             err.hint = instead_of_topic(name, types[name]) or err.hint
-        if all(kinds.isdisjoint(spec.source_types) for kinds in types.values()):
+        if all(kinds.isdisjoint(spec.types()) for kinds in types.values()):
             raise NothingToConvertError(err.message, hint=err.hint) from err
         raise
 

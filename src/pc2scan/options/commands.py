@@ -71,7 +71,7 @@ class BatchRun(TypedDict, total=False):
     dataset: Annotated[File, "A YAML file with options for recordings; options given here override it."]
     jobs: Annotated[
         int,
-        count(0, MAX_JOBS),
+        count(high=MAX_JOBS),
         "Number of recordings at a time, each in its own process; the output does not depend on it.",
         How(default=0, default_text="number of cores", short="-j"),
     ]
@@ -121,7 +121,7 @@ class PageClouds(FirstClouds, total=False):
 
     clouds: Annotated[
         int,
-        count(1, 1000),
+        count(low=1, high=1000),
         "Number of clouds of each topic on the page, up to 1,000, evenly spread over the recording.",
         How(default=10),
     ]
@@ -138,7 +138,7 @@ class FigureClouds(FirstClouds, total=False):
 
     clouds: Annotated[
         int,
-        count(1),
+        count(low=1),
         "Number of clouds of each topic, side by side, spread over the recording.",
         How(default=1, short="--frames"),
     ]

@@ -64,7 +64,7 @@ class CloudUnit(TypedDict, total=False):
 
     cloud_scale: Annotated[
         float,
-        number(metavar="X"),
+        number("X"),
         "Multiply x, y and z of clouds by this, kept ones too: 0.001 for millimetres, 0.01 for centimetres.",
         How(default=1.0, default_text="1, which is metres"),
     ]
@@ -108,7 +108,7 @@ class PointSelection(TypedDict, total=False):
     ]
     min_height_slope: Annotated[
         float | None,
-        number(metavar="M/M"),
+        number("M/M"),
         "Reject points below `min_height` + this * range, for ramps and rough ground. 0.05 is about 3 degrees.",
     ]
     filters: Annotated[

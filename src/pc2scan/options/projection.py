@@ -66,7 +66,7 @@ class ScanParameters(TypedDict, total=False):
     ]
     beams: Annotated[
         int | str,
-        count(2, words=("auto",)),
+        count(metavar="N|auto", low=2, words=("auto",)),
         "Number of beams in the sector, instead of `angle_increment`. auto: the lidar's own resolution.",
     ]
     no_return: Annotated[

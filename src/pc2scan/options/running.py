@@ -61,7 +61,7 @@ class ThreadCount(TypedDict, total=False):
 
     jobs: Annotated[
         int,
-        count(0, MAX_JOBS),
+        count(high=MAX_JOBS),
         f"Number of threads, up to {MAX_JOBS:,}; the output does not depend on it.",
         How(default=0, default_text="number of cores", short="-j"),
     ]

@@ -144,12 +144,6 @@ texts = partial(
 )
 
 
-def number(unit: str = "", metavar: str | None = None, words: tuple[str, ...] = ()) -> Value:
-    """Return the type of a number, which may have a unit: ``50cm``, ``90deg``, ``100ms``, ``48us``."""
-    shown = "|".join((unit.upper() if metavar is None else metavar, *words))
-    return Value(_read_number, shown, "a number", "float", words, unit=unit)
-
-
 def _read_number(kind: Value, name: str, value: Any) -> float:
     """Return the number in metres, radians or seconds."""
     if not isinstance(value, str) and not _is_number(value):
@@ -161,9 +155,8 @@ def _read_number(kind: Value, name: str, value: Any) -> float:
     return read
 
 
-def count(low: int = 0, high: int | None = None, words: tuple[str, ...] = ()) -> Value:
-    """Return the type of a whole number; for a parameter of the projection, also a word."""
-    return Value(_read_count, "|".join(("N", *words)), "a whole number", "int", words, low=low, high=high)
+#: The type of a number, which may have a unit: ``50cm``, ``90deg``, ``100ms``, ``48us``.
+number = partial(Value, _read_number, usual="a number", kind="float")
 
 
 def _read_count(kind: Value, name: str, value: Any) -> int:
@@ -179,6 +172,10 @@ def _read_count(kind: Value, name: str, value: Any) -> int:
         limits = f"{kind.low} or more" if kind.high is None else f"from {kind.low} to {kind.high:,}"
         raise UsageError(f"`{name}` is {read:,}, it must be {limits}")
     return read
+
+
+#: The type of a whole number; for a parameter of the projection, also a word.
+count = partial(Value, _read_count, metavar="N", usual="a whole number", kind="int")
 
 
 def _read_path(_: Value, name: str, value: Any) -> Any:
@@ -327,7 +324,7 @@ OUTPUTS = replace(
     note="Or the content of such a file: ``{'/scan': {'min_height': 0.1}, '/low': {'max_height': 0.1}}``.",
 )
 #: 0 to 1, or in percent: ``0.05`` or ``5%``.
-SHARE = replace(number(metavar="SHARE"), reader=_read_share)
+SHARE = replace(number("SHARE"), reader=_read_share)
 #: A time in a recording; see `pc2scan.options.moment.TimeBound`.
 MOMENT = Value(
     _read_moment,

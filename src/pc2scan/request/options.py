@@ -124,7 +124,7 @@ class ScanSpec:
     Attributes
     ----------
     topics
-        The topics to convert, and those of the results; empty means every topic of `source_types`. Messages that go to
+        The topics to convert, and those of the results; empty means every topic of `types`. Messages that go to
         several topics are converted once.
     name
         The name of the output in errors and the report; without ``topics``, also the target of the only topic that can
@@ -296,15 +296,11 @@ class ScanSpec:
         """The beginning of messages about this output; empty if it has no name."""
         return f"{self.name}: " if self.name else ""
 
-    @property
-    def source_types(self) -> tuple[str, ...]:
-        """The types that are converted, in ROS 2's spelling."""
-        return tuple(SCANS if self.reverse or self.combining.rebin else CLOUDS)
-
-    @property
-    def named_types(self) -> tuple[str, ...]:
-        """The types that are converted if a topic is requested by name."""
-        return (*self.source_types, *SCANS) if self.may_combine and not self.combining.rebin else self.source_types
+    def types(self, *, named: bool = False) -> tuple[str, ...]:
+        """Return the types that are converted, in ROS 2's spelling; ``named``: of topics that are requested by name."""
+        if self.reverse or self.combining.rebin:
+            return tuple(SCANS)
+        return (*CLOUDS, *SCANS) if named and self.may_combine else tuple(CLOUDS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -327,11 +323,6 @@ class StampOptions:
 
     def __bool__(self) -> bool:
         return self.by_log or self.offset_ns != 0 or bool(self.by_topic.keys() - {TRAJECTORY})
-
-    @property
-    def trajectory_ns(self) -> int:
-        """What is added to the stamps of a trajectory, nanoseconds."""
-        return self.by_topic.get(TRAJECTORY) or 0
 
     @classmethod
     def of(cls, stamps: str, time_offset: Iterable[str]) -> StampOptions:

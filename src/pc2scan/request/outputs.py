@@ -214,8 +214,7 @@ def parse_params(texts: Sequence[str]) -> Options:
         name, origin = rule.rpartition(":")[2].strip().lstrip("_~"), f"--param {text}"
         name = ALIASES.get(name, name)
         if not assigned or not name:
-            lack = "name before ':='" if assigned else "':='"
-            raise ParameterError(f"`param` {text!r} has no {lack}", hint="write `param=range_min:=0.5`")
+            raise ParameterError(f"`param` {text!r} is not NAME:=VALUE", hint="write `param=range_min:=0.5`")
         if is_every_nodes(name):
             continue
         if name not in PARAMETERS:

@@ -171,15 +171,13 @@ class PointTime:
 
     @classmethod
     def parse(cls, text: str) -> PointTime:
-        """Parse ``FIELD``, ``FIELD:UNIT``, or the forms that `Turn` parses; empty text means the default.
+        """Parse ``FIELD``, ``FIELD:UNIT``, or the forms that `Turn` parses.
 
         Raises
         ------
         UsageError
             If the text has another form.
         """
-        if not text:
-            return cls()
         field, colon, unit = text.partition(":")
         if field == AZIMUTH:
             return cls(turn=Turn.parse(text))

@@ -440,7 +440,7 @@ class Scans(Stream[Scan]):
         options = self._options
         if not options.scan.topics and not self._all_topics:
             # Raises if there are several.
-            self._choose(reader, options.scan.source_types, _RECORDED)
+            self._choose(reader, options.scan.types(), _RECORDED)
         plan = make_plan(reader.connections, options)
         report = Report([str(path) for path in self._paths], "", plan.specs)
         report.source_frame = options.frames.source_frame
