@@ -430,12 +430,12 @@ def missing_transforms(topic: TopicReport, *_: object) -> Iterator[Remark]:
         )
 
 
-def tilt_of_frame(topic: TopicReport, spec: ScanSpec, report: Report) -> Iterator[Remark]:
+def tilt_of_frame(topic: TopicReport, spec: ScanSpec, _: Report) -> Iterator[Remark]:
     """Yield a note about the tilt of the target frame; a warning if a robot is never tilted so, or always."""
     if (tilt := topic.tilt) is None:
         return
     by, median, largest = spec.imu.topic if spec.imu else spec.fixed_frame, tilt["median_deg"], tilt["largest_deg"]
-    frame = spec.params.target_frame or report.source_frame or "the clouds' frame"
+    frame = spec.params.target_frame or "the clouds' frame"
     if median > _NOTABLE_TILT:
         yield warning(
             f"{topic.target}: by {by}, {frame} is tilted by {median:.0f} degrees (median). If it is not mounted "

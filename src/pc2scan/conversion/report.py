@@ -181,8 +181,6 @@ class Report(Result):
         long as they are not known.
     scans
         The request of each output; nearly always there is only one.
-    source_frame
-        The frame that replaces the clouds' ``frame_id``; empty if none does.
     topics
         One entry for each source topic and each topic that it goes to, in the source's order.
     skipped
@@ -213,7 +211,6 @@ class Report(Result):
     sources: list[str]
     destination: str
     scans: tuple[ScanSpec, ...]
-    source_frame: str = ""
     topics: list[TopicReport] = field(default_factory=list)
     skipped: list[Skipped] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)

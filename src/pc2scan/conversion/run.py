@@ -168,7 +168,7 @@ def run(
     read = (*sources, *options.frames.tf_from)
     inputs, states = inputs_of(sources, options.frames.tf_from, options.files), [state_of(path) for path in read]
     report = Report([str(source) for source in sources], str(destination or ""), options.scans)
-    report.source_frame, report.dry_run = options.frames.source_frame, output.dry_run
+    report.dry_run = output.dry_run
     report.warnings += options.notes
     tell = partial(tell_early, report.warnings, warn)
     with copying_to(output.scratch), _reporting(report, inputs, output), ExitStack() as stack:

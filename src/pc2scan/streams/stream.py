@@ -443,7 +443,6 @@ class Scans(Stream[Scan]):
             self._choose(reader, options.scan.types(), _RECORDED)
         plan = make_plan(reader.connections, options)
         report = Report([str(path) for path in self._paths], "", plan.specs)
-        report.source_frame = options.frames.source_frame
         report.warnings += (*plan.warnings, *request_warnings(options, reader.summary, reader.connections))
         prepared = prepare(
             reader,
