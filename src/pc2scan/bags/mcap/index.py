@@ -273,8 +273,9 @@ class RecordWalk:
         self._segment: Segment | None = None
         self._ids: set[int] = set()
         self._is_behind_chunk = False
-        #: Offset of the current record, for a walk that failed.
+        #: Offset of the current record, for a walk that failed; or of unknown ones before it: their lengths may be wrong.
         self.offset = 0
+        self._behind_unknown = 0
 
     def run(self, offset: int, end: int) -> None:
         """Walk from the record at byte ``offset`` to byte ``end``.
@@ -288,7 +289,7 @@ class RecordWalk:
         complete = False
         try:
             while offset < end:
-                self.offset = offset
+                self.offset = self.offset if offset == self._behind_unknown else offset
                 is_known, limit = offset == coming, end if offset == coming else coming
                 if is_known:
                     self._close()
@@ -313,6 +314,8 @@ class RecordWalk:
     def _add(self, opcode: int, head: bytes, offset: int, following: int) -> None:
         """Add a record to the index."""
         index, size = self._index, following - offset
+        if opcode > Opcode.DATA_END:
+            self._behind_unknown = following
         if opcode == OP_MESSAGE:
             self._message(head, offset, following)
         elif opcode in DECLARATIONS:
