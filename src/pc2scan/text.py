@@ -147,8 +147,8 @@ _MAX_CELL = 255
 #: The space between columns, and the smaller one for tables that do not fit otherwise.
 _GAP, _NARROW_GAP = 3, 2
 
-#: The smallest width of a column of wrapped text.
-_NARROWEST = 15
+#: The smallest width of a column of wrapped text is that of its longest word, but at most this.
+_NARROWEST, _LONGEST_WORD = 12, 24
 
 _NOTHING = frozenset({"", "-"})
 
@@ -192,7 +192,8 @@ def fitted(cells: Sequence[Sequence[str]], left: Collection[str], width: int | N
         kept = [i for i in kept if i == 0 or not rows or any(row[i] not in _NOTHING for row in rows)]
         gap = _GAP if needed() <= width else _NARROW_GAP
         texts = [i for i in kept if headings[i] in left]
-        while needed() > width and (wide := [i for i in texts if widths[i] > _NARROWEST]):
+        least = {i: max(_NARROWEST, *(_longest_word(line[i]) for line in cells)) for i in texts}
+        while needed() > width and (wide := [i for i in texts if widths[i] > least[i]]):
             # Narrow the widest column by one at a time, so that all columns share the space.
             widths[max(wide, key=widths.__getitem__)] -= 1
         while needed() > width and len(kept) > 1:
@@ -212,6 +213,11 @@ def fitted(cells: Sequence[Sequence[str]], left: Collection[str], width: int | N
             yield "-" * needed()
     if dropped:
         yield f"(no room for: {', '.join(dropped)})"
+
+
+def _longest_word(text: str) -> int:
+    words = text.split() if " " in text else text.replace("/", "/ ").split()
+    return min(_LONGEST_WORD, max(map(len, words), default=0))
 
 
 def _broken(text: str, width: int) -> list[str]:
