@@ -273,7 +273,7 @@ class RecordWalk:
         self._segment: Segment | None = None
         self._ids: set[int] = set()
         self._is_behind_chunk = False
-        #: Offset of the current record, for a walk that failed, or of unknown ones before it: their length may be wrong.
+        #: Offset of the current record, for a walk that failed; or of unknown ones before it, which may be misread.
         self.offset = 0
         self._behind_unknown = 0
 
