@@ -334,7 +334,8 @@ class Report(Result):
             )
             for topic in converted
         ]
-        columns = ("on", "points", "used", *(reason.heading for reason in reasons), "empty")
+        headings = (reason.title or reason.name.replace("_", " ") for reason in reasons)
+        columns = ("on", "points", "used", *headings, "empty")
         return Table(columns, rows, left=("on",))
 
     def remarks(self, *, verbose: bool = False) -> Iterator[Remark]:

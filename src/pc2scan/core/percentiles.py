@@ -38,7 +38,14 @@ def percentiles(values: ArrayLike, *percents: float) -> tuple[float, ...]:
     places = [percent / 100 * (len(flat) - 1) for percent in percents]
     near = {min(each, len(flat) - 1) for place in places for each in (math.floor(place), math.floor(place) + 1)}
     ordered: NDArray[Any] = np.partition(flat, sorted(near))
-    return tuple(_interpolate(ordered, place) for place in places)
+    results = []
+    for place in places:
+        below = math.floor(place)
+        low, high = float(ordered[below]), float(ordered[min(below + 1, len(ordered) - 1)])
+        # Interpolated from the nearer value, as NumPy does, so that the results are equal.
+        part = place - below
+        results.append(high - (high - low) * (1 - part) if part >= 0.5 else low + (high - low) * part)
+    return tuple(results)
 
 
 def median(values: ArrayLike) -> float:
@@ -60,11 +67,3 @@ def median_low(values: Iterable[_Number]) -> _Number:
     """
     ordered = sorted(values)
     return ordered[(len(ordered) - 1) // 2]
-
-
-def _interpolate(ordered: NDArray[Any], place: float) -> float:
-    below = math.floor(place)
-    low, high = float(ordered[below]), float(ordered[min(below + 1, len(ordered) - 1)])
-    # Interpolated from the nearer value, as NumPy does, so that the results are equal.
-    part = place - below
-    return high - (high - low) * (1 - part) if part >= 0.5 else low + (high - low) * part

@@ -66,11 +66,6 @@ class Rejection(NamedTuple):
     absent: str = ""
     remedy: str = ""
 
-    @property
-    def heading(self) -> str:
-        """The name in a table's header."""
-        return self.title or self.name.replace("_", " ")
-
 
 _DEFAULT_MIN_HEIGHT = "the node's default min_height drops everything at z <= 0; `min_height` sets it below the sensor"
 _OUTSIDE = "outside angle_min and angle_max (is x forward in this frame?)"

@@ -77,9 +77,6 @@ _BRIDGED_NS = 1_000_000_000
 _SEE_TF = "`pc2scan tf` shows the frames of a recording and their times"
 
 
-#: The factor that tf2 uses if the frame itself is the top of its walk; it changes only the signs of zeros.
-_INVERSE_OF_NOTHING = inverse_pose(IDENTITY_POSE)
-
 #: The stamps of a static link.
 _ALWAYS = np.empty(0, np.int64)
 
@@ -552,7 +549,8 @@ class Chain:
     def _multiply(self, known: tuple[FrameHistory, ...], time_ns: int | None) -> Pose:
         source_pose, target_pose = self.source_side.pose_at(time_ns), self.target_side.pose_at(time_ns)
         if not self.target_side.links:
-            return source_pose if known else compose_poses(_INVERSE_OF_NOTHING, source_pose)
+            # The factor that tf2 uses if the frame itself is the top of its walk changes only the signs of zeros.
+            return source_pose if known else compose_poses(inverse_pose(IDENTITY_POSE), source_pose)
         if not self.source_side.links:
             return inverse_pose(target_pose) if known else compose_poses(inverse_pose(target_pose), IDENTITY_POSE)
         for link in known:

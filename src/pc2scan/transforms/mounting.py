@@ -51,8 +51,6 @@ _AROUND = 0.4
 #: Floors that differ by less are one, metres; the fewest points and their least share that heights are judged by.
 _ONE_FLOOR, _FEW, _FEWEST_SHARE = 0.05, 20, 0.001
 
-_IDENTITY = Rigid.identity()
-
 #: Names that `static_tf` can have: without blanks and commas, which separate its parts.
 _WORD = re.compile(r"[^\s,]+")
 
@@ -184,10 +182,10 @@ def mounting(
                 "level; expected a mount that leaves it level"
             )
         if buffer and fault and ground.kind != "slanted" and (moved := _lookup(buffer, judged_in, frame, stamp_ns)):
-            return _corrected(seen, judged_in, moved, ground, _IDENTITY)._replace(fault=fault)
+            return _corrected(seen, judged_in, moved, ground, Rigid.identity())._replace(fault=fault)
         transform = clouds[0].transform
         is_unknown = seen.ground.kind == "unknown"
-        if is_unknown and transform and (lying := _on_its_side(seen, judged_in, transform, _IDENTITY)):
+        if is_unknown and transform and (lying := _on_its_side(seen, judged_in, transform, Rigid.identity())):
             return lying
         recorded = _recorded_floor(buffer, judged_in, stamp_ns)
         heights = suitable_heights(seen.ground, samples, frame=judged_in, origin_z=origin_z, recorded=recorded)
