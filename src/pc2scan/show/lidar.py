@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from operator import or_
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -167,8 +167,8 @@ class Lidar:
         What is wrong with its clock; None if nothing is.
     ups
         The direction of up by each IMU that shows it.
-    samples
-        What the checks of first clouds read of the clouds that a command is tried on, once they are known.
+    scene
+        What commands are tried on, once one is.
     """
 
     facts: TopicFacts
@@ -181,7 +181,7 @@ class Lidar:
     knows_end: bool
     clock: ClockFinding | None
     ups: Mapping[str, UpEstimate]
-    samples: list[CloudSample] = field(default_factory=list)
+    scene: Scene | None = None
 
     @property
     def topic(self) -> str:
@@ -429,51 +429,81 @@ class Trial(NamedTuple):
         return float(max(shares))
 
 
-def tried(options: Mapping[str, Any], lidar: Lidar) -> Trial:
-    """Return what the options of a proposed command make of a topic's clouds.
+class Scene(NamedTuple):
+    """What commands for a topic are tried on, which differ only in what they remove of the ground, and up to where.
 
-    Parameters
+    Attributes
     ----------
-    options, lidar
-        The command and the topic, which keeps from trial to trial what the checks of first clouds read.
+    clouds
+        They have a field of what stands.
+    placer
+        Places them in the frame of the scans.
+    samples
+        What the checks of first clouds read of them; empty if they are placed by other means than in a conversion.
+    slope
+        How steeply nearly all that does not stand rises above the lower limit, metres a metre.
+    merges
+        Whether they are parts of one scan.
     """
+
+    clouds: Sequence[Points]
+    placer: Placer
+    samples: list[CloudSample]
+    slope: float
+    merges: bool
+
+
+def tried(options: Mapping[str, Any], lidar: Lidar) -> Trial:
+    """Return what the options of a proposed command make of a topic's clouds; see `Scene`."""
     given = {name: value for name, value in options.items() if name != "destination"}
     try:
         request = conversion_of(Options("convert", given))
         spec, findings = request.scan, request_warnings(request, lidar.recorded, lidar.connections)
-        is_placed = bool(lidar.mounting.static_tf) or lidar.is_registered
-        clouds, merges = lidar.tried_clouds(_CLOUDS, _POINTS, is_placed=is_placed, is_level=spec.level)
-        placer = _placer(spec, lidar, "" if is_placed else spec.params.target_frame)
-        # Those of a robot that tilts are level only where transforms, or an IMU, show it.
-        clouds = [each for each in clouds if not spec.level or _can_be_placed(placer, each)]
-        if not clouds:
+        lidar.scene = lidar.scene or _scene(spec, lidar)
+        scene = lidar.scene
+        if not scene.clouds:
             return Trial(findings=tuple(findings))
-        placed = [_moved(each, placer.place(each.frame_id, each.stamp_ns).target_from_source) for each in clouds]
-        low, heights = options["min_height"], lidar.mounting.heights
-        floor = low if heights is None or heights.floor is None else heights.floor
-        parts = np.cumsum([len(each) for each in placed])[:-1]
-        if spec.level and spec.fixed_frame:
-            # What a robot that tilts sees of a place, from all of them.
-            ways = [placer.from_fixed(spec.fixed_frame, each.frame_id, each.stamp_ns)[1] for each in clouds]
-            placed = [ways[0].compose(way.inverse()).apply(xyz) for way, xyz in zip(ways, placed, strict=True)]
-        if merges or (spec.level and spec.fixed_frame):
-            stands = np.split(are_upright(np.concatenate(placed), floor, lidar.pattern.degrees), parts)
-        else:
-            stands = [are_upright(points, floor, lidar.pattern.degrees) for points in placed]
-        lying = [points[~upright] for points, upright in zip(placed, stands, strict=True)]
-        marked = [each.replace({_STANDS: upright}, each.frame_id) for each, upright in zip(clouds, stands, strict=True)]
-        ranges, standing, counts = _scans(spec, lidar, marked, placer, merges=merges)
+        ranges, standing, counts = _scans(spec, lidar, scene)
     except Pc2ScanError as err:
         return Trial(findings=(str(err),))
-    if not (is_placed or spec.level):
-        place = placer.place(clouds[0].frame_id, 0)
-        lidar.samples = lidar.samples or [
-            CloudSample.of(each).placed_in(place.frame_id, place.target_from_source) for each in clouds
-        ]
+    if scene.samples:
         known = KnownTransforms("", lambda: lidar.buffer, lidar.buffer if spec.needs_transforms else None)
-        findings += judge(CloudFacts(lidar.topic, spec, known, lidar.samples, counts)).warnings
-    slope = max(_slope(points, low, spec.params.max_height) for points in lying)
-    return Trial(ranges, standing, slope, tuple(findings))
+        findings += judge(CloudFacts(lidar.topic, spec, known, scene.samples, counts)).warnings
+    return Trial(ranges, standing, scene.slope, tuple(findings))
+
+
+def _scene(spec: ScanSpec, lidar: Lidar) -> Scene:
+    """Return what commands like this one are tried on."""
+    is_placed = bool(lidar.mounting.static_tf) or lidar.is_registered
+    clouds, merges = lidar.tried_clouds(_CLOUDS, _POINTS, is_placed=is_placed, is_level=spec.level)
+    placer = _placer(spec, lidar, "" if is_placed else spec.params.target_frame)
+    # Those of a robot that tilts are level only where transforms, or an IMU, show it.
+    clouds = [each for each in clouds if not spec.level or _can_be_placed(placer, each)]
+    if not clouds:
+        return Scene((), placer, [], 0.0, merges)
+    places = [placer.place(each.frame_id, each.stamp_ns) for each in clouds]
+    samples = [
+        CloudSample.of(cloud).placed_in(place.frame_id, place.target_from_source)
+        for cloud, place in zip(clouds if not (is_placed or spec.level) else (), places, strict=False)
+    ]
+    placed = [_moved(cloud, place.target_from_source) for cloud, place in zip(clouds, places, strict=True)]
+    if spec.level and spec.fixed_frame:
+        # What a robot that tilts sees of a place, from all of them.
+        ways = [placer.from_fixed(spec.fixed_frame, each.frame_id, each.stamp_ns)[1] for each in clouds]
+        placed = [ways[0].compose(way.inverse()).apply(xyz) for way, xyz in zip(ways, placed, strict=True)]
+    params, heights = spec.params, lidar.mounting.heights
+    floor = params.min_height if heights is None or heights.floor is None else heights.floor
+    if merges or (spec.level and spec.fixed_frame):
+        parts = np.cumsum([len(each) for each in placed])[:-1]
+        stands = np.split(are_upright(np.concatenate(placed), floor, lidar.pattern.degrees), parts)
+    else:
+        stands = [are_upright(points, floor, lidar.pattern.degrees) for points in placed]
+    slope = max(
+        _slope(points[~upright], params.min_height, params.max_height)
+        for points, upright in zip(placed, stands, strict=True)
+    )
+    marked = [each.replace({_STANDS: upright}, each.frame_id) for each, upright in zip(clouds, stands, strict=True)]
+    return Scene(marked, placer, samples, slope, merges)
 
 
 def _placer(spec: ScanSpec, lidar: Lidar, target: str) -> Placer:
@@ -510,17 +540,17 @@ def _slope(lying: NDArray[np.float64], low: float, high: float) -> float:
 
 
 def _scans(
-    spec: ScanSpec, lidar: Lidar, clouds: Sequence[Points], placer: Placer, *, merges: bool
+    spec: ScanSpec, lidar: Lidar, scene: Scene
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], list[PointCounts]]:
     """Return the ranges of all scans, the ranges of what stands, and what became of the points of each cloud."""
-    params = spec.params
+    params, placer = spec.params, scene.placer
     is_placed = placer.target_frame != params.target_frame
     filters = [each for each in spec.filters if not is_placed or each.name in {"ground", "min_height_slope"}]
     measured = {lidar.topic: Measurements(0.0, azimuth_step=lidar.step or 0.0)}
     steps = CloudToScan(replace(spec, filters=tuple(filters)), placer, measured).steps(lidar.topic)
     ranges: list[NDArray[np.float64]] = []
     counts: list[PointCounts] = []
-    for cloud in clouds:
+    for cloud in scene.clouds:
         chosen = PlaceStage(placer)(cloud)
         if steps.select is not None:
             chosen = steps.select(chosen)
@@ -531,5 +561,5 @@ def _scans(
             read[~((read >= params.range_min) & (read <= params.range_max))] = np.inf
             ranges.append(read)
         counts.append(scan.counts)
-    together = np.minimum.reduce if merges else np.concatenate
+    together = np.minimum.reduce if scene.merges else np.concatenate
     return together(ranges[::2]), together(ranges[1::2]), counts

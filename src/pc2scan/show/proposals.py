@@ -323,8 +323,9 @@ def _times(group: Sequence[Lidar]) -> Iterator[Choice]:
     within_cloud = lidar.motion(lidar.duration or lidar.period or 0.1)
     gathered = turn or clouds * lidar.period or (0.0 if is_alone else lidar.period)
     within_scan = lidar.motion(gathered) if gathered else within_cloud
-    deskews = (_moves(within_cloud) or (gathered > 0 and _moves(within_scan))) and all(each.duration for each in group)
     tilts = within_scan is not None and within_scan.tilt > _TILTS
+    moves = tilts or _moves(within_cloud) or (gathered > 0 and _moves(within_scan))
+    deskews = moves and all(each.duration for each in group)
     if turn:
         yield Choice("every", float(f"{turn:.4g}"), f"a cloud is a part of a turn, which takes {turn:.3g} s")
     if clouds:

@@ -428,7 +428,8 @@ def suitable_heights(
         ceiling = sensor + ground.ceiling
     if frame and sensor > recorded + _ONE_FLOOR:
         off = 0.0 if floor is None else recorded - floor
-        if floor is not None and abs(off) > _ONE_FLOOR + 0.03 * (sensor - recorded) and ground.is_large(every):
+        # A plane that is fitted over a floor and a ramp is as rough as it is off.
+        if abs(off) > max(_ONE_FLOOR + 0.03 * (sensor - recorded), ground.rough) and ground.is_large(every):
             side = "above" if off > 0 else "below"
             name, at = (frame, "its z = 0") if not recorded else ("base_footprint", "it")
             question = f"{name} is {abs(off):.2f} m {side} the floor that the clouds show: is {at} the floor?"
