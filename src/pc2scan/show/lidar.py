@@ -218,6 +218,11 @@ class Lidar:
         return median([each.high - each.low for each in times])
 
     @property
+    def has_times(self) -> bool:
+        """Whether its points have times, plausible or not."""
+        return bool(self.facts.values(_TIMES))
+
+    @property
     def reach(self) -> tuple[float, float]:
         """The times of a cloud's first and last point, seconds after its stamp; without them, the tolerance."""
         if not self.duration:

@@ -42,6 +42,8 @@ _FINE = math.radians(0.41)
 
 #: A sensor that moves by more than this within a cloud distorts it: the noise of lidars, metres.
 _METRES = 0.02
+#: ... and by more than this, worth a warning if nothing corrects it.
+_FAR = 0.1
 
 #: A robot whose roll and pitch vary by more than this tilts, radians.
 _TILTS = math.radians(1.0)
@@ -466,6 +468,20 @@ def odometry_doubts(lidars: Iterable[Lidar]) -> list[str]:
         if motion is not None and lidar.mounting.judged_in == lidar.mounting.frame and not lidar.is_registered:
             doubts.append(turned_over(lidar.topic, lidar.clouds_in(fixed)))
     return list(dict.fromkeys(filter(None, doubts)))
+
+
+def motion_that_stays(lidars: Iterable[Lidar]) -> Iterator[str]:
+    """Yield a warning for each lidar that moves much within a cloud whose points have no times."""
+    for lidar in lidars:
+        motion = lidar.motion(lidar.period or 0.1)
+        if motion is None or lidar.has_times or lidar.is_registered:
+            continue
+        if motion.metres > _FAR or motion.radians > ProjectionParams().angle_increment:
+            yield (
+                f"{lidar.topic}: its points have no times, so scans are distorted by the motion within a cloud, "
+                f"{motion.metres:.2f} m and {math.degrees(motion.radians):.1f} deg; of a lidar that turns, "
+                "`point_time=azimuth` computes them for `deskew`"
+            )
 
 
 def missing_mounts(lidars: Iterable[Lidar]) -> Iterator[str]:

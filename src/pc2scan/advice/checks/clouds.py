@@ -364,7 +364,9 @@ def floor_within_heights(clouds: CloudFacts) -> Iterator[str]:
     """Yield a warning if many beams end on the floor, with its own height."""
     sample, params = clouds.samples[0], clouds.spec.params
     floor = sample.floor
-    share = 0.0 if floor is None else clouds.share_on(np.array(floor.normal), floor.height)
+    # The floor of a level frame is level: that of a robot that tilts turns within a cloud.
+    up = (0.0, 0.0, 1.0) if floor is None or clouds.spec.level else floor.normal
+    share = 0.0 if floor is None else clouds.share_on(np.array(up), floor.height)
     if floor is None or share < _MOST_FLOOR or any(nearly_empty_scans(clouds)):
         return
     below = f"min_height is {_limit(params.min_height, 'm')}"
