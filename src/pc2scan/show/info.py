@@ -35,7 +35,7 @@ from pc2scan.transforms.placing import FrameOptions, Placer
 from pc2scan.transforms.sources import PoseTopic
 
 from .lidar import EDGE_NS, HEADERS, Lidar, ask_facts, stamp_faults
-from .proposals import missing_mounts, motion_that_stays, odometry_doubts, proposals
+from .proposals import missing_mounts, odometry_doubts, proposals
 from .topic import CloudInfo, ScanTopic, ShownCloud, TopicCheck, describe_clouds, sample_cloud
 
 if TYPE_CHECKING:
@@ -291,7 +291,7 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
         warnings += (f"{topic}: {own.doubt}" for topic, own in heights if own and own.doubt)
         warnings += dict.fromkeys(text for each in clouds for text in surveyed.moving_frames(each.topic))
         warnings += (text for each in lidars for text in time_warnings(each.facts, PointTime()))
-        warnings += (*missing_mounts(lidars), *motion_that_stays(lidars), *odometry_doubts(lidars), *reader.remarks)
+        warnings += (*missing_mounts(lidars), *odometry_doubts(lidars), *reader.remarks)
         # Landmarks and the like are no lidar's, if there is one.
         types = {topic.topic: [topic.msgtype] for topic in topics if topic.messages}
         usual = {each.topic for each in lidars} if options.topics else set(usual_topics(types, (*CLOUDS, *SCANS)))

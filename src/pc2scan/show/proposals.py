@@ -150,6 +150,7 @@ def proposals(
         What the commands would be told is added.
     """
     lidars = [each for each in lidars if each.mounting.heights is not None and each.mounting.heights.suit]
+    warnings += _motion_that_stays(lidars)
     groups = list(_groups([_with_common_heights(each, lidars) for each in lidars]))
     for group in groups:
         choices = [*_topics(group, sources, types), *_choices(group, given)]
@@ -470,7 +471,7 @@ def odometry_doubts(lidars: Iterable[Lidar]) -> list[str]:
     return list(dict.fromkeys(filter(None, doubts)))
 
 
-def motion_that_stays(lidars: Iterable[Lidar]) -> Iterator[str]:
+def _motion_that_stays(lidars: Iterable[Lidar]) -> Iterator[str]:
     """Yield a warning for each lidar that moves much within a cloud whose points have no times."""
     for lidar in lidars:
         motion = lidar.motion(lidar.period or 0.1)
