@@ -5,8 +5,12 @@ from __future__ import annotations
 import gc
 import os
 import signal
+from functools import cache
 
+import numpy as np
 from hypothesis import settings
+
+from pc2scan.core import scene
 
 # No time limits, because machines are shared. CI draws the same examples each time, so that failures are repeatable.
 settings.register_profile("pc2scan", deadline=None, derandomize="CI" in os.environ, max_examples=25)
@@ -25,8 +29,17 @@ def pytest_xdist_auto_num_workers() -> int:
     return (os.cpu_count() or 1) + 1
 
 
+# Hundreds of commands judge the same few clouds.
+_find_ground = scene.find_ground
+_ground_of = cache(lambda points: _find_ground(np.frombuffer(points).reshape(-1, 3)))
+scene.find_ground = lambda points: _ground_of(np.asarray(points, np.float64).tobytes())
+# While thousands of tests are collected, nothing becomes garbage.
+gc.disable()
+
+
 def pytest_collection_finish() -> None:
     """Keep what stays until the end, such as thousands of tests, out of each collection of garbage."""
+    gc.enable()
     gc.collect()
     gc.freeze()
 

@@ -45,9 +45,11 @@ def warnings(source: Path, lidars: list[Lidar], **options: Any) -> list[str]:
     return pc2scan.convert(source, destination, overwrite=True, **{"jobs": 1, **words, **joined, **options}).warnings
 
 
-@pytest.mark.parametrize(
-    ("drive", "lidars", "fault"), sampled([(d, i, f) for d in DRIVES for i in LIDARS for f in SOUND], 3)
-)
+#: Each drive with each lidar and with each odometry, and each lidar with each odometry.
+PAIRED = [(drive, lidar, [*SOUND][(m + n) % 3]) for m, drive in enumerate(DRIVES) for n, lidar in enumerate(LIDARS)]
+
+
+@pytest.mark.parametrize(("drive", "lidars", "fault"), sampled(PAIRED, 3))
 def test_sound_odometry_is_not_doubted(drive: str, lidars: str, fault: str, tmp_path: Path) -> None:
     source = write_weaving(tmp_path / "drive.mcap", LIDARS[lidars], SOUND[fault], DRIVES[drive])
     assert warnings(source, LIDARS[lidars]) == []

@@ -45,7 +45,7 @@ def reference(scans: Sequence[Sequence[Ray]]) -> dict[tuple[int, int], float]:
     return odds
 
 
-rays = st.lists(st.tuples(*[st.integers(-40, 40)] * 4, st.booleans()), max_size=30)
+rays = st.lists(st.tuples(*[st.integers(-15, 15)] * 4, st.booleans()), max_size=30)
 
 
 @pytest.mark.parametrize("loops", BOTH_LOOPS, ids=lambda loops: loops.__name__)

@@ -122,11 +122,13 @@ class Runs:
 def chosen(calls: list[list[str]], fault: str, case: str) -> list[int]:
     """Which calls a fault is tried on: all that tell something new.
 
-    A disk that fails at a write is like one that is full; and what is there before is not touched until the new one
-    takes its place.
+    A disk that fails at a write is like one that is full; of writes one after the other, the first and the last tell
+    it; and what is there before is not touched until the new one takes its place.
     """
     first = next(n for n, (call, _) in enumerate(calls) if call in ("link", "rename")) if "+" in case else 0
-    return [n for n, (call, _) in enumerate(calls, 1) if n >= first and (fault != "EIO" or call != "write")]
+    alike = {n + 1 for n in range(1, len(calls) - 1) if calls[n - 1] == calls[n] == calls[n + 1]}
+    tried = sorted({*range(max(first, 1), len(calls) + 1)} - alike)
+    return [n for n in tried if fault != "EIO" or calls[n - 1][0] != "write"]
 
 
 def tell(fault: str, outcome: dict[str, Any]) -> None:

@@ -151,15 +151,7 @@ def test_a_full_disk(kind: str, large: Path, small_disk: Path) -> None:
     assert list(small_disk.iterdir()) == []
 
 
-#: What makes each result of `hall.bag` some 300 to 700 kB.
-FULL_OF_RESULTS: dict[str, tuple[str, ...]] = {
-    "bag": ("--keep-clouds",),
-    "sqlite3": ("--keep-clouds", "--to", "rosbag2", "--storage", "sqlite3"),
-}
-
-
-@pytest.mark.parametrize("kind", sampled(FULL_OF_RESULTS, 1))
-def test_a_full_disk_ends_a_batch(kind: str, small_disk: Path, tmp_path: Path) -> None:
+def test_a_full_disk_ends_a_batch(small_disk: Path, tmp_path: Path) -> None:
     """Without room, all that follow would fail one after the other. With room, the same command converts them."""
     count = 4
     (tmp_path / "in").mkdir()
@@ -167,13 +159,13 @@ def test_a_full_disk_ends_a_batch(kind: str, small_disk: Path, tmp_path: Path) -
         shutil.copyfile(ROOT / "fixtures" / "hall.bag", tmp_path / "in" / f"{number}.bag")
     out, others, report = small_disk / "out", small_disk / "others", tmp_path / "report.json"
     others.write_bytes(bytes(3_300_000))
-    options = ("--jobs", "2", "--min-height=-1", *FULL_OF_RESULTS[kind])
-    words: list[str | Path] = ["batch", tmp_path / "in", "-o", out, *options]
+    # Each result has some 300 kB.
+    words: list[str | Path] = ["batch", tmp_path / "in", "-o", out, "--jobs", "2", "--min-height=-1", "--keep-clouds"]
     done = run_process(*words, "--report", report)
     assert (done.status, done.stdout) == (5, ""), done.stderr
     assert "failed" not in done.stderr
     said = " ".join(done.stderr.split())
-    assert re.search(f"error: {out}/.*(No space left|disk is full)", said), said
+    assert re.search(f"error: {out}/.*No space left", said), said
     assert "hint: make room on that disk, and run the same command again" in said
     lines = manifest_of(out)
     assert {line["outcome"] for line in lines.values()} <= {"begun", "converted", "stopped"}

@@ -107,15 +107,18 @@ def shown(*arguments: str | Path, columns: int | None = None, **variables: str) 
     return data.decode().replace("\r\n", "\n")
 
 
-@pytest.mark.parametrize("words", sampled([words for (words,) in rows(TABLES, "in a terminal")], 1))
-def test_everything_fits_into_the_terminal(words: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("words", "narrow"), sampled([(words, n % 2 == 0) for n, (words,) in enumerate(rows(TABLES, "in a terminal"))], 1)
+)
+def test_everything_fits_into_the_terminal(words: str, narrow: bool, tmp_path: Path) -> None:
+    """Into a narrow one with a progress bar, or into as many columns as a variable says."""
     columns = 60
     arguments = [str(tmp_path / word) if word == "o.bag" else PLACES.get(word, word) for word in words.split()]
-    text = shown(*arguments, columns=columns, NO_COLOR="1")
+    told = {} if narrow else {"COLUMNS": str(columns), "TERM": "dumb"}
+    text = shown(*arguments, columns=columns if narrow else 200, NO_COLOR="1", **told)
     # What is visible of a line is what was written after the bar was erased.
     visible = [line.rpartition("\r")[2].removeprefix("\x1b[2K") for line in text.split("\n")]
     lines = [line for line in visible if "\x1b" not in line]
-    lines += shown(*arguments, columns=200, COLUMNS=str(columns), NO_COLOR="1", TERM="dumb").split("\n")
     assert len(lines) > 2
     # A path or another word longer than the screen cannot be broken, and a command is not.
     long = [line.strip() for line in lines if len(line) > columns and not line.startswith("next: ")]

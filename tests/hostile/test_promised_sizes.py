@@ -50,7 +50,7 @@ def zero_cloud(size: int, ros_version: int) -> bytes:
     # ROS 1: seq, stamp, length and text. CDR: stamp, length, text and NUL, counted from behind its own header.
     at = 16 + 5 if ros_version == 1 else 4 + (12 + 6 + 2)
     struct.pack_into("<II", head, at, 1, size // 12)
-    return bytes(head) + bytes(size) + tail
+    return b"".join((head, bytes(size), tail))
 
 
 def mcap_of(path: Path, message: bytes, compression: str) -> Path:
@@ -73,7 +73,7 @@ PACK: dict[str, Callable[[bytes], bytes]] = {"zstd": zstandard.compress, "lz4": 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("container", "compression"), [("mcap", "zstd"), ("mcap", "lz4"), ("bag", "lz4")])
+@pytest.mark.parametrize(("container", "compression"), [("mcap", "zstd"), ("bag", "lz4")])
 def test_a_chunk_that_unfolds_to_more_than_may_be(container: str, compression: str, tmp_path: Path) -> None:
     made, ros_version = (bag_of, 1) if container == "bag" else (mcap_of, 2)
     source = made(tmp_path / f"a.{container}", zero_cloud(HUGE, ros_version), compression)

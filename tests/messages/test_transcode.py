@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rosbags.typesys import Stores, get_typestore
 
 from messages.twins import CODES, SEPARATOR, Twin, check_both_ways, of_kind, ros1, ros2
 from pc2scan.errors import DecodeError
@@ -22,6 +23,8 @@ from support import sampled
 from support.tables import rows
 
 TABLES = Path(__file__).with_name("damaged.txt")
+
+typestore = cache(get_typestore)
 
 # --- every type that both ROS versions know ---
 
@@ -34,14 +37,12 @@ def common_types() -> list[str]:
 
 @pytest.mark.parametrize("name", sampled(common_types(), 14))
 def test_common_types_go_there_and_back(name: str) -> None:
-    from rosbags.typesys import Stores, get_typestore
-
     structs = transcode.known_types(1)
     connection = Connection(1, "/topic", ros1_type(name), "ros1")
     for seed in range(5):
         check_both_ways(connection, name, structs, seed)
     # It is what rosbags makes of the objects.
-    jazzy, noetic = get_typestore(Stores.ROS2_JAZZY), get_typestore(Stores.ROS1_NOETIC)
+    jazzy, noetic = typestore(Stores.ROS2_JAZZY), typestore(Stores.ROS1_NOETIC)
     plan = transcoder(connection, 2)
     encoded = plan.encode(bytes(Twin(structs, name, 7).ros1))
     message = jazzy.deserialize_cdr(bytes(encoded), name)

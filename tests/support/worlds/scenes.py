@@ -283,6 +283,7 @@ def judged(world: World, path: Path) -> tuple[float, float]:
     height = every[:, 2] - world.ground(every[:, 0])
     margin = 0.02 + (0.05 if world.slope else 0.0)
     known = (height > 0.1 - margin) & (height < world.top + margin)
+    every, at, height = every[known], at[known], height[known]
     firm = (height > 0.1 + margin) & (every[:, 2] < world.top - margin)
     # When a scan was measured: a turn from its stamp on; of packets, around it; of a sparse pattern, 1 s before.
     before, after = {"sparse": (1.0, 0.1), "packets": (0.15, 0.15)}.get(world.sensor, (0.01, 0.11))
@@ -301,7 +302,7 @@ def judged(world: World, path: Path) -> tuple[float, float]:
         right = np.zeros(len(got), bool)
         for shift in (-1, 0, 1):
             beam = beams + shift
-            inside = known & (beam >= 0) & (beam < len(got))
+            inside = (beam >= 0) & (beam < len(got))
             beam = beam[inside]
             fits = np.abs(got[beam] - ranges[inside]) < 0.05 + ranges[inside] * step / 2
             right[beam[fits]] = True

@@ -51,7 +51,7 @@ class Winding(Drive):
 
 
 #: A lidar with sixteen rings, and one that looks to the rear.
-RINGS = Lidar(elevations=tuple(np.linspace(-15, 15, 16).tolist()), columns=600)
+RINGS = Lidar(elevations=tuple(np.linspace(-15, 15, 16).tolist()), columns=400)
 REAR = replace(RINGS, topic="/rear", frame="rear", mount=Rigid.from_rpy(0.0, 0.0, math.pi, (-0.3, 0.0, 0.5)))
 
 
@@ -97,8 +97,8 @@ def write_weaving(
     def odometry(time: float) -> Rigid:
         at = np.array([time - fault.late])
         roll, pitch, yaw = (float(angle[0]) for angle in drive.angles(at))
-        random = np.random.default_rng(round((time + 10) * 1e6))
-        dx, dy, turned = (random.normal(0, 1, 3) * (fault.metres, fault.metres, math.radians(fault.degrees))).tolist()
+        noise = np.random.default_rng(round((time + 10) * 1e6)).normal(0, 1, 3) if fault.metres else np.zeros(3)
+        dx, dy, turned = (noise * (fault.metres, fault.metres, math.radians(fault.degrees))).tolist()
         x, y, _ = drive.positions(at)[0].tolist()
         pose = Rigid.from_rpy(roll, pitch, fault.scale * yaw + turned, (x + dx, y + dy, 0.0))
         return pose.inverse() if fault.inverted else pose

@@ -28,7 +28,7 @@ def test_cut_at_many_pages(tmp_path: Path) -> None:
     path = tmp_path / "b.db3"
     sizes = {0, 1, 2048}
     found = []
-    for size in sorted({page + more for page in range(0, len(data), 7 * 4096) for more in sizes}):
+    for size in sorted({page + more for page in range(0, len(data), 21 * 4096) for more in sizes}):
         if not 16 <= size < len(data):
             continue
         path.write_bytes(data[:size])
