@@ -15,7 +15,7 @@ from pc2scan.core import scene
 # No time limits, because machines are shared. CI draws the same examples each time, so that failures are repeatable.
 settings.register_profile("pc2scan", deadline=None, derandomize="CI" in os.environ, max_examples=25)
 # Of the long tests, which are those of hypothesis again, with more examples.
-settings.register_profile("thorough", settings.get_profile("pc2scan"), max_examples=100)
+settings.register_profile("thorough", settings.get_profile("pc2scan"), max_examples=75)
 settings.load_profile("pc2scan")
 
 # As in the command: several threads for small matrices wait for each other most of the time.

@@ -125,7 +125,7 @@ def count_of(path: Path) -> int:
 
 def reindexed(paths: list[Path]) -> list[int]:
     if reason := ros1_missing():
-        pytest.skip(f"ROS 1's own rosbag (Debian: python3-rosbag, python3-std-msgs) is not here: {reason}")
+        pytest.skip(f"ROS 1's own rosbag (Debian: python3-rosbag, python3-std-msgs) is not here: {reason[0]}")
     done = ros1(ROS1, SCRIPT, "reindexed", *paths)
     assert done.returncode == 0, done.stderr
     found: list[int] = json.loads(done.stdout)

@@ -12,7 +12,7 @@ from fuzz.seeds import Seed
 from support.bounded import watched
 
 #: Mutants of each input, in the quick run and in the long one.
-_QUICK, _LONG = 20, 80
+_QUICK, _LONG = 20, 50
 
 
 def mutated(data: bytes, rng: random.Random) -> bytes:
