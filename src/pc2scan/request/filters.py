@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import numpy as np
 
-from pc2scan.core.rule import Rejection, within
+from pc2scan.core.rule import within
 from pc2scan.core.terrain import on_ground
 from pc2scan.errors import UsageError
 from pc2scan.transforms.static import number_in
@@ -71,12 +71,6 @@ class Filter(Protocol):
         them. NumPy's floating-point warnings are off.
         """
         ...
-
-
-def rejection_of(chosen: Filter) -> Rejection:
-    """Return the reason of a filter's rejections."""
-    # The warning for the case that nothing is rejected is optional.
-    return Rejection(chosen.name, chosen.explanation, absent=getattr(chosen, "absent", ""))
 
 
 def as_dict(chosen: Filter) -> dict[str, Any]:

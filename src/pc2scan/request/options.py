@@ -10,19 +10,18 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pc2scan.bags.topics import is_glob, new_topic
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.quantities import duration_ns
-from pc2scan.core.rule import NO_TIME, NO_TRANSFORM, PointCounts
+from pc2scan.core.rule import NO_TIME, NO_TRANSFORM, PointCounts, Rejection
 from pc2scan.errors import ParameterError, UsageError
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.options.values import nanoseconds_of
 from pc2scan.transforms.placing import FrameOptions
 
-from .filters import as_dict, rejection_of
+from .filters import as_dict
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable, Mapping
     from pathlib import Path
 
-    from pc2scan.core.rule import Rejection
     from pc2scan.core.unproject import UnprojectParams
     from pc2scan.options.moment import TimeBound
     from pc2scan.transforms.attitude import ImuRequest
@@ -270,7 +269,8 @@ class ScanSpec:
     def rejections(self) -> tuple[Rejection, ...]:
         """The reasons for which points may be rejected, besides those of the projection."""
         lost = (NO_TIME, NO_TRANSFORM) if self.deskew and not self.reverse else ()
-        return (*map(rejection_of, self.filters), *lost)
+        own = (Rejection(each.name, each.explanation, absent=getattr(each, "absent", "")) for each in self.filters)
+        return (*own, *lost)
 
     @property
     def needs_transforms(self) -> bool:

@@ -110,8 +110,9 @@ def read_output(options: Options, given: Sequence[Options], *, name: str = "", p
         more["imu"] = ImuRequest.parse(options.imu)
     if options.keep_used:
         more["keep_used"] = new_topic(options.keep_used, "`keep_used`")
-    if options.channels:
-        more["channels"] = _channels(options.channels)
+    if isinstance(channels := options.channels, tuple) and channels:
+        channels = UnprojectParams(**{name: name in channels for name in ("distances", "stamps", "viewpoint")})
+    more["channels"] = channels or None
     if options.given.keys() & CloudCombination.__annotations__.keys():
         more["combining"] = Combining.of(options.given)
     if options.given.keys() & PointSelection.__annotations__.keys():
@@ -143,13 +144,6 @@ def _read_file(options: Options, overridden: Collection[str]) -> ParamsFile:
     if options.reverse and file.reverse is False:
         raise UsageError(f"{file.node} is for pointcloud_to_laserscan, `reverse=True` is not", path=path)
     return file
-
-
-def _channels(channels: tuple[str, ...] | UnprojectParams) -> UnprojectParams:
-    """Return the fields of clouds that are added."""
-    if isinstance(channels, UnprojectParams):
-        return channels
-    return UnprojectParams(**{name: name in channels for name in ("distances", "stamps", "viewpoint")})
 
 
 def _remaps_of(texts: Sequence[str]) -> dict[str, str]:
