@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from .errors import leading, stamp_text, visible
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
 
 #: Maximum number of names that are compared, and their maximum length: recordings may have any number of names.
@@ -163,56 +163,40 @@ class Table(NamedTuple):
     def lines(self, width: int | None = None, *, ascii_only: bool = False) -> Iterator[str]:
         """Yield the lines of the table, at most ``width`` columns wide; cells have names of untrusted recordings."""
         rows = ([visible(cell, _MAX_CELL, ascii_only=ascii_only) for cell in row] for row in self.rows)
-        safe = ([leading(cell) for cell in row[:1]] + row[1:] for row in rows)
-        return fitted([self.columns, *safe], self.left, width)
+        cells = [self.columns, *([leading(cell) for cell in row[:1]] + row[1:] for row in rows)]
+        headings, left, kept = self.columns, self.left, list(range(len(self.columns)))
+        gap = _GAP
+        dropped: list[str] = []
 
+        def needed() -> int:
+            return sum(widths[i] for i in kept) + gap * (len(kept) - 1)
 
-def fitted(cells: Sequence[Sequence[str]], left: Collection[str], width: int | None) -> Iterator[str]:
-    """Yield the lines of a table.
-
-    Parameters
-    ----------
-    cells
-        The headings, then the rows.
-    left
-        Headings of the columns of text, which are aligned to the left; the others are numbers.
-    width
-        Columns of the screen; None for no limit.
-    """
-    headings, *rows = cells
-    kept = list(range(len(headings)))
-    gap = _GAP
-    dropped: list[str] = []
-
-    def needed() -> int:
-        return sum(widths[i] for i in kept) + gap * (len(kept) - 1)
-
-    widths = [max(len(line[i]) for line in cells) for i in range(len(headings))]
-    if width is not None and needed() > width:
-        kept = [i for i in kept if i == 0 or not rows or any(row[i] not in _NOTHING for row in rows)]
-        gap = _GAP if needed() <= width else _NARROW_GAP
-        texts = [i for i in kept if headings[i] in left]
-        least = {i: max(_NARROWEST, *(_longest_word(line[i]) for line in cells)) for i in texts}
-        while needed() > width and (wide := [i for i in texts if widths[i] > least[i]]):
-            # Narrow the widest column by one at a time, so that all columns share the space.
-            widths[max(wide, key=widths.__getitem__)] -= 1
-        while needed() > width and len(kept) > 1:
-            numbers = [i for i in kept[1:] if headings[i] not in left] or kept[1:]
-            dropped.insert(0, headings[numbers[-1]])
-            kept.remove(numbers[-1])
-    for number, line in enumerate(cells):
-        # Text that is too wide continues on the next line.
-        pieces = [[line[i]] if len(line[i]) <= widths[i] else _broken(line[i], widths[i]) for i in kept]
-        for parts in zip_longest(*pieces, fillvalue=""):
-            aligned = (
-                part.ljust(widths[i]) if headings[i] in left else part.rjust(widths[i])
-                for i, part in zip(kept, parts, strict=True)
-            )
-            yield (" " * gap).join(aligned).rstrip()
-        if number == 0:
-            yield "-" * needed()
-    if dropped:
-        yield f"(no room for: {', '.join(dropped)})"
+        widths = [max(len(line[i]) for line in cells) for i in range(len(headings))]
+        if width is not None and needed() > width:
+            kept = [i for i in kept if i == 0 or not self.rows or any(row[i] not in _NOTHING for row in cells[1:])]
+            gap = _GAP if needed() <= width else _NARROW_GAP
+            texts = [i for i in kept if headings[i] in left]
+            least = {i: max(_NARROWEST, *(_longest_word(line[i]) for line in cells)) for i in texts}
+            while needed() > width and (wide := [i for i in texts if widths[i] > least[i]]):
+                # Narrow the widest column by one at a time, so that all columns share the space.
+                widths[max(wide, key=widths.__getitem__)] -= 1
+            while needed() > width and len(kept) > 1:
+                numbers = [i for i in kept[1:] if headings[i] not in left] or kept[1:]
+                dropped.insert(0, headings[numbers[-1]])
+                kept.remove(numbers[-1])
+        for number, line in enumerate(cells):
+            # Text that is too wide continues on the next line.
+            pieces = [[line[i]] if len(line[i]) <= widths[i] else _broken(line[i], widths[i]) for i in kept]
+            for parts in zip_longest(*pieces, fillvalue=""):
+                aligned = (
+                    part.ljust(widths[i]) if headings[i] in left else part.rjust(widths[i])
+                    for i, part in zip(kept, parts, strict=True)
+                )
+                yield (" " * gap).join(aligned).rstrip()
+            if number == 0:
+                yield "-" * needed()
+        if dropped:
+            yield f"(no room for: {', '.join(dropped)})"
 
 
 def _longest_word(text: str) -> int:

@@ -13,7 +13,7 @@ from pc2scan.conversion.report import Report
 from pc2scan.errors import DecodeError, UsageError
 from pc2scan.options.call import Options
 from pc2scan.request.options import ScanSpec
-from pc2scan.text import fitted
+from pc2scan.text import Table
 from support.tables import rows
 
 TABLES = Path(__file__).with_name("shown_text.txt")
@@ -36,11 +36,11 @@ def test_an_error_says_where_what_and_what_to_do(capsys: pytest.CaptureFixture[s
 
 
 PATH = Path("drive.bag")
-CELLS = [
+CELLS = (
     ("topic", "type", "messages", "lost", "what"),
     ("/front/lidar/velodyne_points", "sensor_msgs/msg/PointCloud2", "12,000", "-", "converted with a remark of words"),
     ("/imu", "sensor_msgs/msg/Imu", "7", "-", ""),
-]
+)
 
 
 NARROW = """\
@@ -54,14 +54,15 @@ velodyne_points  msg/PointCloud2             remark of words
 
 
 def test_a_table_that_is_too_wide_loses_no_text() -> None:
-    as_it_is, wide, narrow = (list(fitted(CELLS, ("topic", "type", "what"), width)) for width in (None, 200, 61))
+    table = Table(CELLS[0], CELLS[1:], ("topic", "type", "what"))
+    as_it_is, wide, narrow = (list(table.lines(width)) for width in (None, 200, 61))
     assert as_it_is == wide
     assert len(wide) == 4
     # Empty columns go first, then text is wrapped, and all columns share the space.
     assert "lost" in wide[0]
     assert narrow == NARROW.splitlines()
     # At last columns on the right go, and are named.
-    shown = list(fitted([["on", *"abcdefgh"], ["/scan", *["1,000,000"] * 8]], ("on",), 50))
+    shown = list(Table(["on", *"abcdefgh"], [["/scan", *["1,000,000"] * 8]], ("on",)).lines(50))
     assert shown[-1] == "(no room for: e, f, g, h)"
 
 
