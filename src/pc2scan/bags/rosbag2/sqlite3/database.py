@@ -10,7 +10,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 from collections import deque
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,7 +41,7 @@ _JOURNAL_MAGIC = bytes.fromhex("d9d505f920a163d7")
 _WAL_HEADER = 32
 
 #: The tables, and their columns beside the id.
-_TABLES = {
+TABLES = {
     "topics": ("name", "type", "serialization_format", "offered_qos_profiles", "type_description_hash"),
     "message_definitions": ("topic_type", "encoding", "encoded_message_definition", "type_description_hash"),
     "messages": ("topic_id", "timestamp"),
@@ -56,6 +56,16 @@ _LEAST_ID = -(2**63)
 #: The data of a message, if they are bytes.
 BLOB = "CASE WHEN typeof(data) = 'blob' THEN data END"
 _DATA_OF = f"SELECT {BLOB} FROM messages WHERE rowid BETWEEN ? AND ? AND +rowid = ? LIMIT 1"  # noqa: S608  # constants
+
+
+def as_integer(column: str) -> str:
+    """Return a column where it is an integer."""
+    return f"CASE WHEN typeof({column}) = 'integer' THEN {column} END"
+
+
+def as_text(column: str) -> str:
+    """Return a column as the bytes of its text: SQLite allows any value in any column, and any bytes in text."""
+    return f"CAST(coalesce(CAST({column} AS TEXT), '') AS BLOB)"
 
 
 def connect(file: Path, mode: str) -> apsw.Connection:
@@ -155,17 +165,16 @@ class Database:
                 # Without it, SQLite reads nothing of a database that is cut off.
                 database.execute("PRAGMA writable_schema = ON")
             columns = {}
-            for table, names in _TABLES.items():
-                self.refuse_made_up(table)
+            for table, names in TABLES.items():
                 available = self.columns(table)
                 columns[table] = [name for name in names if name in available]
             rebuilt, last_ns = self._rebuild(damaged, columns)
+            if last_ns is None and not rebuilt.execute("SELECT 1 FROM topics").fetchone():
+                raise problem
         except (*SQLITE_ERRORS, DamageError) as error:
-            raise self._lost(problem) from error
+            raise DamageError(f"nothing of it can be recovered: {problem.message}", path=self.path) from error
         self.is_rebuilt = True
         self._recovered = [*damaged, rebuilt]
-        if last_ns is None and not rebuilt.execute("SELECT 1 FROM topics").fetchone():
-            raise self._lost(problem)
         self._noted.note(problem, bytes_lost=missing, first_ns=last_ns)
 
     def close(self) -> None:
@@ -232,7 +241,11 @@ class Database:
         return RecordingError("has more values than the bytes of its file can hold", path=self.path)
 
     def columns(self, table: str) -> set[str]:
-        """Return the names of a table's columns; none if there is no such table."""
+        """Return the names of a table's columns; none if there is no such table, an error if it is not a plain one."""
+        # A view or a virtual table can have an endless number of rows.
+        made_up = "SELECT 1 FROM sqlite_master WHERE lower(name) = ? AND NOT (type = 'table' AND rootpage > 0)"
+        if not self.is_rebuilt and self.query(made_up, (table,)).fetchone():
+            raise RecordingError(f"{table} is not a plain table, as rosbag2 makes it", path=self.path)
         names = set()
         # Damaged names may be no text.
         sql = "SELECT CAST(name AS BLOB), CAST(dflt_value AS BLOB) FROM pragma_table_info(?)"
@@ -244,18 +257,9 @@ class Database:
                 raise RecordingError(f"table {table} has {column} with a default value", path=self.path)
         return names
 
-    def refuse_made_up(self, table: str) -> None:
-        """Raise if this is not a plain table: a view or a virtual table can have an endless number of rows."""
-        stored = "SELECT min(type = 'table' AND rootpage > 0) FROM sqlite_master WHERE lower(name) = ?"
-        if self.query(stored, (table,)).fetchall() == [(0,)]:
-            raise RecordingError(f"{table} is not a plain table, as rosbag2 makes it", path=self.path)
-
     def damage(self, message: str) -> DamageError:
         """Return an error that the database is damaged."""
         return DamageError(message, path=self.path, hint=RECOVER)
-
-    def _lost(self, problem: DamageError) -> DamageError:
-        return DamageError(f"nothing of it can be recovered: {problem.message}", path=self.path)
 
     def _error(self, err: Exception) -> RecordingError:
         message = f"SQLite cannot read it: {str(err) or type(err).__name__}"
@@ -295,8 +299,7 @@ class Database:
 
     def _merge(self, target: Path) -> None:
         """Let SQLite merge a copy with its logs, and note the pages of a write-ahead log that it does not take."""
-        opened = self._connect(target, "rw")
-        try:
+        with closing(self._connect(target, "rw")) as opened:
             opened.execute("PRAGMA locking_mode = EXCLUSIVE")
             # Reads the logs, but no table.
             opened.execute("PRAGMA schema_version")
@@ -309,8 +312,6 @@ class Database:
                     why = "a damaged page, or the end of an unfinished transaction"
                     error = DamageError(f"{what}: SQLite reads up to {why}", path=log, hint=RECOVER)
                     self._noted.note(error, offset=place, bytes_lost=left * page_size)
-        finally:
-            opened.close()
         if (merged := target.stat().st_size) > self.most_bytes:
             raise self.damage(f"has {merged} bytes by its logs, more than all its files")
 
@@ -378,8 +379,8 @@ def _readable_rows(damaged: apsw.Connection, table: str, names: list[str], size:
     Behind the first row of a range of rowids that fails, ranges that double are read; one that fails at once is halved.
     So what lies near is searched closely, and a file that is cut off costs no more than `_MOST_FAILURES`.
     """
-    number, text = "CASE WHEN typeof({0}) = 'integer' THEN {0} END", "CAST({0} AS BLOB)"
-    listed = ", ".join(("rowid", *((number if table == "messages" else text).format(name) for name in names)))
+    column = as_integer if table == "messages" else as_text
+    listed = ", ".join(("rowid", *map(column, names)))
     sql = f"SELECT {listed} FROM {table} NOT INDEXED WHERE rowid BETWEEN ? AND ? ORDER BY rowid"  # noqa: S608
     ranges = deque([(_LEAST_ID, 2**63 - 1)] if names else [])
     failures = 0

@@ -34,7 +34,7 @@ from pc2scan.files.compression import ZSTD_MAGIC
 from pc2scan.model import Connection, Definition, RawMessage, Summary, declared_counts
 from pc2scan.text import counted
 
-from .database import BLOB, SQLITE_ERRORS, Database
+from .database import BLOB, SQLITE_ERRORS, TABLES, Database, as_integer, as_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
@@ -260,9 +260,6 @@ def _check_tables(database: Database) -> None:
                 f"is an SQLite database, but not one of rosbag2: table {table} lacks {', '.join(sorted(missing))}",
                 path=database.path,
             )
-    # A rebuilt database is trusted.
-    for table in (*needed, "message_definitions") if not database.is_rebuilt else ():
-        database.refuse_made_up(table)
 
 
 def _read_connections(
@@ -306,15 +303,19 @@ def _read_connections(
     return connections, span
 
 
+def _rows(database: Database, table: str) -> Iterator[Any]:
+    """Yield the ids of a table's rows, and their texts as bytes; missing columns are empty."""
+    if available := database.columns(table):
+        columns = ", ".join(as_text(name) if name in available else "x''" for name in TABLES[table])
+        sql = f"SELECT {as_integer('id')}, {columns} FROM {table} ORDER BY id LIMIT ?"  # noqa: S608  # constants
+        yield from database.bounded_rows(database.query(sql, (MAX_CONNECTIONS + 1,)))
+
+
 def _read_topics(database: Database, noted: DamageLog) -> dict[int, list[str]]:
-    """Return name, type, serialization format, QoS profiles and hash of each topic; missing columns are empty."""
-    available = database.columns("topics")
-    names = ("name", "type", "serialization_format", "offered_qos_profiles", "type_description_hash")
-    columns = ", ".join(_column_as_text(name) if name in available else "x''" for name in names)
+    """Return name, type, serialization format, QoS profiles and hash of each topic."""
     topics: dict[int, list[str]] = {}
     limit = ConnectionLimit(database.path, database.size)
-    sql = f"SELECT CASE WHEN typeof(id) = 'integer' THEN id END, {columns} FROM topics ORDER BY id"  # noqa: S608
-    for topic_id, *stored in database.bounded_rows(database.query(sql)):
+    for topic_id, *stored in _rows(database, "topics"):
         values = list(map(database.text, stored))
         if topic_id is None or topic_id in topics:
             error = database.damage(f"topic {values[0]!r:.80} has no id of its own")
@@ -328,22 +329,12 @@ def _read_topics(database: Database, noted: DamageLog) -> dict[int, list[str]]:
 def _read_definitions(database: Database) -> dict[tuple[str, str | None], Definition]:
     """Return definitions by type and hash; without a hash, the first of a type."""
     definitions: dict[tuple[str, str | None], Definition] = {}
-    columns = database.columns("message_definitions")
-    if not {"topic_type", "encoding", "encoded_message_definition"} <= columns:
-        return definitions
-    digest = _column_as_text("type_description_hash") if "type_description_hash" in columns else "x''"
-    rows = database.query(
-        f"SELECT {_column_as_text('topic_type')}, {_column_as_text('encoding')}, {digest}, "  # noqa: S608
-        f"CAST(encoded_message_definition AS BLOB) FROM message_definitions ORDER BY id LIMIT ?",
-        (MAX_CONNECTIONS,),
-    )
-    for *texts, data in database.bounded_rows(rows):
-        msgtype, encoding, own_digest = map(database.text, texts)
+    for _, msgtype, encoding, data, digest in _rows(database, "message_definitions"):
         # rosbag2 writes "unknown" if it did not find the definition.
-        if data and encoding not in {"", "unknown"}:
-            definition = Definition(encoding, data)
-            definitions.setdefault((msgtype, own_digest), definition)
-            definitions.setdefault((msgtype, None), definition)
+        if data and encoding not in {b"", b"unknown"}:
+            definition = Definition(database.text(encoding), data)
+            definitions.setdefault((database.text(msgtype), database.text(digest)), definition)
+            definitions.setdefault((database.text(msgtype), None), definition)
     return definitions
 
 
@@ -358,8 +349,3 @@ def _find_compressed(database: Database, connections: Iterable[Connection]) -> f
     ]
     sql = f"SELECT substr(data, 1, 4) FROM messages WHERE topic_id IN ({', '.join(map(str, cdr))}) LIMIT 1"  # noqa: S608
     return frozenset(cdr) if cdr and database.query(sql).fetchone() == (ZSTD_MAGIC,) else frozenset()
-
-
-def _column_as_text(column: str) -> str:
-    """Return a column as text, and this as bytes: SQLite allows any value in any column, and any bytes in text."""
-    return f"CAST(coalesce(CAST({column} AS TEXT), '') AS BLOB)"

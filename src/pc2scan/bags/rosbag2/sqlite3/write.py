@@ -126,13 +126,7 @@ class Sqlite3Writer(Writer):
         return self._insert(
             "INSERT INTO topics(name, type, serialization_format, offered_qos_profiles, "
             "type_description_hash) VALUES (?, ?, ?, ?, ?)",
-            (
-                connection.topic,
-                connection.msgtype,
-                connection.serialization,
-                connection.qos,
-                connection.digest,
-            ),
+            (connection.topic, connection.msgtype, connection.serialization, connection.qos, connection.digest),
         )
 
     def write(
