@@ -179,13 +179,11 @@ class Database:
 
     def close(self) -> None:
         """Close the database and remove the copy, if there is one."""
-        for opened in (*self._recovered, self._opened()):
-            if opened is not None:
-                opened.close()
+        for opened in filter(None, (*self._recovered, self._opened())):
+            opened.close()
         self._file, self._recovered, self._opened = None, [], lambda: None
         if self._copy is not None:
             self._copy.cleanup()
-            self._copy = None
 
     def _database(self) -> apsw.Connection:
         """Return the open database; it is opened again if it was closed for other files."""
@@ -295,25 +293,39 @@ class Database:
                 shutil.copyfile(log, f"{target}{suffix}")
             if journal := self._logs.get("-journal"):
                 self._check_journal(Path(f"{target}-journal").read_bytes(), journal)
-            self._merge(target)
-
-    def _merge(self, target: Path) -> None:
-        """Let SQLite merge a copy with its logs, and note the pages of a write-ahead log that it does not take."""
-        with closing(self._connect(target, "rw")) as opened:
-            opened.execute("PRAGMA locking_mode = EXCLUSIVE")
-            # Reads the logs, but no table.
-            opened.execute("PRAGMA schema_version")
-            if log := self._logs.get("-wal"):
-                ((page_size,),) = opened.execute("PRAGMA page_size")
-                ((_, taken, _),) = opened.execute("PRAGMA wal_checkpoint")
-                place, left = _left_of_log(Path(f"{target}-wal"), max(0, taken), 24 + page_size)
-                if left:
-                    what = f"{counted(left, 'page')} from here on {'is' if left == 1 else 'are'} not used"
-                    why = "a damaged page, or the end of an unfinished transaction"
-                    error = DamageError(f"{what}: SQLite reads up to {why}", path=log, hint=RECOVER)
-                    self._noted.note(error, offset=place, bytes_lost=left * page_size)
+            with closing(self._connect(target, "rw")) as opened:
+                opened.execute("PRAGMA locking_mode = EXCLUSIVE")
+                # Reads the logs, but no table.
+                opened.execute("PRAGMA schema_version")
+                if wal := self._logs.get("-wal"):
+                    ((page_size,),) = opened.execute("PRAGMA page_size")
+                    ((_, taken, _),) = opened.execute("PRAGMA wal_checkpoint")
+                    self._note_left(Path(f"{target}-wal"), wal, max(0, taken), page_size)
         if (merged := target.stat().st_size) > self.most_bytes:
             raise self.damage(f"has {merged} bytes by its logs, more than all its files")
+
+    def _note_left(self, copy: Path, log: Path, taken: int, page_size: int) -> None:
+        """Note the pages of a write-ahead log that SQLite did not take.
+
+        These have one of the log's two salts; older ones, which the log has not yet overwritten, have none. If SQLite
+        takes no page, the header is damaged, and all belong to it.
+        """
+        start, stop, step = _WAL_HEADER + taken * (24 + page_size), copy.stat().st_size, 24 + page_size
+        with copy.open("rb") as file:
+            salts = file.read(_WAL_HEADER)[16:]
+            if taken:
+                left = 0
+                for place in range(start, stop, step):
+                    file.seek(place + 8)
+                    own = file.read(8)
+                    left += own[:4] == salts[:4] or own[4:] == salts[4:8] or len(own) < 8
+            else:
+                start, left = 0, max(1, -(-(stop - _WAL_HEADER) // step))
+        if left:
+            what = f"{counted(left, 'page')} from here on {'is' if left == 1 else 'are'} not used"
+            why = "a damaged page, or the end of an unfinished transaction"
+            error = DamageError(f"{what}: SQLite reads up to {why}", path=log, hint=RECOVER)
+            self._noted.note(error, offset=start, bytes_lost=left * page_size)
 
     def _check_journal(self, data: bytes, log: Path) -> None:
         """Refuse a journal that names another file, which SQLite would delete; note one that SQLite does not use."""
@@ -429,25 +441,6 @@ def _header(file: Path) -> bytes:
 def _page_bytes(head: bytes) -> int:
     size = int.from_bytes(head[16:18], "big")
     return 65536 if size == 1 else size
-
-
-def _left_of_log(log: Path, taken: int, step: int) -> tuple[int, int]:
-    """Return where the pages begin that SQLite did not take of a write-ahead log, and how many belong to it.
-
-    These have one of the log's two salts; older ones, which the log has not yet overwritten, have none. If SQLite takes
-    no page, the header is damaged, and all belong to it.
-    """
-    with log.open("rb") as file:
-        salts = file.read(_WAL_HEADER)[16:]
-        start, stop = _WAL_HEADER + taken * step, log.stat().st_size
-        if not taken:
-            return 0, -(-(stop - _WAL_HEADER) // step) if stop >= _WAL_HEADER else 1
-        left = 0
-        for place in range(start, stop, step):
-            file.seek(place + 8)
-            own = file.read(8)
-            left += own[:4] == salts[:4] or own[4:] == salts[4:8] or len(own) < 8
-    return start, left
 
 
 def _log_beside(path: Path, suffix: str) -> Path | None:

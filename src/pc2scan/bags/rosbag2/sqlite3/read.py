@@ -204,9 +204,9 @@ class Sqlite3Reader(Reader):
         counts: dict[Any, Any] = dict.fromkeys((connection.id for connection in connections), 0)
         conditions, values = _time_conditions(start_ns, stop_ns)
         where = " AND ".join((_SOUND, *conditions))
-        sql = f"SELECT topic_id, count(*) FROM messages WHERE {where} GROUP BY topic_id"  # noqa: S608
         try:
             with self._database.ending():
+                sql = f"SELECT topic_id, count(*) FROM messages WHERE {where} GROUP BY 1"  # noqa: S608
                 rows = self._database.query(sql, values).fetchall()
         except (*SQLITE_ERRORS, DamageError):
             # Damage is reported when the messages are read.

@@ -151,13 +151,11 @@ class Sqlite3Writer(Writer):
         self._rows.append((log_time_ns, handle, data if is_full else bytes(data)))
         if is_full:
             self._commit()
-            self._run(self._database.execute, "BEGIN")
 
     def _commit(self) -> None:
         rows, self._rows, self._pending = self._rows, [], 0
-        sql = "INSERT INTO messages(timestamp, topic_id, data) VALUES (?, ?, ?)"
-        self._run(self._database.executemany, sql, rows)
-        self._run(self._database.execute, "COMMIT")
+        self._run("INSERT INTO messages(timestamp, topic_id, data) VALUES (?, ?, ?)", rows)
+        self._run("COMMIT; BEGIN")
 
     def add_bag_metadata(self, text: str) -> None:
         """Write rosbag2's metadata.yaml (its ``rosbag2_bagfile_information``) to the file, as rosbag2 does."""
@@ -181,12 +179,13 @@ class Sqlite3Writer(Writer):
             self._database.close()
 
     def _insert(self, sql: str, values: Sequence[Any]) -> int:
-        self._run(self._database.execute, sql, values)
+        self._run(sql, [values])
         return self._database.last_insert_rowid()
 
-    def _run(self, execute: Callable[..., apsw.Cursor], sql: str, values: Sequence[Any] = ()) -> None:
+    def _run(self, sql: str, rows: Sequence[Sequence[Any]] = ((),)) -> None:
+        """Execute a statement with the values of each row."""
         try:
-            execute(sql, values)
+            self._database.executemany(sql, rows)
         except apsw.Error as err:
             raise self._write_error(err) from err
 
