@@ -95,6 +95,8 @@ _CLEAR = 2.5
 #: a larger share of a cloud, seen from nearer than so many times its distance, and not by one ring, whose elevations
 #: differ by less (sine), contradicts that.
 NEAR_MOUNT = 0.3
+#: Floors that differ by less are one, metres.
+ONE_FLOOR = 0.05
 _LARGE_FLOOR, _SEEN_FROM, _RING = 0.1, 8.0, 0.03
 
 #: How many clouds of a topic are judged if the first one has no level floor, how many points of each are sampled, and
@@ -402,7 +404,8 @@ class Ground(NamedTuple):
 
         What is not about as far below it is another plane, such as the outer ring on walls, unless it is large.
         """
-        is_there = abs(self.height - height) < NEAR_MOUNT * height
+        near = NEAR_MOUNT * height if self.off else max(ONE_FLOOR + 0.03 * height, self.rough)
+        is_there = abs(self.height - height) < near
         if height <= 0 or is_there or (self.up is None and self.off) or not (self.off or self.height):
             return self
         if self.off:

@@ -48,9 +48,10 @@ _FAR = 0.1
 #: A robot whose roll and pitch vary by more than this tilts, radians.
 _TILTS = math.radians(1.0)
 
-#: From the first share of returns that may be on rising ground, a command removes it, and from the second one on it is
-#: said. Beams that miss what stands, or see it elsewhere, are at most the third one, if at most the last one may be.
-_LYING, _TOLD, _MISSED, _MOST = 0.05, 0.1, 0.2, 0.75
+#: From the first share of returns that may be on rising ground on, a command removes it, or it is said: less of it is
+#: furniture, whose tops are all that is seen. A limit that rises leaves at most the second share, passes by at most the
+#: third one of what stands, and is proposed if at most the last one may be on the ground.
+_TOLD, _LYING, _MISSED, _MOST = 0.1, 0.05, 0.2, 0.75
 #: Scans above rising ground reach so far, metres, and end so far below what is overhead.
 _REACHES, _BELOW = 20.0, 0.2
 
@@ -172,7 +173,7 @@ def _tried(options: Mapping[str, Any], group: Sequence[Lidar]) -> tuple[list[Cho
     trials = [tried(options, each) for each in group]
     worst = max(trials, key=lambda trial: trial.lying)
     ways: list[list[Choice]] = [[]]
-    if worst.lying > _LYING:
+    if worst.lying > _TOLD:
         why = f"the ground rises: {worst.lying:.0%} of the returns may be on it"
         slope = math.ceil(100 * worst.slope + 0.5) / 100
         ceilings = [each.mounting.heights.ceiling for each in group if each.mounting.heights is not None]

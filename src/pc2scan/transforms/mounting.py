@@ -18,6 +18,7 @@ from pc2scan.core.scene import (
     JUDGED_CLOUDS,
     LEVEL,
     NEAR_MOUNT,
+    ONE_FLOOR,
     Ground,
     are_enough,
     common_ground,
@@ -48,8 +49,8 @@ _LOW, _ROUGHEST, _HIGH, _BELOW_CEILING, _THINNEST = 0.1, 0.3, 1.5, 0.2, 0.3
 #: Without a floor: so far from the sensor's height, metres.
 _AROUND = 0.4
 
-#: Floors that differ by less are one, metres; the fewest points and their least share that heights are judged by.
-_ONE_FLOOR, _FEW, _FEWEST_SHARE = 0.05, 20, 0.001
+#: The fewest points and their least share that heights are judged by.
+_FEW, _FEWEST_SHARE = 20, 0.001
 
 #: Names that `static_tf` can have: without blanks and commas, which separate its parts.
 _WORD = re.compile(r"[^\s,]+")
@@ -426,10 +427,10 @@ def suitable_heights(
         least = min(_ROUGHEST, max(_LOW, 1.5 * ground.rough))
     if ground.ceiling is not None:
         ceiling = sensor + ground.ceiling
-    if frame and sensor > recorded + _ONE_FLOOR:
+    if frame and sensor > recorded + ONE_FLOOR:
         off = 0.0 if floor is None else recorded - floor
         # A plane that is fitted over a floor and a ramp is as rough as it is off.
-        if abs(off) > max(_ONE_FLOOR + 0.03 * (sensor - recorded), ground.rough) and ground.is_large(every):
+        if abs(off) > max(ONE_FLOOR + 0.03 * (sensor - recorded), ground.rough) and ground.is_large(every):
             side = "above" if off > 0 else "below"
             name, at = (frame, "its z = 0") if not recorded else ("base_footprint", "it")
             question = f"{name} is {abs(off):.2f} m {side} the floor that the clouds show: is {at} the floor?"
