@@ -21,7 +21,7 @@ from pc2scan.errors import Pc2ScanError
 from support import ROOT, sampled
 from support.batches import manifest_of
 from support.builders import POINTS, T0, Recording, cloud, item, write_rosbag1
-from support.command import COMMAND, INTERRUPTED, Finished, run, run_process
+from support.command import COMMAND, INTERRUPTED, Finished, run
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -161,7 +161,7 @@ def test_a_full_disk_ends_a_batch(small_disk: Path, tmp_path: Path) -> None:
     others.write_bytes(bytes(3_300_000))
     # Each result has some 300 kB.
     words: list[str | Path] = ["batch", tmp_path / "in", "-o", out, "--jobs", "2", "--min-height=-1", "--keep-clouds"]
-    done = run_process(*words, "--report", report)
+    done = run(*words, "--report", report)
     assert (done.status, done.stdout) == (5, ""), done.stderr
     assert "failed" not in done.stderr
     said = " ".join(done.stderr.split())
@@ -173,7 +173,7 @@ def test_a_full_disk_ends_a_batch(small_disk: Path, tmp_path: Path) -> None:
     assert not report.exists()
     assert [path for path in small_disk.rglob("*") if "partial" in path.name] == []
     others.unlink()
-    done = run_process(*words, "--report", report)
+    done = run(*words, "--report", report)
     assert done.status == 0, done.stderr
     unchanged = f"; {len(converted)} unchanged since" if converted else "\n"
     assert f"{count} recordings: {count} converted{unchanged}" in done.stdout

@@ -223,16 +223,20 @@ class _Command(TyperCommand):
     Typer converts each with an adapter of pydantic: 13 MB, and as much time as all imports together.
     """
 
+    _parser: Any = None
+
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         if ctx.resilient_parsing:
             # A shell completes the words.
             return super().parse_args(ctx, args)
-        values, rest, _ = self.make_parser(ctx).parse_args(args=args)
+        # A process that runs many commands, as for golden cases, makes it once.
+        self._parser = self._parser or self.make_parser(ctx)
+        values, rest, _ = self._parser.parse_args(args=args)
         if rest:
             ctx.fail(f"Got unexpected extra argument(s) ({' '.join(rest)})")
         # Those that are not typed, too: Typer would remember what an earlier call had.
         ctx.params = {parameter.name: values.get(parameter.name) for parameter in self.params}
-        return rest
+        return list(rest)
 
 
 def _parser_of(name: str, *, completes: bool) -> Callable[..., dict[str, Any]]:
