@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 _NOISE = 0.01
 _FAR = 100.0
-_SECONDS = 1.8
+_SECONDS = 2.4
 
 DRIVES = {"stands": Drive(0.0, 0.0), "drives": Drive(0.6, 0.3), "pitches": Drive(0.4, 0.2, tilt=math.radians(3.0))}
 
