@@ -254,14 +254,13 @@ def _of_first_scans(
     yield from (warning(f"{', '.join(dict.fromkeys(names))}: {text}") for text, names in topics.items())
 
 
-def _lost_topics(report: Report) -> Iterator[Remark]:
-    """Yield a warning of how many messages of which topics are missing, and why."""
-    if topics := report.lost_topics:
-        count = sum(topic.messages_in for topic in topics)
-        listed = [f"{topic.topic} ({topic.messages_in:,}: {topic.note})" for topic in topics[:_MAX_WARNED]]
-        listed += [f"and {len(topics) - _MAX_WARNED} more"] if len(topics) > _MAX_WARNED else []
-        which = f"{counted(count, 'message')} of {counted(len(topics), 'topic')}"
-        yield warning(f"{which} {agreeing(count, 'are')} skipped: {', '.join(listed)}")
+def _lost_messages(topics: Sequence[TopicReport]) -> Remark:
+    """Return the warning of how many messages of which topics are missing, and why."""
+    count = sum(topic.messages_in for topic in topics)
+    listed = [f"{topic.topic} ({topic.messages_in:,}: {topic.note})" for topic in topics[:_MAX_WARNED]]
+    listed += [f"and {len(topics) - _MAX_WARNED} more"] if len(topics) > _MAX_WARNED else []
+    which = f"{counted(count, 'message')} of {counted(len(topics), 'topic')}"
+    return warning(f"{which} {agreeing(count, 'are')} skipped: {', '.join(listed)}")
 
 
 def _of_request(spec: ScanSpec) -> Iterator[Remark]:
@@ -479,7 +478,9 @@ def result_findings(
     serialization
         That of the scans: ``ros1`` or ``cdr``.
     """
-    remarks = [*_of_first_scans(first_scans, serialization), *_lost_topics(report)]
+    remarks = [*_of_first_scans(first_scans, serialization)]
+    if lost := report.lost_topics:
+        remarks.append(_lost_messages(lost))
     remarks += (remark for spec in report.scans for remark in _of_request(spec))
     for topic in report.topics:
         if (spec := topic.spec) is not None:

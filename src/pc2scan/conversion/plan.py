@@ -194,7 +194,8 @@ def make_plan(connections: Sequence[Connection], options: Request) -> Plan:
         for spec in specs:
             begin = outputs[-1].index + 1 if outputs else 0
             outputs += _outputs(spec, connection.kind, targets[spec].get(topic, ()), together[spec], begin)
-        wanted = (not options.keep or matches(topic, options.keep)) and not matches(topic, options.drop)
+        dropped = options.drop and matches(topic, options.drop)
+        wanted = not dropped and (not options.keep or matches(topic, options.keep))
         passes = not options.only_scans and (options.keep_clouds if outputs else wanted)
         routes.append(Route(connection, outputs, passes))
     _refuse_collisions(routes)
@@ -253,7 +254,7 @@ def _targets(types: dict[str, set[str]], spec: ScanSpec, options: Request) -> di
                 target = request.target and fill_glob(topic, request.source, request.target)
                 requests.setdefault(topic, []).append(target)
     else:
-        kept = [topic for topic in candidates if not matches(topic, options.drop)]
+        kept = [topic for topic in candidates if not (options.drop and matches(topic, options.drop))]
         if len(kept) > 1:
             kept = usual_topics({topic: types[topic] for topic in kept}, convertible)
         requests = {topic: [None] for topic in kept}

@@ -332,8 +332,6 @@ def tf_connection(reader: Reader, frames: FrameOptions, target: Destination) -> 
 #: have thousands.
 _MAX_COMPILED_FIELDS = 20_000
 
-_COMMENT = rb"#[^\n]*"
-
 
 def declare(writer: Writer, topics: Sequence[tuple[Connection, Sequence[HasHandle]]], *, one_a_topic: bool) -> None:
     """Declare topics, before the first message is written, and set the writer's handles.
@@ -401,7 +399,7 @@ def _layout(connection: Connection) -> str:
     try:
         return str(_transcode().ros2_hash(connection.msgtype, connection.definition))
     except MessageError:
-        return b" ".join(re.sub(_COMMENT, b"", connection.definition.data).split()).decode("utf-8", "replace")
+        return b" ".join(re.sub(rb"#[^\n]*", b"", connection.definition.data).split()).decode("utf-8", "replace")
 
 
 def _merge_connections(publishers: Sequence[Connection]) -> Connection:

@@ -39,12 +39,12 @@ from .records import (
 from .recover import payload_prefix, record_at, recover_index, times_in
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
     from pc2scan.bags.chunks import Numbers, Segment, Segments, Selection
     from pc2scan.errors import DamageError
-    from pc2scan.model import Buffer, Connection
+    from pc2scan.model import Buffer
 
 
 class Rosbag1Reader(ChunkedReader):
@@ -92,7 +92,17 @@ class Rosbag1Reader(ChunkedReader):
             raise
         #: In the order of the index; those that only chunks describe come last.
         self.connections = tuple(self._known.values())
-        self.summary = summary_of(self.connections, self._segments, self._file.size)
+        rows = self._segments.rows[self._segments.rows["end_ns"] > 0]
+        counts = [connection.message_count for connection in self.connections]
+        self.summary = Summary(
+            container="rosbag1",
+            storage="",
+            compression=tuple(sorted({compression for compression, _ in self._segments.kinds})),
+            size_bytes=self._file.size,
+            message_count=None if None in counts else sum(filter(None, counts)),
+            start_ns=int(rows["start_ns"].min()) if len(rows) else None,
+            end_ns=int(rows["end_ns"].max()) if len(rows) else None,
+        )
 
     def _needed(self, segments: Segments, due: Numbers, start_ns: int | None) -> dict[int, frozenset[int]]:
         return first_uses(segments, due, start_ns)
@@ -183,21 +193,6 @@ class Rosbag1Reader(ChunkedReader):
 
     def _entries(self, segment: Segment) -> Iterator[tuple[int, list[tuple[int, int]]]]:
         return indexed_entries(self._file, segment)
-
-
-def summary_of(connections: Sequence[Connection], segments: Segments, size: int) -> Summary:
-    """Return the summary of a bag of this size, bytes."""
-    rows = segments.rows[segments.rows["end_ns"] > 0]
-    counts = [connection.message_count for connection in connections]
-    return Summary(
-        container="rosbag1",
-        storage="",
-        compression=tuple(sorted({compression for compression, _ in segments.kinds})),
-        size_bytes=size,
-        message_count=None if None in counts else sum(filter(None, counts)),
-        start_ns=int(rows["start_ns"].min()) if len(rows) else None,
-        end_ns=int(rows["end_ns"].max()) if len(rows) else None,
-    )
 
 
 def first_uses(segments: Segments, due: Numbers, start_ns: int | None) -> dict[int, frozenset[int]]:
