@@ -10,7 +10,7 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import chain
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from pc2scan.model import StoredChunk
 from .steps import ConvertedMessage
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterator, Mapping, Sequence
 
     from pc2scan.advice.survey import Span
     from pc2scan.core.rigid import Pose, TransformRow
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from pc2scan.transforms.placing import LevelTransform
     from pc2scan.transforms.sources import AddedPoses, Attachment, PoseReading
 
-    from .engine import Item
+    from .engine import Items
     from .report import TopicReport
 
 
@@ -76,26 +76,24 @@ class AddedTransforms:
             self._written.add(name_and_stamp)
 
 
-class AddedTrajectory(NamedTuple):
-    """The transforms of a trajectory by stamp, and where they are written: not before ``first_ns``."""
+def between(rows: Iterator[TransformRow], topic: AddedTransforms, first_ns: int, items: Items, writer: Writer) -> Items:
+    """Yield items, and write each transform before the first that is logged later; the others at the end.
 
-    rows: Iterator[TransformRow]
-    topic: AddedTransforms
-    first_ns: int
-
-
-def between(
-    items: Generator[Item | StoredChunk], trajectory: AddedTrajectory, writer: Writer
-) -> Generator[Item | StoredChunk]:
-    """Yield items, and write each transform before the first that is logged later; the others at the end."""
-    row = next(trajectory.rows, None)
+    Parameters
+    ----------
+    rows
+        The transforms, by stamp.
+    topic
+        Where they are written, at their stamps, but not before ``first_ns``.
+    """
+    row = next(rows, None)
     for item in chain(items, [None]):
         while row is not None and not isinstance(item, StoredChunk) and (item is None or row[2] <= item.log_time_ns):
-            time_ns = max(row[2], trajectory.first_ns)
+            time_ns = max(row[2], first_ns)
             # A stamp that the destination cannot store is far from any message.
             with suppress(MessageError):
-                trajectory.topic.write([row], time_ns, time_ns, writer)
-            row = next(trajectory.rows, None)
+                topic.write([row], time_ns, time_ns, writer)
+            row = next(rows, None)
         if item is not None:
             yield item
 

@@ -12,7 +12,7 @@ Messages of one scan are grouped in order; their scan is made on any thread, and
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
@@ -51,7 +51,7 @@ def items_of(
     rule: ChunkRule | None = None,
     window: int | None = None,
     meter: Meter | None = None,
-) -> Generator[Item | StoredChunk]:
+) -> Items:
     """Yield what became of all messages of the cut: for each chunk, on a thread, each message is converted.
 
     Parameters
@@ -78,7 +78,7 @@ def items_of(
     """
     wanted, (start, stop, _) = [route.connection for route in routes.values()], span
 
-    def items() -> Generator[Item | StoredChunk]:
+    def items() -> Items:
         if meter is not None:
             meter.expect(reader.stored_bytes(wanted, start, stop))
         parts: list[Iterable[Chunk]] = [reader.chunks(Wanted(wanted, start, stop, rule))]
@@ -182,11 +182,9 @@ def _names(message: RawMessage) -> Collection[Hashable]:
     connection = message.connection
     if not connection.is_static:
         return [connection.id]
-    try:
+    with suppress(DecodeError):
         if connection.ros_type in TF_TYPES:
             return {(connection.id, row[1]) for row in decode_transforms(message.data, connection.serialization)}
-    except DecodeError:
-        pass
     return [(connection.id, bytes(message.data))]
 
 
@@ -371,6 +369,9 @@ class Tally:
 _AHEAD_BYTES = 6 << 20
 
 
+#: What becomes of messages, and chunks that pass as a whole, in the order of writing.
+Items: TypeAlias = "Generator[Item | StoredChunk]"
+
 #: What another thread may do, or the caller's: the function that makes an item, its size in bytes, and whether it takes
 #: longer than handing it to another thread.
 Work: TypeAlias = tuple[Callable[[], "Item | StoredChunk"], int, bool]
@@ -448,9 +449,7 @@ class Combiner:
         return Item(route, log_time_ns, log_time_ns, sequence, [(output, result)], is_group=True)
 
 
-def add_groups(
-    items: Generator[Item | StoredChunk], combiners: Iterable[Combiner], threads: Threads | None
-) -> Generator[Item | StoredChunk]:
+def add_groups(items: Items, combiners: Iterable[Combiner], threads: Threads | None) -> Items:
     """Add the scans of several messages to the items of single messages.
 
     Parameters

@@ -56,8 +56,8 @@ if TYPE_CHECKING:
     from pc2scan.transforms.placing import UpSource
     from pc2scan.transforms.reading import RecordedTransforms
 
-    from .added_transforms import AddedTrajectory, AddedTransforms
-    from .engine import Item, Tally
+    from .added_transforms import AddedTransforms
+    from .engine import Item, Items, Tally
     from .plan import Plan, Route
     from .report import Report
     from .steps import Conversion
@@ -86,7 +86,7 @@ class Preparation:
     routes
         As for `pc2scan.conversion.engine.items_of`, without those that are counted already.
     levels, trajectory
-        What writes the frames of level scans, and the transforms of a file; None without any.
+        What writes the frames of level scans, and `between`, which writes the transforms of a file; None without any.
     rule
         Which of the source's chunks can be copied whole; None: none.
     surroundings
@@ -106,7 +106,7 @@ class Preparation:
     conversions: dict[tuple[Any, str], Conversion] = field(default_factory=dict)
     routes: Mapping[int, Route] = field(default_factory=dict)
     levels: AddedTransforms | None = None
-    trajectory: AddedTrajectory | None = None
+    trajectory: Callable[..., Items] | None = None
     rule: ChunkRule | None = None
     surroundings: list[tuple[str, Surroundings]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)

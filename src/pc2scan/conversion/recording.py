@@ -18,7 +18,7 @@ from pc2scan.messages.pointcloud2 import POINTCLOUD2, encode_cloud
 from pc2scan.model import LATCHED_QOS, NEW_ID, TF_QOS, ChunkRule, Connection, Definition, StoredChunk
 from pc2scan.transforms.reading import tf_connections
 
-from .added_transforms import TFMESSAGE, AddedTrajectory, AddedTransforms, as_transform, between, rows_in, without
+from .added_transforms import TFMESSAGE, AddedTransforms, as_transform, between, rows_in, without
 from .combine.conversion import MessagesToScan
 from .engine import NOTHING_REFUSED, Combiner
 from .plan import Output
@@ -26,7 +26,7 @@ from .report import TopicReport
 from .steps import ConvertedMessage, Steps, as_it_is, decoder_of, serialised
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
     from types import ModuleType
 
     from pc2scan.advice.survey import Span
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from pc2scan.transforms.placing import FrameOptions
     from pc2scan.transforms.sources import AddedPoses
 
-    from .engine import Item, Tally
+    from .engine import Item, Items, Tally
     from .plan import Plan, Route
     from .preparation import Preparation
     from .report import Report
@@ -171,10 +171,10 @@ def open_output(prepared: Preparation, target: Destination, writer: Writer | Non
         prepared.rule = _chunk_rule(prepared.routes, target, writer)
 
 
-def write_items(items: Generator[Item | StoredChunk], writer: Writer, tally: Tally, prepared: Preparation) -> None:
+def write_items(items: Items, writer: Writer, tally: Tally, prepared: Preparation) -> None:
     """Write the items of a conversion, and count them."""
     if prepared.trajectory is not None:
-        items = between(items, prepared.trajectory, writer)
+        items = prepared.trajectory(items, writer)
     for item in items:
         if isinstance(item, StoredChunk):
             writer.write_chunk(item)
@@ -270,8 +270,8 @@ def add_poses(
     routes: Mapping[int, Route],
     entries: list[TopicReport],
     topics: RecordingTopics,
-) -> AddedTrajectory | None:
-    """Let routes write poses as transforms, before the topics are declared; return the transforms of a trajectory.
+) -> Callable[..., Items] | None:
+    """Let routes write poses as transforms, before the topics are declared; return what writes those of a trajectory.
 
     Parameters
     ----------
@@ -297,7 +297,7 @@ def add_poses(
             entries.append(entry)
             owners.append(topic := AddedTransforms(entry, form))
             rows = rows_in(poses, prepared.span, reader.summary.end_ns)
-            trajectory = AddedTrajectory(rows, topic, prepared.span.first_ns)
+            trajectory = partial(between, rows, topic, prepared.span.first_ns)
             continue
         for connection in poses.reading.connections:
             entry = TopicReport(connection.topic, connection.ros_type, shared.topic, "added", "its poses as transforms")
