@@ -52,6 +52,8 @@ _TILTS = math.radians(1.0)
 #: furniture, whose tops are all that is seen. A limit that rises leaves at most the second share, passes by at most the
 #: third one of what stands, and is proposed if at most the last one may be on the ground.
 _TOLD, _LYING, _MISSED, _MOST = 0.1, 0.05, 0.2, 0.75
+#: No robot drives on steeper ground, metres a metre.
+_STEEPEST = 0.17
 #: Scans above rising ground reach so far, metres, and end so far below what is overhead.
 _REACHES, _BELOW = 20.0, 0.2
 
@@ -180,7 +182,8 @@ def _tried(options: Mapping[str, Any], group: Sequence[Lidar]) -> tuple[list[Cho
         most = min((each - _BELOW for each in ceilings if each is not None), default=math.inf)
         top = max(options["max_height"], min(options["max_height"] + slope * _REACHES, most))
         above = Choice("max_height", float(f"{top:.2f}"), f"of what stands on it, up to {_REACHES:.0f} m away")
-        ways.append([Choice("min_height_slope", slope, why), above])
+        if slope <= _STEEPEST:
+            ways.append([Choice("min_height_slope", slope, why), above])
         # Of the ground, a part of a turn shows too little.
         if not any(each.turn for each in group):
             ways.append([Choice("ground", "remove", why)])
