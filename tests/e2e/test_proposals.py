@@ -42,6 +42,8 @@ WORLDS = {
     "clouds in odom": (World(ROOM, DESKS, "32 rings", at(0.6), "drives", in_odom=True), ""),
     "one ring": (World(HALL, DESKS, "1 ring", at(0.4)), "may be on rising ground"),
     "two rings near the floor": (World(HALL, DESKS, "2 rings", at(0.27), "drives"), "may be on rising ground"),
+    "two rings, the lower one on walls": (World((-13, 14, -8, 8, 8), DESKS, "2 rings", at(1.2)), ""),
+    "one ring, pitches": (World(HALL, DESKS, "1 ring", at(0.6), "pitches"), ""),
     "four rings": (World(HALL, DESKS, "4 rings", at(0.4), "drives"), ""),
     "64 rings, pitches": (World(HALL, DESKS, "64 rings", at(1.2), "pitches"), ""),
     "rising ground": (World(None, RISING, "16 rings", at(0.9), "drives", slope=0.12), ""),
