@@ -35,8 +35,8 @@ ALIASES = {"concurrency_level": "queue_size"}
 TOPICS = frozenset({"cloud_in", "scan", "scan_in", "cloud", "point_cloud_topic", "scan_topic"})
 
 #: Pairs of parameters that describe the same thing. The setting with the higher precedence is used, the other ignored.
-RIVALS = {"beams": "angle_increment", "no_return": "use_inf"}
-RIVALS |= {rival: name for name, rival in RIVALS.items()}
+_INSTEAD = {"beams": "angle_increment", "no_return": "use_inf"}
+RIVALS = _INSTEAD | {rival: name for name, rival in _INSTEAD.items()}
 
 # Scalars that are not quoted, in ROS.
 _TRUE = frozenset(["y", "Y", "yes", "Yes", "YES", "true", "True", "TRUE", "on", "On", "ON"])
@@ -113,10 +113,8 @@ def resolve(sources: Iterable[Options]) -> tuple[ProjectionParams, Mapping[str, 
             except ParameterError as err:
                 message, hint = f"{err.message} (from {origin})", _type_hint(parameter, text)
                 raise ParameterError(message, name=name, hint=hint) from err
-            # The default of a parameter, which says that another one is used.
-            if value == 0 and parameter.value.low:
-                message = f"{name} is 0, it must be {parameter.value.low} or more (from {origin})"
-                raise ParameterError(message, name=name)
+            if not value and name in _INSTEAD:
+                raise ParameterError(f"{name} is {value!r}, as if it were not given (from {origin})", name=name)
             if rival in chosen:
                 message = f"{rival} and {name} set the same thing in two ways; give one of them"
                 raise ParameterError(f"{message} ({rival} from {origins[rival]}; {name} from {origin})", name=rival)
