@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import signal
-from functools import cache
+from functools import lru_cache
 
 import numpy as np
 from hypothesis import settings
@@ -31,7 +31,7 @@ def pytest_xdist_auto_num_workers() -> int:
 
 # Hundreds of commands judge the same few clouds.
 _find_ground = scene.find_ground
-_ground_of = cache(lambda points: _find_ground(np.frombuffer(points).reshape(-1, 3)))
+_ground_of = lru_cache(256)(lambda points: _find_ground(np.frombuffer(points).reshape(-1, 3)))
 scene.find_ground = lambda points: _ground_of(np.asarray(points, np.float64).tobytes())
 # While thousands of tests are collected, nothing becomes garbage.
 gc.disable()
