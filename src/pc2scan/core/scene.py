@@ -204,13 +204,15 @@ class CloudSample:
         """The floor in the frame in which it is judged, if the transform tilts it, and the cloud's own frame does not.
 
         None if the floor is not level in the cloud's own frame: then the sensor is tilted, or the robot. None, too, if
-        it seems level in both, as parts of floors do.
+        it seems level in both, as parts of floors do, or if the transform turns it over: then it may be a ceiling.
         """
         if self.transform is None:
             return None
         matrix = self.transform.matrix
         turned, here = _angle(matrix[2, 2]), self.floor
-        if turned <= _LEAST_TILT or (here and here.up and here.tilt < _LEVEL_BESIDE * turned):
+        if not _LEAST_TILT < turned < math.pi - _LEAST_TILT or (
+            here and here.up and here.tilt < _LEVEL_BESIDE * turned
+        ):
             return None
         own = find_ground(self.points @ matrix)
         if own.kind != "level" or own.up is None or own.tilt > _LEVEL_BESIDE * turned:
