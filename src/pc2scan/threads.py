@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections import deque
 from contextlib import suppress
+from dataclasses import dataclass, field
 from functools import partial
 from queue import Empty, SimpleQueue
 from threading import Event, Lock, Thread
@@ -25,20 +26,20 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+@dataclass(eq=False)
 class Task(Generic[_Result]):
     """A piece of work for threads. A thread that waits for its result runs other tasks meanwhile.
 
     It is not a `concurrent.futures.Future`, because importing that module takes 2 % of a short conversion.
     """
 
-    def __init__(self, work: Callable[[], _Result], queue: SimpleQueue[Task[Any] | None]) -> None:
-        self._work: Callable[[], _Result] | None = work
-        self._queue = queue
-        #: Acquired once, by the thread that runs or cancels the task, and never released.
-        self._taken = Lock()
-        self._done = Event()
-        self._result: _Result
-        self._error: BaseException | None = None
+    _work: Callable[[], _Result] | None
+    _queue: SimpleQueue[Task[Any] | None]
+    #: Acquired once, by the thread that runs or cancels the task, and never released.
+    _taken: Lock = field(default_factory=Lock)
+    _done: Event = field(default_factory=Event)
+    _result: _Result = field(init=False)
+    _error: BaseException | None = None
 
     def run(self) -> None:
         """Run the work unless it was cancelled. An interruption is raised at once."""

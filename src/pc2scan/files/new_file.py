@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from contextlib import suppress
+from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
@@ -80,19 +81,13 @@ class NewFile:
         return OutputError(f"cannot be written: {err.strerror}", path=self._path)
 
 
+@dataclass
 class FreeIds:
-    """Assigns ids to the declarations of a file: reserved ones on request, and others counted from the first one on.
+    """Assigns ids to the declarations of a file: reserved ones on request, and others counted from the first one on."""
 
-    Parameters
-    ----------
-    first
-        The smallest id.
-    """
-
-    def __init__(self, first: int) -> None:
-        self._next = first
-        self._kept: set[int] = set()
-        self._taken: set[int] = set()
+    _next: int
+    _kept: set[int] = field(default_factory=set)
+    _taken: set[int] = field(default_factory=set)
 
     def keep(self, ids: Collection[int]) -> None:
         """Reserve these ids for callers that ask for them."""
@@ -109,14 +104,14 @@ class FreeIds:
         return self._next - 1
 
 
+@dataclass
 class WriteAhead:
     """A queue between full chunks and the file.
 
     Until `use` is called, everything is done at once on the caller's thread. The written bytes are the same.
     """
 
-    def __init__(self) -> None:
-        self._queue: InOrder[Callable[[], None]] | None = None
+    _queue: InOrder[Callable[[], None]] | None = None
 
     def use(self, pool: Threads) -> None:
         """Use these threads from now on."""

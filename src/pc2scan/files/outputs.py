@@ -246,7 +246,7 @@ def only_run(dst: Path) -> Iterator[int]:
         yield descriptor
     finally:
         # Removed before it is released: a run that locks the removed file notices, in _acquire.
-        steps: list[Callable[[], None]] = [lock.unlink, lambda: os.close(descriptor)]
+        steps: list[Callable[[], None]] = [lock.unlink, partial(os.close, descriptor)]
         # Windows removes only files that no process has open.
         for step in reversed(steps) if os.name == "nt" else steps:
             with suppress(OSError):

@@ -7,6 +7,7 @@ import os
 import stat
 from collections import deque
 from contextlib import suppress
+from dataclasses import dataclass
 from io import TextIOWrapper
 from typing import TYPE_CHECKING, TypeVar
 from weakref import ref
@@ -154,13 +155,11 @@ def keep_open(opened: _Opened) -> ref[_Opened]:
     return ref(opened)
 
 
+@dataclass(eq=False)
 class _Descriptor:
     """A descriptor of an open file, which is closed with this object."""
 
-    __slots__ = ("__weakref__", "number")
-
-    def __init__(self, number: int) -> None:
-        self.number = number
+    number: int
 
     def close(self) -> None:
         """Close it; reading is an error from now on."""
