@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.motion import SensorMotion
     from pc2scan.transforms.mounting import Mounting
+    from pc2scan.transforms.placing import Placement
 
 
 #: All transforms of so much time at both edges of a recording are known, nanoseconds.
@@ -63,6 +64,10 @@ HEADERS = 21
 _LAST_HEADERS = 400
 _SHAPES = 3
 _SPARSE = 60_000
+
+#: How many clouds of a topic are tried, and how many points of each.
+_CLOUDS = 3
+_POINTS = 60_000
 
 #: Rings are level if the cosine between the z axes of lidar and scans is larger: half a degree.
 _UPRIGHT = math.cos(math.radians(0.5))
@@ -218,11 +223,6 @@ class Lidar:
         return median([each.high - each.low for each in times])
 
     @property
-    def has_times(self) -> bool:
-        """Whether its points have times, plausible or not."""
-        return bool(self.facts.values(_TIMES))
-
-    @property
     def reach(self) -> tuple[float, float]:
         """The times of a cloud's first and last point, seconds after its stamp; without them, the tolerance."""
         if not self.duration:
@@ -230,17 +230,17 @@ class Lidar:
         times = self.facts.values(_TIMES)
         return min(each.low for each in times), max(each.high for each in times)
 
-    @cached_property
+    @property
     def time_field(self) -> str:
-        """The field with the times of points."""
-        return self.facts.values(_TIMES)[0].field
+        """The field with the times of points, plausible or not; empty without any."""
+        return next((each.field for each in self.facts.values(_TIMES)), "")
 
     @cached_property
-    def step(self) -> float | None:
-        """How finely a turning lidar samples azimuth, radians; None for others."""
+    def step(self) -> float:
+        """How finely a turning lidar samples azimuth, radians; 0 for others."""
         shapes = self.facts.values(_SHAPE)
         turns = any(each.sweep is not None for each in shapes) or self.covered > 0.5
-        return regular_step(shapes) if turns else None
+        return (regular_step(shapes) if turns else None) or 0.0
 
     @property
     def is_upright(self) -> bool:
@@ -290,7 +290,7 @@ class Lidar:
     def pattern(self) -> Pattern:
         """How clouds of a sparse pattern fill a scan."""
         heights = self.mounting.heights
-        if self.step is not None or self.turn or heights is None:
+        if self.step or self.turn or heights is None:
             return Pattern()
         placed = (self.in_target(each, self.mounting.frame) for each in self.facts.values(_PATTERN))
         filled = [_filled_beams(points, heights.low, heights.high) for points in placed]
@@ -316,13 +316,11 @@ class Lidar:
         """The spread clouds in the frame of the scans, each (N, 3)."""
         return (self.in_target(points, stamp_ns=stamp_ns) for stamp_ns, points in self.clouds)
 
-    def tried_clouds(self, most: int, points: int, *, is_placed: bool, is_level: bool) -> tuple[list[Points], bool]:
+    def tried_clouds(self, *, is_placed: bool, is_level: bool) -> tuple[list[Points], bool]:
         """Return clouds to try a command on, and whether they are parts of one scan.
 
         Parameters
         ----------
-        most, points
-            How many, and how many points of each.
         is_placed
             Whether they are placed in the frame of the scans, not in their own.
         is_level
@@ -334,8 +332,8 @@ class Lidar:
             stamps_ns = (each.stamp_ns for each in self.facts.headers)
             stamped = list(zip(stamps_ns, self.facts.values(_PATTERN) if is_own else [], strict=False))
         else:
-            chosen = self.clouds[:: max(1, len(self.clouds) // most)][:most]
-            stamped = [(stamp_ns, each[:, :: -(-each.shape[1] // points) or 1]) for stamp_ns, each in chosen]
+            chosen = self.clouds[:: max(1, len(self.clouds) // _CLOUDS)][:_CLOUDS]
+            stamped = [(stamp_ns, each[:, :: -(-each.shape[1] // _POINTS) or 1]) for stamp_ns, each in chosen]
         clouds = []
         for stamp_ns, xyz in stamped:
             axes = self.in_target(xyz, stamp_ns=stamp_ns).T if is_placed else xyz
@@ -379,10 +377,6 @@ def _filled_beams(points: NDArray[np.float64], low: float, high: float) -> NDArr
 
 
 # --- Trial ---
-
-#: How many clouds of a topic are tried, and how many points of each.
-_CLOUDS = 3
-_POINTS = 60_000
 
 #: A beam that ends on the ground, or misses what stands on it, is off by more than this, metres.
 _OFF = 0.2
@@ -460,49 +454,50 @@ class Scene(NamedTuple):
 
 def tried(options: Mapping[str, Any], lidar: Lidar) -> Trial:
     """Return what the options of a proposed command make of a topic's clouds; see `Scene`."""
-    given = {name: value for name, value in options.items() if name != "destination"}
     try:
-        request = conversion_of(Options("convert", given))
+        request = conversion_of(Options("convert", options))
         spec, findings = request.scan, request_warnings(request, lidar.recorded, lidar.connections)
         lidar.scene = lidar.scene or _scene(spec, lidar)
         scene = lidar.scene
         if not scene.clouds:
             return Trial(findings=tuple(findings))
-        ranges, standing, counts = _scans(spec, lidar, scene)
+        trial, counts = _scans(spec, lidar, scene)
     except Pc2ScanError as err:
         return Trial(findings=(str(err),))
     if scene.samples:
         known = KnownTransforms("", lambda: lidar.buffer, lidar.buffer if spec.needs_transforms else None)
         findings += judge(CloudFacts(lidar.topic, spec, known, scene.samples, counts)).warnings
-    return Trial(ranges, standing, scene.slope, tuple(findings))
+    return trial._replace(findings=tuple(findings))
 
 
 def _scene(spec: ScanSpec, lidar: Lidar) -> Scene:
     """Return what commands like this one are tried on."""
     is_placed = bool(lidar.mounting.static_tf) or lidar.is_registered
-    clouds, merges = lidar.tried_clouds(_CLOUDS, _POINTS, is_placed=is_placed, is_level=spec.level)
+    clouds, merges = lidar.tried_clouds(is_placed=is_placed, is_level=spec.level)
     placer = _placer(spec, lidar, "" if is_placed else spec.params.target_frame)
+    known: list[tuple[Points, Placement]] = []
     # Those of a robot that tilts are level only where transforms, or an IMU, show it.
-    clouds = [each for each in clouds if not spec.level or _can_be_placed(placer, each)]
-    if not clouds:
+    left_out = (TransformError,) if spec.level else ()
+    for cloud in clouds:
+        with suppress(*left_out):
+            known.append((cloud, placer.place(cloud.frame_id, cloud.stamp_ns)))
+    if not known:
         return Scene((), placer, [], 0.0, merges)
-    places = [placer.place(each.frame_id, each.stamp_ns) for each in clouds]
+    clouds = [cloud for cloud, _ in known]
     samples = [
         CloudSample.of(cloud).placed_in(place.frame_id, place.target_from_source)
-        for cloud, place in zip(clouds if not (is_placed or spec.level) else (), places, strict=False)
+        for cloud, place in (() if is_placed or spec.level else known)
     ]
-    placed = [_moved(cloud, place.target_from_source) for cloud, place in zip(clouds, places, strict=True)]
+    placed = [_moved(cloud, place.target_from_source) for cloud, place in known]
     if spec.level and spec.fixed_frame:
         # What a robot that tilts sees of a place, from all of them.
         ways = [placer.from_fixed(spec.fixed_frame, each.frame_id, each.stamp_ns)[1] for each in clouds]
         placed = [ways[0].compose(way.inverse()).apply(xyz) for way, xyz in zip(ways, placed, strict=True)]
     params, heights = spec.params, lidar.mounting.heights
     floor = params.min_height if heights is None or heights.floor is None else heights.floor
-    if merges or (spec.level and spec.fixed_frame):
-        parts = np.cumsum([len(each) for each in placed])[:-1]
-        stands = np.split(are_upright(np.concatenate(placed), floor, lidar.pattern.degrees), parts)
-    else:
-        stands = [are_upright(points, floor, lidar.pattern.degrees) for points in placed]
+    seen = [np.concatenate(placed)] if merges or (spec.level and spec.fixed_frame) else placed
+    every = np.concatenate([are_upright(points, floor, lidar.pattern.degrees) for points in seen])
+    stands = np.split(every, np.cumsum([len(each) for each in placed])[:-1])
     slope = max(
         _slope(points[~upright], params.min_height, params.max_height)
         for points, upright in zip(placed, stands, strict=True)
@@ -519,12 +514,6 @@ def _placer(spec: ScanSpec, lidar: Lidar, target: str) -> Placer:
         by_frame = UpByFrame(spec.fixed_frame, buffer, tolerance_ns)
         up = by_frame if imu is None else UpByImu(lidar.ups[imu.topic], buffer, tolerance_ns)
     return Placer(target, "", buffer, tolerance_ns, up)
-
-
-def _can_be_placed(placer: Placer, cloud: Points) -> bool:
-    with suppress(TransformError):
-        return placer.place(cloud.frame_id, cloud.stamp_ns) is not None
-    return False
 
 
 def _moved(cloud: Points, transform: Rigid | None) -> NDArray[np.float64]:
@@ -544,14 +533,12 @@ def _slope(lying: NDArray[np.float64], low: float, high: float) -> float:
     return slope
 
 
-def _scans(
-    spec: ScanSpec, lidar: Lidar, scene: Scene
-) -> tuple[NDArray[np.float64], NDArray[np.float64], list[PointCounts]]:
-    """Return the ranges of all scans, the ranges of what stands, and what became of the points of each cloud."""
+def _scans(spec: ScanSpec, lidar: Lidar, scene: Scene) -> tuple[Trial, list[PointCounts]]:
+    """Return what a command makes of the clouds, and what became of the points of each."""
     params, placer = spec.params, scene.placer
     is_placed = placer.target_frame != params.target_frame
     filters = [each for each in spec.filters if not is_placed or each.name in {"ground", "min_height_slope"}]
-    measured = {lidar.topic: Measurements(0.0, azimuth_step=lidar.step or 0.0)}
+    measured = {lidar.topic: Measurements(0.0, azimuth_step=lidar.step)}
     steps = CloudToScan(replace(spec, filters=tuple(filters)), placer, measured).steps(lidar.topic)
     ranges: list[NDArray[np.float64]] = []
     counts: list[PointCounts] = []
@@ -567,4 +554,4 @@ def _scans(
             ranges.append(read)
         counts.append(scan.counts)
     together = np.minimum.reduce if scene.merges else np.concatenate
-    return together(ranges[::2]), together(ranges[1::2]), counts
+    return Trial(together(ranges[::2]), together(ranges[1::2]), scene.slope), counts

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pc2scan.advice.survey import Header, TopicFacts
+    from pc2scan.advice.survey import TopicFacts
     from pc2scan.bags.reader import Reader
     from pc2scan.transforms.motion import SensorMotion
 
@@ -157,15 +157,14 @@ def proposals(
     groups = list(_groups([_with_common_heights(each, lidars) for each in lidars]))
     for group in groups:
         choices = [*_topics(group, sources, types), *_choices(group, given)]
+        added, findings = _tried({each.name: each.value for each in choices}, group)
+        warnings += (f"the proposed command: {text}" for text in findings if text not in warnings)
+        choices += added
         options: dict[str, Any] = {}
         if len(groups) > 1:
             mark = "_" + re.sub(r"\W+", "_", group[0].topic.strip("/")) + "_scan"
             options["destination"] = str(default_destination(sources[0].path, sources[0].summary.container, mark))
         options |= {each.name: each.value for each in choices}
-        added, findings = _tried(options, group)
-        warnings += (f"the proposed command: {text}" for text in findings if text not in warnings)
-        choices += added
-        options |= {each.name: each.value for each in added}
         reasons = {each.name: each.reason for each in choices if each.reason}
         yield Call("convert", tuple(str(each.path) for each in sources), options, reasons)
 
@@ -227,27 +226,19 @@ def _groups(lidars: Sequence[Lidar]) -> Iterator[list[Lidar]]:
                 first.target
                 and other.target == first.target
                 and other.mounting.frame.removeprefix("/") not in frames
-                and _overlap(first.facts, other.facts)
-                and _has_one_clock(first.facts, other.facts)
+                and _measure_together(first.facts, other.facts)
             ):
                 group.append(other)
                 rest.remove(other)
         yield group
 
 
-def _overlap(one: TopicFacts, other: TopicFacts) -> bool:
-    """Whether the first clouds of two topics were recorded at about the same time."""
-    if not (one.headers and other.headers):
-        return False
-    (begin, end), (other_begin, other_end) = (
-        (each.headers[0].log_time_ns, each.headers[-1].log_time_ns) for each in (one, other)
-    )
-    return begin <= other_end and other_begin <= end
-
-
-def _has_one_clock(one: TopicFacts, other: TopicFacts) -> bool:
+def _measure_together(one: TopicFacts, other: TopicFacts) -> bool:
+    """Whether the first clouds of two topics were recorded at about the same time, with stamps of one clock."""
+    begin_ns = max(each.headers[0].log_time_ns for each in (one, other))
+    end_ns = min(each.headers[-1].log_time_ns for each in (one, other))
     delays = [median_low([each.delay_ns for each in facts.headers]) for facts in (one, other)]
-    return not are_doubtful(*delays)
+    return begin_ns <= end_ns and not are_doubtful(*delays)
 
 
 def _topics(group: Sequence[Lidar], sources: Sequence[Reader], types: Mapping[str, Sequence[str]]) -> Iterator[Choice]:
@@ -293,10 +284,9 @@ def _beams(group: Sequence[Lidar], *, is_level: bool) -> Iterator[Choice]:
     """Yield the width of the beams, if the lidars turn and the default one suits none of them, or for a pattern."""
     if len(group) == 1 and (degrees := group[0].pattern.degrees):
         yield Choice("angle_increment", f"{degrees}deg", "the pattern is too sparse for the default beams")
-    steps = [each.step for each in group]
-    if None in steps:
+    if not all(each.step for each in group):
         return
-    step = max(each for each in steps if each is not None)
+    step = max(each.step for each in group)
     measured = f"the lidar measures every {math.degrees(step):.3g} deg"
     if step <= _FINE:
         yield Choice("angle_increment", "0.5deg", f"{measured}, finer than the default beams")
@@ -326,13 +316,12 @@ def _times(group: Sequence[Lidar]) -> Iterator[Choice]:
     lidar = group[0]
     is_alone = len(group) == 1
     turn = lidar.turn if is_alone else 0.0
-    clouds = lidar.pattern.clouds if is_alone and not turn else 0
+    clouds = lidar.pattern.clouds if is_alone else 0
     within_cloud = lidar.motion(lidar.duration or lidar.period or 0.1)
     gathered = turn or clouds * lidar.period or (0.0 if is_alone else lidar.period)
     within_scan = lidar.motion(gathered) if gathered else within_cloud
     tilts = within_scan is not None and within_scan.tilt > _TILTS
-    moves = tilts or _moves(within_cloud) or (gathered > 0 and _moves(within_scan))
-    deskews = moves and all(each.duration for each in group)
+    deskews = (tilts or _moves(within_cloud) or _moves(within_scan)) and all(each.duration for each in group)
     if turn:
         yield Choice("every", float(f"{turn:.4g}"), f"a cloud is a part of a turn, which takes {turn:.3g} s")
     if clouds:
@@ -340,13 +329,12 @@ def _times(group: Sequence[Lidar]) -> Iterator[Choice]:
         stands = "" if lidar.world else ", if the robot stands: nothing says how it moves"
         yield Choice("accumulate", f"{seconds:g}s", f"the pattern is sparse: {clouds} clouds fill a scan{stands}")
         yield Choice("reduce", "surface", "the nearest of so many returns would be too near by the noise")
-    moving = within_scan if gathered else within_cloud
-    if deskews and moving is not None:
+    if deskews and within_scan is not None:
         yield Choice(
             "deskew",
             True,
-            f"points have times ({lidar.time_field}), and the lidar moves by {moving.metres:.2f} m and "
-            f"{math.degrees(moving.radians):.1f} deg within a {'scan' if gathered else 'cloud'}",
+            f"points have times ({lidar.time_field}), and the lidar moves by {within_scan.metres:.2f} m and "
+            f"{math.degrees(within_scan.radians):.1f} deg within a {'scan' if gathered else 'cloud'}",
         )
     if tilts and within_scan is not None:
         yield Choice("level", True, f"roll and pitch vary by {math.degrees(within_scan.tilt):.1f} deg")
@@ -379,18 +367,19 @@ def _edge_cuts(lidars: Sequence[Lidar], fixed: str) -> Iterator[Choice]:
     lost: list[list[tuple[int, int]]] = [[], []]
     kept: list[list[int]] = [[], []]
     for lidar in lidars:
-        links, (before, after) = buffer.moving_links(fixed, lidar.mounting.frame), lidar.reach
+        links = buffer.moving_links(fixed, lidar.mounting.frame)
+        before_ns, after_ns = (round(seconds * 1e9) for seconds in lidar.reach)
         if not links:
             return
         begin_ns, stop_ns = max(link.first_ns for link in links), min(link.last_ns for link in links)
         for header in lidar.facts.headers:
-            if header.stamp_ns + tolerance_ns < begin_ns or _point_ns(header, after) < begin_ns:
-                lost[0].append((header.log_time_ns, begin_ns - _point_ns(header, min(before, 0.0))))
+            if header.stamp_ns + tolerance_ns < begin_ns or header.stamp_ns + after_ns < begin_ns:
+                lost[0].append((header.log_time_ns, begin_ns - header.stamp_ns - min(before_ns, 0)))
             else:
                 kept[0].append(header.log_time_ns)
         for header in lidar.facts.last_headers:
-            if header.stamp_ns - tolerance_ns > stop_ns or _point_ns(header, before) > stop_ns:
-                lost[1].append((header.log_time_ns, _point_ns(header, max(after, 0.0)) - stop_ns))
+            if header.stamp_ns - tolerance_ns > stop_ns or header.stamp_ns + before_ns > stop_ns:
+                lost[1].append((header.log_time_ns, header.stamp_ns + max(after_ns, 0) - stop_ns))
             else:
                 kept[1].append(header.log_time_ns)
     if lost[0]:
@@ -407,10 +396,6 @@ def _edge_cuts(lidars: Sequence[Lidar], fixed: str) -> Iterator[Choice]:
             yield Choice("end", seconds, f"transforms to {fixed} end {by_ns / 1e9:.2g} s before the last cloud")
 
 
-def _point_ns(header: Header, seconds: float) -> int:
-    return header.stamp_ns + round(seconds * 1e9)
-
-
 def _between(after_ns: int, until_ns: int) -> float:
     """Return a time with few digits that is later than one time, and no later than another, seconds."""
     for digits in range(_DIGITS, 9):
@@ -421,9 +406,9 @@ def _between(after_ns: int, until_ns: int) -> float:
     return until_ns / 1e9
 
 
-def _moves(motion: SensorMotion | None) -> bool:
-    """Whether a sensor moves by more than the resolution of its scans."""
-    return motion is not None and (motion.metres > _METRES or motion.radians > ProjectionParams().angle_increment)
+def _moves(motion: SensorMotion | None, metres: float = _METRES) -> bool:
+    """Whether a sensor moves by more than the resolution of its scans, or by more than some metres."""
+    return motion is not None and (motion.metres > metres or motion.radians > ProjectionParams().angle_increment)
 
 
 def _level_by_imu(lidar: Lidar) -> Iterator[Choice]:
@@ -479,9 +464,7 @@ def _motion_that_stays(lidars: Iterable[Lidar]) -> Iterator[str]:
     """Yield a warning for each lidar that moves much within a cloud whose points have no times."""
     for lidar in lidars:
         motion = lidar.motion(lidar.period or 0.1)
-        if motion is None or lidar.has_times or lidar.is_registered:
-            continue
-        if motion.metres > _FAR or motion.radians > ProjectionParams().angle_increment:
+        if motion is not None and _moves(motion, _FAR) and not (lidar.time_field or lidar.is_registered):
             yield (
                 f"{lidar.topic}: its points have no times, so scans are distorted by the motion within a cloud, "
                 f"{motion.metres:.2f} m and {math.degrees(motion.radians):.1f} deg; of a lidar that turns, "
@@ -493,12 +476,9 @@ def missing_mounts(lidars: Iterable[Lidar]) -> Iterator[str]:
     """Yield a note for each lidar that no transform connects with the robot, with the line to complete."""
     for lidar in lidars:
         frame, buffer = lidar.mounting.frame.removeprefix("/"), lidar.buffer
-        if lidar.mounting.judged_in.removeprefix("/") != frame:
-            continue
         body = next((name for name in BODIES if buffer is not None and name in buffer.frames), "")
-        if not frame or frame == body or buffer is None or not body:
-            continue
-        if lidar.transform(body, frame) is None:
+        is_own = lidar.mounting.judged_in.removeprefix("/") == frame
+        if frame and body and is_own and lidar.transform(body, frame) is None:
             yield (
                 f"{lidar.topic}: no transform connects {frame!r} with {body}: complete "
                 f"`static_tf='{body} {frame} X Y Z ROLL PITCH YAW'` (metres and radians), or give the robot's model, "
