@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from contextlib import closing
 from threading import Event, Thread, current_thread, main_thread
 
 import pytest
@@ -8,7 +9,7 @@ from pc2scan.threads import InOrder, Threads
 
 
 def test_who_waits_works() -> None:
-    with Threads(1) as pool:
+    with closing(Threads(1)) as pool:
         tasks = [pool.submit(current_thread) for _ in range(5)]
         assert not any(task.done() for task in tasks)
         assert tasks[2].result() is main_thread()
@@ -29,7 +30,7 @@ def test_others_work_meanwhile() -> None:
         release.set()
         return current_thread()
 
-    with Threads(2) as pool:
+    with closing(Threads(2)) as pool:
         slow = pool.submit(hold)
         assert begun.wait(30)
         more = [pool.submit(current_thread) for _ in range(2)]
@@ -44,7 +45,7 @@ def test_an_error_is_that_of_the_task(jobs: int) -> None:
     def fail() -> None:
         raise ValueError("packed badly")
 
-    with Threads(jobs) as pool:
+    with closing(Threads(jobs)) as pool:
         first, second = pool.submit(fail), pool.submit(lambda: "done")
         assert second.result() == "done"
         with pytest.raises(ValueError, match="packed badly"):
@@ -55,7 +56,7 @@ def test_an_interruption_is_raised_at_once() -> None:
     def interrupted() -> None:
         raise KeyboardInterrupt
 
-    with Threads(1) as pool:
+    with closing(Threads(1)) as pool:
         first, second = pool.submit(interrupted), pool.submit(lambda: "done")
         with pytest.raises(KeyboardInterrupt):
             second.result()
@@ -69,14 +70,14 @@ def test_where_there_may_be_no_more_threads_those_that_are_work(monkeypatch: pyt
         raise RuntimeError("can't start new thread")
 
     monkeypatch.setattr(Thread, "start", refuse)
-    with Threads(4) as pool:
+    with closing(Threads(4)) as pool:
         tasks = [pool.submit(current_thread) for _ in range(6)]
         assert [task.result() for task in tasks] == [main_thread()] * 6
 
 
 def test_what_waits_is_bounded_by_bytes_and_by_number() -> None:
     """Up to 10 bytes a thread and 3 results; of larger ones 2 in any case."""
-    with Threads(2) as pool:
+    with closing(Threads(2)) as pool:
         for size, room in ((5, 3), (10, 2), (20, 2), (1000, 2)):
             queue: InOrder[int] = InOrder(pool, 10, 2, 3)
             while queue.has_room(size):

@@ -13,9 +13,6 @@ from typing import TYPE_CHECKING, Any, Generic, ParamSpec, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from types import TracebackType
-
-    from typing_extensions import Self
 
 _Result = TypeVar("_Result")
 _Arguments = ParamSpec("_Arguments")
@@ -117,12 +114,8 @@ class Threads:
         self._tasks: SimpleQueue[Task[Any] | None] = SimpleQueue()
         self._threads: list[Thread] = []
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """End the threads, after all queued work."""
         for _ in self._threads:
             self._tasks.put(None)
         for thread in self._threads:

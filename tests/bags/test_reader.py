@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from contextlib import nullcontext
+from contextlib import closing, nullcontext
 from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any
 
@@ -58,7 +58,7 @@ def found(items: Iterator[Any]) -> list[tuple[int, int]]:
 
 
 def threads_of(jobs: int | None) -> AbstractContextManager[Threads | None]:
-    return nullcontext() if jobs is None else Threads(jobs)
+    return nullcontext() if jobs is None else closing(Threads(jobs))
 
 
 CHUNKS = st.lists(st.lists(st.integers(0, 60), min_size=1, max_size=4), min_size=1, max_size=8)
@@ -105,7 +105,7 @@ def test_what_is_loaded_ahead_is_bounded_and_enough(size: int, jobs: int) -> Non
     """However large chunks are, there is one for every thread, and one more for the first that is done."""
     chunks = [chunk(number)._replace(size=size) for number in range(40)]
     most = 0
-    with Threads(jobs) as threads:
+    with closing(Threads(jobs)) as threads:
         for taken, _ in enumerate(merge_by_time(chunks, threads=threads), 1):
             time.sleep(0.001)
             most = max(most, sum(each.load.calls for each in chunks) - taken)  # type: ignore[attr-defined]
@@ -138,7 +138,7 @@ def test_an_error_is_raised_in_its_turn(jobs: int | None) -> None:
 
 def test_leaving_early_gives_up_what_has_not_begun() -> None:
     chunks = [chunk(number) for number in range(100)]
-    with Threads(1) as threads:
+    with closing(Threads(1)) as threads:
         items = merge_by_time(chunks, threads=threads)
         next(items)
         items.close()

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import closing
 from functools import partial
 
 import pytest
@@ -17,7 +18,7 @@ def test_all_is_written_in_the_order_in_which_it_was_put_in() -> None:
         return item
 
     ahead = WriteAhead()
-    with Threads(4) as pool:
+    with closing(Threads(4)) as pool:
         ahead.use(pool)
         for item in range(40):
             if item % 4:
@@ -34,7 +35,7 @@ def test_an_error_is_raised_when_its_turn_comes() -> None:
 
     written: list[int] = []
     ahead = WriteAhead()
-    with Threads(2) as pool:
+    with closing(Threads(2)) as pool:
         ahead.use(pool)
         ahead.put(lambda: 1, written.append, 1)
         ahead.put(fail, lambda _: written.append(2), 1)

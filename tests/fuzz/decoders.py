@@ -22,7 +22,7 @@ from pc2scan.bags.observers import observe
 from pc2scan.bags.qos import respell_qos
 from pc2scan.bags.topics import latches
 from pc2scan.compare.scan_text import open_scan_text, render_scans
-from pc2scan.conversion.steps import CloudToScan, decoder_of, serialised
+from pc2scan.conversion.steps import CloudToScan, serialised
 from pc2scan.errors import Pc2ScanError
 from pc2scan.files.compression import decompressed_prefix
 from pc2scan.messages.clouds import CLOUDS
@@ -62,7 +62,7 @@ def _cloud(data: bytes, kind: str = "") -> None:
     conversion = CloudToScan(ScanSpec(params=ProjectionParams(min_height=-9.0)), Placer())
     place, _, project = conversion.steps("/points")
     assert place is not None
-    decode = decoder_of(kind or "sensor_msgs/msg/PointCloud2", serialization)
+    decode = CLOUDS[kind or "sensor_msgs/msg/PointCloud2"](serialization)
     serialised(encode_laserscan, "cdr", project(place(decode(content))))
     if kind:
         points = CLOUDS[kind](serialization)(content)

@@ -8,7 +8,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.bags.opening import open_recording
-from pc2scan.conversion.steps import ScanToCloud, decoder_of, serialised
+from pc2scan.conversion.steps import ScanToCloud, serialised
+from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, encode_cloud
 from pc2scan.messages.tfmessage import decode_transforms
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 def serialized_by(conversion: Conversion, topic: str, source: str, target: str) -> Callable[[bytes], Any]:
     """Return what makes serialised messages of serialised messages, each with what is counted of it."""
     reverses = isinstance(conversion, ScanToCloud)
-    decode = decoder_of(LASERSCAN if reverses else POINTCLOUD2, source)
+    decode = SCANS[LASERSCAN](source, "first") if reverses else CLOUDS[POINTCLOUD2](source)
     encode = partial(serialised, encode_cloud if reverses else encode_laserscan, target)
     return lambda message: encode(stepped(conversion, topic, decode(message)))
 

@@ -12,7 +12,6 @@ import numpy as np
 from pc2scan.advice.checks.clouds import notable_share
 from pc2scan.bags.damage import RECOVER, Damage, count_details
 from pc2scan.core.consumers import judge
-from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import DamageError, ParameterError, ResultError, UsageError, name_list, stamp_text
 from pc2scan.messages.laserscan import decode_laserscan, scan_for_consumers
 from pc2scan.request.parameters import preset_of
@@ -320,7 +319,7 @@ def rejected_points(topic: TopicReport, spec: ScanSpec, report: Report) -> Itera
             continue
         elif rejection.absent and count == 0:
             yield warning(f"{topic.target}: {rejection.absent}")
-        elif _surprises(spec, rejection):
+        elif (default := rejection.by_default[0]) and spec.is_default(default):
             share = ((count or 0) / points.total - topic.no_returns) / (1 - topic.no_returns or 1.0)
             if share >= notable_share(spec):
                 of = "returns" if topic.no_returns else "points"
@@ -345,13 +344,6 @@ def _removed(topic: TopicReport, kind: str, number: int, total: int, why: str) -
         yield warning(f"{topic.target}: {share} {agreeing(number, 'were')} {why}")
 
 
-def _surprises(spec: ScanSpec, rejection: Rejection) -> bool:
-    """Whether a parameter that was not given rejects more points by its default than users expect."""
-    name, _ = rejection.by_default
-    is_given = not name or spec.origins.get(name, "default") != "default"
-    return not is_given and bool(getattr(spec.params, name) == getattr(ProjectionParams(), name))
-
-
 def _blame(topic: TopicReport, spec: ScanSpec, rejections: Mapping[str, Rejection]) -> str:
     """Return the reasons with their parameters: the most frequent one, or if nothing is left, all that may be it.
 
@@ -360,7 +352,8 @@ def _blame(topic: TopicReport, spec: ScanSpec, rejections: Mapping[str, Rejectio
     points = topic.points
     explained = Counter[str]()
     for name, rejection in rejections.items():
-        explanation = rejection.by_default[1] if _surprises(spec, rejection) else rejection.explanation
+        default, by_default = rejection.by_default
+        explanation = by_default if default and spec.is_default(default) else rejection.explanation
         if name == "height" and topic.advice:
             explanation += f": {topic.advice}"
         explained[explanation] += points.rejected.get(name, 0)

@@ -120,9 +120,14 @@ def convert(routes: Mapping[int, Route], message: RawMessage) -> Item:
     done: dict[Any, Any] = {}
     for steps in route.steps if error is None else ():
         try:
-            placed = _once(done, steps.place, cloud)
-            selected = _once(done, steps.select, placed)
-            scan = steps.project(selected)
+            points = cloud
+            for step in filter(None, (steps.place, steps.select)):
+                # Equal steps of several conversions are done once.
+                key = step, id(points)
+                if key not in done:
+                    done[key] = step(points)
+                points = done[key]
+            scan = steps.project(points)
             results.append(route.encode(scan) if isinstance(scan, ConvertedMessage) else scan)
         except MessageError as err:
             # It does not stop the other conversions.
@@ -136,16 +141,6 @@ def convert(routes: Mapping[int, Route], message: RawMessage) -> Item:
         passing,
         error,
     )
-
-
-def _once(done: dict[Any, Any], step: Callable[[Any], Any] | None, points: Any) -> Any:
-    """Return what a step makes of points; equal steps of several conversions are done once."""
-    if step is None:
-        return points
-    key = step, id(points)
-    if key not in done:
-        done[key] = step(points)
-    return done[key]
 
 
 def latched_at(messages: Iterable[RawMessage], start_ns: int) -> Chunk:

@@ -11,7 +11,7 @@ from pc2scan.bags.formats import FORMATS
 from pc2scan.bags.qos import merge_qos
 from pc2scan.bags.topics import unheard
 from pc2scan.errors import MessageError, RecordingError, UnwritableError, UsageError
-from pc2scan.messages.clouds import to_pointcloud2, written_as_pointcloud2
+from pc2scan.messages.clouds import CLOUDS, SCANS, to_pointcloud2, written_as_pointcloud2
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.laserscan import LASERSCAN, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, encode_cloud
@@ -23,7 +23,7 @@ from .combine.conversion import MessagesToScan
 from .engine import NOTHING_REFUSED, Combiner
 from .plan import Output
 from .report import TopicReport
-from .steps import ConvertedMessage, Steps, as_it_is, decoder_of, serialised
+from .steps import ConvertedMessage, Steps, as_it_is, serialised
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -92,9 +92,10 @@ def open_routes(
             continue
         chosen = {output.index: conversions[output.spec, output.scan] for output in route.outputs}
         spec = route.outputs[0].spec
-        route.decode = decoder_of(msgtype, connection.serialization, spec.echo)
+        own = connection.serialization
+        route.decode = SCANS[msgtype](own, spec.echo) if msgtype in SCANS else CLOUDS[msgtype](own)
         route.steps = [conversion.steps(topic) for conversion in chosen.values()]
-        form = connection.serialization if topics is None else topics.target.serialization
+        form = own if topics is None else topics.target.serialization
         encode = encode_cloud if spec.reverse else encode_laserscan
         route.encode = partial(serialised, encode, form) if finish is None else partial(finish, form)
         for output in route.outputs:

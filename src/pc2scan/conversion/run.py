@@ -204,7 +204,7 @@ def run(
                 count_by_index(prepared, report)
                 return report
             jobs = options.jobs or cores()
-            threads = stack.enter_context(Threads(jobs)) if jobs > 1 else None
+            threads = stack.enter_context(closing(Threads(jobs))) if jobs > 1 else None
             if threads is not None:
                 writer.compress_ahead(threads)
             items = items_of(

@@ -23,7 +23,6 @@ from pc2scan.core.timing import IN_SECONDS, LONGEST
 from pc2scan.core.unproject import UnprojectParams, deskew, last_beam_ns
 from pc2scan.errors import DecodeError, UnconnectedError, stamp_text
 from pc2scan.messages.beams import unproject_scan
-from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.laserscan import LaserScan
 from pc2scan.messages.pointcloud2 import structured_cloud
 from pc2scan.messages.used_points import UsedPoints
@@ -35,7 +34,6 @@ if TYPE_CHECKING:
     from pc2scan.core.points import Points
     from pc2scan.core.project import ProjectedScan, Transform
     from pc2scan.core.rigid import MovingTransform
-    from pc2scan.model import Buffer
     from pc2scan.request.filters import Filter
     from pc2scan.request.options import ScanSpec
     from pc2scan.transforms.placing import LevelFrame, LevelTransform, Placement, Placer
@@ -107,11 +105,6 @@ class Conversion(Protocol):
         They raise a `MessageError` if a message cannot be converted. Conversions that place and select alike, by equal
         steps, share this work on each message.
         """
-
-
-def decoder_of(msgtype: str, serialization: str, echo: str = "first") -> Callable[[Buffer], Any]:
-    """Return the decoder of a type of clouds or scans; ``echo`` chooses among several echoes of a beam."""
-    return SCANS[msgtype](serialization, echo) if msgtype in SCANS else CLOUDS[msgtype](serialization)
 
 
 def serialised(encode: Callable[[Any, str], bytes], serialization: str, result: ConvertedMessage) -> ConvertedMessage:

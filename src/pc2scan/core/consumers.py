@@ -408,7 +408,8 @@ def _slam_toolbox(case: Case) -> Iterator[Verdict]:
             "`no_return=inf`, or `range_max=100.0`: pc2scan convert `preset=slam_toolbox`",
         )
     # LaserAssistant::makeLaser, once a sensor
-    yield from _kept_angles(case)
+    if case.started:
+        yield from _kept_angles(case)
     yield from _kept_pose(placed, angle=True)
     # scanToReadings: of a sensor that is upside down, Karto reads beam i in the place of beam N - 1 - i.
     if placed.up is not None and not placed.up > 0 and scan.beams:
@@ -499,7 +500,8 @@ def _gmapping(case: Case) -> Iterator[Verdict]:
             "give a finite `range_max`: pc2scan convert `preset=gmapping`",
         )
     # initMapper, once
-    yield from _kept_angles(case)
+    if case.started:
+        yield from _kept_angles(case)
     # initMapper, RangeSensor
     if scan.beams:
         yield from _off_from_middle(scan, -1 if placed.up is not None and placed.up <= 0 else 1)

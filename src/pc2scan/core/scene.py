@@ -464,7 +464,11 @@ def find_ground(points: _Points) -> Ground:
     """
     if len(points) < FEWEST_POINTS:
         return Ground("unknown")
-    if not _is_optical(points):
+    # The points of an optical frame lie in a cone around the z axis, which is not so for a lidar that turns about it.
+    directions = points / np.linalg.norm(points, axis=1)[:, None]
+    middle = directions.mean(axis=0)
+    ahead = float(middle[2] / max(float(np.linalg.norm(middle)), 1e-9))
+    if (directions[:, 2] > 0.5).mean() <= 0.995 or ahead <= 0.85:
         cells = cells_of(points)
         low, ground = outermost(cells, -1), Ground("unknown")
         is_sure = low is not None and low.share >= _LEAST_SHARE and low.nearest <= _FARTHEST * low.height
@@ -492,14 +496,6 @@ def _roughness(cells: _Points, up: _Direction, height: float) -> float:
     off = cells @ np.array(up) + height
     below = -off[(off < 0) & (off > -_ROUGHEST)]
     return percentiles(below, 95)[0] if len(below) else 0.0
-
-
-def _is_optical(points: _Points) -> bool:
-    """Whether all points lie in a cone around the z axis, which is not so for a lidar that turns about it."""
-    directions = points / np.linalg.norm(points, axis=1)[:, None]
-    middle = directions.mean(axis=0)
-    ahead = float(middle[2] / max(float(np.linalg.norm(middle)), 1e-9))
-    return bool((directions[:, 2] > 0.5).mean() > 0.995) and ahead > 0.85
 
 
 def outermost(cells: _Points, side: int) -> Plane | None:

@@ -23,7 +23,6 @@ LASERSCAN = "sensor_msgs/msg/LaserScan"
 _FLOAT32 = np.dtype("<f4")
 _COUNT = struct.Struct("<I")
 _EMPTY = _COUNT.pack(0)
-_GEOMETRY = struct.Struct("<7f")
 
 
 def _no_values() -> NDArray[np.float32]:
@@ -107,14 +106,14 @@ def encode_laserscan(scan: LaserScan, serialization: str) -> bytes:
     """
     packer = Packer(serialization)
     packer.header(scan.sequence, scan.stamp_ns, scan.frame_id)
-    packer.align(4)
     geometry = (
         *(scan.angle_min, scan.angle_max, scan.angle_increment, scan.time_increment, scan.scan_time),
         *(scan.range_min, scan.range_max),
     )
     try:
-        packer.raw(_GEOMETRY.pack(*geometry))
+        packer.write("7f", *geometry)
     except OverflowError:
+        # Their place is aligned by now.
         with np.errstate(over="ignore"):
             packer.raw(np.array(geometry).astype("<f4").tobytes())
     # From the geometry on, everything is aligned in both formats.

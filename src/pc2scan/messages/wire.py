@@ -158,11 +158,6 @@ class Packer:
         #: Bytes after the encapsulation header.
         self._size = 0
 
-    def align(self, size: int) -> None:
-        """Pad before a primitive of ``size`` bytes; ROS 1 has no padding."""
-        if not self.ros1 and (padding := -self._size % size):
-            self.raw(bytes(padding))
-
     def raw(self, data: Buffer) -> None:
         """Append bytes as they are."""
         self._parts.append(data)
@@ -171,8 +166,8 @@ class Packer:
     def write(self, code: str, *values: float) -> None:
         """Append primitives that need no padding between them: `struct` codes, aligned to the last."""
         layout, alignment = _compile("<" + code)
-        if not self.ros1 and self._size % alignment:
-            self.align(alignment)
+        if not self.ros1 and (padding := -self._size % alignment):
+            self.raw(bytes(padding))
         self._parts.append(layout.pack(*values))
         self._size += layout.size
 

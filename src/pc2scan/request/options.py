@@ -291,6 +291,11 @@ class ScanSpec:
         needs_fields = params.intensity_field or self.deskew or any(each.fields for each in self.filters)
         return bool(needs_fields) or "auto" in (params.scan_time, params.time_increment, params.beams)
 
+    def is_default(self, name: str) -> bool:
+        """Return whether a parameter of the projection is not given."""
+        is_given = self.origins.get(name, "default") != "default"
+        return not is_given and bool(getattr(self.params, name) == getattr(ProjectionParams(), name))
+
     @property
     def label(self) -> str:
         """The beginning of messages about this output; empty if it has no name."""

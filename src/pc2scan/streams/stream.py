@@ -301,7 +301,7 @@ class Stream(ABC, Generic[Item]):
                 source.readers[0],
                 source.routes,
                 source.span,
-                stack.enter_context(Threads(jobs)) if jobs > 1 else None,
+                stack.enter_context(closing(Threads(jobs))) if jobs > 1 else None,
                 window=self._options.window,
                 meter=meter,
             )

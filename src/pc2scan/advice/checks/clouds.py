@@ -141,7 +141,7 @@ class CloudFacts:
     def are_fine(self) -> bool:
         """Whether the first cloud is level, or too small to be judged, and the heights need no advice."""
         total, height = self.total.total - self.no_returns, self.total.height - self.no_returns
-        cut = height >= notable_share(self.spec) * max(total, 1) and self.is_default("min_height")
+        cut = height >= notable_share(self.spec) * max(total, 1) and self.spec.is_default("min_height")
         return (self.is_level or len(self.samples[0].points) < FEWEST_POINTS) and not cut
 
     @property
@@ -152,13 +152,6 @@ class CloudFacts:
             return 0  # these come first
         outside = (each.zeros for each in self.samples if not params.min_height <= each.origin[2] <= params.max_height)
         return min(sum(outside), self.total.height)
-
-    def is_default(self, name: str) -> bool:
-        """Return whether a parameter is not given."""
-        spec = self.spec
-        return spec.origins.get(name, "default") == "default" and (
-            getattr(spec.params, name) == getattr(ProjectionParams(), name)
-        )
 
     @cached_property
     def nearest(self) -> NDArray[np.bool_]:
