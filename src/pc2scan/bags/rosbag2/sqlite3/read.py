@@ -143,9 +143,9 @@ class Sqlite3Reader(Reader):
             is_rebuilt = self._database.is_rebuilt
             try:
                 cursor = self._select(known, wanted, after)
-                while rows := self._fetched(cursor):
+                rows, size = self._fetched(cursor)
+                while rows:
                     after = rows[-1][1:3]
-                    size = sum([len(row[3] or b"") for row in rows])
                     # Pages of a damaged tree may form a loop, and rows may share pages.
                     left -= size + _ROW_BYTES * len(rows)
                     if left < 0:
@@ -158,6 +158,7 @@ class Sqlite3Reader(Reader):
                             size,
                         )
                     del rows
+                    rows, size = self._fetched(cursor)
             except (*SQLITE_ERRORS, DamageError) as err:
                 # What was read meanwhile may have rebuilt it.
                 if is_rebuilt or not self._database.is_rebuilt:
@@ -166,8 +167,8 @@ class Sqlite3Reader(Reader):
             else:
                 return
 
-    def _fetched(self, cursor: Cursor) -> list[Row]:
-        """Return the next rows, up to a chunk's size."""
+    def _fetched(self, cursor: Cursor) -> tuple[list[Row], int]:
+        """Return the next rows, up to a chunk's size, and the bytes of their data."""
         rows, size = [], 0
         for row in islice(cursor, _CHUNK_ROWS):
             data = row[3]
@@ -178,7 +179,7 @@ class Sqlite3Reader(Reader):
             size += len(data or b"")
             if size >= _CHUNK_BYTES:
                 break
-        return rows
+        return rows, size
 
     def _decompressed(self, known: Mapping[int, Connection], rows: list[Row]) -> tuple[list[Row], int]:
         """Return rows with decompressed data, and the bytes of these; rows without data are noted."""
