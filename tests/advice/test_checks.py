@@ -11,8 +11,8 @@ import pytest
 
 import pc2scan
 from pc2scan.advice import checks
-from pc2scan.advice.checks.clouds import CloudFacts, KnownTransforms
-from pc2scan.advice.checks.request import OutputRequest
+from pc2scan.advice.checks.first_clouds import CloudFacts, KnownTransforms
+from pc2scan.advice.checks.plausibility import OutputRequest
 from pc2scan.conversion import checks as result
 from pc2scan.conversion.combine.grouping import Run, SourceCounts
 from pc2scan.conversion.report import Report, TopicReport

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pc2scan.advice.checks.clouds import notable_share
+from pc2scan.advice.checks.first_clouds import notable_share
 from pc2scan.bags.damage import RECOVER, Damage, count_details
 from pc2scan.core.consumers import judge
 from pc2scan.errors import DamageError, ParameterError, ResultError, UsageError, name_list, stamp_text

@@ -11,8 +11,8 @@ from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.advice.checks import are_enough, judge
-from pc2scan.advice.checks.clouds import CloudFacts, KnownTransforms
-from pc2scan.advice.checks.request import in_another_unit
+from pc2scan.advice.checks.first_clouds import CloudFacts, KnownTransforms
+from pc2scan.advice.checks.plausibility import in_another_unit
 from pc2scan.advice.clocks import CLOCK_HEADERS, Clocks, moving, refuse_other_clock
 from pc2scan.advice.measurements import (
     ask_measurements,

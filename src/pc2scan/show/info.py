@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from pc2scan.advice.checks.request import log_times_of_centuries
+from pc2scan.advice.checks.plausibility import log_times_of_centuries
 from pc2scan.advice.clocks import Clocks
 from pc2scan.advice.measurements import increment_warning, time_warnings
 from pc2scan.advice.survey import Span, Survey

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pc2scan.advice.checks import judge, request_warnings
-from pc2scan.advice.checks.clouds import CloudFacts, KnownTransforms
+from pc2scan.advice.checks.first_clouds import CloudFacts, KnownTransforms
 from pc2scan.advice.measurements import Measurements, regular_step, shapes_of, time_warnings, times_of
 from pc2scan.advice.survey import Fact
 from pc2scan.conversion.report import StampCounts

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from pc2scan.advice.checks import clouds as checks
+from pc2scan.advice.checks import first_clouds as checks
 from pc2scan.advice.checks import found_by
 from pc2scan.advice.measurements import Measurements
 from pc2scan.bags.damage import mention

@@ -14,46 +14,46 @@ import numpy as np
 
 from pc2scan.core.scene import JUDGED_CLOUDS, PARTS
 
-from . import clouds, request
-from .request import OutputRequest
+from . import first_clouds, plausibility
+from .plausibility import OutputRequest
 
 if TYPE_CHECKING:
     from pc2scan.model import Connection, Summary
     from pc2scan.request.options import Request
 
-    from .clouds import CloudFacts
+    from .first_clouds import CloudFacts
 
 Facts = TypeVar("Facts")
 Checks: TypeAlias = tuple[Callable[[Facts], Iterable[str]], ...]
 
 #: What the request of an output says, before anything is read; and what must not have its default for that.
 REQUEST: Mapping[Callable[[OutputRequest], Iterable[str]], set[str]] = {
-    request.unused_transforms: {"frames", "transform_tolerance"},
-    request.accumulated_without_motion: {"combining"},
-    request.returns_without_object: {"reduce"},
-    request.times_in_milliseconds: {"transform_tolerance", "scan_time"},
-    request.increment_in_degrees: {"angle_increment"},
-    request.beams_beyond_half_turn: {"angle_min", "angle_max"},
+    plausibility.unused_transforms: {"frames", "transform_tolerance"},
+    plausibility.accumulated_without_motion: {"combining"},
+    plausibility.returns_without_object: {"reduce"},
+    plausibility.times_in_milliseconds: {"transform_tolerance", "scan_time"},
+    plausibility.increment_in_degrees: {"angle_increment"},
+    plausibility.beams_beyond_half_turn: {"angle_min", "angle_max"},
 }
 
 #: What the first clouds of a topic show, each by itself.
 EACH_CLOUD: Checks[CloudFacts] = (
-    clouds.target_that_moves,
-    clouds.clouds_in_fixed_frame,
-    clouds.returns_at_sensor,
+    first_clouds.target_that_moves,
+    first_clouds.clouds_in_fixed_frame,
+    first_clouds.returns_at_sensor,
 )
 
 #: What the first clouds show about their frame, which all outputs share.
-FRAME: Checks[CloudFacts] = (clouds.frame_not_level,)
+FRAME: Checks[CloudFacts] = (first_clouds.frame_not_level,)
 
 #: What the first clouds show about the parameters of an output.
 FIRST_CLOUDS: Checks[CloudFacts] = (
-    clouds.lossy_clouds,
-    clouds.swapped_transform,
-    clouds.clouds_in_another_unit,
-    clouds.nearly_empty_scans,
-    clouds.floor_within_heights,
-    clouds.ceiling_within_heights,
+    first_clouds.lossy_clouds,
+    first_clouds.swapped_transform,
+    first_clouds.clouds_in_another_unit,
+    first_clouds.nearly_empty_scans,
+    first_clouds.floor_within_heights,
+    first_clouds.ceiling_within_heights,
 )
 
 
@@ -72,8 +72,8 @@ def request_warnings(options: Request, recorded: Summary, connections: Sequence[
         checks = tuple(check for check, names in REQUEST.items() if names & chosen)
         warnings += found_by(checks, OutputRequest(options, spec, connections), spec.label)
     if options.start or options.end:
-        warnings += request.cut_in_another_unit(options, recorded)
-    return [*warnings, *request.log_times_of_centuries(recorded)]
+        warnings += plausibility.cut_in_another_unit(options, recorded)
+    return [*warnings, *plausibility.log_times_of_centuries(recorded)]
 
 
 class Judgement(NamedTuple):
