@@ -1,6 +1,6 @@
 """The table of options: which command takes which groups of them, and where they may stand.
 
-An option is a field of a group; ``projection``, ``conversion``, ``running`` and ``commands`` have the groups. The
+An option is a field of a group; ``projection``, ``conversion``, ``running`` and ``per_command`` have the groups. The
 classes here are also the types of the functions' keywords (``**options: Unpack[Convert]``). A help text names other
 options in backticks, by their names in Python; the command line shows them as they are typed.
 
@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
-from . import commands, conversion, projection, running
+from . import conversion, per_command, projection, running
 from .option import Option, Parameter, Scope, options_in
 
 # Which command takes which groups; the order is that of the help's sections.
@@ -55,14 +55,19 @@ class Convert(_Conversion, running.RunReport, running.ThreadCount, running.RunPr
 
 
 class Batch(
-    commands.BatchRun, commands.BatchExport, commands.Poses, _Conversion, commands.BatchRunProgress, total=False
+    per_command.BatchRun,
+    per_command.BatchExport,
+    per_command.Poses,
+    _Conversion,
+    per_command.BatchRunProgress,
+    total=False,
 ):
     """``batch``."""
 
 
 class Export(
-    commands.ExportFormat,
-    commands.Poses,
+    per_command.ExportFormat,
+    per_command.Poses,
     conversion.SourceTopics,
     _Scans,
     running.ThreadCount,
@@ -73,17 +78,22 @@ class Export(
 
 
 class View(
-    commands.PageClouds, conversion.SourceTopics, _Clouds, projection.SeveralOutputs, conversion.Reversal, total=False
+    per_command.PageClouds,
+    conversion.SourceTopics,
+    _Clouds,
+    projection.SeveralOutputs,
+    conversion.Reversal,
+    total=False,
 ):
     """``view``."""
 
 
-class Plot(commands.FigureClouds, conversion.SourceTopics, _Clouds, projection.SeveralOutputs, total=False):
+class Plot(per_command.FigureClouds, conversion.SourceTopics, _Clouds, projection.SeveralOutputs, total=False):
     """``plot``."""
 
 
 class Map(
-    commands.MapDrawing,
+    per_command.MapDrawing,
     conversion.SourceTopics,
     _Scans,
     projection.SeveralOutputs,
@@ -95,13 +105,13 @@ class Map(
 
 
 class Check(
-    commands.CheckRules, conversion.EchoChoice, conversion.StaticTransforms, conversion.TransformSources, total=False
+    per_command.CheckRules, conversion.EchoChoice, conversion.StaticTransforms, conversion.TransformSources, total=False
 ):
     """``check``."""
 
 
 class Info(
-    commands.InfoSamples,
+    per_command.InfoSamples,
     conversion.CloudUnit,
     conversion.StaticTransforms,
     conversion.TransformSources,
@@ -115,15 +125,15 @@ class Tf(conversion.TransformInputs, conversion.StaticTransforms, total=False):
     """``tf``."""
 
 
-class Repair(commands.RepairContainer, running.Replacement, running.RunReport, running.RunProgress, total=False):
+class Repair(per_command.RepairContainer, running.Replacement, running.RunReport, running.RunProgress, total=False):
     """``repair``."""
 
 
-class Diff(commands.ComparisonRules, total=False):
+class Diff(per_command.ComparisonRules, total=False):
     """``diff``."""
 
 
-class Golden(commands.GoldenCases, total=False):
+class Golden(per_command.GoldenCases, total=False):
     """``golden``."""
 
 
@@ -139,17 +149,17 @@ class Clouds(conversion.TimeRange, conversion.CloudUnit, total=False):
 #: without a command.
 GROUPS: Mapping[str, tuple[Any, ...]] = {
     "convert": (Convert, running.ScreenOutput),
-    "batch": (Batch, commands.BatchScreen),
+    "batch": (Batch, per_command.BatchScreen),
     "export": (Export, running.JsonOutput),
-    "view": (View, commands.ShownFiles),
+    "view": (View, per_command.ShownFiles),
     "plot": (Plot,),
-    "map": (Map, commands.ShownFiles, running.JsonOutput),
+    "map": (Map, per_command.ShownFiles, running.JsonOutput),
     "check": (Check, running.JsonOutput),
     "info": (Info, running.JsonOutput),
     "tf": (Tf, running.JsonOutput),
     "repair": (Repair, running.Quiet, running.JsonOutput),
-    "diff": (Diff, running.JsonOutput, commands.CompareScreen),
-    "golden": (Golden, running.JsonOutput, commands.GoldenScreen),
+    "diff": (Diff, running.JsonOutput, per_command.CompareScreen),
+    "golden": (Golden, running.JsonOutput, per_command.GoldenScreen),
     "scans": (Scans,),
     "clouds": (Clouds,),
 }
