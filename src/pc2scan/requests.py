@@ -11,8 +11,8 @@ from .arguments import refuse_unknown
 from .errors import UsageError, name_list
 from .files.urls import path_or_url, path_text
 from .options.call import Options
-from .options.conversion import ConversionFrames
 from .options.effects import refuse_idle
+from .options.processing import ConversionFrames
 from .options.table import PARAMETERS, options_about_scans
 from .request.options import TRAJECTORY, Request, ScanSpec, StampOptions, TopicRequest
 from .request.outputs import load_scans, parse_params, read_output

@@ -5,8 +5,8 @@ from __future__ import annotations
 from copy import copy
 from typing import TYPE_CHECKING, Any
 
-from .conversion import CloudCombination
 from .option import Parameter
+from .processing import CloudCombination
 from .table import PARAMETERS, conversion_options, options_of, spellings
 
 if TYPE_CHECKING:

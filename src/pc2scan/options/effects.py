@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import UsageError, name_list
 
-from .conversion import CloudCombination, PointSelection, RobotMotion
 from .option import Parameter, Scope
+from .processing import CloudCombination, PointSelection, RobotMotion
 from .projection import SHARED, Projection
 from .table import options_of
 

@@ -1,6 +1,6 @@
 """The table of options: which command takes which groups of them, and where they may stand.
 
-An option is a field of a group; ``projection``, ``conversion``, ``running`` and ``per_command`` have the groups. The
+An option is a field of a group; ``projection``, ``processing``, ``running`` and ``per_command`` have the groups. The
 classes here are also the types of the functions' keywords (``**options: Unpack[Convert]``). A help text names other
 options in backticks, by their names in Python; the command line shows them as they are typed.
 
@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
-from . import conversion, per_command, projection, running
+from . import per_command, processing, projection, running
 from .option import Option, Parameter, Scope, options_in
 
 # Which command takes which groups; the order is that of the help's sections.
@@ -21,28 +21,28 @@ from .option import Option, Parameter, Scope, options_in
 class _Clouds(
     projection.ParameterSources,
     projection.Projection,
-    conversion.TimeRange,
-    conversion.StampCorrection,
-    conversion.CloudUnit,
-    conversion.PointSelection,
-    conversion.ConversionFrames,
-    conversion.RobotMotion,
+    processing.TimeRange,
+    processing.StampCorrection,
+    processing.CloudUnit,
+    processing.PointSelection,
+    processing.ConversionFrames,
+    processing.RobotMotion,
     total=False,
 ):
     """How a cloud becomes a scan, and what is read."""
 
 
-class _Scans(_Clouds, conversion.CloudCombination, conversion.EchoChoice, total=False):
+class _Scans(_Clouds, processing.CloudCombination, processing.EchoChoice, total=False):
     """How clouds become scans, and what is read."""
 
 
 class _Conversion(
-    conversion.SourceTopics,
+    processing.SourceTopics,
     _Scans,
     projection.SeveralOutputs,
-    conversion.CloudContent,
-    conversion.OtherTopics,
-    conversion.FailureConditions,
+    processing.CloudContent,
+    processing.OtherTopics,
+    processing.FailureConditions,
     running.Container,
     running.Replacement,
     total=False,
@@ -68,7 +68,7 @@ class Batch(
 class Export(
     per_command.ExportFormat,
     per_command.Poses,
-    conversion.SourceTopics,
+    processing.SourceTopics,
     _Scans,
     running.ThreadCount,
     running.RunProgress,
@@ -79,22 +79,22 @@ class Export(
 
 class View(
     per_command.PageClouds,
-    conversion.SourceTopics,
+    processing.SourceTopics,
     _Clouds,
     projection.SeveralOutputs,
-    conversion.Reversal,
+    processing.Reversal,
     total=False,
 ):
     """``view``."""
 
 
-class Plot(per_command.FigureClouds, conversion.SourceTopics, _Clouds, projection.SeveralOutputs, total=False):
+class Plot(per_command.FigureClouds, processing.SourceTopics, _Clouds, projection.SeveralOutputs, total=False):
     """``plot``."""
 
 
 class Map(
     per_command.MapDrawing,
-    conversion.SourceTopics,
+    processing.SourceTopics,
     _Scans,
     projection.SeveralOutputs,
     running.ThreadCount,
@@ -105,23 +105,23 @@ class Map(
 
 
 class Check(
-    per_command.CheckRules, conversion.EchoChoice, conversion.StaticTransforms, conversion.TransformSources, total=False
+    per_command.CheckRules, processing.EchoChoice, processing.StaticTransforms, processing.TransformSources, total=False
 ):
     """``check``."""
 
 
 class Info(
     per_command.InfoSamples,
-    conversion.CloudUnit,
-    conversion.StaticTransforms,
-    conversion.TransformSources,
-    conversion.SourceFrame,
+    processing.CloudUnit,
+    processing.StaticTransforms,
+    processing.TransformSources,
+    processing.SourceFrame,
     total=False,
 ):
     """``info``."""
 
 
-class Tf(conversion.TransformInputs, conversion.StaticTransforms, total=False):
+class Tf(processing.TransformInputs, processing.StaticTransforms, total=False):
     """``tf``."""
 
 
@@ -141,7 +141,7 @@ class Scans(_Scans, running.ThreadCount, total=False):
     """``pc2scan.scans``."""
 
 
-class Clouds(conversion.TimeRange, conversion.CloudUnit, total=False):
+class Clouds(processing.TimeRange, processing.CloudUnit, total=False):
     """``pc2scan.clouds``."""
 
 
@@ -189,7 +189,7 @@ def instead_of(command: str, name: str) -> str:
     others = [other for other in GROUPS if name in options_of(other) and not options_of(other)[name].command_only]
     if not others:
         return ""
-    if command in ("view", "plot") and name in conversion.CloudCombination.__annotations__:
+    if command in ("view", "plot") and name in processing.CloudCombination.__annotations__:
         return "pages and figures make each scan of one cloud; convert with this option, and use what it writes"
     return f"only {', '.join(others[:3])} {'has' if len(others) == 1 else 'have'} it"
 

@@ -14,8 +14,8 @@ from pc2scan.core.presets import PRESETS
 from pc2scan.core.unproject import UnprojectParams
 from pc2scan.errors import ParameterError, UsageError
 from pc2scan.options.call import Options
-from pc2scan.options.conversion import CloudCombination, PointSelection
 from pc2scan.options.effects import refuse_idle
+from pc2scan.options.processing import CloudCombination, PointSelection
 from pc2scan.options.table import PARAMETERS, output_options
 from pc2scan.options.values import texts
 from pc2scan.text import did_you_mean
