@@ -24,7 +24,7 @@ from pc2scan.model import RawMessage, StoredChunk, copied_message, own_data
 from pc2scan.result import MAX_LISTED, Skipped
 from pc2scan.threads import InOrder
 
-from .combine.conversion import Contribution
+from .combine.contributions import Contribution
 from .steps import ConvertedMessage, as_it_is
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from pc2scan.progress import Meter
     from pc2scan.threads import Threads
 
-    from .combine.conversion import MessagesToScan
+    from .combine.contributions import MessagesToScan
     from .combine.grouping import Group, Grouper
     from .plan import Output, Route
     from .report import TopicReport

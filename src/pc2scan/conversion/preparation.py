@@ -36,7 +36,7 @@ from pc2scan.transforms.placing import Placer, UpByFrame, UpByImu
 from pc2scan.transforms.reading import read_robot_transforms
 
 from .checks import check_fixed_frame, check_given_frames, result_findings
-from .combine.conversion import MessagesToScan, SourceFacts, measure_sources
+from .combine.contributions import MessagesToScan, SourceFacts, measure_sources
 from .corrections import corrected
 from .deskew import Deskew
 from .engine import convert

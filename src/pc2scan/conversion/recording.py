@@ -19,7 +19,7 @@ from pc2scan.model import LATCHED_QOS, NEW_ID, TF_QOS, ChunkRule, Connection, De
 from pc2scan.transforms.reading import tf_connections
 
 from .added_transforms import TFMESSAGE, AddedTransforms, as_transform, between, rows_in, without
-from .combine.conversion import MessagesToScan
+from .combine.contributions import MessagesToScan
 from .engine import NOTHING_REFUSED, Combiner
 from .plan import Output
 from .report import TopicReport

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan.advice.measurements import Measurements
-from pc2scan.conversion.combine.conversion import Contribution, MessagesToScan
+from pc2scan.conversion.combine.contributions import Contribution, MessagesToScan
 from pc2scan.conversion.combine.grouping import Grouper, Nearest
 from pc2scan.conversion.steps import CloudToScan, ConvertedMessage
 from pc2scan.core.params import ProjectionParams
