@@ -12,8 +12,8 @@ import pytest
 
 from pc2scan.errors import ParameterError
 from pc2scan.options.call import Options
-from pc2scan.request.outputs import read_output
 from pc2scan.request.params_file import load_params_file
+from pc2scan.request.scans_file import read_output
 from support.tables import rows
 
 TABLE = Path(__file__).parent / "launch_files.txt"
