@@ -14,8 +14,8 @@ from .options.call import Options
 from .options.effects import refuse_idle
 from .options.processing import ConversionFrames
 from .options.table import PARAMETERS, options_about_scans
-from .request.options import TRAJECTORY, Request, ScanSpec, StampOptions, TopicRequest
 from .request.scans_file import load_scans, parse_params, read_output
+from .request.spec import TRAJECTORY, Request, ScanSpec, StampOptions, TopicRequest
 from .result import tell_early
 from .transforms.placing import FrameOptions
 from .transforms.sources import PoseTopic, frames_of_trajectory, load_trajectory

@@ -23,7 +23,7 @@ from pc2scan.core.rule import PointCounts
 from pc2scan.core.scene import CloudSample
 from pc2scan.model import Connection, Summary
 from pc2scan.options.call import Options
-from pc2scan.request.options import ScanSpec
+from pc2scan.request.spec import ScanSpec
 from pc2scan.requests import conversion_of
 from pc2scan.transforms.builder import TransformBuilder
 from support.tables import rows

@@ -15,7 +15,7 @@ from pc2scan.advice.survey import Span, Survey
 from pc2scan.bags.opening import open_recording
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import ParameterError
-from pc2scan.request.options import ScanSpec
+from pc2scan.request.spec import ScanSpec
 from pc2scan.transforms.builder import TransformBuilder
 from pc2scan.transforms.placing import FrameOptions, Placer
 from support.builders import CLOUD, SECOND, T0, Item, Recording, Stream, cloud, item, write_mcap

@@ -12,7 +12,7 @@ from pc2scan.cli.render import say, show, show_error
 from pc2scan.conversion.report import Report
 from pc2scan.errors import DecodeError, UsageError
 from pc2scan.options.call import Options
-from pc2scan.request.options import ScanSpec
+from pc2scan.request.spec import ScanSpec
 from pc2scan.text import Table
 from support.tables import rows
 

@@ -11,7 +11,7 @@ from pc2scan.conversion.plan import Plan, make_plan
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import TopicError
 from pc2scan.model import Connection
-from pc2scan.request.options import Combining, Request, ScanSpec, TopicRequest
+from pc2scan.request.spec import Combining, Request, ScanSpec, TopicRequest
 from support.tables import rows
 
 TABLES = Path(__file__).with_name("plans.txt")

@@ -17,7 +17,7 @@ from pc2scan.core.rule import PointCounts
 from pc2scan.errors import MessageError
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.model import Connection
-from pc2scan.request.options import ScanSpec
+from pc2scan.request.spec import ScanSpec
 from pc2scan.result import MAX_LISTED, Skipped
 from support.tables import rows
 

@@ -12,7 +12,7 @@ from pc2scan.conversion.steps import CloudToScan, ScanToCloud
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import DecodeError
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan, encode_laserscan
-from pc2scan.request.options import ScanSpec
+from pc2scan.request.spec import ScanSpec
 from pc2scan.transforms.builder import TransformBuilder
 from pc2scan.transforms.placing import Placer
 from support import builders

@@ -12,8 +12,8 @@ import pytest
 from pc2scan.core.presets import PRESETS
 from pc2scan.errors import UsageError
 from pc2scan.request.filters import MinHeightSlope, Where
-from pc2scan.request.options import TopicRequest
 from pc2scan.request.scans_file import load_scans
+from pc2scan.request.spec import TopicRequest
 
 FILE = Path(__file__).with_name("scans.yaml")
 

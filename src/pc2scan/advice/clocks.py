@@ -13,8 +13,8 @@ from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.poses import POSES
 from pc2scan.messages.stamps import STAMPED, stamp_in
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
-from pc2scan.request.options import TRAJECTORY
 from pc2scan.request.point_time import PointTime
+from pc2scan.request.spec import TRAJECTORY
 from pc2scan.text import counted, stamp
 from pc2scan.transforms.reading import tf_connections
 

@@ -40,8 +40,8 @@ if TYPE_CHECKING:
     from pc2scan.core.points import Points
     from pc2scan.core.timing import Sweep
     from pc2scan.model import RawMessage
-    from pc2scan.request.options import ScanSpec
     from pc2scan.request.point_time import Turn, TurnSample
+    from pc2scan.request.spec import ScanSpec
     from pc2scan.transforms.placing import Placer
 
     from .survey import TopicFacts

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
     from pc2scan.core.points import Points
     from pc2scan.core.rigid import Rigid
-    from pc2scan.request.options import ScanSpec
     from pc2scan.request.point_time import Times
+    from pc2scan.request.spec import ScanSpec
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.frames import FrameHistory
 

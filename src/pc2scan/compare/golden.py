@@ -28,7 +28,7 @@ from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.options.call import Options
 from pc2scan.options.values import count, texts
-from pc2scan.request.options import Request
+from pc2scan.request.spec import Request
 from pc2scan.result import Part, Result
 from pc2scan.text import did_you_mean, duration, nearest
 

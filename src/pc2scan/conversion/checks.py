@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pc2scan.core.rule import Rejection
     from pc2scan.messages.laserscan import LaserScan
     from pc2scan.model import Buffer
-    from pc2scan.request.options import Request, ScanSpec
+    from pc2scan.request.spec import Request, ScanSpec
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.placing import FrameOptions
     from pc2scan.transforms.static import StaticTransform

@@ -22,7 +22,7 @@ from pc2scan.errors import DecodeError, UsageError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, CloudFields, encode_cloud, pack_cloud
 from pc2scan.messages.stamps import STAMPED, move_times, set_stamp, stamp_in, writable
-from pc2scan.request.options import TRAJECTORY
+from pc2scan.request.spec import TRAJECTORY
 from pc2scan.transforms.reading import read_transforms
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, RawMessage
     from pc2scan.progress import Meter
-    from pc2scan.request.options import Request, StampOptions
+    from pc2scan.request.spec import Request, StampOptions
     from pc2scan.transforms.reading import RecordedTransforms
 
 #: An offset that takes stamps farther from those of the transforms by more than this is wrong.

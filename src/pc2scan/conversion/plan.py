@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
     from pc2scan.model import Buffer, Connection
-    from pc2scan.request.options import Request, ScanSpec
+    from pc2scan.request.spec import Request, ScanSpec
 
     from .report import TopicReport
     from .steps import ConvertedMessage, Steps

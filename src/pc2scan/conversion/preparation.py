@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from pc2scan.core.rule import PointCounts
     from pc2scan.model import ChunkRule, Connection, RawMessage
     from pc2scan.progress import Meter
-    from pc2scan.request.options import Request, ScanSpec
+    from pc2scan.request.spec import Request, ScanSpec
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.placing import UpSource
     from pc2scan.transforms.reading import RecordedTransforms

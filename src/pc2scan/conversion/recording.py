@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.destinations import Destination
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Writer
-    from pc2scan.request.options import Request
+    from pc2scan.request.spec import Request
     from pc2scan.transforms.placing import FrameOptions
     from pc2scan.transforms.sources import AddedPoses
 

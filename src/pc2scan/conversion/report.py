@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.damage import Damage
     from pc2scan.errors import Pc2ScanError
-    from pc2scan.request.options import ScanSpec
+    from pc2scan.request.spec import ScanSpec
 
     from .combine.grouping import SourceCounts
     from .steps import ConvertedMessage

@@ -44,7 +44,7 @@ from pc2scan.files.source import changed_while_read, state_of
 from pc2scan.files.system import copying_to
 from pc2scan.files.urls import UrlPath, exists
 from pc2scan.progress import Meter
-from pc2scan.request.options import Request
+from pc2scan.request.spec import Request
 from pc2scan.requests import conversion_of, destination_of, named_files
 from pc2scan.result import BEGINNING, Failure, Result, tell_early
 from pc2scan.threads import Threads, cores

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from pc2scan.core.project import ProjectedScan, Transform
     from pc2scan.core.rigid import MovingTransform
     from pc2scan.request.filters import Filter
-    from pc2scan.request.options import ScanSpec
+    from pc2scan.request.spec import ScanSpec
     from pc2scan.transforms.placing import LevelFrame, LevelTransform, Placement, Placer
 
     from .deskew import Deskew, MovingCloud

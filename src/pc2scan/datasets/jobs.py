@@ -33,7 +33,7 @@ from .manifest import NO_CLOUDS, Identity, ManifestRecord, identity_of
 if TYPE_CHECKING:
     from pc2scan.bags.damage import Damage
     from pc2scan.conversion.report import Report
-    from pc2scan.request.options import Request
+    from pc2scan.request.spec import Request
 
     from .find import Recording
 

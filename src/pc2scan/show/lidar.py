@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from pc2scan.core.rigid import Rigid
     from pc2scan.core.rule import PointCounts
     from pc2scan.model import Connection, RawMessage, Summary
-    from pc2scan.request.options import ScanSpec
+    from pc2scan.request.spec import ScanSpec
     from pc2scan.transforms.attitude import UpEstimate
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.motion import SensorMotion

@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     from pc2scan.files.urls import PathText
     from pc2scan.options.call import Options
     from pc2scan.progress import Progress
-    from pc2scan.request.options import Request
+    from pc2scan.request.spec import Request
     from pc2scan.requests import Warn
     from pc2scan.streams.objects import Scan
     from pc2scan.transforms.buffer import TransformBuffer

@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from pc2scan.files.urls import PathText
     from pc2scan.messages.laserscan import LaserScan
     from pc2scan.model import RawMessage
-    from pc2scan.request.options import Request
+    from pc2scan.request.spec import Request
     from pc2scan.requests import Warn
     from pc2scan.transforms.buffer import TransformBuffer
 

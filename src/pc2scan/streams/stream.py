@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from pc2scan.messages.pointcloud2 import PointCloud2
     from pc2scan.model import Buffer, Connection
     from pc2scan.progress import Meter
-    from pc2scan.request.options import Request
+    from pc2scan.request.spec import Request
     from pc2scan.result import Skipped
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.placing import LevelTransform

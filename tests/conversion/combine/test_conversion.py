@@ -17,7 +17,7 @@ from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid
 from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.request.filters import MinHeightSlope, Where
-from pc2scan.request.options import Combining, ScanSpec, TopicRequest
+from pc2scan.request.spec import Combining, ScanSpec, TopicRequest
 from pc2scan.transforms.builder import TransformBuilder
 from pc2scan.transforms.placing import Placer
 from support.conversions import stepped

@@ -19,7 +19,7 @@ from .plausibility import OutputRequest
 
 if TYPE_CHECKING:
     from pc2scan.model import Connection, Summary
-    from pc2scan.request.options import Request
+    from pc2scan.request.spec import Request
 
     from .first_clouds import CloudFacts
 

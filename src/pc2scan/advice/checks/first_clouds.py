@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pc2scan.request.options import ScanSpec
+    from pc2scan.request.spec import ScanSpec
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.mounting import Mounting
     from pc2scan.transforms.static import StaticTransform

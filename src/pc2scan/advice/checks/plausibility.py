@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from pc2scan.model import Connection, Summary
-    from pc2scan.request.options import Request, ScanSpec
+    from pc2scan.request.spec import Request, ScanSpec
 
 #: An angle_increment of this many radians (11 degrees) or more is nearly always meant in degrees.
 _COARSE = 0.2

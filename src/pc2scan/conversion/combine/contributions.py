@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from pc2scan.core.project import Transform
     from pc2scan.core.rigid import MovingTransform, Rigid
     from pc2scan.request.filters import Filter
-    from pc2scan.request.options import ScanSpec
+    from pc2scan.request.spec import ScanSpec
     from pc2scan.transforms.placing import LevelFrame, Placer
 
     from .grouping import Rule
