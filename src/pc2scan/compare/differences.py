@@ -84,7 +84,7 @@ class ValuesFound:
     Attributes
     ----------
     changed, shifted
-        Beams or points, as in `pc2scan.core.compare.ArrayDifference`.
+        Beams or points, as in `pc2scan.core.tolerance.ArrayDifference`.
     """
 
     name: str

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pc2scan.core.compare import Tolerance, compare_arrays
+from pc2scan.core.tolerance import Tolerance, compare_arrays
 from pc2scan.errors import DecodeError, UsageError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pc2scan.core.compare import ArrayDifference
+    from pc2scan.core.tolerance import ArrayDifference
     from pc2scan.messages.pointcloud2 import PointCloud2, PointField
     from pc2scan.model import Buffer, RawMessage
     from pc2scan.options.call import Options
@@ -269,7 +269,7 @@ class Rules:
     ----------
     atol, rtol
         Tolerances by name: ``ranges``, ``intensities``, or a field of a cloud; the empty name is for all others.
-        See `pc2scan.core.compare.Tolerance`; A is the reference.
+        See `pc2scan.core.tolerance.Tolerance`; A is the reference.
     allow_beams
         The share of a topic's beams (of a cloud: points), over all its messages, that may be beyond the tolerance.
     ignore

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from pc2scan.core.compare import EXACT, Tolerance, compare_arrays
+from pc2scan.core.tolerance import EXACT, Tolerance, compare_arrays
 from pc2scan.errors import UsageError
 
 ALL = (-math.inf, math.inf)
