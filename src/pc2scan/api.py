@@ -21,7 +21,7 @@ from .options.call import Options
 from .options.effects import refuse_idle
 from .options.keywords import takes_options
 from .options.table import options_of
-from .requests import conversion_of, frames_of, reading_of
+from .parsing import conversion_of, frames_of, reading_of
 from .show.check import check as judge
 from .show.info import info as describe
 from .show.map import draw_map

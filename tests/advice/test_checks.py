@@ -23,8 +23,8 @@ from pc2scan.core.rule import PointCounts
 from pc2scan.core.scene import CloudSample
 from pc2scan.model import Connection, Summary
 from pc2scan.options.call import Options
+from pc2scan.parsing import conversion_of
 from pc2scan.request.spec import ScanSpec
-from pc2scan.requests import conversion_of
 from pc2scan.transforms.builder import TransformBuilder
 from support.tables import rows
 from support.worlds.mounted import PLACES, cloud, mounted, write_clouds

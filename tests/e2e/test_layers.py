@@ -114,12 +114,12 @@ if TYPE_CHECKING:
 def late():
     from pc2scan.transforms.buffer import TransformBuffer
     import numpy as np
-    read = import_module("pc2scan.requests").params_from_file
+    read = import_module("pc2scan.parsing").params_from_file
     read = import_module(".params_file", __package__)
 """
     always = {"pc2scan.errors", "pc2scan.api", "pc2scan.conversion.recording", "pc2scan.conversion.plan"}
     always |= {"pc2scan.transforms.buffer"}
-    always |= {"pc2scan.requests", "pc2scan.conversion.params_file", "__future__", "typing", "numpy"}
+    always |= {"pc2scan.parsing", "pc2scan.conversion.params_file", "__future__", "typing", "numpy"}
     late = ["from pc2scan.transforms.buffer import TransformBuffer", "import numpy as np"]
     assert imports_in(text, "pc2scan.conversion") == (always, {"pc2scan.model", "pc2scan.bags"}, late)
     assert {layer_of(path) for path in MODULES} == {*ALLOWED, "__init__", "__main__"}

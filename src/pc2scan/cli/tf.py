@@ -7,7 +7,7 @@ from pathlib import Path
 from pc2scan.errors import UsageError
 from pc2scan.options.call import Options
 from pc2scan.options.moment import TimeBound
-from pc2scan.requests import frames_of
+from pc2scan.parsing import frames_of
 from pc2scan.show.tf import Lookup, frame_tree
 
 from .render import show

@@ -43,9 +43,9 @@ from pc2scan.files.outputs import (
 from pc2scan.files.source import changed_while_read, state_of
 from pc2scan.files.system import copying_to
 from pc2scan.files.urls import UrlPath, exists
+from pc2scan.parsing import conversion_of, destination_of, named_files
 from pc2scan.progress import Meter
 from pc2scan.request.spec import Request
-from pc2scan.requests import conversion_of, destination_of, named_files
 from pc2scan.result import BEGINNING, Failure, Result, tell_early
 from pc2scan.threads import Threads, cores
 
@@ -67,8 +67,8 @@ if TYPE_CHECKING:
     from pc2scan.files.urls import PathText
     from pc2scan.model import Writer
     from pc2scan.options.call import Options
+    from pc2scan.parsing import Warn
     from pc2scan.progress import Progress
-    from pc2scan.requests import Warn
 
     from .preparation import Preparation
 

@@ -25,7 +25,7 @@ from pc2scan.files.system import copying_to, is_full
 from pc2scan.files.urls import absolute
 from pc2scan.options.call import Options
 from pc2scan.options.table import conversion_options, options_of
-from pc2scan.requests import conversion_of
+from pc2scan.parsing import conversion_of
 from pc2scan.result import json_value
 
 from .manifest import NO_CLOUDS, Identity, ManifestRecord, identity_of

@@ -19,9 +19,9 @@ from pc2scan.files.outputs import Inputs, name_key, working_names
 from pc2scan.files.urls import absolute
 from pc2scan.options.table import dataset_options
 from pc2scan.options.values import FLAG, texts
+from pc2scan.parsing import NAMED_FILES
 from pc2scan.request.entries import entries_in, naming_place, read_text
 from pc2scan.request.parameters import RIVALS
-from pc2scan.requests import NAMED_FILES
 from pc2scan.version import __version__
 
 from .jobs import Job, request_of

@@ -14,8 +14,8 @@ from pc2scan.conversion.corrections import corrected_transforms
 from pc2scan.errors import MessageError, OutputError, ResultError, TransformError, UsageError, name_list
 from pc2scan.files.outputs import inputs_of, read_record, refuse_overlap, staged_output, write_record
 from pc2scan.files.system import remove
+from pc2scan.parsing import conversion_of, destination_of
 from pc2scan.progress import Meter
-from pc2scan.requests import conversion_of, destination_of
 from pc2scan.result import MAX_LISTED, Part, Result, Skipped, tell_early
 from pc2scan.streams.stream import Clouds, Scans
 from pc2scan.text import Table, count
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from pc2scan.bags.damage import Damage
     from pc2scan.files.urls import PathText
     from pc2scan.options.call import Options
+    from pc2scan.parsing import Warn
     from pc2scan.progress import Progress
     from pc2scan.request.spec import Request
-    from pc2scan.requests import Warn
 
     from .writers import FileWriter, Write
 

@@ -23,8 +23,8 @@ from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.other_clouds import without
 from pc2scan.messages.tfmessage import decode_transforms
 from pc2scan.model import copied_message
+from pc2scan.parsing import frames_of
 from pc2scan.progress import Meter
-from pc2scan.requests import frames_of
 from pc2scan.result import Part, Result
 from pc2scan.text import counted
 from pc2scan.transforms.buffer import ADDS_ODOMETRY, named_in_namespace, other_odometry

@@ -24,8 +24,8 @@ from pc2scan.messages.imu import IMU
 from pc2scan.messages.other_clouds import instead_of_clouds
 from pc2scan.messages.tfmessage import TF_TYPES
 from pc2scan.model import copied_message, declared_counts
+from pc2scan.parsing import OF_FRAMES, frames_of
 from pc2scan.request.point_time import PointTime
-from pc2scan.requests import OF_FRAMES, frames_of
 from pc2scan.result import Call, Part, Result
 from pc2scan.text import Table, count, counted, height_text, size, stamp
 from pc2scan.transforms.buffer import ADDS_ODOMETRY

@@ -27,8 +27,8 @@ from pc2scan.core.scene import CloudSample, are_upright
 from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import Pc2ScanError, TransformError
 from pc2scan.options.call import Options
+from pc2scan.parsing import conversion_of
 from pc2scan.request.point_time import DIRECTIONS, PointTime, directions_of
-from pc2scan.requests import conversion_of
 from pc2scan.transforms.frames import WORLDS
 from pc2scan.transforms.motion import sensor_motion
 from pc2scan.transforms.placing import Placer, UpByFrame, UpByImu

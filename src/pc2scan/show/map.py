@@ -37,8 +37,8 @@ from pc2scan.files.urls import path_of, path_or_url
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.options.table import options_about_scans
+from pc2scan.parsing import conversion_of, first_output
 from pc2scan.progress import Meter
-from pc2scan.requests import conversion_of, first_output
 from pc2scan.result import Part, Result, Skipped, tell_early
 from pc2scan.streams.stream import Scans
 from pc2scan.text import counted, did_you_mean
@@ -58,9 +58,9 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.files.urls import PathText
     from pc2scan.options.call import Options
+    from pc2scan.parsing import Warn
     from pc2scan.progress import Progress
     from pc2scan.request.spec import Request
-    from pc2scan.requests import Warn
     from pc2scan.streams.objects import Scan
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.placing import LevelTransform

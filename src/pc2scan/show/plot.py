@@ -14,7 +14,7 @@ from pc2scan.core.layout import TURN
 from pc2scan.core.project import Projector
 from pc2scan.errors import UsageError, visible
 from pc2scan.files.outputs import files_output, inputs_of, refuse_overlap
-from pc2scan.requests import conversion_of, first_output
+from pc2scan.parsing import conversion_of, first_output
 
 from .shots import Picture, opened, take_shots, title_of
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from pc2scan.core.params import ProjectionParams
     from pc2scan.options.call import Options
-    from pc2scan.requests import Warn
+    from pc2scan.parsing import Warn
 
     from .shots import Shot, Shots
 

@@ -45,8 +45,8 @@ if TYPE_CHECKING:
     from pc2scan.model import Connection, RawMessage
     from pc2scan.options.call import Options
     from pc2scan.options.moment import TimeBound
+    from pc2scan.parsing import Warn
     from pc2scan.request.spec import Request
-    from pc2scan.requests import Warn
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.placing import Placement, Placer
 

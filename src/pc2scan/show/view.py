@@ -37,7 +37,7 @@ from pc2scan.files.urls import path_of, path_or_url
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.options.call import Options, call_words
 from pc2scan.options.table import PARAMETERS, options_of
-from pc2scan.requests import conversion_of, first_output
+from pc2scan.parsing import conversion_of, first_output
 from pc2scan.result import Call
 from pc2scan.text import counted
 from pc2scan.transforms.static import added_transforms
@@ -57,8 +57,8 @@ if TYPE_CHECKING:
     from pc2scan.files.urls import PathText
     from pc2scan.messages.laserscan import LaserScan
     from pc2scan.model import RawMessage
+    from pc2scan.parsing import Warn
     from pc2scan.request.spec import Request
-    from pc2scan.requests import Warn
     from pc2scan.transforms.buffer import TransformBuffer
 
     from .check import Check
