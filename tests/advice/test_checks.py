@@ -13,7 +13,7 @@ import pc2scan
 from pc2scan.advice import checks
 from pc2scan.advice.checks.first_clouds import CloudFacts, KnownTransforms
 from pc2scan.advice.checks.plausibility import OutputRequest
-from pc2scan.conversion import checks as result
+from pc2scan.conversion import result_checks as result
 from pc2scan.conversion.combine.grouping import Run, SourceCounts
 from pc2scan.conversion.report import Report, TopicReport
 from pc2scan.core.params import ProjectionParams

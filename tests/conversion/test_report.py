@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from pc2scan.conversion.checks import result_findings
 from pc2scan.conversion.engine import Item, Tally
 from pc2scan.conversion.plan import Output, Route
 from pc2scan.conversion.report import Report, TopicReport
+from pc2scan.conversion.result_checks import result_findings
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.rule import PointCounts
 from pc2scan.errors import MessageError

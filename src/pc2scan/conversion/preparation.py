@@ -35,11 +35,11 @@ from pc2scan.text import stamp
 from pc2scan.transforms.placing import Placer, UpByFrame, UpByImu
 from pc2scan.transforms.reading import read_robot_transforms
 
-from .checks import check_fixed_frame, check_given_frames, result_findings
 from .combine.contributions import MessagesToScan, SourceFacts, measure_sources
 from .corrections import corrected
 from .deskew import Deskew
 from .engine import convert
+from .result_checks import check_fixed_frame, check_given_frames, result_findings
 from .steps import CloudToScan, ConvertedMessage, ScanToCloud
 
 if TYPE_CHECKING:

@@ -49,13 +49,13 @@ from pc2scan.request.spec import Request
 from pc2scan.result import BEGINNING, Failure, Result, tell_early
 from pc2scan.threads import Threads, cores
 
-from .checks import compare_counts, refuse_nothing, refuse_unsatisfied, result_findings
 from .corrections import scaled
 from .engine import Tally, items_of
 from .plan import make_plan
 from .preparation import count_by_index, judge_first, prepare, refuse_no_messages, span_of
 from .recording import open_output, write_items
 from .report import Report
+from .result_checks import compare_counts, refuse_nothing, refuse_unsatisfied, result_findings
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Sequence

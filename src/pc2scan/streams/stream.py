@@ -15,13 +15,13 @@ from pc2scan.advice.checks import request_warnings
 from pc2scan.bags.damage import mention
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import by_topic, find_topics, short_types, types_by_topic
-from pc2scan.conversion.checks import result_findings
 from pc2scan.conversion.corrections import corrected, scaled
 from pc2scan.conversion.engine import Tally, items_of
 from pc2scan.conversion.plan import Output, Route, make_plan
 from pc2scan.conversion.preparation import judge_first, prepare, refuse_no_messages, span_of
 from pc2scan.conversion.recording import open_routes
 from pc2scan.conversion.report import Report, TopicReport
+from pc2scan.conversion.result_checks import result_findings
 from pc2scan.conversion.steps import ConvertedMessage, Steps
 from pc2scan.core.rule import NO_POINTS
 from pc2scan.errors import NothingToConvertError, Pc2ScanError, RecordingWarning, TopicError, name_list, visible
