@@ -34,8 +34,8 @@ from pc2scan.messages.stamps import move_times, set_stamp, stamp_in
 from pc2scan.messages.tfmessage import decode_transforms, encode_transforms
 from pc2scan.messages.transcode import transcoder
 from pc2scan.model import Connection, Definition, RawMessage
-from pc2scan.request.parameters import resolve
 from pc2scan.request.params_file import load_params_file
+from pc2scan.request.precedence import resolve
 from pc2scan.request.spec import ScanSpec
 from pc2scan.transforms.attitude import ImuReading
 from pc2scan.transforms.builder import TransformBuilder

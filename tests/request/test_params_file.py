@@ -9,8 +9,8 @@ import pytest
 
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import ParameterError
-from pc2scan.request.parameters import resolve
 from pc2scan.request.params_file import ParamsFile, load_params_file
+from pc2scan.request.precedence import resolve
 from support.tables import rows
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from pc2scan.files.urls import local_path, path_or_url
 from pc2scan.options.call import Options
 from pc2scan.options.option import Parameter
 from pc2scan.options.table import options_of
-from pc2scan.request.parameters import plain_scalar
+from pc2scan.request.precedence import plain_scalar
 from pc2scan.text import did_you_mean, shell_word
 from pc2scan.version import __version__
 

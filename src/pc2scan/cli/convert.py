@@ -10,7 +10,7 @@ from pc2scan.conversion.run import convert as convert_by
 from pc2scan.conversion.run import repair as repair_by
 from pc2scan.files.urls import is_url
 from pc2scan.options.call import Options
-from pc2scan.request.parameters import preset_of
+from pc2scan.request.precedence import preset_of
 from pc2scan.text import shell_word
 
 from .render import LiveWarnings, progress_bar, say, show

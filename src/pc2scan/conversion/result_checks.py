@@ -14,7 +14,7 @@ from pc2scan.bags.damage import RECOVER, Damage, count_details
 from pc2scan.core.consumers import judge
 from pc2scan.errors import DamageError, ParameterError, ResultError, UsageError, name_list, stamp_text
 from pc2scan.messages.laserscan import decode_laserscan, scan_for_consumers
-from pc2scan.request.parameters import preset_of
+from pc2scan.request.precedence import preset_of
 from pc2scan.result import Remark
 from pc2scan.text import agreeing, counted, did_you_mean, nearest
 from pc2scan.transforms.buffer import frames_text

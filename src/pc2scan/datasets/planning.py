@@ -21,7 +21,7 @@ from pc2scan.options.table import dataset_options
 from pc2scan.options.values import FLAG, texts
 from pc2scan.parsing import NAMED_FILES
 from pc2scan.request.entries import entries_in, naming_place, read_text
-from pc2scan.request.parameters import RIVALS
+from pc2scan.request.precedence import RIVALS
 from pc2scan.version import __version__
 
 from .jobs import Job, request_of

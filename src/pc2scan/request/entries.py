@@ -20,7 +20,7 @@ from pc2scan.options.table import PARAMETERS
 from pc2scan.text import did_you_mean
 from pc2scan.transforms.text_files import text_of
 
-from .parameters import plain_scalar
+from .precedence import plain_scalar
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Generator, Iterable

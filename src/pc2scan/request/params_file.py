@@ -14,7 +14,7 @@ from pc2scan.text import did_you_mean, nearest
 
 from .entries import Entry, entries_in, naming_place, read_text, scalar_value
 from .launch import ELSEWHERE, LaunchFile, UnreadError, qualified
-from .parameters import (
+from .precedence import (
     ALIASES,
     TOPICS,
     is_every_nodes,

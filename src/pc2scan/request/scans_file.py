@@ -23,9 +23,9 @@ from pc2scan.transforms.attitude import ImuRequest
 
 from .entries import Entry, compose, entries_in, entries_of, naming_place, read_text, scalar_value
 from .filters import filters_of
-from .parameters import ALIASES, TOPICS, is_every_nodes, resolve, unknown_parameter
 from .params_file import ParamsFile, load_params_file
 from .point_time import PointTime
+from .precedence import ALIASES, TOPICS, is_every_nodes, resolve, unknown_parameter
 from .spec import Combining, ScanSpec, TopicRequest
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.advice.clocks import moving
 from pc2scan.errors import name_list
-from pc2scan.request.parameters import is_given
+from pc2scan.request.precedence import is_given
 from pc2scan.text import stamp
 
 if TYPE_CHECKING:

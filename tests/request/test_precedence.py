@@ -9,7 +9,7 @@ import pytest
 from pc2scan.core.params import ProjectionParams
 from pc2scan.options.call import Options
 from pc2scan.options.moment import TimeBound
-from pc2scan.request.parameters import resolve
+from pc2scan.request.precedence import resolve
 from pc2scan.request.scans_file import parse_params, read_output
 from support.tables import rows
 
