@@ -13,7 +13,7 @@ import pc2scan
 from benchmarks.clouds import CLOUD_BYTES, FORMS, write_recording
 from pc2scan.conversion import steps
 from pc2scan.core.project import Projector
-from pc2scan.files.source import lend
+from pc2scan.files.source_file import lend
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -44,7 +44,7 @@ def test_the_thread_that_decompressed_clouds_projects_them(
     how: dict[str, Any] = {"min_height": -2, "max_height": 2, "only_scans": True}
     alone = pc2scan.convert(source, tmp_path / "alone.mcap", jobs=1, **how)
     # What is not compressed is in the memory that it was read to.
-    monkeypatch.setattr("pc2scan.files.source.lend", spying)
+    monkeypatch.setattr("pc2scan.files.source_file.lend", spying)
     monkeypatch.setattr("pc2scan.bags.chunks.lend", spying)
     monkeypatch.setattr(steps, "Projector", Spy)
     together = pc2scan.convert(source, tmp_path / "together.mcap", jobs=2, **how)

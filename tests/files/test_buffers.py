@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pc2scan.files.source import STORED, UNPACKED, lend
+from pc2scan.files.source_file import STORED, UNPACKED, lend
 
 
 @pytest.fixture(autouse=True)

@@ -14,7 +14,7 @@ import numpy as np
 
 from pc2scan.errors import DamageError
 from pc2scan.files.compression import CompressionError, allowed_bytes, decompress
-from pc2scan.files.source import SourceFile, lend
+from pc2scan.files.source_file import SourceFile, lend
 from pc2scan.model import RawMessage, StoredChunk, declared_counts
 
 from .reader import Chunk, Reader, check_number

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.errors import TopicError
-    from pc2scan.files.source import SourceFile
+    from pc2scan.files.source_file import SourceFile
 
 #: The hint for damage that ended a run.
 RECOVER = "copy the recording again; without `strict` everything readable in it is recovered"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import MissingError, RecordingError
 from pc2scan.files.compression import ZSTD_MAGIC, CompressionError, zstd_head
-from pc2scan.files.source import LFS_HINT, LFS_POINTER, file_beside, missing_hint, open_bytes
+from pc2scan.files.source_file import LFS_HINT, LFS_POINTER, file_beside, missing_hint, open_bytes
 from pc2scan.files.urls import UrlPath, fetched
 
 from . import zstd

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from tempfile import TemporaryDirectory
 
-    from pc2scan.files.source import SourceFile
+    from pc2scan.files.source_file import SourceFile
     from pc2scan.model import Attachment, ChunkRule, Connection, Metadata, Summary
     from pc2scan.progress import Meter
     from pc2scan.threads import Threads

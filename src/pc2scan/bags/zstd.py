@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.files import compression
 from pc2scan.files.compression import MAX_RATIO, MAX_UNPACKED, ZSTD_MAGIC, CompressionError, allowed_bytes
-from pc2scan.files.source import open_bytes
+from pc2scan.files.source_file import open_bytes
 from pc2scan.files.system import copy_errors, private_folder
 
 from .damage import RECOVER, DamageLog

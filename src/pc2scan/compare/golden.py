@@ -22,7 +22,7 @@ from pc2scan.compare.scan_text import render_scans
 from pc2scan.conversion.run import OutputOptions, run
 from pc2scan.errors import DestinationError, OutputError, Pc2ScanError, RecordingError, ResultError, UsageError
 from pc2scan.files.outputs import files_output, output_folder, staged_output
-from pc2scan.files.source import missing_hint, open_text
+from pc2scan.files.source_file import missing_hint, open_text
 from pc2scan.files.yaml import MAX_CHARACTERS, load_yaml
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.laserscan import LASERSCAN

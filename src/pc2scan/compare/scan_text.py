@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pc2scan.errors import RecordingError, UsageError, stamp_text
-from pc2scan.files.source import open_bytes, open_text
+from pc2scan.files.source_file import open_bytes, open_text
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan, encode_laserscan
 from pc2scan.model import Connection, RawMessage
 

@@ -40,7 +40,7 @@ from pc2scan.files.outputs import (
     refuse_overlap,
     staged_output,
 )
-from pc2scan.files.source import changed_while_read, state_of
+from pc2scan.files.source_file import changed_while_read, state_of
 from pc2scan.files.system import copying_to
 from pc2scan.files.urls import UrlPath, exists
 from pc2scan.parsing import conversion_of, destination_of, named_files

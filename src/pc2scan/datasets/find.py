@@ -18,7 +18,7 @@ from pc2scan.bags.opening import open_recordings, sniff
 from pc2scan.bags.zstd import without_suffix
 from pc2scan.errors import Pc2ScanError, RecordingError, UsageError
 from pc2scan.files.outputs import working_names
-from pc2scan.files.source import open_bytes
+from pc2scan.files.source_file import open_bytes
 from pc2scan.files.urls import UrlPath, absolute, exists, fetched, is_dir, local_path, path_or_url
 
 from .manifest import Identity, identity_of

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import DestinationError, OutputError, UsageError
 from pc2scan.files.outputs import RECORD, check_new_folder, only_run, output_folder
-from pc2scan.files.source import file_beside
+from pc2scan.files.source_file import file_beside
 from pc2scan.files.system import sync_directory
 from pc2scan.files.urls import UrlPath
 from pc2scan.version import __version__

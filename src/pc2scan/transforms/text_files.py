@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from xml.parsers import expat
 
 from pc2scan.errors import UsageError
-from pc2scan.files.source import missing_hint, open_text
+from pc2scan.files.source_file import missing_hint, open_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

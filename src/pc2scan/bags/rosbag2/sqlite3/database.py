@@ -18,7 +18,7 @@ import apsw
 
 from pc2scan.bags.damage import RECOVER
 from pc2scan.errors import DamageError, RecordingError
-from pc2scan.files.source import file_beside, keep_open, open_bytes
+from pc2scan.files.source_file import file_beside, keep_open, open_bytes
 from pc2scan.files.system import TEMPORARY_HINT, copy_errors, private_folder
 from pc2scan.text import counted, size
 

@@ -11,7 +11,7 @@ import pytest
 
 from pc2scan.errors import RecordingError
 from pc2scan.files.new_file import NewFile
-from pc2scan.files.source import SourceFile
+from pc2scan.files.source_file import SourceFile
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
