@@ -33,7 +33,7 @@ from pc2scan.transforms.motion import find_body_motion
 from pc2scan.transforms.reading import tf_connections
 from pc2scan.transforms.static import RobotModel
 
-from .topic import Finding, Level, ScanCount, ScanTopic, few_unplaced
+from .topic_content import Finding, Level, ScanCount, ScanTopic, few_unplaced
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from pc2scan.progress import Progress
     from pc2scan.transforms.buffer import TransformBuffer
 
-    from .topic import TopicCheck
+    from .topic_content import TopicCheck
 
 #: What a consumer does with a topic without scans, and all outcomes, the worst last.
 _NOTHING = "nothing to take"

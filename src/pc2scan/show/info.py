@@ -36,7 +36,7 @@ from pc2scan.transforms.sources import PoseTopic
 
 from .lidar import EDGE_NS, HEADERS, Lidar, ask_facts, stamp_faults
 from .proposals import missing_mounts, odometry_doubts, proposals
-from .topic import CloudInfo, ScanTopic, ShownCloud, TopicCheck, describe_clouds, sample_cloud
+from .topic_content import CloudInfo, ScanTopic, ShownCloud, TopicCheck, describe_clouds, sample_cloud
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
