@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from pc2scan.core.rigid import Pose, TransformRow
     from pc2scan.model import Buffer, Connection, Writer
     from pc2scan.transforms.placing import LevelTransform
-    from pc2scan.transforms.sources import AddedPoses, Attachment, PoseReading
+    from pc2scan.transforms.sources import AddedPoses, PoseAttachment, PoseReading
 
     from .engine import Items
     from .report import TopicReport
@@ -100,7 +100,7 @@ def between(rows: Iterator[TransformRow], topic: AddedTransforms, first_ns: int,
 
 def as_transform(
     reading: PoseReading,
-    attachments: Mapping[tuple[str, str], Attachment],
+    attachments: Mapping[tuple[str, str], PoseAttachment],
     connection: Connection,
     serialization: str,
     data: Buffer,

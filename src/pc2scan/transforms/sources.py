@@ -173,7 +173,7 @@ class PoseReading:
         return trajectories, texts
 
 
-class Attachment(NamedTuple):
+class PoseAttachment(NamedTuple):
     """How poses become transforms of the robot's tree.
 
     Attributes
@@ -217,10 +217,10 @@ class AddedPoses:
     name: str
     reading: PoseReading | None
     trajectories: Sequence[Trajectory]
-    attachments: Mapping[tuple[str, str], Attachment]
+    attachments: Mapping[tuple[str, str], PoseAttachment]
 
 
-def attach(buffer: TransformBuffer, parent: str, child: str) -> Attachment:
+def attach(buffer: TransformBuffer, parent: str, child: str) -> PoseAttachment:
     """Return the frame that poses of a frame belong to: the one at the top of those that it is fixed to.
 
     Parameters
@@ -236,10 +236,10 @@ def attach(buffer: TransformBuffer, parent: str, child: str) -> Attachment:
             break
         frame = above
     replaced: tuple[str, ...] = (frame, parent) if buffer.above(parent)[:1] == [frame] else (frame,)
-    return Attachment(parent, frame, None if frame == child else buffer.lookup(child, frame, 0).pose, replaced)
+    return PoseAttachment(parent, frame, None if frame == child else buffer.lookup(child, frame, 0).pose, replaced)
 
 
-def add_trajectory(builder: TransformBuilder, trajectory: Trajectory, attachment: Attachment) -> None:
+def add_trajectory(builder: TransformBuilder, trajectory: Trajectory, attachment: PoseAttachment) -> None:
     """Add the transforms that a trajectory's poses are."""
     poses = trajectory.poses
     if attachment.child_from_frame is not None:
