@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 def convert(
     sources: PathText | Iterable[PathText],
     destination: PathText | None = None,
-    **options: Unpack[table.Convert],
+    **options: Unpack[table.ConvertKeywords],
 ) -> Report:
     """Convert recorded PointCloud2 to LaserScan, or back, as ``pc2scan convert`` does.
 
@@ -107,7 +107,7 @@ def convert(
 def batch(
     sources: PathText | Iterable[PathText],
     destination: PathText,
-    **options: Unpack[table.Batch],
+    **options: Unpack[table.BatchKeywords],
 ) -> BatchReport:
     """Convert every recording of a dataset by itself, in several processes, as ``pc2scan batch`` does.
 
@@ -149,7 +149,7 @@ def batch(
 def repair(
     source: PathText,
     destination: PathText | None = None,
-    **options: Unpack[table.Repair],
+    **options: Unpack[table.RepairKeywords],
 ) -> Report:
     """Write everything that can be recovered from a damaged recording to a new one, as ``pc2scan repair`` does.
 
@@ -182,7 +182,7 @@ def repair(
 @takes_options
 def info(
     sources: PathText | Iterable[PathText],
-    **options: Unpack[table.Info],
+    **options: Unpack[table.InfoKeywords],
 ) -> Info:
     """Describe a recording, as ``pc2scan info`` does: its container, topics, clouds and scans.
 
@@ -208,7 +208,7 @@ def info(
 @takes_options
 def view(
     sources: PathText | Iterable[PathText],
-    **options: Unpack[table.View],
+    **options: Unpack[table.ViewKeywords],
 ) -> Page:
     """Show a recording as an HTML page, as ``pc2scan view`` does: its clouds, and their scans with tunable parameters.
 
@@ -244,7 +244,7 @@ def view(
 def plot(
     sources: PathText | Iterable[PathText],
     destination: PathText,
-    **options: Unpack[table.Plot],
+    **options: Unpack[table.PlotKeywords],
 ) -> Plot:
     """Draw clouds from above and from the side, with the heights and the scan, as ``pc2scan plot`` does.
 
@@ -283,7 +283,7 @@ def plot(
 @takes_options
 def map(  # noqa: A001  # the command's name
     sources: PathText | Iterable[PathText],
-    **options: Unpack[table.Map],
+    **options: Unpack[table.MapKeywords],
 ) -> Map:
     """Draw the scans of a recording into a map by its recorded odometry, as ``pc2scan map`` does.
 
@@ -324,7 +324,7 @@ def map(  # noqa: A001  # the command's name
 @takes_options
 def check(
     sources: PathText | Iterable[PathText],
-    **options: Unpack[table.Check],
+    **options: Unpack[table.CheckKeywords],
 ) -> Check:
     """Check whether SLAM and navigation would accept the scans of a recording, as ``pc2scan check`` does.
 
@@ -352,7 +352,7 @@ def check(
 @takes_options
 def tf(
     sources: PathText | Iterable[PathText],
-    **options: Unpack[table.Tf],
+    **options: Unpack[table.TfKeywords],
 ) -> FrameTree:
     """Read the frames of a recording, as ``pc2scan tf`` does.
 
@@ -381,7 +381,7 @@ def tf(
 def golden(
     folder: PathText,
     pattern: str = "",
-    **options: Unpack[table.Golden],
+    **options: Unpack[table.GoldenKeywords],
 ) -> GoldenReport:
     """Compare the outputs of conversions with expected ones (golden cases), as ``pc2scan golden`` does.
 
@@ -418,7 +418,7 @@ def golden(
 def diff(
     a: PathText,
     b: PathText | None = None,
-    **options: Unpack[table.Diff],
+    **options: Unpack[table.DiffKeywords],
 ) -> Difference:
     """Compare the scans and clouds of two recordings, as ``pc2scan diff`` does.
 
@@ -454,7 +454,7 @@ def diff(
 def export(
     sources: PathText | Iterable[PathText],
     destination: PathText,
-    **options: Unpack[table.Export],
+    **options: Unpack[table.ExportKeywords],
 ) -> ExportReport:
     """Write scans with poses, trajectories or clouds for learning and evaluation, as ``pc2scan export`` does.
 
@@ -504,7 +504,7 @@ def export(
 def scans(
     sources: PathText | Iterable[PathText],
     topics: str | Iterable[str] = (),
-    **options: Unpack[table.Scans],
+    **options: Unpack[table.ScansKeywords],
 ) -> Scans:
     """Iterate over the scans of a recording, or convert its clouds and iterate over the resulting scans.
 
@@ -564,7 +564,7 @@ def scans(
 def clouds(
     sources: PathText | Iterable[PathText],
     topics: str | Iterable[str] = (),
-    **options: Unpack[table.Clouds],
+    **options: Unpack[table.CloudsKeywords],
 ) -> Clouds:
     """Iterate over the clouds of a recording.
 

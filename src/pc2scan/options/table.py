@@ -1,8 +1,8 @@
 """The table of options: which command takes which groups of them, and where they may stand.
 
 An option is a field of a group; ``projection``, ``processing``, ``running`` and ``per_command`` have the groups. The
-classes here are also the types of the functions' keywords (``**options: Unpack[Convert]``). A help text names other
-options in backticks, by their names in Python; the command line shows them as they are typed.
+classes here are the types of the functions' keywords, too (``**options: Unpack[ConvertKeywords]``). A help text names
+other options in backticks, by their names in Python; the command line shows them as they are typed.
 
 No ``from __future__ import annotations`` in modules of groups: the annotations are read at each start, and text would
 have to be compiled.
@@ -50,11 +50,11 @@ class _Conversion(
     """A conversion to a recording."""
 
 
-class Convert(_Conversion, running.RunReport, running.ThreadCount, running.RunProgress, total=False):
+class ConvertKeywords(_Conversion, running.RunReport, running.ThreadCount, running.RunProgress, total=False):
     """``convert``."""
 
 
-class Batch(
+class BatchKeywords(
     per_command.BatchRun,
     per_command.BatchExport,
     per_command.Poses,
@@ -65,7 +65,7 @@ class Batch(
     """``batch``."""
 
 
-class Export(
+class ExportKeywords(
     per_command.ExportFormat,
     per_command.Poses,
     processing.SourceTopics,
@@ -77,7 +77,7 @@ class Export(
     """``export``."""
 
 
-class View(
+class ViewKeywords(
     per_command.PageClouds,
     processing.SourceTopics,
     _Clouds,
@@ -88,11 +88,11 @@ class View(
     """``view``."""
 
 
-class Plot(per_command.FigureClouds, processing.SourceTopics, _Clouds, projection.SeveralOutputs, total=False):
+class PlotKeywords(per_command.FigureClouds, processing.SourceTopics, _Clouds, projection.SeveralOutputs, total=False):
     """``plot``."""
 
 
-class Map(
+class MapKeywords(
     per_command.MapDrawing,
     processing.SourceTopics,
     _Scans,
@@ -104,13 +104,13 @@ class Map(
     """``map``."""
 
 
-class Check(
+class CheckKeywords(
     per_command.CheckRules, processing.EchoChoice, processing.StaticTransforms, processing.TransformSources, total=False
 ):
     """``check``."""
 
 
-class Info(
+class InfoKeywords(
     per_command.InfoSamples,
     processing.CloudUnit,
     processing.StaticTransforms,
@@ -121,47 +121,49 @@ class Info(
     """``info``."""
 
 
-class Tf(processing.TransformInputs, processing.StaticTransforms, total=False):
+class TfKeywords(processing.TransformInputs, processing.StaticTransforms, total=False):
     """``tf``."""
 
 
-class Repair(per_command.RepairContainer, running.Replacement, running.RunReport, running.RunProgress, total=False):
+class RepairKeywords(
+    per_command.RepairContainer, running.Replacement, running.RunReport, running.RunProgress, total=False
+):
     """``repair``."""
 
 
-class Diff(per_command.ComparisonRules, total=False):
+class DiffKeywords(per_command.ComparisonRules, total=False):
     """``diff``."""
 
 
-class Golden(per_command.GoldenCases, total=False):
+class GoldenKeywords(per_command.GoldenCases, total=False):
     """``golden``."""
 
 
-class Scans(_Scans, running.ThreadCount, total=False):
+class ScansKeywords(_Scans, running.ThreadCount, total=False):
     """``pc2scan.scans``."""
 
 
-class Clouds(processing.TimeRange, processing.CloudUnit, total=False):
+class CloudsKeywords(processing.TimeRange, processing.CloudUnit, total=False):
     """``pc2scan.clouds``."""
 
 
 #: For each command, the groups that its function takes too, and those that only the command has; then the functions
 #: without a command.
 GROUPS: Mapping[str, tuple[Any, ...]] = {
-    "convert": (Convert, running.ScreenOutput),
-    "batch": (Batch, per_command.BatchScreen),
-    "export": (Export, running.JsonOutput),
-    "view": (View, per_command.ShownFiles),
-    "plot": (Plot,),
-    "map": (Map, per_command.ShownFiles, running.JsonOutput),
-    "check": (Check, running.JsonOutput),
-    "info": (Info, running.JsonOutput),
-    "tf": (Tf, running.JsonOutput),
-    "repair": (Repair, running.Quiet, running.JsonOutput),
-    "diff": (Diff, running.JsonOutput, per_command.CompareScreen),
-    "golden": (Golden, running.JsonOutput, per_command.GoldenScreen),
-    "scans": (Scans,),
-    "clouds": (Clouds,),
+    "convert": (ConvertKeywords, running.ScreenOutput),
+    "batch": (BatchKeywords, per_command.BatchScreen),
+    "export": (ExportKeywords, running.JsonOutput),
+    "view": (ViewKeywords, per_command.ShownFiles),
+    "plot": (PlotKeywords,),
+    "map": (MapKeywords, per_command.ShownFiles, running.JsonOutput),
+    "check": (CheckKeywords, running.JsonOutput),
+    "info": (InfoKeywords, running.JsonOutput),
+    "tf": (TfKeywords, running.JsonOutput),
+    "repair": (RepairKeywords, running.Quiet, running.JsonOutput),
+    "diff": (DiffKeywords, running.JsonOutput, per_command.CompareScreen),
+    "golden": (GoldenKeywords, running.JsonOutput, per_command.GoldenScreen),
+    "scans": (ScansKeywords,),
+    "clouds": (CloudsKeywords,),
 }
 
 
