@@ -142,7 +142,7 @@ def __getattr__(name: str) -> Any:
 
 def _params_from_file(*arguments: Any) -> Any:
     """Read a parameter file for `ProjectionParams.from_file`."""
-    return import_module(".requests", __name__).params_from_file(*arguments)
+    return import_module(".parsing", __name__).params_from_file(*arguments)
 
 
 def __dir__() -> list[str]:
