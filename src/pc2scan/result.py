@@ -261,7 +261,7 @@ def _names(value: Any) -> tuple[str, ...]:
     """Return the names that an object has in JSON: those that its class lists, or its fields."""
     if listed_names := getattr(value, "json_names", ()):
         return tuple(listed_names)
-    named = value._fields if hasattr(value, "_fields") else (each.name for each in fields(value))
+    named = value._fields if hasattr(value, "_fields") else (attribute.name for attribute in fields(value))
     return tuple(name for name in named if not name.startswith("_"))
 
 

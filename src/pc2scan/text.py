@@ -33,16 +33,16 @@ def nearest(name: str, known: Iterable[str]) -> str | None:
     >>> nearest("x", ["odom"])
     """
     names = {
-        _normalized(each): each for each in reversed(list(islice(known, _MOST_NAMES))) if len(each) <= _LONGEST_NAME
+        _normalized(name): name for name in reversed(list(islice(known, _MOST_NAMES))) if len(name) <= _LONGEST_NAME
     }
     wanted = _normalized(name[:_LONGEST_NAME])
     if not wanted:
         return None
     close = difflib.get_close_matches(wanted, names, n=1)
     # Then names that contain it as a part, or are a part of it, the shortest first.
-    close += sorted((each for each in names if _is_part(wanted, each) or _is_part(each, wanted)), key=len)
+    close += sorted((name for name in names if _is_part(wanted, name) or _is_part(name, wanted)), key=len)
     if not close:
-        ends = {each.rpartition("/")[2]: each for each in names}
+        ends = {name.rpartition("/")[2]: name for name in names}
         close = [ends[end] for end in difflib.get_close_matches(wanted.rpartition("/")[2], ends, n=1)]
     return names[close[0]] if close else None
 

@@ -88,8 +88,8 @@ def _show_result(door: Callable[..., Any], *, options: Options, **arguments: Any
     warn = LiveWarnings()
     keywords = signature(door).parameters
     with progress_bar(options) if "progress" in keywords else nullcontext() as progress:
-        told = {"warn": warn, "progress": progress}
-        result = door(**arguments, options=options, **{name: told[name] for name in told if name in keywords})
+        callbacks = {"warn": warn, "progress": progress}
+        result = door(**arguments, options=options, **{name: callbacks[name] for name in callbacks if name in keywords})
     return show(result, options, known=warn)
 
 
@@ -255,8 +255,10 @@ def _parser_of(name: str, *, completes: bool) -> Callable[..., dict[str, Any]]:
     for key, option in known.items() if completes else ():
         if words := option.value.offers or (option.value.words and ("words", *option.value.words)):
             offers[key] = _offering(words)
-    keywords |= {key: _annotation(each, offers.get(key)) for key, each in known.items() if each.spelling}
-    parameters = [Keyword(key, Keyword.KEYWORD_ONLY, default=None, annotation=each) for key, each in keywords.items()]
+    keywords |= {key: _annotation(option, offers.get(key)) for key, option in known.items() if option.spelling}
+    parameters = [
+        Keyword(key, Keyword.KEYWORD_ONLY, default=None, annotation=annotation) for key, annotation in keywords.items()
+    ]
     parsed.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
     parsed.__annotations__ = {}
     return parsed

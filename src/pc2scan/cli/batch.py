@@ -57,6 +57,6 @@ def _show_outcome(done: RecordingOutcome, options: Options) -> None:
     if done.error:
         text += f": {done.error}" + (f" (hint: {done.hint})" if done.hint else "")
     else:
-        told = filter(None, [counted(done.scans, "scan"), done.remark, f"{done.seconds:.1f} s"])
-        text = f"{'would be ' if options.dry_run else ''}{text} -> {done.output} ({', '.join(told)})"
+        facts = filter(None, [counted(done.scans, "scan"), done.remark, f"{done.seconds:.1f} s"])
+        text = f"{'would be ' if options.dry_run else ''}{text} -> {done.output} ({', '.join(facts)})"
     say(as_typed(text), err=True)

@@ -89,7 +89,7 @@ def _instead(command: str, typed: str) -> str:
     if meant := meant_by(command, name):
         return as_typed(f"did you mean {' and '.join(meant)}?")
     names = [option.name for other in GROUPS for option in options_of(other).values() if option.spelling == typed]
-    return as_typed(next(filter(None, (instead_of(command, each) for each in (name, *names))), ""))
+    return as_typed(next(filter(None, (instead_of(command, candidate) for candidate in (name, *names))), ""))
 
 
 def _meant_as_output(words: Sequence[str]) -> str:

@@ -51,15 +51,15 @@ def help_of(command: str, *, every: bool = False) -> Iterator[str]:
         yield "Usage: pc2scan [OPTIONS] COMMAND [ARGS]..."
         yield from _paragraphs(ABOUT, width)
         yield from _section("Options", _OPTIONS, width)
-        lines = [(name, each.help.partition("\n")[0]) for name, each in COMMANDS.items()]
+        lines = [(name, command.help.partition("\n")[0]) for name, command in COMMANDS.items()]
         yield from _section("Commands", lines, width)
         yield from _paragraphs(_STATUSES, width)
         return
     shown, known = COMMANDS[command], options_of(command).values()
     taken = [argument.metavar for argument in shown.arguments if not argument.spellings]
     yield from (" ".join(("Usage: pc2scan", command, "[OPTIONS]", *taken)), "")
-    for typed, what in shown.examples.items():
-        yield from (f"  # {what}", f"  {typed}")
+    for typed, comment in shown.examples.items():
+        yield from (f"  # {comment}", f"  {typed}")
     yield from _paragraphs(shown.help, width)
     has_more = len(known) > _FEW
     sections: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}

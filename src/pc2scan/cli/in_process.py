@@ -30,12 +30,12 @@ def run_command(arguments: Sequence[str], chosen: Sequence[str] = ()) -> Command
     """
     if chosen:
         _refuse_others(arguments[0], chosen)
-    said = StringIO()
-    with redirect_stdout(StringIO()), redirect_stderr(said):
+    output = StringIO()
+    with redirect_stdout(StringIO()), redirect_stderr(output):
         status = run([*arguments, *chosen])
     if status == 128 + signal.SIGINT:
         raise KeyboardInterrupt
-    return CommandResult(status, said.getvalue())
+    return CommandResult(status, output.getvalue())
 
 
 def _refuse_others(name: str, chosen: Sequence[str]) -> None:

@@ -432,7 +432,7 @@ def make_case(folder: Path, command: Command, options: Options, *, progress: Pro
         partial.mkdir()
         (reader,) = open_recordings([options.init], stack)
         kept = _needed_topics(reader, options.topics)
-        name = "input.bag" if any(each.ros_version == 1 for each in reader.connections) else "input.mcap"
+        name = "input.bag" if any(connection.ros_version == 1 for connection in reader.connections) else "input.mcap"
         cut = Request(repair=True, start=options.start, end=options.end, keep=tuple(kept))
         report = run([options.init], partial / name, cut, OutputOptions(), progress=progress)
         if (params := options.params_file) is not None:

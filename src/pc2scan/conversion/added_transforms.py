@@ -124,14 +124,14 @@ def rows_in(added: AddedPoses, span: Span, end_ns: int | None) -> Iterator[Trans
 
     Rows are made one by one: a million of them would take half a gigabyte.
     """
-    used = [each for each in added.trajectories if (each.parent, each.child) in added.attachments]
-    stamps_ns = np.concatenate([np.empty(0, np.int64), *(each.stamps_ns for each in used)])
-    owners = np.repeat(np.arange(len(used)), [len(each.stamps_ns) for each in used])
+    used = [track for track in added.trajectories if (track.parent, track.child) in added.attachments]
+    stamps_ns = np.concatenate([np.empty(0, np.int64), *(track.stamps_ns for track in used)])
+    owners = np.repeat(np.arange(len(used)), [len(track.stamps_ns) for track in used])
     order = np.argsort(stamps_ns, kind="stable")
-    last_ns = min(each for each in (span.stop_ns, end_ns, 2**63 - 1) if each is not None)
+    last_ns = min(bound_ns for bound_ns in (span.stop_ns, end_ns, 2**63 - 1) if bound_ns is not None)
     begin = max(0, int(np.searchsorted(stamps_ns, span.first_ns, "right", order)) - 1)
     places = order[begin : int(np.searchsorted(stamps_ns, last_ns, "right", order)) + 1]
-    poses = np.concatenate([np.empty((0, 7)), *(each.poses for each in used)])
+    poses = np.concatenate([np.empty((0, 7)), *(track.poses for track in used)])
     for place in places:
         trajectory = used[owners[place]]
         attachment = added.attachments[trajectory.parent, trajectory.child]

@@ -99,8 +99,10 @@ def corrected(
         If there is no topic of a name, or it has no stamps.
     """
     own = _named_topics(reader.connections, clock)
-    offsets = dict.fromkeys((each.topic for each in converted), clock.offset_ns) | own
-    topics = by_topic(each for each in reader.connections if each.topic in offsets and _is_stamped(each))
+    offsets = dict.fromkeys((connection.topic for connection in converted), clock.offset_ns) | own
+    topics = by_topic(
+        connection for connection in reader.connections if connection.topic in offsets and _is_stamped(connection)
+    )
     wanted = {
         topic: topics[topic]
         for topic, offset in offsets.items()
@@ -123,7 +125,7 @@ def corrected(
     if clock.by_log:
         offsets |= dict.fromkeys(offsets.keys() - own.keys())
     moved = {topic: partial(_moved, offset, fields, remarks) for topic, offset in offsets.items() if offset != 0}
-    changes = {each.id: moved[topic] for topic, group in topics.items() if topic in moved for each in group}
+    changes = {connection.id: moved[topic] for topic, group in topics.items() if topic in moved for connection in group}
     return (ChangedReader(reader, changes, remarks) if changes else reader), notes
 
 
@@ -184,10 +186,10 @@ def scaled(reader: Reader, factor: float) -> Reader:
         raise UsageError(
             f"`cloud_scale` is {factor:g}, it must be above 0", hint="for millimetres: `cloud_scale=0.001`"
         )
-    clouds = [each for each in reader.connections if each.ros_type in _TYPES and each.ros_version is not None]
+    clouds = [cloud for cloud in reader.connections if cloud.ros_type in _TYPES and cloud.ros_version is not None]
     if not clouds:
         raise UsageError("`cloud_scale` has no effect: no message has coordinates of points", path=reader.path)
-    return ChangedReader(reader, {each.id: partial(_scaled, factor) for each in clouds})
+    return ChangedReader(reader, {cloud.id: partial(_scaled, factor) for cloud in clouds})
 
 
 def _scaled(factor: float, message: RawMessage) -> RawMessage:

@@ -100,7 +100,7 @@ def items_of(
         if meter is not None:
             meter.finish()
 
-    combiners = {each.combiner: None for route in routes.values() for each in route.outputs if each.combiner}
+    combiners = {output.combiner: None for route in routes.values() for output in route.outputs if output.combiner}
     return add_groups(items(), combiners, threads) if combiners else items()
 
 
@@ -225,7 +225,7 @@ class Item(NamedTuple):
     @property
     def errors(self) -> Sequence[MessageError]:
         """Why results are missing; each error once."""
-        return list({each.message: each for _, each in self.results if isinstance(each, MessageError)}.values())
+        return list({result.message: result for _, result in self.results if isinstance(result, MessageError)}.values())
 
     @property
     def failure(self) -> MessageError | None:

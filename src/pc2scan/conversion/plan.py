@@ -139,7 +139,7 @@ class Plan(NamedTuple):
         return [
             route.connection
             for route in self.routes
-            if any(each.spec is spec and scan in (None, each.scan) for each in route.outputs)
+            if any(taker.spec is spec and scan in (None, taker.scan) for taker in route.outputs)
         ]
 
 
@@ -150,13 +150,13 @@ def _steps_in_words(output: Output, topic: str) -> Iterator[str]:
     moved = f", each point at its own time by {spec.fixed_frame or frame}" if spec.deskew else ""
     yield f"place in {frame}{' made level' if spec.level else ''}{moved}"
     if spec.filters:
-        yield f"select by {', '.join(each.name for each in spec.filters)}"
+        yield f"select by {', '.join(point_filter.name for point_filter in spec.filters)}"
     yield "make points of the beams" if spec.reverse else "project"
     if spec.remove:
         yield f"remove {', '.join(spec.remove)}"
     if spec.combining.accumulates:
         yield "combine with the messages before"
-    if others := [each for each in output.sources if each != topic]:
+    if others := [source for source in output.sources if source != topic]:
         yield f"combine with {', '.join(others)}"
 
 
@@ -177,7 +177,7 @@ def make_plan(connections: Sequence[Connection], options: Request) -> Plan:
         already exists in the source.
     """
     specs = () if options.repair or options.no_scans else options.scans
-    types = {topic: {each.kind for each in own} for topic, own in by_topic(connections).items()}
+    types = {topic: {connection.kind for connection in own} for topic, own in by_topic(connections).items()}
     targets: dict[ScanSpec, Mapping[str, Sequence[str]]] = {}
     together: dict[ScanSpec, Mapping[str, Sequence[str]]] = {}
     for spec in specs:

@@ -260,7 +260,7 @@ def _look_ahead(
     if transform_frames is not None or placed_specs or frames.write_static or frames.adds_poses:
         survey.others = prepared.others = open_recordings(frames.tf_from, stack, strict=options.strict)
         survey.ask_transforms((*(transform_frames or ()), *(frame for spec in placed_specs for frame in spec.frames)))
-    given = [survey.facts([each]) for each in plan.converted if frames.static or frames.source_frame]
+    given = [survey.facts([connection]) for connection in plan.converted if frames.static or frames.source_frame]
     for facts in given:
         facts.ask_headers(1)
     placed = survey.topics(plan.converted if frames.trajectory else ()).values()
@@ -321,12 +321,19 @@ class _OutputFacts:
             references.append(moving(survey.reader.connections, survey.frames.tf_topics))
         if spec.imu:
             observers = survey.imu(spec.imu.topic).observers(survey.reader)
-            references.append([connection for each in observers for connection in each.connections])
-        self._clocks = [Clocks(survey, self._topics, each) for each in references]
+            references.append([connection for observer in observers for connection in observer.connections])
+        self._clocks = [Clocks(survey, self._topics, reference) for reference in references]
         self._alone = survey.topics(plan.sources_of(spec, ""))
-        joined = {each.scan: each for route in plan.routes for each in route.outputs if each.scan and each.spec is spec}
-        self._sources = [SourceFacts(each, survey.topics(plan.sources_of(spec, each.scan))) for each in joined.values()]
-        for topics in (self._alone, *(each.facts for each in self._sources)):
+        joined = {
+            output.scan: output
+            for route in plan.routes
+            for output in route.outputs
+            if output.scan and output.spec is spec
+        }
+        self._sources = [
+            SourceFacts(output, survey.topics(plan.sources_of(spec, output.scan))) for output in joined.values()
+        ]
+        for topics in (self._alone, *(sources.facts for sources in self._sources)):
             for facts in topics.values():
                 if spec.needs_measuring:
                     ask_measurements(facts, spec)
@@ -388,8 +395,8 @@ class _OutputFacts:
         if where is None:
             return {}
         turns, notes = measure_turns(facts, where)
-        prepared.add(spec, (text for each in facts for text in time_warnings(each, where)), notes)
-        if any(duration_warning(each, where) for each in facts):
+        prepared.add(spec, (text for topic_facts in facts for text in time_warnings(topic_facts, where)), notes)
+        if any(duration_warning(topic_facts, where) for topic_facts in facts):
             # Points at wrong times are where odometry that lags would put them.
             seen = None
         deskews = {}
@@ -404,7 +411,7 @@ def _robot_transforms(reader: Reader, options: Request, span: Span) -> Transform
     """Read the transforms between the robot's frames, for checks of the first clouds."""
     frames = options.frames
     given = frames.static or frames.model or frames.tf_from
-    if not given and all(each.ros_type not in TF_TYPES for each in reader.connections):
+    if not given and all(connection.ros_type not in TF_TYPES for connection in reader.connections):
         return None
     with suppress(Pc2ScanError), ExitStack() as stack:
         others = open_recordings(frames.tf_from, stack)
@@ -427,9 +434,9 @@ def judge_first(prepared: Preparation, report: Report, tally: Tally | None = Non
         Counts these clouds, in a dry run: all are read until one is connected with the target frame.
     """
     reader, tell, routes = prepared.reader, prepared.tell, prepared.routes
-    converted = [route.connection for route in routes.values() if any(each.spec for each in route.outputs)]
+    converted = [route.connection for route in routes.values() if any(output.spec for output in route.outputs)]
     for topic, connections in by_topic(converted).items():
-        specs = {each.spec for own in connections for each in routes[own.id].outputs}
+        specs = {output.spec for own in connections for output in routes[own.id].outputs}
         specs = {spec for spec in specs if spec and not spec.reverse}
         clouds: dict[ScanSpec, CloudFacts] = {}
         if tally is None and not specs:
@@ -439,7 +446,7 @@ def judge_first(prepared: Preparation, report: Report, tally: Tally | None = Non
         with closing(reader.messages(connections, prepared.span.start_ns, prepared.span.stop_ns)) as messages:
             for message in messages:
                 item = convert(routes, message)
-                alone = [(out, out.combiner.alone(made) if out.combiner else made) for out, made in item.results]
+                alone = [(out, out.combiner.alone(result) if out.combiner else result) for out, result in item.results]
                 item = item._replace(results=alone)
                 read, successes = read + 1, successes + (item.failure is None)
                 unconnected += [item.failure] if isinstance(item.failure, UnconnectedError) else []

@@ -101,7 +101,7 @@ def open_routes(
         for output in route.outputs:
             conversion, leads = chosen[output.index], output.sources[:1] in ((), (topic,))
             if output.used:
-                on = [each.target for each in route.outputs if each.index == output.index and not each.used]
+                on = [other.target for other in route.outputs if other.index == output.index and not other.used]
                 note = f"the points that the beams of {', '.join(on)} read"
                 output.report = shared(TopicReport(topic, msgtype, output.target, "added", note))
             else:
@@ -163,7 +163,7 @@ def open_output(prepared: Preparation, target: Destination, writer: Writer | Non
     if frames.write_static:
         earliest_ns, latest_ns = target.times_ns
         begin_ns = max(earliest_ns, min(span.first_ns, latest_ns))
-        rows = [each.row(begin_ns) for each in (frames.static if recorded is None else recorded.static)]
+        rows = [transform.row(begin_ns) for transform in (frames.static if recorded is None else recorded.static)]
         if not rows:
             raise UsageError("there is no added transform to write", hint="give one with `static_tf`, or with `urdf`")
         static.write(rows, begin_ns, begin_ns, writer)
@@ -354,7 +354,7 @@ def declare(writer: Writer, topics: Sequence[tuple[Connection, Sequence[HasHandl
             plain = connection.in_utf8
             msgtype = plain.ros_type if plain.serialization == "cdr" else plain.msgtype
             publishers.setdefault((plain.topic, msgtype, plain.serialization), {})[place] = connection
-        groups = sorted(group for each in publishers.values() for group in _by_layout(each))
+        groups = sorted(group for connections in publishers.values() for group in _by_layout(connections))
     for group in groups:
         connections = [topics[place][0] for place in group]
         handle = writer.add_connection(connections[0] if len(group) == 1 else _merge_connections(connections))
@@ -408,10 +408,12 @@ def _merge_connections(publishers: Sequence[Connection]) -> Connection:
     first = publishers[0]
     return replace(
         first,
-        definition=next((each.definition for each in publishers if each.definition.data), first.definition),
-        digest=next((each.digest for each in publishers if each.digest), ""),
-        latching=any(each.latching for each in publishers),
-        qos=merge_qos([each.qos for each in publishers]),
+        definition=next(
+            (publisher.definition for publisher in publishers if publisher.definition.data), first.definition
+        ),
+        digest=next((publisher.digest for publisher in publishers if publisher.digest), ""),
+        latching=any(publisher.latching for publisher in publishers),
+        qos=merge_qos([publisher.qos for publisher in publishers]),
     )
 
 
@@ -503,7 +505,7 @@ class RecordingTopics:
             return
         try:
             if foreign:
-                holding = " or ".join(each.suffix for each in FORMATS.values() if each.profiles)
+                holding = " or ".join(container.suffix for container in FORMATS.values() if container.profiles)
                 form = connection.serialization or "unspecified"
                 raise MessageError(f"{form} messages can only be stored in an {holding} file")
             transcoding = _transcode().transcoder(connection, target.ros_version)

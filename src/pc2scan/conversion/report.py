@@ -272,7 +272,7 @@ class Report(Result):
     def rejections(self) -> dict[str, Rejection]:
         """Why points may be rejected, by the name of the count."""
         further = (rejection for spec in self.scans for rejection in spec.rejections)
-        return {each.name: each for each in (*REJECTIONS, *further)}
+        return {rejection.name: rejection for rejection in (*REJECTIONS, *further)}
 
     def body(self, *, verbose: bool = False) -> Iterator[Part]:
         """Yield the parameters (of a dry run, or if ``verbose``), the topics, the points and the destination."""

@@ -290,7 +290,9 @@ def _target(
     if output.to is not None:
         check_to(path, output.to)
     # None for a source without ROS messages.
-    ros_version = next((each.ros_version for each in reader.connections if each.ros_version is not None), None)
+    ros_version = next(
+        (connection.ros_version for connection in reader.connections if connection.ros_version is not None), None
+    )
     storage, compression = source_form(path, summaries) if options.repair or not is_named else (None, None)
     keeps_compression = options.repair and output.storage in (None, storage)
     names_directory = output.to is not None and destinations()[output.to].is_directory
@@ -343,20 +345,22 @@ def _judge(prepared: Preparation, target: Destination, report: Report) -> None:
     """Add to the report what the result and its sources show; raise if the result is of no use."""
     reader, options = prepared.reader, prepared.options
     report.add(reader.remarks)
-    report.damage += [damage for each in (reader, *prepared.others) for damage in each.damage]
+    report.damage += [damage for source in (reader, *prepared.others) for damage in source.damage]
     outputs = [output for route in prepared.routes.values() for output in route.outputs if output.first]
-    first_scans = [(each.report, each.spec, each.first) for each in outputs if each.spec and not each.spec.reverse]
+    first_scans = [
+        (output.report, output.spec, output.first) for output in outputs if output.spec and not output.spec.reverse
+    ]
     report.add(*result_findings(report, first_scans, target.serialization))
     # With a fixed frame, an IMU or a corrected clock, clocks were compared before.
     far = {
-        each.topic
-        for each in report.topics
-        if not _EARLY_NS <= (each.stamps.delay_ns or 0) <= _LATE_NS
-        and each.spec is not None
-        and not (each.spec.fixed_frame or each.spec.imu)
+        topic.topic
+        for topic in report.topics
+        if not _EARLY_NS <= (topic.stamps.delay_ns or 0) <= _LATE_NS
+        and topic.spec is not None
+        and not (topic.spec.fixed_frame or topic.spec.imu)
     }
     if far and not options.clock:
-        doubtful = [each for each in prepared.plan.converted if each.topic in far]
+        doubtful = [connection for connection in prepared.plan.converted if connection.topic in far]
         survey = Survey(reader, (), options.frames, prepared.span)
         clocks = Clocks(survey, survey.topics(doubtful).values())
         survey.read()

@@ -254,7 +254,7 @@ class SelectStage:
             if frame is Frame.TARGET and frame not in seen and moving is not None:
                 seen[frame], placed, lost = moving.place(seen[Frame.SOURCE])
                 rejected.update(lost)
-                seen = seen if placed is None else {each: own.select(placed) for each, own in seen.items()}
+                seen = seen if placed is None else {name: own.select(placed) for name, own in seen.items()}
             elif frame not in seen:
                 seen[frame] = self._placed(seen[Frame.SOURCE], frame, place, chosen.name)
             with np.errstate(all="ignore"):
@@ -263,7 +263,7 @@ class SelectStage:
                 raise TypeError(f"the filter {chosen.name} returned {mask.dtype}, expected bool")
             if count := mask.size - int(np.count_nonzero(mask)):
                 rejected[chosen.name] += count
-                seen = {each: own.select(mask) for each, own in seen.items()}
+                seen = {name: own.select(mask) for name, own in seen.items()}
         if Frame.TARGET in seen:
             return seen[Frame.TARGET], None, rejected
         kept = seen[Frame.SOURCE]

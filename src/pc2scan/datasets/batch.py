@@ -92,13 +92,13 @@ def run_batch(
         report = BatchReport(
             out,
             outcomes=sorted(
-                [*outcomes.values(), *(RecordingOutcome.skipped_by_file(each.key) for each in plan.skipped)],
+                [*outcomes.values(), *(RecordingOutcome.skipped_by_file(recording.key) for recording in plan.skipped)],
                 key=lambda outcome: natural_key(outcome.key),
             ),
             dry_run=options.dry_run,
             seconds=round(time.monotonic() - began, 3),
             workers=0 if isinstance(options.dask, str) else _workers(plan, options),
-            warnings=[*choices.warnings([*jobs, *(each.key for each in plan.skipped)]), *plan.warnings],
+            warnings=[*choices.warnings([*jobs, *(recording.key for recording in plan.skipped)]), *plan.warnings],
         )
         if write_report is not None:
             write_report([report.as_json()])
@@ -130,13 +130,13 @@ def _plan(sources: Sequence[str], folder: BatchFolder, choices: Choices, options
     recordings = find(sources, folder.path, outputs=[folder.path / output for output in folder.outputs])
     if not recordings:
         raise UsageError(f"no recording found in {', '.join(sources)}")
-    requests = choices.of(each.key for each in recordings)
-    inputs = [InputPath(path) for each in recordings for path in each.paths]
+    requests = choices.of(recording.key for recording in recordings)
+    inputs = [InputPath(path) for recording in recordings for path in recording.paths]
     if options.dataset is not None:
         inputs.append(InputPath(options.dataset, "file of `dataset`"))
     for request in {id(request): request for request in requests.values() if request is not None}.values():
         inputs += inputs_of((), request.options.frames.tf_from, request.options.files)
-    if options.scratch is not None and not any(isinstance(each.path, UrlPath) for each in inputs):
+    if options.scratch is not None and not any(isinstance(path.path, UrlPath) for path in inputs):
         raise UsageError("`scratch` has no effect: no source is a URL")
     return make_plan(recordings, requests, folder, inputs, again=options.again)
 

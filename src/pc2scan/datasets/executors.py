@@ -122,8 +122,8 @@ def _converted(job: Job, process: subprocess.Popen[bytes]) -> ManifestRecord:
         record: ManifestRecord | str = pickle.load(process.stdout)  # type: ignore[arg-type]  # noqa: S301  # our own
     except (EOFError, OSError, pickle.UnpicklingError):
         code = process.wait()
-        how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with status {code}"
-        return job.death(f"the process that converted it {how}; perhaps memory ran out")
+        ending = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with status {code}"
+        return job.death(f"the process that converted it {ending}; perhaps memory ran out")
     except (pickle.PicklingError, AttributeError, TypeError) as err:
         record = str(err)
     if isinstance(record, str):

@@ -104,14 +104,14 @@ def find(sources: Sequence[str], out: Path, *, outputs: Iterable[Path] = ()) -> 
             for recording in _recordings_at(path, common or folder, search):
                 by_folder.setdefault(recording.paths[0].parent, []).append(recording)
     by_key: dict[str, Recording] = {}
-    for recording in (each for beside in by_folder.values() for each in _join_parts(beside)):
+    for recording in (recording for beside in by_folder.values() for recording in _join_parts(beside)):
         other = by_key.setdefault(recording.key, recording)
         if other is not recording:
             raise UsageError(
                 f"is found twice under the name {recording.key}: {other.paths[0]} and {recording.paths[0]}",
                 hint="write their outputs to different folders, in two batches",
             )
-    return sorted(by_key.values(), key=lambda each: natural_key(each.key))
+    return sorted(by_key.values(), key=lambda recording: natural_key(recording.key))
 
 
 def _place(source: str, out: Path) -> tuple[Path, list[Path]]:

@@ -126,7 +126,7 @@ def _canonical(value: Any) -> Any:
         # The queue's size bounds what is held in memory. It does not affect the output.
         value = replace(value, queue_size=0)
     if is_dataclass(value) and not isinstance(value, type):
-        shown = [each.name for each in fields(value) if each.repr and each.name not in _PLACES]
+        shown = [attribute.name for attribute in fields(value) if attribute.repr and attribute.name not in _PLACES]
         return {"": type(value).__name__, **{name: _canonical(getattr(value, name)) for name in shown}}
     if isinstance(value, Enum):
         return value.value

@@ -226,8 +226,8 @@ def _outputs(requests: Mapping[Recording, JobRequest]) -> dict[str, str]:
     source becomes a part of its name: ``drive_bag_scan.mcap``. So it does if a result would be a folder with another
     result in it (``drive.bag`` and ``drive/x.bag`` with ``--format npz``): ``drive_bag`` and ``drive/x``.
     """
-    wanted = {each.key: (each, request) for each, request in requests.items() if each.container}
-    named = {key: _result_name(*each) for key, each in wanted.items()}
+    wanted = {recording.key: (recording, request) for recording, request in requests.items() if recording.container}
+    named = {key: _result_name(*pair) for key, pair in wanted.items()}
     for key in {other for others in _clashes(named).values() for other in others}:
         named[key] = _result_name(*wanted[key], distinct=True)
     return named

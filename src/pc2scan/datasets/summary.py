@@ -263,16 +263,19 @@ class BatchReport(Result):
         yield f"{counted(len(self.outcomes), 'recording')}{f': {would}{counts}' if counts else ''}" + (
             f"; {self.unchanged:,} unchanged since an earlier run" if self.unchanged else ""
         )
-        done = [each for each in self.outcomes if each.action == "convert"]
-        read, written = sum(each.bytes_read for each in done), sum(each.bytes_written for each in done)
-        scans, empty = sum(each.scans for each in self.outcomes), sum(each.empty_scans for each in self.outcomes)
+        done = [outcome for outcome in self.outcomes if outcome.action == "convert"]
+        read, written = sum(outcome.bytes_read for outcome in done), sum(outcome.bytes_written for outcome in done)
+        scans, empty = (
+            sum(outcome.scans for outcome in self.outcomes),
+            sum(outcome.empty_scans for outcome in self.outcomes),
+        )
         if self.dry_run:
             if done:
                 yield f"{len(done):,} to convert: {size(read)}"
             return
         yield f"{counted(scans, 'scan')}, {empty:,} without a return"
         if done:
-            results = sum(each.outcome in ("empty", "incomplete", "converted") for each in done)
+            results = sum(outcome.outcome in ("empty", "incomplete", "converted") for outcome in done)
             yield (
                 f"{self.destination}: {counted(results, 'result')} written now, {size(written)} from {size(read)} in "
                 f"{duration(self.seconds)}" + (f", {self.workers} at a time" if self.workers else "")
@@ -284,15 +287,15 @@ class BatchReport(Result):
 def _table_of(outcomes: Iterable[RecordingOutcome]) -> Table:
     rows = [
         (
-            each.key,
-            each.outcome,
-            count(each.scans),
-            count(each.empty_scans),
-            size(each.bytes_written) if each.bytes_written else "-",
-            each.why if each.action != "refuse" else "",
-            each.remark,
+            outcome.key,
+            outcome.outcome,
+            count(outcome.scans),
+            count(outcome.empty_scans),
+            size(outcome.bytes_written) if outcome.bytes_written else "-",
+            outcome.why if outcome.action != "refuse" else "",
+            outcome.remark,
         )
-        for each in outcomes
+        for outcome in outcomes
     ]
     headings = ("recording", "outcome", "scans", "empty", "written", "why", "remark")
     return Table(headings, rows, left=("recording", "outcome", "why", "remark"))
@@ -300,6 +303,7 @@ def _table_of(outcomes: Iterable[RecordingOutcome]) -> Table:
 
 def _table_of_groups(groups: Iterable[RemarkGroup]) -> Table:
     rows = [
-        (f"{len(each.recordings):,}", each.kind, each.text, name_list(each.recordings, _EXAMPLES)) for each in groups
+        (f"{len(group.recordings):,}", group.kind, group.text, name_list(group.recordings, _EXAMPLES))
+        for group in groups
     ]
     return Table(("recordings", "what", "text", "such as"), rows, left=("what", "text", "such as"))

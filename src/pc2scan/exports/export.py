@@ -250,7 +250,7 @@ def run(
         if form.pose_frame or frames.odometry:
             readers = open_recordings(sources, stack, strict=options.strict)
             unnamed = form.base_frame.removeprefix("/")
-            odometry = tuple(each._replace(unnamed=unnamed or each.unnamed) for each in frames.odometry)
+            odometry = tuple(topic._replace(unnamed=unnamed or topic.unnamed) for topic in frames.odometry)
             own = replace(options, frames=replace(frames, odometry=odometry))
             needed = form.pose_frame, form.base_frame
             transforms, others = corrected_transforms(as_one(readers), own, stack, needed, meter)
@@ -268,7 +268,7 @@ def run(
             write_record(unfinished)
         report.notes += stream.notes
         report.warnings += () if poses is None else poses.doubts()
-        report.damage = tuple(dict.fromkeys((*stream.damage, *(d for each in readers for d in each.damage))))
+        report.damage = tuple(dict.fromkeys((*stream.damage, *(d for reader in readers for d in reader.damage))))
     return report
 
 

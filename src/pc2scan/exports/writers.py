@@ -87,7 +87,7 @@ class RobotPoses:
             if name and name.removeprefix("/") not in known:
                 hint = f"{did_you_mean(name, known)} frames: {name_list(known)}; `odom_topic` adds odometry".strip()
                 raise UsageError(f"`{option}`: no transforms have the frame {name!r}", hint=hint)
-        moved = (each for added in recorded.poses if added.reading for each in added.attachments.values())
+        moved = (attachment for added in recorded.poses if added.reading for attachment in added.attachments.values())
         odometry = None if pose_frame else next(moved, None)
         self.pose_frame = pose_frame.removeprefix("/") or (odometry.parent if odometry else "")
         body = next((name for name in BODIES if name in known), "")
@@ -165,9 +165,9 @@ def _has_intensities(scan: Scan) -> bool:
 def _refuse_other_beams(scan: Scan, first: Scan, what: str, *, angles: bool) -> None:
     """Raise if a scan has other beams than the first, or if only one of the two has intensities."""
     layouts = []
-    for each in (scan, first):
-        text = f"{len(each.ranges)} beams {'with' if _has_intensities(each) else 'without'} intensities"
-        angle = f" from {each.angle_min:.9g} rad on, {each.angle_increment:.9g} rad apart" if angles else ""
+    for beams in (scan, first):
+        text = f"{len(beams.ranges)} beams {'with' if _has_intensities(beams) else 'without'} intensities"
+        angle = f" from {beams.angle_min:.9g} rad on, {beams.angle_increment:.9g} rad apart" if angles else ""
         layouts.append(text + angle)
     if layouts[0] != layouts[1]:
         stamp = stamp_text(scan.stamp_ns)
@@ -321,7 +321,7 @@ def write_kitti(path: Path) -> Iterator[Write]:
         lists: dict[str, IO[str]] = {}
 
         def write(cloud: Cloud, posed: MessagePoses | None) -> None:
-            name = next((each for each in _INTENSITIES if each in cloud.fields), None)
+            name = next((field for field in _INTENSITIES if field in cloud.fields), None)
             if name is None:
                 raise UnwritableError(
                     f"the cloud has no field with intensities: its fields are {', '.join(cloud.fields) or 'none'}",
@@ -390,7 +390,9 @@ def format_of(name: str | None, destination: Path) -> FileWriter:
     UsageError
         If no format has the suffix, or another one than that with the name.
     """
-    by_suffix = next((each for each in FORMATS.values() if each.suffix == destination.suffix.lower()), None)
+    by_suffix = next(
+        (file_format for file_format in FORMATS.values() if file_format.suffix == destination.suffix.lower()), None
+    )
     if name is not None:
         if by_suffix is not None and by_suffix.name != name and not FORMATS[name].clouds:
             raise UsageError(f"`format` is {name}, but this is the name of {by_suffix.name}", path=destination)

@@ -99,7 +99,7 @@ def _from_draco(cloud: PointCloud2) -> PointCloud2:
         attributes = DracoPy.decode(bytes(cloud.data)).attributes
     except Exception as err:  # the package raises exceptions of several kinds
         raise CompressionError(str(err)) from err
-    columns = [each["data"] for each in sorted(attributes, key=lambda each: int(each["unique_id"]))]
+    columns = [attribute["data"] for attribute in sorted(attributes, key=lambda attribute: int(attribute["unique_id"]))]
     data = np.zeros((count, cloud.point_step), np.uint8)
     for field, column in zip(cloud.fields, columns, strict=True):
         values = _field_bytes(field, column)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import name_list
@@ -76,11 +77,15 @@ def instead_of_clouds(connections: Sequence[Connection]) -> tuple[str, str] | No
     >>> instead_of_clouds([Connection(0, "/map", "octomap_msgs/msg/Octomap", "cdr")])[0]
     'OctoMaps: /map'
     """
-    others = [each for each in connections if each.ros_version is None or each.ros_type not in (*CLOUDS, *SCANS)]
+    others = [
+        connection
+        for connection in connections
+        if connection.ros_version is None or connection.ros_type not in (*CLOUDS, *SCANS)
+    ]
     topics: dict[_Kind, dict[str, None]] = {}
-    for each in sorted(others, key=lambda each: each.topic):
-        if kind := _kind_of(each.topic, _type(each)):
-            topics.setdefault(kind, {})[each.topic] = None
+    for connection in sorted(others, key=attrgetter("topic")):
+        if kind := _kind_of(connection.topic, _type(connection)):
+            topics.setdefault(kind, {})[connection.topic] = None
     kinds = [kind for kind in _KINDS if kind in topics][:3]
     if not kinds:
         return None
@@ -116,7 +121,13 @@ def without(wanted: str, connections: Sequence[Connection]) -> tuple[str, str]:
     if not connections:
         return "the recording has no topics", ""
     missing = f"the recording has no {wanted} topic"
-    scans = sorted({each.topic for each in connections if each.ros_version is not None and each.ros_type in SCANS})
+    scans = sorted(
+        {
+            connection.topic
+            for connection in connections
+            if connection.ros_version is not None and connection.ros_type in SCANS
+        }
+    )
     if scans and "LaserScan" not in wanted:
         return f"{missing}, but 2D scans: {name_list(scans, _MOST_TOPICS)}", ""
     if scans:
@@ -124,9 +135,9 @@ def without(wanted: str, connections: Sequence[Connection]) -> tuple[str, str]:
         return many, "pc2scan convert `rebin=True` makes LaserScans of them"
     if instead := instead_of_clouds(connections):
         return f"{missing}, but {instead[0]}", instead[1]
-    types = {f"{each.topic} ({each.kind})" for each in connections}
+    types = {f"{connection.topic} ({connection.kind})" for connection in connections}
     if len(types) > _MOST_TOPICS:
-        return f"{missing} among its {len({each.topic for each in connections})}", "pc2scan info lists them"
+        return f"{missing} among its {len({connection.topic for connection in connections})}", "pc2scan info lists them"
     return f"{missing}; its topics are: {name_list(sorted(types))}", ""
 
 

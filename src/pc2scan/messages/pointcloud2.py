@@ -176,7 +176,7 @@ class PointCloud2:
             raise self._error("a field has no name")
         if twice := [name for name, count in names.items() if count > 1]:
             raise self._error(f"two fields are named {twice[0]!r}")
-        sizes = [np.dtype(DATATYPES.get(each.datatype, "f8")).itemsize * max(each.count, 1) for each in self.fields]
+        sizes = [np.dtype(DATATYPES.get(field.datatype, "f8")).itemsize * max(field.count, 1) for field in self.fields]
         if sum(sizes) > _MOST_OVERLAP * max(self.point_step, 1):
             raise self._error(f"its fields have {sum(sizes)} bytes, and a point has {self.point_step}")
         views = {field.name: self.elements(field) for field in self.fields}

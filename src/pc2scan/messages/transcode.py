@@ -254,7 +254,7 @@ def _plain(types: Mapping[str, Any]) -> Types:
     """Give types their current names, Headers no sequence number."""
     plain: Types = {}
     for name, (constants, described) in types.items():
-        fields = plain.setdefault(canonical_type(name), (constants, [_field(*each) for each in described]))[1]
+        fields = plain.setdefault(canonical_type(name), (constants, [_field(*field) for field in described]))[1]
         if canonical_type(name) == HEADER:
             shape = [field.type for field in fields]
             if shape[-2:] != ["builtin_interfaces/msg/Time", "string"] or shape[:-2] not in ([], ["uint32"]):

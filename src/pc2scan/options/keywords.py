@@ -84,9 +84,9 @@ def takes_options(function: Callable[_Arguments, _Result]) -> Callable[_Argument
     ordered = sorted(known.values(), key=lambda option: not option.common)
     # A name that is only there for type checkers is text.
     types = {
-        key: getattr(each.__origin__, "__forward_arg__", each.__origin__)
+        key: getattr(annotation.__origin__, "__forward_arg__", annotation.__origin__)
         for group in GROUPS[name]
-        for key, each in group.__annotations__.items()
+        for key, annotation in group.__annotations__.items()
     }
     listed = [
         inspect.Parameter(

@@ -129,11 +129,11 @@ text = partial(Value, _read_text, is_text=True)
 
 def _read_texts(kind: Value, name: str, value: Any) -> tuple[str, ...]:
     read = names_in(name, value)
-    for each in read:
-        if kind.words and each not in kind.words:
+    for word in read:
+        if kind.words and word not in kind.words:
             raise UsageError(
-                f"`{name}` has {each!r}, its values must be among {', '.join(kind.words)}",
-                hint=did_you_mean(each, kind.words) or None,
+                f"`{name}` has {word!r}, its values must be among {', '.join(kind.words)}",
+                hint=did_you_mean(word, kind.words) or None,
             )
     return read
 
@@ -201,8 +201,8 @@ def _read_transforms(kind: Value, name: str, value: Any) -> tuple[Any, ...]:
     """Return texts, paths and objects; `pc2scan.transforms.static.added_transforms` reads them."""
     several = isinstance(value, Iterable) and not isinstance(value, str | bytes)
     return tuple(
-        path_of(name, each) if isinstance(each, PathLike) or (isinstance(each, str) and kind.is_path(each)) else each
-        for each in (value if several else (value,))
+        path_of(name, item) if isinstance(item, PathLike) or (isinstance(item, str) and kind.is_path(item)) else item
+        for item in (value if several else (value,))
     )
 
 
@@ -254,7 +254,7 @@ def _read_moments(kind: Value, name: str, value: Any) -> tuple[TimeBound, ...]:
     # A NumPy array without dimensions is one time; a `TimeBound` is a tuple.
     several = isinstance(value, Iterable) and not isinstance(value, str) and not hasattr(value, "absolute")
     is_one = not several or getattr(value, "shape", True) == ()
-    return tuple(_read_moment(kind, name, each) for each in ((value,) if is_one else value))
+    return tuple(_read_moment(kind, name, item) for item in ((value,) if is_one else value))
 
 
 def _read_tolerances(_: Value, name: str, value: Any) -> Mapping[str, float]:

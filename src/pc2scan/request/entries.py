@@ -149,7 +149,7 @@ def entries_in(text: str, path: Path | str, example: str, scalar: Callable[..., 
         if node.id == "scalar":
             return Entry(scalar(node, name, place), place, str(node.value) if node.style or node.value else None)
         if node.id == "sequence":
-            return Entry([entry(each, name, each.start_mark.line + 1) for each in node.value], place)
+            return Entry([entry(item, name, item.start_mark.line + 1) for item in node.value], place)
         entries: dict[str, Entry] = {}
         for key, value in node.value:
             at = key.start_mark.line + 1
@@ -174,9 +174,9 @@ def entries_of(value: Any, place: str) -> Entry:
         for key in value:
             if not isinstance(key, str):
                 raise TypeError(f"{place} has the key {key!r}, it must be text")
-        return Entry({key: entries_of(each, f"{place}[{key!r}]") for key, each in value.items()}, place)
+        return Entry({key: entries_of(item, f"{place}[{key!r}]") for key, item in value.items()}, place)
     if isinstance(value, Sequence) and not isinstance(value, str | bytes):
-        return Entry([entries_of(each, f"{place}[{n}]") for n, each in enumerate(value)], place)
+        return Entry([entries_of(item, f"{place}[{n}]") for n, item in enumerate(value)], place)
     return Entry(value.item() if getattr(value, "ndim", None) == 0 else value, place)
 
 

@@ -75,7 +75,7 @@ class Filter(Protocol):
 
 def as_dict(chosen: Filter) -> dict[str, Any]:
     """Return the name and the parameters of a filter, for reports."""
-    parameters = {each.name: getattr(chosen, each.name) for each in fields(chosen) if each.repr}  # type: ignore[arg-type]
+    parameters = {attribute.name: getattr(chosen, attribute.name) for attribute in fields(chosen) if attribute.repr}  # type: ignore[arg-type]
     return {"name": chosen.name, **parameters}
 
 
@@ -175,8 +175,8 @@ class _Condition:
             raise self._error("no field is named")
 
     def _error(self, problem: str, part: ast.expr | None = None) -> UsageError:
-        got = f", got {ast.unparse(part)!r}" if part else ""
-        return UsageError(f"`where`: {self._text!r} cannot be read: {problem}{got}", hint=_CONDITION)
+        part_text = f", got {ast.unparse(part)!r}" if part else ""
+        return UsageError(f"`where`: {self._text!r} cannot be read: {problem}{part_text}", hint=_CONDITION)
 
     def _part(self, node: ast.expr, *, is_condition: bool = False) -> _Part:
         """Return what computes a number for each point, or a condition."""
@@ -190,13 +190,15 @@ class _Condition:
         match node:
             case ast.BoolOp(sign, values):
                 join = np.logical_and if isinstance(sign, ast.And) else np.logical_or
-                parts = [self._part(each, is_condition=True) for each in values]
+                parts = [self._part(operand, is_condition=True) for operand in values]
                 return True, lambda points: reduce(join, (part(points) for part in parts))
             case ast.UnaryOp(ast.Not(), operand):
                 part = self._part(operand, is_condition=True)
                 return True, lambda points: np.logical_not(part(points))
             case ast.Compare(left, signs, rights):
-                checks = [self._comparison(*each) for each in zip([left, *rights], signs, rights, strict=False)]
+                checks = [
+                    self._comparison(*comparison) for comparison in zip([left, *rights], signs, rights, strict=False)
+                ]
                 return True, lambda points: reduce(np.logical_and, (check(points) for check in checks))
             case ast.expr() if (number := _number_of(node)) is not None:
                 return False, lambda _: np.float64(number)
@@ -478,5 +480,5 @@ def filters_of(values: Mapping[str, Any], min_height: float) -> Iterator[Filter]
     """
     for name, filter_of in FILTERS.items():
         value = values.get(name, ())
-        for each in value if isinstance(value, tuple) else (value,):
-            yield filter_of(each, min_height)
+        for item in value if isinstance(value, tuple) else (value,):
+            yield filter_of(item, min_height)

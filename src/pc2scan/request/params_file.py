@@ -191,8 +191,8 @@ def _launch_node(
     for unread in file.unread:
         message = f"what may be the node or change it: {unread.problem} (from {path}, line {unread.line})"
         raise ParameterError(message, hint=unread.hint or ELSEWHERE)
-    matches = [each for each in file.nodes if node is None or f"{each.name}/".endswith(f"/{node.strip('/')}/")]
-    _refuse_several([each.name for each in matches], [each.name for each in file.nodes], node, path)
+    matches = [section for section in file.nodes if node is None or f"{section.name}/".endswith(f"/{node.strip('/')}/")]
+    _refuse_several([section.name for section in matches], [section.name for section in file.nodes], node, path)
     chosen = matches[0]
     if chosen.doubt and node is None:
         message = f"{path}, line {chosen.line}: {chosen.name} is {chosen.doubt}"

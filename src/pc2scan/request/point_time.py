@@ -329,7 +329,7 @@ def measure_turn(topic: str, given: Turn, clouds: Sequence[TurnSample]) -> tuple
     intervals = [(later - earlier) / 1e9 for earlier, later in pairwise(stamps)]
     period = (median_interval_ns(stamps) or 1) / 1e9
     # If a cloud is missing, an interval is twice as long.
-    regular = sum(abs(each / period - max(1, round(each / period))) <= _JITTER for each in intervals)
+    regular = sum(abs(interval / period - max(1, round(interval / period))) <= _JITTER for interval in intervals)
     covered = median([cloud.directions.bit_count() for cloud in clouds]) / DIRECTIONS
     union = reduce(or_, (cloud.directions for cloud in clouds)).bit_count() / DIRECTIONS
     turns = median([abs(cloud.turns) for cloud in clouds])

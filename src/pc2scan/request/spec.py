@@ -214,7 +214,7 @@ class ScanSpec:
         }
         if wrong := [message for message, is_wrong in contradictions.items() if is_wrong]:
             raise UsageError(wrong[0])
-        for name in (each.name for each in self.filters):
+        for name in (point_filter.name for point_filter in self.filters):
             if name in PointCounts().as_dict() or not name.isidentifier():
                 raise UsageError(f"a filter is named {name!r}, which cannot be the name of its count")
 
@@ -224,7 +224,7 @@ class ScanSpec:
             "name": self.name,
             "params": self.params,
             "param_origins": dict(self.origins),
-            "filters": [as_dict(each) for each in self.filters],
+            "filters": [as_dict(point_filter) for point_filter in self.filters],
         }
 
     @contextmanager
@@ -269,26 +269,31 @@ class ScanSpec:
     def rejections(self) -> tuple[Rejection, ...]:
         """The reasons for which points may be rejected, besides those of the projection."""
         lost = (NO_TIME, NO_TRANSFORM) if self.deskew and not self.reverse else ()
-        own = (Rejection(each.name, each.explanation, absent=getattr(each, "absent", "")) for each in self.filters)
+        own = (
+            Rejection(point_filter.name, point_filter.explanation, absent=getattr(point_filter, "absent", ""))
+            for point_filter in self.filters
+        )
         return (*own, *lost)
 
     @property
     def needs_transforms(self) -> bool:
         """Whether messages are transformed, for the output or for a filter."""
-        in_others = any(isinstance(each.frame, str) for each in self.filters)
+        in_others = any(isinstance(point_filter.frame, str) for point_filter in self.filters)
         return bool(self.params.target_frame or self.fixed_frame or self.level or in_others)
 
     @property
     def frames(self) -> tuple[str, ...]:
         """The frames that transforms must have."""
-        named = (each.frame for each in self.filters if isinstance(each.frame, str))
+        named = (point_filter.frame for point_filter in self.filters if isinstance(point_filter.frame, str))
         return tuple(filter(None, (self.params.target_frame, self.fixed_frame, *named)))
 
     @property
     def needs_measuring(self) -> bool:
         """Whether anything must be measured in the first clouds."""
         params = self.params
-        needs_fields = params.intensity_field or self.deskew or any(each.fields for each in self.filters)
+        needs_fields = (
+            params.intensity_field or self.deskew or any(point_filter.fields for point_filter in self.filters)
+        )
         return bool(needs_fields) or "auto" in (params.scan_time, params.time_increment, params.beams)
 
     def is_default(self, name: str) -> bool:

@@ -194,13 +194,15 @@ class Stream(ABC, Generic[Item]):
         """
         types = types_by_topic(reader.connections)
         chosen = by_topic(own for own in reader.connections if own.ros_type in kinds and own.ros_version is not None)
-        instead = hint[1] if any(each.ros_type in hint[0] for each in reader.connections) else None
+        instead = hint[1] if any(connection.ros_type in hint[0] for connection in reader.connections) else None
         if not chosen:
             message, other = without(short_types(kinds), reader.connections)
             raise NothingToConvertError(message, path=reader.path, hint=instead or other or None)
         if requested := self._options.scan.topics:
             try:
-                names = [name for each in requested for name in find_topics(each.source, types, sorted(chosen), *kinds)]
+                names = [
+                    name for request in requested for name in find_topics(request.source, types, sorted(chosen), *kinds)
+                ]
             except TopicError as err:
                 err.path, err.hint = reader.path, instead or err.hint
                 raise

@@ -154,12 +154,12 @@ class MessagesToScan:
         self._late: SelectStage | None = None
         late: Sequence[Filter] = ()
         if spec.filters:
-            late = tuple(each for each in spec.filters if each.frame is Frame.TARGET and not self._rigid)
-            early = tuple(each for each in spec.filters if each not in late)
+            late = tuple(chosen for chosen in spec.filters if chosen.frame is Frame.TARGET and not self._rigid)
+            early = tuple(chosen for chosen in spec.filters if chosen not in late)
             self._early = SelectStage(early, placer) if early else None
             self._late = SelectStage(late, placer) if late else None
         self._intensity = params.intensity_field or ("intensity" if spec.combining.rebin else "")
-        self._kept = {"x", "y", "z", self._intensity, *(field for each in late for field in each.fields)}
+        self._kept = {"x", "y", "z", self._intensity, *(field for chosen in late for field in chosen.fields)}
         #: Upstream's default minimum, the smallest positive number, is meant for clouds: it rejects all beams of scans.
         self._any_height = params.min_height == _DEFAULTS.min_height
 
@@ -230,7 +230,7 @@ class MessagesToScan:
             points.field(self._intensity)
         names = self._kept if track is None else self._kept | {track.time_field}
         views = {name: points.field(name) for name in dict.fromkeys(("x", "y", "z", *points.fields)) if name in names}
-        size = _OVERHEAD + sum(each.nbytes for each in views.values())
+        size = _OVERHEAD + sum(view.nbytes for view in views.values())
         if self.grouper is not None:
             axes = contiguous(*(views[axis] for axis in "xyz"))
             copies = {name: np.array(values).reshape(-1) for name, values in views.items() if name not in _AXES}
@@ -340,13 +340,15 @@ class SourceFacts:
         self.output, self.facts = output, facts
         combining, params = output.spec.combining, output.spec.params
         self.flat = [
-            topic for topic in output.sources if any(each.ros_type in SCANS for each in facts[topic].connections)
+            topic
+            for topic in output.sources
+            if any(connection.ros_type in SCANS for connection in facts[topic].connections)
         ]
         are_compared = len(facts) > 1 or combining.every_ns or combining.span_ns
         self._is_compared = are_compared or (self.flat and "auto" in (params.scan_time, params.beams))
         if self._is_compared:
-            for each in facts.values():
-                each.ask_headers(_HEADERS)
+            for topic_facts in facts.values():
+                topic_facts.ask_headers(_HEADERS)
 
     def firsts(self, topic: str) -> Sequence[Header]:
         """Return the first headers of a topic; none if they are not needed."""
@@ -354,7 +356,7 @@ class SourceFacts:
 
     def period_ns(self, topic: str) -> int:
         """Return the median interval of the first stamps of a topic; 0 if there are no two different ones."""
-        return median_interval_ns(each.stamp_ns for each in self.firsts(topic)) or 0
+        return median_interval_ns(header.stamp_ns for header in self.firsts(topic)) or 0
 
 
 def measure_sources(
@@ -441,19 +443,19 @@ def _doubtful(sources: SourceFacts) -> Iterator[str]:
 def _clocks(sources: SourceFacts, windows: Sequence[int]) -> Iterator[str]:
     """Compare the clocks of the topics: yield warnings if they may differ, and raise if they do."""
     lead = sources.output.sources[0]
-    delays = {topic: [each.delay_ns for each in sources.firsts(topic)] for topic in sources.output.sources}
+    delays = {topic: [header.delay_ns for header in sources.firsts(topic)] for topic in sources.output.sources}
     for (topic, own), window_ns in zip(delays.items(), windows, strict=True):
         if not own or not delays[lead] or not are_doubtful(median_low(own), median_low(delays[lead]), window_ns):
             continue
         behind_ns = median_low(own) - median_low(delays[lead])
-        how = f"{abs(behind_ns) / 1e9:.4g} s {'behind' if behind_ns > 0 else 'ahead of'}"
-        said = f"the stamps of {topic} are {how} those of {lead}, compared with their log times"
+        distance = f"{abs(behind_ns) / 1e9:.4g} s {'behind' if behind_ns > 0 else 'ahead of'}"
+        difference = f"the stamps of {topic} are {distance} those of {lead}, compared with their log times"
         if abs(behind_ns) > _SURELY_ANOTHER_NS:
             raise UsageError(
-                f"{said}: they are of different clocks",
+                f"{difference}: they are of different clocks",
                 hint=f"{MEASURES}; or convert them to scans of their own: `topics={topic}:=/scan_2`",
             )
-        yield f"{said}: if their clocks differ, a scan has what was measured that far apart; {MEASURES}"
+        yield f"{difference}: if their clocks differ, a scan has what was measured that far apart; {MEASURES}"
 
 
 def _of_scans(sources: SourceFacts, notes: list[str]) -> Measurements:
@@ -464,8 +466,8 @@ def _of_scans(sources: SourceFacts, notes: list[str]) -> Measurements:
         scan_time = sources.period_ns(topic) / 1e9
         notes.append(f"{topic}: scan_time is {scan_time:.6g} s, the median interval of its first stamps")
     if params.beams == "auto":
-        steps = [each.increment for each in sources.firsts(topic)]
-        known = [each for each in steps if each is not None and 0 < each < math.inf]
+        steps = [header.increment for header in sources.firsts(topic)]
+        known = [step for step in steps if step is not None and 0 < step < math.inf]
         if not known:
             raise unknown_step(f"no scan on {topic} has an angle_increment")
         step = median_low(known)

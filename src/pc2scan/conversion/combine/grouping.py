@@ -246,7 +246,7 @@ class Grouper:
         while self._recent and log_time_ns - self._recent[0].log_time_ns > self._patience_ns:
             past = self._recent.popleft()
         if past is not None:
-            self._coming = [max(each, (past.stamp_ns + 1, 0)) for each in self._coming]
+            self._coming = [max(first, (past.stamp_ns + 1, 0)) for first in self._coming]
         groups: list[Group] = []
         longest_ns = self._patience_ns + self._rule.reach_ns
         while self._leads:
@@ -462,13 +462,15 @@ class Nearest(Rule):
     def members(self, leads: Messages, held: Sequence[Messages], coming: Sequence[Key]) -> Messages | None:
         """Return the messages of the first scan; see `Rule.members`."""
         lead_ns, messages = leads[0].stamp_ns, [leads[0]]
-        next_ns = next((each.stamp_ns for each in leads if each.stamp_ns > lead_ns), None)
+        next_ns = next((lead.stamp_ns for lead in leads if lead.stamp_ns > lead_ns), None)
         for own, window_ns, (coming_ns, _) in zip(held[1:], self.windows_ns[1:], coming[1:], strict=True):
             begin = bisect_left(own, (lead_ns - window_ns, 0), key=KEY)
             within = own[begin : bisect_left(own, (lead_ns + window_ns + 1, 0), key=KEY)]
             if next_ns is not None:
-                within = [each for each in within if abs(each.stamp_ns - next_ns) >= abs(each.stamp_ns - lead_ns)]
-            partner = min(within, key=lambda each: abs(each.stamp_ns - lead_ns), default=None)
+                within = [
+                    message for message in within if abs(message.stamp_ns - next_ns) >= abs(message.stamp_ns - lead_ns)
+                ]
+            partner = min(within, key=lambda message: abs(message.stamp_ns - lead_ns), default=None)
             if partner is None:
                 if coming_ns <= lead_ns + window_ns:
                     return None
