@@ -91,40 +91,38 @@ class _PythonFile:
         self._launched: set[ast.AST] = set()
         for statement in entry.body:
             match statement:
-                case ast.Return(value) | ast.Expr(ast.Call(ast.Attribute(attr="add_action"), [value])):
+                case ast.Return(ast.expr() as value) | ast.Expr(ast.Call(ast.Attribute(attr="add_action"), [value])):
                     self._launch(value)
 
-    def _launch(self, node: ast.AST | None) -> None:
+    def _launch(self, node: ast.expr) -> None:
         """Collect what a description launches."""
-        if node is None or node in self._launched or "condition" in (given := _keywords(node)) or "" in given:
+        value = self._value(node)
+        arguments = _keywords(value)
+        if value in self._launched or {"condition", ""} & arguments.keys():
             return
-        self._launched.add(node)
-        match node:
-            case ast.Name(name):
-                self._launch(self._values.get(name))
-            case ast.List(items) | ast.Tuple(items):
-                for item in items:
-                    self._launch(item)
-            case ast.Call(_, arguments) if self._function(node) in _ACTIONS:
-                for item in (*arguments, *(given[name] for name in _LAUNCHED & given.keys())):
-                    self._launch(item)
+        self._launched.add(value)
+        parts = value.elts if isinstance(value, ast.List | ast.Tuple) else []
+        if isinstance(value, ast.Call) and self._function(value) in _ACTIONS:
+            parts = [*value.args, *(arguments[name] for name in _LAUNCHED & arguments.keys())]
+        for part in parts:
+            self._launch(part)
 
     def elements(self) -> Iterator[Element]:
         """Yield the arguments, the nodes, and what is not followed."""
         calls = [node for node in self._tree if isinstance(node, ast.Call)]
-        calls.sort(key=lambda call: (call.lineno, call.col_offset))
         declared: list[dict[str, str]] = []
-        for call in calls:
-            attributes, function = self._argument(call), self._function(call)
-            is_new = attributes not in declared and ("default" in attributes or function == "DeclareLaunchArgument")
-            if is_new and function in {"DeclareLaunchArgument", "LaunchConfiguration"}:
-                yield Element("arg", attributes, call.lineno)
-                declared.append(attributes)
-        for call in calls:
-            if self._function(call) == "IncludeLaunchDescription":
-                yield Element("include", {"file": shortened(ast.unparse(call))}, call.lineno)
-            elif self._function(call) in _NODES:
-                yield self._node(call, _keywords(call))
+        # The arguments of all nodes first.
+        for call in sorted(calls, key=lambda call: (self._function(call) in _NODES, call.lineno, call.col_offset)):
+            match self._function(call):
+                case "DeclareLaunchArgument" | "LaunchConfiguration" as function:
+                    attributes = self._argument(call)
+                    if attributes not in declared and (function[0] == "D" or "default" in attributes):
+                        yield Element("arg", attributes, call.lineno)
+                        declared.append(attributes)
+                case "IncludeLaunchDescription":
+                    yield Element("include", {"file": shortened(ast.unparse(call))}, call.lineno)
+                case function if function in _NODES:
+                    yield self._node(call, _keywords(call))
         for node in self._tree:
             match node:
                 case ast.Name(word) | ast.Attribute(_, word) | ast.keyword(str() as word) | ast.alias(word, str()):
