@@ -44,9 +44,6 @@ class Remark(NamedTuple):
         return f"{self.label}: {self.text}"
 
 
-_NO_REASONS: dict[str, str] = {}
-
-
 class Call(NamedTuple):
     """A call of pc2scan that a result proposes; shown as Python, or as a command line.
 
@@ -65,7 +62,7 @@ class Call(NamedTuple):
     command: str
     sources: Sequence[str]
     options: Mapping[str, Any]
-    reasons: Mapping[str, str] = _NO_REASONS
+    reasons: Mapping[str, str] = {}
 
     def __str__(self) -> str:
         sources = list(self.sources)

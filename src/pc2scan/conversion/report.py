@@ -142,10 +142,7 @@ class TopicReport:
         """The largest and the median of the tilts, degrees; None if nothing was made level."""
         if not self.tilts:
             return None
-        return {
-            "largest_deg": math.degrees(max(self.tilts)),
-            "median_deg": math.degrees(median_low(self.tilts)),
-        }
+        return {"largest_deg": math.degrees(max(self.tilts)), "median_deg": math.degrees(median_low(self.tilts))}
 
     def count(self, result: ConvertedMessage) -> None:
         """Count what a message became: its points, its frame, and its beams."""
