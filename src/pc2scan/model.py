@@ -19,6 +19,10 @@ NEW_ID = -1
 #: The latest log time that rosbag2 can store; it is also the start of a recording without messages.
 MAX_ROSBAG2_NS = 2**63 - 1
 
+#: The ROS version of each serialisation of messages, and the other way round.
+ROS_VERSIONS = {"ros1": 1, "cdr": 2}
+SERIALIZATIONS = {version: name for name, version in ROS_VERSIONS.items()}
+
 #: QoS profiles as rosbag2 (metadata version 8) writes them: keep last, reliable, automatic liveliness, infinite
 #: durations.
 _QOS = """\
@@ -154,7 +158,7 @@ class Connection:
     @property
     def ros_version(self) -> int | None:
         """The ROS version of the messages' serialisation, 1 or 2; None for another encoding."""
-        return {"ros1": 1, "cdr": 2}.get(self.serialization)
+        return ROS_VERSIONS.get(self.serialization)
 
 
 class RawMessage(NamedTuple):

@@ -35,8 +35,8 @@ class Destination(NamedTuple):
         Of an MCAP file: ``ros1`` or ``ros2``; else empty.
     chunk_compressions
         Compressions that chunks copied from the source may have: the given one, else all of the container.
-    ros_version, serialization
-        Of its messages: 1 or 2, ``ros1`` or ``cdr``.
+    ros_version
+        Of its messages: 1 or 2.
     """
 
     path: Path
@@ -46,7 +46,6 @@ class Destination(NamedTuple):
     profile: str
     chunk_compressions: frozenset[str]
     ros_version: int
-    serialization: str
 
     @property
     def times_ns(self) -> tuple[int, int]:
@@ -136,7 +135,6 @@ def plan_destination(
         profile=profile or "",
         chunk_compressions=frozenset((compression,) if compression else files.compressions),
         ros_version=ros_version,
-        serialization="ros1" if ros_version == 1 else "cdr",
     )
 
 

@@ -39,7 +39,8 @@ from .combine.contributions import MessagesToScan, SourceFacts, measure_sources
 from .corrections import corrected
 from .deskew import Deskew
 from .engine import convert
-from .result_checks import check_fixed_frame, check_given_frames, result_findings
+from .frame_checks import check_fixed_frame, check_given_frames
+from .result_checks import result_findings
 from .steps import CloudToScan, ConvertedMessage, ScanToCloud
 
 if TYPE_CHECKING:
@@ -324,15 +325,8 @@ class _OutputFacts:
             references.append([connection for observer in observers for connection in observer.connections])
         self._clocks = [Clocks(survey, self._topics, reference) for reference in references]
         self._alone = survey.topics(plan.sources_of(spec, ""))
-        joined = {
-            output.scan: output
-            for route in plan.routes
-            for output in route.outputs
-            if output.scan and output.spec is spec
-        }
-        self._sources = [
-            SourceFacts(output, survey.topics(plan.sources_of(spec, output.scan))) for output in joined.values()
-        ]
+        joined = {out.scan: out for route in plan.routes for out in route.outputs if out.scan and out.spec is spec}
+        self._sources = [SourceFacts(out, survey.topics(plan.sources_of(spec, out.scan))) for out in joined.values()]
         for topics in (self._alone, *(sources.facts for sources in self._sources)):
             for facts in topics.values():
                 if spec.needs_measuring:

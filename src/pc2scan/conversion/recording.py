@@ -15,7 +15,7 @@ from pc2scan.messages.clouds import CLOUDS, SCANS, to_pointcloud2, written_as_po
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.laserscan import LASERSCAN, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, encode_cloud
-from pc2scan.model import LATCHED_QOS, NEW_ID, TF_QOS, ChunkRule, Connection, Definition, StoredChunk
+from pc2scan.model import LATCHED_QOS, NEW_ID, SERIALIZATIONS, TF_QOS, ChunkRule, Connection, Definition, StoredChunk
 from pc2scan.transforms.reading import tf_connections
 
 from .added_transforms import TFMESSAGE, AddedTransforms, as_transform, between, rows_in, without
@@ -95,7 +95,7 @@ def open_routes(
         own = connection.serialization
         route.decode = SCANS[msgtype](own, spec.echo) if msgtype in SCANS else CLOUDS[msgtype](own)
         route.steps = [conversion.steps(topic) for conversion in chosen.values()]
-        form = own if topics is None else topics.target.serialization
+        form = own if topics is None else SERIALIZATIONS[topics.target.ros_version]
         encode = encode_cloud if spec.reverse else encode_laserscan
         route.encode = partial(serialised, encode, form) if finish is None else partial(finish, form)
         for output in route.outputs:
@@ -141,7 +141,7 @@ def open_output(prepared: Preparation, target: Destination, writer: Writer | Non
     routes, entries = open_routes(prepared.plan, prepared.conversions, topics)
     report.topics = entries
     entry = TopicReport("/tf_static", TFMESSAGE, "/tf_static", "added", "from `write_static_tf`")
-    static = AddedTransforms(entry, target.serialization)
+    static = AddedTransforms(entry, SERIALIZATIONS[target.ros_version])
     if frames.write_static:
         # One more latched publisher.
         topics.add(new_connection(target, "/tf_static", TFMESSAGE, latching=True, qos=LATCHED_QOS), static)
@@ -150,7 +150,7 @@ def open_output(prepared: Preparation, target: Destination, writer: Writer | Non
     if any(spec.level for spec in prepared.plan.specs):
         connection = tf_connection(reader, frames, target)
         entry = TopicReport(connection.topic, connection.ros_type, connection.topic, "added", "from `level`")
-        prepared.levels = AddedTransforms(entry, target.serialization)
+        prepared.levels = AddedTransforms(entry, SERIALIZATIONS[target.ros_version])
         topics.add(connection, prepared.levels)
         entries.append(entry)
     prepared.tell(*(f"{what}; {cure}" for what, cure in unheard(connection for connection, _ in topics.added)))
@@ -283,7 +283,7 @@ def add_poses(
     topics
         The topics of the destination.
     """
-    reader, frames, form = prepared.reader, prepared.options.frames, topics.target.serialization
+    reader, frames, form = prepared.reader, prepared.options.frames, SERIALIZATIONS[topics.target.ros_version]
     children = {name for poses in added for attachment in poses.attachments.values() for name in attachment.replaced}
     for connection in tf_connections(reader.connections, frames.tf_topics):
         route = routes[connection.id]
@@ -433,7 +433,7 @@ def new_connection(
         qos = ""
     else:
         callerid = None
-    form = target.serialization
+    form = SERIALIZATIONS[target.ros_version]
     return Connection(NEW_ID, topic, msgtype, form, text, digest, callerid=callerid, latching=latching, qos=qos)
 
 
@@ -490,7 +490,7 @@ class RecordingTopics:
         target, options, connection = self.target, self.options, route.connection
         if options.clouds_as == "pointcloud2" and written_as_pointcloud2(connection):
             entry.action, entry.note = "re-encoded", "as PointCloud2"
-            route.reencode = to_pointcloud2(connection, target.serialization)
+            route.reencode = to_pointcloud2(connection, SERIALIZATIONS[target.ros_version])
             self.add_like(connection, connection.topic, POINTCLOUD2, route)
             return
         foreign = connection.ros_version is None

@@ -43,6 +43,7 @@ from pc2scan.files.outputs import (
 from pc2scan.files.source_file import changed_while_read, state_of
 from pc2scan.files.system import copying_to
 from pc2scan.files.urls import UrlPath, exists
+from pc2scan.model import SERIALIZATIONS
 from pc2scan.parsing import conversion_of, destination_of, named_files
 from pc2scan.progress import Meter
 from pc2scan.request.spec import Request
@@ -347,10 +348,8 @@ def _judge(prepared: Preparation, target: Destination, report: Report) -> None:
     report.add(reader.remarks)
     report.damage += [damage for source in (reader, *prepared.others) for damage in source.damage]
     outputs = [output for route in prepared.routes.values() for output in route.outputs if output.first]
-    first_scans = [
-        (output.report, output.spec, output.first) for output in outputs if output.spec and not output.spec.reverse
-    ]
-    report.add(*result_findings(report, first_scans, target.serialization))
+    first_scans = [(out.report, out.spec, out.first) for out in outputs if out.spec and not out.spec.reverse]
+    report.add(*result_findings(report, first_scans, SERIALIZATIONS[target.ros_version]))
     # With a fixed frame, an IMU or a corrected clock, clocks were compared before.
     far = {
         topic.topic

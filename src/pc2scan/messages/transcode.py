@@ -33,7 +33,7 @@ from rosbags.typesys.msg import MSGParser
 from rosbags.typesys.peg import Success
 
 from pc2scan.errors import DecodeError
-from pc2scan.model import LATCHED_QOS, NEW_ID, Connection, Definition, normalized_type, ros1_type
+from pc2scan.model import LATCHED_QOS, NEW_ID, SERIALIZATIONS, Connection, Definition, normalized_type, ros1_type
 
 from . import definitions
 
@@ -375,7 +375,7 @@ def _type_plan(msgtype: str, definition: Definition, source: int) -> Transcoding
         notes.append(f"layout differs from {_SETS[target]}'s {names}: written with the recording's own definition")
     named = ros1_type(root) if target == 1 else root
     fields = sum(len(fields) for _, fields in types.values())
-    declared = Connection(NEW_ID, "", named, "ros1" if target == 1 else "cdr", text, digest)
+    declared = Connection(NEW_ID, "", named, SERIALIZATIONS[target], text, digest)
     return Transcoding(declared, _encoder(named, types, source), tuple(notes), fields)
 
 

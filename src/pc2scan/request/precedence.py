@@ -155,9 +155,8 @@ def _refuse_degrees(values: Mapping[str, Any], origin: Mapping[str, str], writte
         cures = ", ".join(f"`{name}={values[name]:g}deg`" for name in beyond)
         numbers = ", ".join(f"{math.radians(values[name]):.6g}" for name in beyond)
         hint = f"for degrees write {cures}, which is {numbers} rad"
-    places = "; ".join(f"{name} from {origin[name]}" if beyond[1:] else f"from {origin[name]}" for name in beyond)
-    message = f"{text}, more than a full turn (2 pi is 6.28319 rad) ({places})"
-    raise ParameterError(message, name=beyond[0], hint=hint)
+    message = f"{text}, more than a full turn (2 pi is 6.28319 rad)"
+    raise _with_origin(ParameterError(message, name=beyond[0], hint=hint), origin)
 
 
 def preset_of(origin: str) -> str:

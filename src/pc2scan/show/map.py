@@ -27,7 +27,7 @@ import numpy as np
 from pc2scan.advice.odometry import odometry_of
 from pc2scan.bags.topics import matches, types_by_topic
 from pc2scan.conversion.corrections import corrected_transforms
-from pc2scan.conversion.result_checks import frame_that_stays
+from pc2scan.conversion.frame_checks import frame_that_stays
 from pc2scan.core.occupancy import FREE, LONGEST, OCCUPIED, OccupancyGrid, observing_beams, place_beams
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.unproject import beam_angles, last_beam_ns
