@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 Facts = TypeVar("Facts")
 Checks: TypeAlias = tuple[Callable[[Facts], Iterable[str]], ...]
 
-#: What the request of an output says, before anything is read; and what must not have its default for that.
+#: What the request of an output says, before anything is read; each check runs only if one of its options is given.
 REQUEST: Mapping[Callable[[OutputRequest], Iterable[str]], set[str]] = {
     plausibility.unused_transforms: {"frames", "transform_tolerance"},
     plausibility.accumulated_without_motion: {"combining"},
