@@ -225,7 +225,7 @@ COMMANDS = {
 
         Exit status: 0 all as expected, 1 some differ, 2 some could not be checked.""",
         Argument("folder", "DIR", "A folder of cases, or one case.", required=True),
-        _word("pattern", "PATTERN", "Only cases whose name has this or fits this glob.", ("-k",)),
+        _word("pattern", "PATTERN", "Only cases whose name contains this or matches this glob.", ("-k",)),
         examples={
             "pc2scan golden golden/": "do conversions still give the expected output?",
             "pc2scan golden golden/turn --init drive.bag --start 12 --end 14": "make a case of two seconds",

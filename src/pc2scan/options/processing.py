@@ -53,7 +53,7 @@ class StampCorrection(TypedDict, total=False):
         Names | None,
         texts("[TOPIC=]S|auto"),
         "Add this to the stamps of converted messages, for a lidar on its own clock: 3.2s, -37s. auto: measure it "
-        "against the transforms, or the log times. Of one topic: /rear=0.12s; of the poses in a file: "
+        "against the transforms, or the log times. For one topic: /rear=0.12s; for the poses in a file: "
         "trajectory=0.5s.",
     ]
 
@@ -88,7 +88,7 @@ class PointSelection(TypedDict, total=False):
         Names | None,
         texts("CONDITION"),
         "Use only points whose fields fulfil this condition: 'ring in (3, 4, 5) and intensity > 10'. Fields, numbers,"
-        " < <= > >= == != in, and or not, + - * / %, abs(). Of several, all must be fulfilled.",
+        " < <= > >= == != in, and or not, + - * / %, abs(). With several, all must hold.",
     ]
     exclude_box: Annotated[
         Names | None,
@@ -149,8 +149,8 @@ class TransformInputs(TypedDict, total=False):
             offers=("topics", "/Odometry", "/TransformStamped", "/PoseStamped", "/PoseWithCovarianceStamped"),
         ),
         "Use the poses of this topic as transforms: nav_msgs/Odometry, TransformStamped, PoseStamped or "
-        "PoseWithCovarianceStamped. FRAME has the poses, if the messages name none or a wrong one: /pose:base_link; "
-        "both frames: /pose:map:base_link.",
+        "PoseWithCovarianceStamped. FRAME: whose poses they are, if the messages name none or a wrong one: "
+        "/pose:base_link; both frames: /pose:map:base_link.",
     ]
     trajectory: Annotated[
         File,
@@ -205,7 +205,7 @@ class RobotMotion(TypedDict, total=False):
         text("FIELD[:UNIT]"),
         "Field with the points' times, relative to the stamp or absolute; unit: s, ms, us, ns. Without such a field: "
         "azimuth, which measures how the lidar turns; or azimuth:0.1 with the time of a turn (s), then :cw or :ccw, "
-        "and :start or :end, which the stamp is of.",
+        "and :start or :end: the stamp is that of the first or last point.",
         How(default_text="t, time, timestamp, time_stamp or offset_time"),
     ]
     stamp: Annotated[
@@ -280,7 +280,7 @@ class OtherTopics(TypedDict, total=False):
     keep: Annotated[
         Names | None,
         texts("TOPIC", offers=("topics",)),
-        "Of the topics that are not converted, copy only these (names or globs).",
+        "Copy only these of the topics that are not converted (names or globs).",
     ]
     drop: Annotated[Names | None, texts("TOPIC", offers=("topics",)), "Do not write these topics (names or globs)."]
     keep_clouds: Annotated[bool, "Write the converted clouds too."]
