@@ -35,15 +35,15 @@ def nearest(name: str, known: Iterable[str]) -> str | None:
     names = {
         _normalized(name): name for name in reversed(list(islice(known, _MOST_NAMES))) if len(name) <= _LONGEST_NAME
     }
-    wanted = _normalized(name[:_LONGEST_NAME])
-    if not wanted:
+    normalized = _normalized(name[:_LONGEST_NAME])
+    if not normalized:
         return None
-    close = difflib.get_close_matches(wanted, names, n=1)
+    close = difflib.get_close_matches(normalized, names, n=1)
     # Then names that contain it as a part, or are a part of it, the shortest first.
-    close += sorted((name for name in names if _is_part(wanted, name) or _is_part(name, wanted)), key=len)
+    close += sorted((name for name in names if _is_part(normalized, name) or _is_part(name, normalized)), key=len)
     if not close:
         ends = {name.rpartition("/")[2]: name for name in names}
-        close = [ends[end] for end in difflib.get_close_matches(wanted.rpartition("/")[2], ends, n=1)]
+        close = [ends[end] for end in difflib.get_close_matches(normalized.rpartition("/")[2], ends, n=1)]
     return names[close[0]] if close else None
 
 

@@ -264,21 +264,21 @@ def _parser_of(name: str, *, completes: bool) -> Callable[..., dict[str, Any]]:
     return parsed
 
 
-def _annotation(taken: Argument | Option, offers: Callable[[str], list[str]] | None = None) -> Any:
+def _annotation(entry: Argument | Option, offers: Callable[[str], list[str]] | None = None) -> Any:
     """Return the annotation of an argument, or of an option of the table."""
-    if isinstance(taken, Argument):
-        if not taken.spellings:
-            kind = list[str] if taken.metavar.endswith("...") else str
-            return Annotated[kind | None, typer.Argument(metavar=taken.metavar)]
-        if taken.name == "lookup":
+    if isinstance(entry, Argument):
+        if not entry.spellings:
+            kind = list[str] if entry.metavar.endswith("...") else str
+            return Annotated[kind | None, typer.Argument(metavar=entry.metavar)]
+        if entry.name == "lookup":
             return Annotated[tuple[str, str] | None, typer.Option("--lookup", autocompletion=_offering(("frames",)))]
-        return Annotated[list[str] | None, typer.Option(*taken.spellings)]
-    spellings = [taken.spelling, *filter(None, [taken.short])]
-    if taken.value.kind == "bool":
-        if isinstance(taken, Parameter):
-            spellings[0] += f"/{taken.negation}"
+        return Annotated[list[str] | None, typer.Option(*entry.spellings)]
+    spellings = [entry.spelling, *filter(None, [entry.short])]
+    if entry.value.kind == "bool":
+        if isinstance(entry, Parameter):
+            spellings[0] += f"/{entry.negation}"
         return Annotated[bool | None, typer.Option(*spellings)]
-    kind = list[str] if taken.value.repeats else str
+    kind = list[str] if entry.value.repeats else str
     return Annotated[kind | None, typer.Option(*spellings, autocompletion=offers)]
 
 

@@ -42,21 +42,21 @@ def _show_plan(plan: BatchPlan, options: Options) -> None:
     for job in convert:
         why = job.why.partition(":")[0]
         reasons[why] = reasons.get(why, 0) + 1
-    told = "; " + ", ".join(f"{number:,} {why}" for why, number in reasons.items()) if convert else ""
+    tally = "; " + ", ".join(f"{number:,} {why}" for why, number in reasons.items()) if convert else ""
     text = f"{counted(len(plan.jobs) + len(skip), 'recording')}: {len(convert):,} to convert"
-    text += f" ({size(sum(job.size_bytes for job in convert))}{told})"
+    text += f" ({size(sum(job.size_bytes for job in convert))}{tally})"
     text += f", {len(keep):,} unchanged" if keep else ""
     say(text + (f", {len(skip):,} skipped by the dataset file" if skip else ""), err=True)
 
 
-def _show_outcome(done: RecordingOutcome, options: Options) -> None:
+def _show_outcome(outcome: RecordingOutcome, options: Options) -> None:
     """Show a line for a recording that is finished."""
-    if options.quiet and not (done.error and done.exit_status):
+    if options.quiet and not (outcome.error and outcome.exit_status):
         return
-    text = f"{done.outcome}: {done.key}"
-    if done.error:
-        text += f": {done.error}" + (f" (hint: {done.hint})" if done.hint else "")
+    text = f"{outcome.outcome}: {outcome.key}"
+    if outcome.error:
+        text += f": {outcome.error}" + (f" (hint: {outcome.hint})" if outcome.hint else "")
     else:
-        facts = filter(None, [counted(done.scans, "scan"), done.remark, f"{done.seconds:.1f} s"])
-        text = f"{'would be ' if options.dry_run else ''}{text} -> {done.output} ({', '.join(facts)})"
+        facts = filter(None, [counted(outcome.scans, "scan"), outcome.remark, f"{outcome.seconds:.1f} s"])
+        text = f"{'would be ' if options.dry_run else ''}{text} -> {outcome.output} ({', '.join(facts)})"
     say(as_typed(text), err=True)

@@ -56,10 +56,10 @@ def help_of(command: str, *, every: bool = False) -> Iterator[str]:
         yield from _paragraphs(_STATUSES, width)
         return
     shown, known = COMMANDS[command], options_of(command).values()
-    taken = [argument.metavar for argument in shown.arguments if not argument.spellings]
-    yield from (" ".join(("Usage: pc2scan", command, "[OPTIONS]", *taken)), "")
-    for typed, comment in shown.examples.items():
-        yield from (f"  # {comment}", f"  {typed}")
+    operands = [argument.metavar for argument in shown.arguments if not argument.spellings]
+    yield from (" ".join(("Usage: pc2scan", command, "[OPTIONS]", *operands)), "")
+    for words, comment in shown.examples.items():
+        yield from (f"  # {comment}", f"  {words}")
     yield from _paragraphs(shown.help, width)
     has_more = len(known) > _FEW
     sections: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
@@ -86,29 +86,29 @@ def _paragraphs(text: str, width: int) -> Iterator[str]:
 def _section(title: str, rows: Sequence[tuple[str, str]], width: int) -> Iterator[str]:
     """Yield a title and two columns: what is typed, and what it does."""
     yield from ("", f"{title}:")
-    column = min(max(len(typed) for typed, _ in rows), _COLUMN, width // 2) + 4
-    for typed, text in rows:
+    column = min(max(len(words) for words, _ in rows), _COLUMN, width // 2) + 4
+    for words, text in rows:
         lines = wrap(text, width - column, break_on_hyphens=False, break_long_words=False)
-        if len(typed) > column - 4:
-            yield f"  {typed}"
+        if len(words) > column - 4:
+            yield f"  {words}"
         else:
-            yield f"  {typed:{column - 2}}{lines.pop(0)}"
+            yield f"  {words:{column - 2}}{lines.pop(0)}"
         yield from (" " * column + line for line in lines)
 
 
 def _row_of_own(argument: Argument) -> tuple[str, str]:
     default = "required" if argument.required else argument.default_text and f"default: {argument.default_text}"
-    typed = f"{', '.join(argument.spellings)} {argument.metavar}" if argument.spellings else argument.shown
-    return typed, argument.help + (f"  [{default}]" if default else "")
+    usage = f"{', '.join(argument.spellings)} {argument.metavar}" if argument.spellings else argument.shown
+    return usage, argument.help + (f"  [{default}]" if default else "")
 
 
 def _row(option: Option) -> tuple[str, str]:
     """Return how an option is typed, and its help with its default."""
     value = option.value
-    typed = ", ".join(filter(None, (option.short, option.spelling)))
+    usage = ", ".join(filter(None, (option.short, option.spelling)))
     if value.kind != "bool":
-        typed += f" {value.metavar or '|'.join(value.words) or 'X'}"
+        usage += f" {value.metavar or '|'.join(value.words) or 'X'}"
     elif isinstance(option, Parameter):
-        typed += f" / {option.negation}"
+        usage += f" / {option.negation}"
     text = as_typed(option.help) + (" Repeatable." if value.repeats else "")
-    return typed, text + (f"  [default: {option.default_text}]" if option.default_text else "")
+    return usage, text + (f"  [default: {option.default_text}]" if option.default_text else "")

@@ -76,13 +76,13 @@ def items_of(
     Item | StoredChunk
         By log time. A group follows the item of the message that completes it.
     """
-    wanted, (start, stop, _) = [route.connection for route in routes.values()], span
+    connections, (start, stop, _) = [route.connection for route in routes.values()], span
 
     def items() -> Items:
         if meter is not None:
-            meter.expect(reader.stored_bytes(wanted, start, stop))
-        parts: list[Iterable[Chunk]] = [reader.chunks(Wanted(wanted, start, stop, rule))]
-        if start is not None and (lasting := [connection for connection in wanted if connection.is_latched]):
+            meter.expect(reader.stored_bytes(connections, start, stop))
+        parts: list[Iterable[Chunk]] = [reader.chunks(Wanted(connections, start, stop, rule))]
+        if start is not None and (lasting := [connection for connection in connections if connection.is_latched]):
             with closing(reader.messages(lasting, None, start, threads)) as earlier:
                 parts.insert(0, [latched_at(earlier, start)])
         for chunks in parts:
@@ -117,16 +117,16 @@ def convert(routes: Mapping[int, Route], message: RawMessage) -> Item:
     except MessageError as err:
         error = err
         results = [err] * len(route.steps)
-    done: dict[Any, Any] = {}
+    cache: dict[Any, Any] = {}
     for steps in route.steps if error is None else ():
         try:
             points = cloud
             for step in filter(None, (steps.place, steps.select)):
                 # Equal steps of several conversions are done once.
                 key = step, id(points)
-                if key not in done:
-                    done[key] = step(points)
-                points = done[key]
+                if key not in cache:
+                    cache[key] = step(points)
+                points = cache[key]
             scan = steps.project(points)
             results.append(route.encode(scan) if isinstance(scan, ConvertedMessage) else scan)
         except MessageError as err:
@@ -464,10 +464,10 @@ def add_groups(items: Items, combiners: Iterable[Combiner], threads: Threads | N
     if threads is None:
         with closing(items):
             for work, _, _ in _work(items, combiners):
-                done = work()
+                result = work()
                 # The next message is read into the buffer that this scan's points were in.
                 del work
-                yield done
+                yield result
         return
     # Of scans with very many points, only one may wait.
     queue: InOrder[Any] = InOrder(threads, _AHEAD_BYTES, 1)

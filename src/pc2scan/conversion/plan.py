@@ -195,8 +195,8 @@ def make_plan(connections: Sequence[Connection], options: Request) -> Plan:
             begin = outputs[-1].index + 1 if outputs else 0
             outputs += _outputs(spec, connection.kind, targets[spec].get(topic, ()), together[spec], begin)
         dropped = options.drop and matches(topic, options.drop)
-        wanted = not dropped and (not options.keep or matches(topic, options.keep))
-        passes = not options.only_scans and (options.keep_clouds if outputs else wanted)
+        is_kept = not dropped and (not options.keep or matches(topic, options.keep))
+        passes = not options.only_scans and (options.keep_clouds if outputs else is_kept)
         routes.append(Route(connection, outputs, passes))
     _refuse_collisions(routes)
     idle: list[str] = []
@@ -331,10 +331,10 @@ def _refuse_collisions(routes: Sequence[Route]) -> None:
             )
     for target, (source, output) in origin.items():
         if target in passing:
-            taken = passing | origin.keys()
+            names = passing | origin.keys()
             beside = f"{source.rstrip('/')}/{target.rsplit('/', 1)[-1]}"
-            candidates = (beside, *(f"{target}_{n}" for n in range(2, len(taken) + 3)))
-            free = next(name for name in candidates if name not in taken)
+            candidates = (beside, *(f"{target}_{n}" for n in range(2, len(names) + 3)))
+            free = next(name for name in candidates if name not in names)
             named = any(request.source == source for request in output.spec.topics)
             how = "" if named else " (the default)"
             raise TopicError(

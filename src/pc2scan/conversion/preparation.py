@@ -357,15 +357,15 @@ class _OutputFacts:
             timing, grouper, notes, doubts = measure_sources(sources, placer)
             prepared.add(spec, doubts, notes)
             topics = sources.output.sources
-            seen = self._surroundings(placer, odometry, prepared, topics)
-            deskews = self._deskews(placer, prepared, sources.facts, seen)
-            scan = MessagesToScan(spec, topics, placer, timing, grouper, deskews, seen)
+            surroundings = self._surroundings(placer, odometry, prepared, topics)
+            deskews = self._deskews(placer, prepared, sources.facts, surroundings)
+            scan = MessagesToScan(spec, topics, placer, timing, grouper, deskews, surroundings)
             prepared.conversions[spec, sources.output.scan] = scan
         if self._alone or not self._sources:
             measurements, notes = measure(self._alone.values(), spec, placer) if spec.needs_measuring else ({}, [])
             prepared.add(spec, (), notes)
-            seen = self._surroundings(placer, odometry, prepared)
-            deskews = self._deskews(placer, prepared, self._alone, seen)
+            surroundings = self._surroundings(placer, odometry, prepared)
+            deskews = self._deskews(placer, prepared, self._alone, surroundings)
             prepared.conversions[spec, ""] = CloudToScan(spec, placer, measurements, deskews)
 
     def _surroundings(
@@ -377,12 +377,12 @@ class _OutputFacts:
             return None
         first_ns = prepared.span.first_ns
         times = (first_ns, prepared.span.stop_ns or prepared.reader.summary.end_ns or first_ns)
-        seen = Surroundings(self._spec, placer.buffer, odometry, placer.source_frame, times, topics)
-        prepared.surroundings.append((self._spec.label, seen))
-        return seen
+        surroundings = Surroundings(self._spec, placer.buffer, odometry, placer.source_frame, times, topics)
+        prepared.surroundings.append((self._spec.label, surroundings))
+        return surroundings
 
     def _deskews(
-        self, placer: Placer, prepared: Preparation, topics: Mapping[str, TopicFacts], seen: Surroundings | None
+        self, placer: Placer, prepared: Preparation, topics: Mapping[str, TopicFacts], surroundings: Surroundings | None
     ) -> dict[str, Deskew]:
         """Return what places points at their own times, by topic; nothing without deskewing."""
         spec, where, facts = self._spec, self._where, topics.values()
@@ -392,11 +392,11 @@ class _OutputFacts:
         prepared.add(spec, (text for topic_facts in facts for text in time_warnings(topic_facts, where)), notes)
         if any(duration_warning(topic_facts, where) for topic_facts in facts):
             # Points at wrong times are where odometry that lags would put them.
-            seen = None
+            surroundings = None
         deskews = {}
         for topic in topics:
             own = PointTime(turn=turns[topic]) if topic in turns else where
-            sample = None if seen is None else partial(seen.add, topic)
+            sample = None if surroundings is None else partial(surroundings.add, topic)
             deskews[topic] = Deskew(placer, spec.fixed_frame, own, spec.stamp, sample)
         return deskews
 
@@ -449,8 +449,8 @@ def judge_first(prepared: Preparation, report: Report, tally: Tally | None = Non
                 if read == len(unconnected) == _UNCONNECTED:
                     why = f"{unconnected[0].message}{'; ' * bool(unconnected[0].hint)}{unconnected[0].hint or ''}"
                     tell(f"none of the first {read} messages can be converted: {topic}: {why}")
-                wanted = [spec for spec in specs if spec not in clouds or not are_enough(clouds[spec])]
-                for spec, sample, counts in _samples(item, message, wanted, prepared):
+                unjudged = [spec for spec in specs if spec not in clouds or not are_enough(clouds[spec])]
+                for spec, sample, counts in _samples(item, message, unjudged, prepared):
                     own = clouds.setdefault(spec, CloudFacts(topic, spec, prepared.known))
                     own.samples.append(sample)
                     own.counts.append(counts)

@@ -217,7 +217,7 @@ def run(
             finally:
                 report.messages_read = sum(route.messages for route in prepared.routes.values())
             tally.finish()
-            tell(*(label + text for label, seen in prepared.surroundings for text in seen.warnings()))
+            tell(*(label + text for label, surroundings in prepared.surroundings for text in surroundings.warnings()))
             for path, state in zip(read, states, strict=True):
                 # The result may mix its old and new bytes.
                 if state_of(path) != state:

@@ -244,29 +244,29 @@ class SelectStage:
         """
         rejected = {chosen.name: 0 for chosen in self.filters}
         # The points that are kept so far, in each frame that a filter needed.
-        seen: dict[Frame | str, Points] = {Frame.SOURCE: points}
+        clouds: dict[Frame | str, Points] = {Frame.SOURCE: points}
         steps = [(chosen.frame, chosen) for chosen in self.filters]
         if moving is not None:
             steps.sort(key=lambda step: step[0] is Frame.TARGET)
         else:
             steps = [(Frame.TARGET if frame == place.frame_id else frame, chosen) for frame, chosen in steps]
         for frame, chosen in steps:
-            if frame is Frame.TARGET and frame not in seen and moving is not None:
-                seen[frame], placed, lost = moving.place(seen[Frame.SOURCE])
+            if frame is Frame.TARGET and frame not in clouds and moving is not None:
+                clouds[frame], placed, lost = moving.place(clouds[Frame.SOURCE])
                 rejected.update(lost)
-                seen = seen if placed is None else {name: own.select(placed) for name, own in seen.items()}
-            elif frame not in seen:
-                seen[frame] = self._placed(seen[Frame.SOURCE], frame, place, chosen.name)
+                clouds = clouds if placed is None else {name: own.select(placed) for name, own in clouds.items()}
+            elif frame not in clouds:
+                clouds[frame] = self._placed(clouds[Frame.SOURCE], frame, place, chosen.name)
             with np.errstate(all="ignore"):
-                mask = chosen(seen[frame])
+                mask = chosen(clouds[frame])
             if mask.dtype != np.bool_:
                 raise TypeError(f"the filter {chosen.name} returned {mask.dtype}, expected bool")
             if count := mask.size - int(np.count_nonzero(mask)):
                 rejected[chosen.name] += count
-                seen = {name: own.select(mask) for name, own in seen.items()}
-        if Frame.TARGET in seen:
-            return seen[Frame.TARGET], None, rejected
-        kept = seen[Frame.SOURCE]
+                clouds = {name: own.select(mask) for name, own in clouds.items()}
+        if Frame.TARGET in clouds:
+            return clouds[Frame.TARGET], None, rejected
+        kept = clouds[Frame.SOURCE]
         return kept, place.target_from_source if moving is None else moving.transform_of(kept), rejected
 
     def _placed(self, points: Points, frame: Frame | str, place: Placement, name: str) -> Points:

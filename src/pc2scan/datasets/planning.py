@@ -284,13 +284,13 @@ def make_plan(
     again
         Whether everything is converted again.
     """
-    wanted = {recording: request for recording in recordings if (request := requests[recording.key]) is not None}
-    outputs = _outputs(wanted)
+    chosen = {recording: request for recording in recordings if (request := requests[recording.key]) is not None}
+    outputs = _outputs(chosen)
     clashes = _clashes(outputs)
     forbidden = partial(_forbidden, folder.path, cache(partial(Inputs, inputs)))
     jobs: list[Job] = []
-    left: list[str] = []
-    for recording, request in wanted.items():
+    leftovers: list[str] = []
+    for recording, request in chosen.items():
         record, output = folder.records.get(recording.key), outputs.get(recording.key, "")
         at = replace(recording, paths=tuple(map(absolute, recording.paths)))
         job = Job(recording=at, request=request, destination=absolute(folder.path / output), output=output)
@@ -312,9 +312,9 @@ def make_plan(
             continue
         jobs.append(replace(job, action="convert" if why else "keep", why=why or "unchanged"))
         if record is not None and record.output not in ("", output) and folder.present(record.output).files:
-            left.append(record.output)
-    warnings = [f"earlier results have other names now, and stay: {name_list(left, 3)}"] if left else []
-    return BatchPlan(jobs, [recording for recording in recordings if recording not in wanted], warnings)
+            leftovers.append(record.output)
+    warnings = [f"earlier results have other names now, and stay: {name_list(leftovers, 3)}"] if leftovers else []
+    return BatchPlan(jobs, [recording for recording in recordings if recording not in chosen], warnings)
 
 
 def _forbidden(out: Path, read: Callable[[], Inputs], output: str) -> DestinationError | None:

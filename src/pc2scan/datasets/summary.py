@@ -151,8 +151,8 @@ class RecordingOutcome:
         if self.error:
             return self.error if self.outcome != NO_CLOUDS else ""
         numbers = {"skipped": self.skipped, "damaged": len(self.damage)}
-        told = [f"{number:,} {what}" for what, number in numbers.items() if number]
-        return ", ".join([*told, counted(len(self.warnings), "warning")] if self.warnings else told)
+        counts = [f"{number:,} {what}" for what, number in numbers.items() if number]
+        return ", ".join([*counts, counted(len(self.warnings), "warning")] if self.warnings else counts)
 
     def remarks(self) -> Iterator[tuple[str, str]]:
         """Yield what is said of it: of which kind (see `RemarkGroup`), and the text."""
@@ -263,19 +263,22 @@ class BatchReport(Result):
         yield f"{counted(len(self.outcomes), 'recording')}{f': {would}{counts}' if counts else ''}" + (
             f"; {self.unchanged:,} unchanged since an earlier run" if self.unchanged else ""
         )
-        done = [outcome for outcome in self.outcomes if outcome.action == "convert"]
-        read, written = sum(outcome.bytes_read for outcome in done), sum(outcome.bytes_written for outcome in done)
+        conversions = [outcome for outcome in self.outcomes if outcome.action == "convert"]
+        read, written = (
+            sum(outcome.bytes_read for outcome in conversions),
+            sum(outcome.bytes_written for outcome in conversions),
+        )
         scans, empty = (
             sum(outcome.scans for outcome in self.outcomes),
             sum(outcome.empty_scans for outcome in self.outcomes),
         )
         if self.dry_run:
-            if done:
-                yield f"{len(done):,} to convert: {size(read)}"
+            if conversions:
+                yield f"{len(conversions):,} to convert: {size(read)}"
             return
         yield f"{counted(scans, 'scan')}, {empty:,} without a return"
-        if done:
-            results = sum(outcome.outcome in ("empty", "incomplete", "converted") for outcome in done)
+        if conversions:
+            results = sum(outcome.outcome in ("empty", "incomplete", "converted") for outcome in conversions)
             yield (
                 f"{self.destination}: {counted(results, 'result')} written now, {size(written)} from {size(read)} in "
                 f"{duration(self.seconds)}" + (f", {self.workers} at a time" if self.workers else "")

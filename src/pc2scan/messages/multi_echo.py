@@ -103,7 +103,7 @@ def _chosen(echoes: _Echoes, echo: str) -> NDArray[np.int64]:
 
 
 def _take(echoes: _Echoes, chosen: NDArray[np.int64], missing: float) -> NDArray[np.float32]:
-    taken = np.full(echoes.counts.size, missing, np.float32)
+    values = np.full(echoes.counts.size, missing, np.float32)
     has_echo = echoes.counts > 0
-    taken[has_echo] = echoes.values[(echoes.starts + chosen)[has_echo]]
-    return taken
+    values[has_echo] = echoes.values[(echoes.starts + chosen)[has_echo]]
+    return values

@@ -54,10 +54,10 @@ class TimeBound(NamedTuple):
         UsageError
             If it is none of these.
         """
-        written = re.fullmatch(_SECONDS, text.strip())
-        if written:
-            value = Decimal(written[1])
-            if unit := written[2]:
+        match = re.fullmatch(_SECONDS, text.strip())
+        if match:
+            value = Decimal(match[1])
+            if unit := match[2]:
                 value /= PARTS_OF_SECOND[unit]
             if value >= _ABSOLUTE_NANOSECONDS:
                 return cls(int(value), absolute=True)
@@ -130,10 +130,10 @@ class TimeBound(NamedTuple):
 
 def _moment(text: str) -> tuple[datetime, int]:
     """Read a date and time in ISO 8601; return the fraction of the second in nanoseconds, which `datetime` lacks."""
-    written = re.fullmatch(_DATE_AND_TIME, text.strip())
-    if not written:
+    match = re.fullmatch(_DATE_AND_TIME, text.strip())
+    if not match:
         return datetime.fromisoformat(text), 0
-    start, fraction, zone = written.groups(default="")
+    start, fraction, zone = match.groups(default="")
     # In the only form that Python 3.10 can read.
     zone = "+00:00" if zone == "Z" else zone and f"{zone[:3]}:{zone[3:].lstrip(':') or '00'}"
     return datetime.fromisoformat(start + zone), int(fraction[:9].ljust(9, "0"))

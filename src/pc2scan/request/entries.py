@@ -199,19 +199,19 @@ def naming_place(
     try:
         yield
     except UsageError as err:
-        said, own = f"{err.where}: {err.message}", err.name if isinstance(err, ParameterError) else ""
+        text, own = f"{err.where}: {err.message}", err.name if isinstance(err, ParameterError) else ""
         for file, named_in, option in files:
             # If the file cannot be read, there is nothing to quote.
-            if str(file) in said and not isinstance(err.__cause__, OSError):
-                position = re.search(re.escape(str(file)) + r"(?:, |: |: .*? in )((?:line|entry) \d+)", said)
+            if str(file) in text and not isinstance(err.__cause__, OSError):
+                position = re.search(re.escape(str(file)) + r"(?:, |: |: .*? in )((?:line|entry) \d+)", text)
                 # Any other name is content.
                 name = own if own in PARAMETERS else ""
                 what = f"{name}: expected another value" if name else "not valid"
                 message = f"{file}{f', {position[1]}' if position else ''}: {what} (named in {named_in}"
                 hint = f"`{option}={file}` shows what is wrong"
                 raise ParameterError(f"{message}, so nothing of it is shown)", name=name, hint=hint) from None
-        said = f"{err.message} {err.hint or ''}"
-        named = (place for key, place in places.items() if key == own or f"`{key}`" in said or f"`{key}=" in said)
+        text = f"{err.message} {err.hint or ''}"
+        named = (place for key, place in places.items() if key == own or f"`{key}`" in text or f"`{key}=" in text)
         if default and default.partition(",")[0] not in err.message:
             err.message += f" (from {next(named, default)})"
         raise

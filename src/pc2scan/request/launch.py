@@ -221,12 +221,12 @@ class LaunchFile:
         yield LaunchValue(kind, name, value, element.line)
 
     def _applies(self, element: Element) -> bool:
-        for attribute, wanted in (("if", _TRUE), ("unless", _FALSE)):
+        for attribute, words in (("if", _TRUE), ("unless", _FALSE)):
             if attribute in element.attributes:
                 text = self._expanded(element.attributes[attribute], element).strip()
                 if text not in _TRUE | _FALSE:
                     raise UnreadError(f"{attribute}={text!r} is neither true nor false", element.line)
-                if text not in wanted:
+                if text not in words:
                     return False
         return True
 

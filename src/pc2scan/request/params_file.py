@@ -346,9 +346,9 @@ def _node_to_read(sections: _Sections, node: str | None, file: Path) -> str:
 def _matching_nodes(sections: _Sections, node: str | None) -> list[str]:
     """Return the nodes that may be read: those that are asked for, else those of pointcloud_to_laserscan."""
     if node is not None:
-        wanted = _full_name((node,))
-        ending = [wanted] if wanted in sections else [full for full in sections if full.endswith(f"/{node}")]
-        return ending or [wanted] * any(_matches(pattern, wanted) for pattern in sections)
+        full_name = _full_name((node,))
+        ending = [full_name] if full_name in sections else [full for full in sections if full.endswith(f"/{node}")]
+        return ending or [full_name] * any(_matches(pattern, full_name) for pattern in sections)
     own = {full: [name for name in parameters if not is_every_nodes(name)] for full, parameters in sections.items()}
     foreign = {full: [name for name in own[full] if name not in {*PARAMETERS, *ALIASES, *TOPICS}] for full in own}
     upstreams = [full for full in own if not foreign[full] and _OF_UPSTREAM.intersection(own[full])]

@@ -271,12 +271,12 @@ def _outputs(scans: Entry) -> Iterator[tuple[str, Entry]]:
     if not isinstance(scans.value, dict) or not scans.value:
         problem = f"got {scans.shown}" if scans.value else "there are none"
         raise UsageError(f"{scans.place}: expected outputs under 'scans', {problem}", hint=_EXAMPLE)
-    seen: dict[str, str] = {}
+    places: dict[str, str] = {}
     for topic, entry in scans.value.items():
         full = new_topic(topic, entry.place)
-        if full in seen:
-            raise UsageError(f"{entry.place}: {full} is given twice, first in {seen[full]}")
-        seen[full] = entry.place
+        if full in places:
+            raise UsageError(f"{entry.place}: {full} is given twice, first in {places[full]}")
+        places[full] = entry.place
         yield full, entry
 
 

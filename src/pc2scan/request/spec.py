@@ -100,8 +100,8 @@ class Combining(NamedTuple):
         spans = {name: nanoseconds_of(name, values[name]) for name in ("window", "every") if name in values}
         accumulate = values.get("accumulate")
         count = span_ns = 0
-        if isinstance(accumulate, str) and (written := re.fullmatch(_CLOUDS, accumulate.strip())):
-            count = int(written[1])
+        if isinstance(accumulate, str) and (match := re.fullmatch(_CLOUDS, accumulate.strip())):
+            count = int(match[1])
             if not 1 <= count <= _MOST_MESSAGES:
                 raise UsageError(f"`accumulate` is {accumulate!r}, it must be 1 to {_MOST_MESSAGES:,} clouds")
         elif accumulate is not None:

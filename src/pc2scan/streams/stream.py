@@ -296,7 +296,7 @@ class Stream(ABC, Generic[Item]):
             self.skipped, self.skipped_count = tally.skipped, 0
             self.damage = source.damage
             warned = self._warn_of_damage(0)
-            told = 0
+            count = 0
             meter, self._meter = self._meter, None
             jobs = source.jobs or cores()
             items = items_of(
@@ -309,7 +309,7 @@ class Stream(ABC, Generic[Item]):
             )
             stack.enter_context(closing(items))
             try:
-                told = self._warn(source.warnings)
+                count = self._warn(source.warnings)
                 for item in items:
                     # No rule allows whole chunks here.
                     assert not isinstance(item, StoredChunk)
@@ -319,16 +319,16 @@ class Stream(ABC, Generic[Item]):
                         hint = f" ({error.hint})" if error.hint else ""
                         self._warn([f"skipped: {error}{hint}; see .skipped for all; strict=True makes them errors"])
                     self.skipped_count = tally.failures
-                    told = self._warn(source.warnings, told)
+                    count = self._warn(source.warnings, count)
                     yield item
                     del item
                 tally.finish()
             except Pc2ScanError:
                 # Often the cause.
-                self._warn(source.warnings, told)
+                self._warn(source.warnings, count)
                 raise
             source.conclude()
-            self._warn(source.warnings, told)
+            self._warn(source.warnings, count)
             self.damage = source.damage
             self._warn_of_damage(warned)
 
@@ -340,9 +340,9 @@ class Stream(ABC, Generic[Item]):
             if isinstance(result, ConvertedMessage)
         ]
 
-    def _warn(self, texts: Sequence[str], told: int = 0, depth: int = 4) -> int:
+    def _warn(self, texts: Sequence[str], count: int = 0, depth: int = 4) -> int:
         """Pass on the texts after those that were told: to `listener`, or as warnings about the line of the loop."""
-        for text in texts[told:]:
+        for text in texts[count:]:
             if self.listener is not None:
                 self.listener(text)
             else:
@@ -463,7 +463,9 @@ class Scans(Stream[Scan]):
         judge_first(prepared, report)
 
         def conclude() -> None:
-            report.add([label + text for label, seen in prepared.surroundings for text in seen.warnings()])
+            report.add(
+                [label + text for label, surroundings in prepared.surroundings for text in surroundings.warnings()]
+            )
             report.add(prepared.reader.remarks)
             report.add(*result_findings(report))
 
