@@ -212,7 +212,7 @@ def view(
 ) -> Page:
     """Show a recording as an HTML page, as ``pc2scan view`` does: its clouds, and their scans with tunable parameters.
 
-    Of several outputs, the first is shown.
+    If there are several outputs, the first is shown.
 
     Parameters
     ----------
@@ -248,7 +248,7 @@ def plot(
 ) -> Plot:
     """Draw clouds from above and from the side, with the heights and the scan, as ``pc2scan plot`` does.
 
-    Of several outputs, the first is drawn.
+    If there are several outputs, the first is drawn.
 
     Parameters
     ----------
@@ -290,7 +290,7 @@ def map(  # noqa: A001  # the command's name
     This is a preview, not SLAM: no scans are matched, and no poses corrected. It shows whether heights, mounting,
     stamps and odometry fit together. A scan has the pose at its stamp; with a ``time_increment``, each beam has the
     pose at its own time. ``topics`` are topics of scans or clouds; by default all scans, or all clouds if there
-    are no scans, or if an option is given that converts clouds. Of several outputs, the first is drawn.
+    are no scans, or if an option is given that converts clouds. If there are several outputs, the first is drawn.
 
     Parameters
     ----------

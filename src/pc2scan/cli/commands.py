@@ -112,7 +112,7 @@ COMMANDS = {
         """Write a page that shows clouds and the scans made of them, to tune the parameters by eye.
 
         The page is one HTML file that needs no network. It computes the same scans as `pc2scan convert`, to the bit,
-        and shows the command line for them. Of a recording without clouds, it shows the scans.""",
+        and shows the command line for them. If a recording has no clouds, it shows the scans.""",
         _sources("Recordings with clouds or scans; several are merged in time order."),
         _output("PAGE", "The page, an HTML file.", default_text="next to SRC, with _view.html in its name"),
         examples={

@@ -29,7 +29,7 @@ _STATUSES = (
     "check, diff and golden: 0 accepted or the same, 1 not, 2 could not be judged."
 )
 
-#: Of a command with more options than these, ``--help`` shows the common ones.
+#: If a command has more options than these, ``--help`` shows the common ones.
 _FEW = 30
 
 #: The width where it is unknown, the largest, and that of the column of options.

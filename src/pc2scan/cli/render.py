@@ -126,7 +126,7 @@ def show(result: Result, options: Options, known: Container[str] = ()) -> int:
     Parameters
     ----------
     options
-        Of the call: ``as_json``, ``quiet`` and ``verbose`` are read.
+        Those of the call; ``as_json``, ``quiet`` and ``verbose`` are read.
     known
         Warnings that were shown while it was made.
 

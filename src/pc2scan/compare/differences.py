@@ -62,9 +62,9 @@ class WorstValue:
     Attributes
     ----------
     index
-        Of the beam or the point.
+        The number of the beam or the point.
     angle
-        Of the beam, rad; None for clouds.
+        The angle of the beam, rad; None for clouds.
     difference
         Absolute; infinity if only one of the two is finite, 0 if only the bits differ.
     """

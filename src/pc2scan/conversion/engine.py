@@ -195,7 +195,7 @@ class Item(NamedTuple):
     route
         The route of the message; of a group, that of its leading message.
     log_time_ns, publish_time_ns, sequence
-        Of the message. A group has the log time of the message that completes it, and the leading one's sequence.
+        Those of the message. A group has the log time of the message that completes it, and the leading one's sequence.
     results
         Each output with its result, or with the error in its place. The message of an output that makes one scan of
         several waits for its group.

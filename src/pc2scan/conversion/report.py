@@ -187,7 +187,7 @@ class Report(Result):
     notes
         Values that were measured, or chosen by default.
     ways
-        Of a dry run: what is done with the messages of each topic that is converted, in words.
+        What a dry run says of each converted topic: the steps that its messages take, in words.
     damage
         Damaged places in the parts of the sources that were read.
     messages_read

@@ -287,7 +287,7 @@ def span(x: NDArray[Any], values: NDArray[Any]) -> tuple[float, float, int, int]
     Parameters
     ----------
     x, values
-        Of one shape, (M,) or (H, W), of any of PointField's datatypes.
+        Both have one shape, (M,) or (H, W), and any of PointField's datatypes.
 
     Returns
     -------

@@ -1,7 +1,7 @@
 """Reduces the returns of each beam to the one that the scan reads.
 
-Returns are given as two arrays of one length, in the order of the cloud: the beam of each, and its range. Of equal
-ranges in a beam the first one in this order wins. The result does not depend on blocks or threads.
+Returns are given as two arrays of one length, in the order of the cloud: the beam of each, and its range. If ranges
+in a beam are equal, the first one in this order wins. The result does not depend on blocks or threads.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def surfaces(beams: NDArray[Any], ranges: NDArray[np.float32], count: int, incre
 
     Returns
     -------
-    (N,) intp, 0 to M - 1; -1 for a beam without returns. Of an even number of returns, the lower one of the two in the
+    (N,) intp, 0 to M - 1; -1 for a beam without returns. If their number is even, the lower one of the two in the
     middle.
 
     Notes

@@ -46,7 +46,7 @@ IN_SECONDS = "time_increment is in seconds, and this one is probably in another 
 #: Times of this many seconds and more do not count from the cloud's beginning, but from 1970, or from the sensor's
 #: start.
 _ABSOLUTE = 1000.0
-#: Of how many points the times are looked at to see whether they are absolute.
+#: How many points' times show whether they are absolute.
 _SOME = 64
 #: Shorter times are absolute, too, if they differ from the stamp by less than this factor. It tells units apart.
 _NEAR = 2.0

@@ -26,7 +26,7 @@ _ORDER = ("died", "failed", "empty", "incomplete", NO_CLOUDS, "converted", "skip
 #: Outcomes that make the exit status 1, and 3.
 _BAD, _ODD = frozenset({"died", "failed"}), frozenset({"empty", "incomplete"})
 
-#: Maximum number of recordings that are listed one by one. Of more, what is said of them is listed instead.
+#: Maximum number of recordings that are listed one by one. If there are more, their remarks are listed instead.
 _MAX_SHOWN = 30
 
 #: How many recordings are named as examples.
@@ -46,7 +46,7 @@ class RemarkGroup(NamedTuple):
     kind
         ``warning``, ``damaged``, ``skipped``, or the outcome of which it is the reason.
     text
-        What is said of the first of them.
+        The remark about the first of them.
     recordings
         Their names in the dataset.
     """
@@ -155,7 +155,7 @@ class RecordingOutcome:
         return ", ".join([*counts, counted(len(self.warnings), "warning")] if self.warnings else counts)
 
     def remarks(self) -> Iterator[tuple[str, str]]:
-        """Yield what is said of it: of which kind (see `RemarkGroup`), and the text."""
+        """Yield the remarks about it: the kind (see `RemarkGroup`) and the text."""
         if self.error:
             yield self.outcome, f"{self.error} ({self.hint})" if self.hint else self.error
         if self.skipped:
@@ -165,7 +165,7 @@ class RecordingOutcome:
 
 
 def groups_of(outcomes: Iterable[RecordingOutcome]) -> list[RemarkGroup]:
-    """Return what is said of several recordings, the worst first, then what is said of most."""
+    """Return the remarks that several recordings share, the worst first, then the most frequent."""
     remarks: dict[tuple[str, str], tuple[str, dict[str, None]]] = {}
     for outcome in outcomes:
         for kind, text in outcome.remarks():
@@ -229,7 +229,7 @@ class BatchReport(Result):
 
     @property
     def groups(self) -> list[RemarkGroup]:
-        """What is said of several recordings, the worst first, then what is said of most."""
+        """The remarks that several recordings share, the worst first, then the most frequent."""
         return groups_of(self.recordings)
 
     @property
@@ -238,9 +238,9 @@ class BatchReport(Result):
         return sorted(self.outcomes, key=lambda outcome: outcome.rank)
 
     def body(self, *, verbose: bool = False) -> Iterator[Part]:
-        """Yield the recordings, bad outcomes first, what is said of several, and the total.
+        """Yield the recordings, bad outcomes first, the remarks that several share, and the total.
 
-        Of more than thirty recordings, those that need attention are only listed by what is said of them;
+        If there are more than thirty recordings, only the remarks about those that need attention are listed;
         ``verbose``: all recordings.
         """
         if self.dry_run:

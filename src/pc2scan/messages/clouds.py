@@ -75,7 +75,7 @@ def to_pointcloud2(connection: Connection, serialization: str) -> Callable[[Buff
     Parameters
     ----------
     serialization
-        Of the new messages: ``ros1`` or ``cdr``.
+        That of the new messages: ``ros1`` or ``cdr``.
     """
     decode = CLOUDS[connection.ros_type](connection.serialization)
     return lambda data: encode_cloud(as_pointcloud2(decode(data)), serialization)

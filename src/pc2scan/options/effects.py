@@ -1,4 +1,4 @@
-"""Which option has no effect without which other one, or beside it: every door refuses by these two tables."""
+"""Options that have no effect without another one, or together with it: every door refuses by these two tables."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _OF_ONE_OUTPUT = [
     if option.scope in (Scope.ONE_OUTPUT, Scope.SINGLE) and not isinstance(option, Parameter)
 ]
 
-#: An option, those that have no effect beside it, and why.
+#: An option, those that have no effect together with it, and why.
 IDLE = (
     ("scans", " ".join(_OF_ONE_OUTPUT), "which has it for each output, or for all of them under 'defaults'"),
     ("params", "preset params_file node", "which has all parameters"),

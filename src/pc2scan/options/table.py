@@ -204,7 +204,7 @@ def options_about_scans() -> set[str]:
 
 
 def conversion_options() -> Mapping[str, Option]:
-    """Return the options of a conversion as a batch has it: all that may stand in a dataset file, and ``overwrite``."""
+    """Return the options of a conversion as a batch has it: all that a dataset file may have, and ``overwrite``."""
     return {
         name: option
         for name, option in options_of("batch").items()

@@ -33,7 +33,7 @@ _ATTRIBUTES = {"package": "pkg", "executable": "exec", "plugin": "plugin", "name
 _ACTIONS = {"LaunchDescription", "GroupAction", "TimerAction", "ComposableNodeContainer", "LoadComposableNodes"}
 _LAUNCHED = {"actions", "initial_entities", "composable_node_descriptions"}
 
-#: What changes nodes or arguments beside it.
+#: Actions and arguments that change other nodes or arguments.
 _CHANGING = {"PushRosNamespace", "PushROSNamespace", "SetRemap", "SetParameter", "SetParametersFromFile"}
 _CHANGING |= {"SetLaunchConfiguration", "UnsetLaunchConfiguration", "launch_configurations", "forwarding"}
 

@@ -79,7 +79,7 @@ class Turn:
     Attributes
     ----------
     period
-        Of one turn, seconds; 0: this and everything else that is not given is measured.
+        The time of one turn, seconds; 0: it is measured, and so is everything else that is not given.
     direction
         1 counter-clockwise, -1 clockwise; 0: not given, so taken from the order of each cloud's points.
     ended
@@ -234,7 +234,7 @@ class FieldTimes(NamedTuple):
     offset, unit
         A point was measured ``(value - offset) * unit`` seconds after the stamp.
     low, high
-        Of the first and the last point, seconds after the stamp; inf and -inf if no time is known.
+        The times of the first and the last point, seconds after the stamp; inf and -inf if no time is known.
     measured
         How many points have an ``x`` that is not NaN.
     unknown

@@ -11,7 +11,7 @@ The rules are those of tf2 0.7.6 (``BufferCore``, ``TimeCache``, ``StaticCache``
   last sample are used as they are at their own stamps.
 - A child whose first accepted transform was static stays static: its last transform is valid at any time. Any other
   child stays dynamic; a transform that arrives for it as static is a sample like the others.
-- Samples may arrive in any order. Of several with one stamp the first to arrive is kept.
+- Samples may arrive in any order. If several have one stamp, the first to arrive is kept.
 - Transforms are needed only up to the common ancestor. Nothing is extrapolated.
 - The source is walked up first, to the target, the root, or the first frame whose parent is not known at the time, and
   then the target, if it was not met. The transforms above a common ancestor are in both walks and cancel out but for

@@ -333,7 +333,7 @@ class SourceFacts:
     output
         The request, and the topics.
     facts
-        Of each topic.
+        What the survey shows of each topic.
     """
 
     def __init__(self, output: Output, facts: Mapping[str, TopicFacts]) -> None:

@@ -442,8 +442,8 @@ class Rule(ABC):
 class Nearest(Rule):
     """Each leading message leads a scan, with the nearest message of each other topic.
 
-    A message that is nearer to a later leading message is left to that, so no message is in two scans. Of equally near
-    ones, the earlier is taken; equal stamps are in the order of the file.
+    A message that is nearer to a later leading message is left to that, so no message is in two scans. If two are
+    equally near, the earlier is taken; equal stamps are in the order of the file.
 
     Attributes
     ----------
@@ -491,7 +491,7 @@ class Nearest(Rule):
 class Recent(Rule):
     """A scan has the messages of the last seconds, or the last few messages, up to its leading message.
 
-    Of each other topic, messages with the leading message's own stamp belong to it, too: as many as of the leading
+    Messages of other topics with the leading message's own stamp belong to it, too: as many as of the leading
     topic, in the order of the file.
 
     Attributes
