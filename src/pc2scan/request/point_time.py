@@ -350,7 +350,8 @@ def measure_turn(topic: str, given: Turn, clouds: Sequence[TurnSample]) -> tuple
                 turn = replace(turn, direction=ways[0])
         if turn.ended is None:
             if min(delays) < 0 or not any(delays) or median(delays) >= _OF_LAST * turn.period:
-                why = why or f"they are logged {min(delays):.4g} to {max(delays):.4g} s after their stamps"
+                logged = f"they are logged {min(delays):.4g} to {max(delays):.4g} s after their stamps"
+                why = why or f"{logged}, which may be of the first or of the last point"
             else:
                 turn = replace(turn, ended=True)
     if why:

@@ -251,7 +251,8 @@ def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int) -> Mo
         return lying
     recorded = _recorded_floor(buffer, name, stamp_ns)
     heights = suitable_heights(body_ground, samples, frame=name, origin_z=height, recorded=recorded)
-    fault = _fault(ground)
+    # The transform says which of the slanted planes is the floor.
+    fault = "" if ground.kind == "slanted" and tilt > LEVEL else _fault(ground)
     if not fault and tilt > _NOTABLE_TILT:
         if ground.kind == "level" and tilt < math.pi - _NOTABLE_TILT:
             return None
