@@ -7,7 +7,7 @@ import stat
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import MissingError, RecordingError
-from pc2scan.files.compression import ZSTD_MAGIC, CompressionError, zstd_head
+from pc2scan.files.compression import ZSTD_MAGIC, CompressionError, zstd_pieces
 from pc2scan.files.source_file import LFS_HINT, LFS_POINTER, file_beside, missing_hint, open_bytes
 from pc2scan.files.urls import UrlPath, fetched
 
@@ -63,7 +63,7 @@ def sniff(path: Path) -> str:
             head, packed = file.read(64), ""
             if head.startswith(ZSTD_MAGIC):
                 file.seek(0)
-                head, packed = zstd_head(file, 64), "+zstd"
+                head, packed = next(zstd_pieces(file, 64), b""), "+zstd"
     except FileNotFoundError as err:
         raise MissingError("does not exist", path=path, hint=missing_hint(path)) from err
     except OSError as err:

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from .formats import Format
     from .reader import Reader
 
-#: Bytes that are decompressed at a time. The result, which may be 30,000 times as large, is held in memory.
-_PIECE = 1 << 10
+#: Bytes that are read, and written, at a time.
+_PIECE = 1 << 14
 
 #: Limit of what the messages of one chunk may unpack to.
 _MAX_TOGETHER = 128 << 20
@@ -48,26 +48,17 @@ def decompress_file(path: Path, folder: Path, log: DamageLog) -> Path:
     """
     target = folder / without_suffix(path.name)
     size = path.stat().st_size
-    begin, allowed = 0, MAX_UNPACKED + MAX_RATIO * size
-    decoder, complete = compression.Decoder("zstd"), True
+    allowed = MAX_UNPACKED + MAX_RATIO * size
     with copy_errors(path, folder), open_bytes(path) as packed, target.open("wb") as out:
         try:
-            while piece := packed.read(_PIECE):
-                while piece:
-                    allowed -= out.write(decoder.feed(piece))
-                    if allowed < 0:
-                        what = f"unpacks to more than {MAX_RATIO} times its size, which no recording does"
-                        raise RecordingError(what, path=path)
-                    complete, piece = decoder.codec.eof, decoder.codec.unused_data
-                    if complete:
-                        # Another frame may follow: pzstd writes many.
-                        decoder = compression.Decoder("zstd")
-                begin = packed.tell()
-            if not complete:
-                raise CompressionError("it is cut off")
+            for piece in compression.zstd_pieces(packed, _PIECE):
+                allowed -= out.write(piece)
+                if allowed < 0:
+                    what = f"unpacks to more than {MAX_RATIO} times its size, which no recording does"
+                    raise RecordingError(what, path=path)
         except CompressionError as err:
             error = DamageError(f"cannot be decompressed: {err}", path=path, hint=RECOVER)
-            log.note(error, offset=begin, bytes_lost=size - begin)
+            log.note(error, offset=packed.tell(), bytes_lost=size - packed.tell())
     return target
 
 
@@ -130,9 +121,7 @@ def is_frame(message: RawMessage) -> bool:
 
 def without_suffix(name: str) -> str:
     """Return a compressed file's name without the suffix."""
-    for suffix in SUFFIXES:
-        name = name.removesuffix(suffix)
-    return name
+    return name.rpartition(".")[0] if name.endswith(SUFFIXES) else name
 
 
 def open_packed(path: Path, inner: Format, *, strict: bool) -> Reader:

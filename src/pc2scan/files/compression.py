@@ -8,7 +8,9 @@ from __future__ import annotations
 import bz2
 import zlib
 from contextlib import suppress
+from functools import partial
 from importlib import import_module
+from io import BytesIO
 from typing import IO, TYPE_CHECKING, Any
 
 import zstandard
@@ -20,7 +22,7 @@ with suppress(ImportError):
     _zlib = import_module("isal.isal_zlib")
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from pc2scan.model import Buffer
 
@@ -111,43 +113,18 @@ def compress(compression: str, data: Buffer, level: int = 3) -> Buffer:
     return zstandard.ZstdCompressor(level=level).compress(data)
 
 
-class Decoder:
-    """Decompresses ``bz2`` or ``zstd`` piece by piece.
-
-    A piece that fails is lost as a whole, so small pieces lose less. The ``codec`` is the library's: it knows the end.
-    """
-
-    def __init__(self, compression: str) -> None:
-        self._takes_limit = compression == "bz2"
-        self.codec: Any = bz2.BZ2Decompressor() if self._takes_limit else zstandard.ZstdDecompressor().decompressobj()
-
-    def feed(self, piece: Buffer, limit: int = -1) -> bytes:
-        """Decompress a piece.
-
-        ``limit`` bounds the result (-1: no bound). zstd ignores it, but a piece of 64 bytes becomes at most
-        about a dozen blocks of 128 KB, and one of 2 KiB at most 64 MB.
-
-        Raises
-        ------
-        CompressionError
-            If it cannot be decompressed.
-        """
-        try:
-            return bytes(self.codec.decompress(piece, limit) if self._takes_limit else self.codec.decompress(piece))
-        except (OSError, EOFError, zstandard.ZstdError) as err:
-            raise CompressionError(str(err)) from err
-
-
-def zstd_head(file: IO[bytes], size: int) -> bytes:
-    """Decompress the first bytes of a zstd file; fewer if the file has fewer.
+def zstd_pieces(file: IO[bytes], size: int) -> Iterator[bytes]:
+    """Yield what is in a zstd file, of one frame or many, in pieces of at most so many bytes.
 
     Raises
     ------
     CompressionError
-        If they cannot be decompressed.
+        If it is damaged. A file that is cut off just ends.
     """
+    reader = zstandard.ZstdDecompressor().stream_reader(file, read_size=size, read_across_frames=True)
     try:
-        return zstandard.ZstdDecompressor().stream_reader(file).read(size)
+        while piece := reader.read1(size):
+            yield piece
     except zstandard.ZstdError as err:
         raise CompressionError(str(err)) from err
 
@@ -174,7 +151,7 @@ def _from_zstd(data: Buffer, out: memoryview) -> int:
 
 def _zlib_within(data: Buffer, limit: int) -> Buffer:
     # With a header of gzip or of zlib.
-    inflate = _zlib.decompressobj(31 if bytes(data[:2]) == b"\x1f\x8b" else 15)
+    inflate = _zlib.decompressobj(47)
     try:
         content: bytes = inflate.decompress(data, limit + 1)
     except (zlib.error, _zlib.error) as err:
@@ -206,7 +183,7 @@ crc32: Callable[..., int] = _zlib.crc32
 #: A damaged chunk is decompressed up to this size even if it declares less: its declared size may be damaged too.
 SIZE_LIMIT = 16 << 20
 
-#: A decompressor that fails drops its output for the piece that it was given, so pieces are small.
+#: A decompressor that fails drops the piece of its output that it was to return, so pieces are small.
 _PIECE = 64
 
 
@@ -235,11 +212,12 @@ def decompressed_prefix(data: Buffer, compression: str, declared: int) -> bytes:
         with suppress(IndexError):
             _decode_lz4(data, out, limit)
     elif compression in {"bz2", "zstd"}:
-        decoder = Decoder(compression)
-        with suppress(CompressionError, MemoryError):
-            for start in range(0, len(data), _PIECE):
-                out += decoder.feed(data[start : start + _PIECE], limit - len(out))
-                if decoder.codec.eof or len(out) >= limit:
+        read_bz2 = partial(bz2.BZ2File(BytesIO(data)).read1, _PIECE)
+        pieces = iter(read_bz2, b"") if compression == "bz2" else zstd_pieces(BytesIO(data), _PIECE)
+        with suppress(OSError, EOFError, CompressionError, MemoryError):
+            for piece in pieces:
+                out += piece
+                if len(out) >= limit:
                     break
     return bytes(out[:limit])
 
@@ -255,12 +233,14 @@ def _decode_lz4(data: bytes, out: bytearray, limit: int) -> None:
         position += 4 + length + 4 * bool(flags & 0x10)
         if stored:
             out += block
-        elif not block or not _decode_block(block, out, limit):
+        elif block:
+            _decode_block(block, out, limit)
+        else:
             break
 
 
-def _decode_block(block: bytes, out: bytearray, limit: int) -> bool:
-    """Decode the sequences of a block, which refer to what is before them, and return whether it is whole.
+def _decode_block(block: bytes, out: bytearray, limit: int) -> None:
+    """Decode the sequences of a block, which refer to what is before them; an IndexError where they are damaged.
 
     Source: lz4_Block_format.md.
     """
@@ -283,12 +263,11 @@ def _decode_block(block: bytes, out: bytearray, limit: int) -> bool:
         position += literals
         # The last sequence has literals only.
         if position == len(block):
-            return True
+            return
         distance = block[position] | block[position + 1] << 8
         position += 2
         length = min(extended(token & 15) + 4, limit)
         if not 0 < distance <= len(out):
-            break
+            raise IndexError
         start = len(out) - distance
         out += (out[start : start + length] * (length // distance + 1))[:length]
-    return False
