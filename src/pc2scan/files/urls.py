@@ -15,6 +15,7 @@ import tempfile
 from collections.abc import Iterable
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cached_property
+from operator import itemgetter
 from os import PathLike
 from pathlib import Path
 from socket import gethostname
@@ -233,7 +234,7 @@ class UrlPath(_LocalPath):
 
             with translated_errors(self):
                 # A listing that is cached by one thread lacks what another one writes meanwhile.
-                options = _options(scheme, fsspec.config.conf.get(scheme, {}))
+                options = _options(scheme) | fsspec.config.conf.get(scheme, {})
                 file_system, key = fsspec.url_to_fs(self.url, use_listings_cache=False, **options)
         except ImportError as err:
             hint = f'pip install "pc2scan[remote]" {LIBRARIES[scheme]}'.rstrip()
@@ -259,10 +260,9 @@ class UrlPath(_LocalPath):
 
     def exists(self, *, follow_symlinks: bool = True) -> bool:  # noqa: ARG002  # the signature of Path
         """Return whether anything is there."""
-        try:
+        with suppress(MissingError):
             return bool(self.details)
-        except MissingError:
-            return False
+        return False
 
     def is_dir(self, *, follow_symlinks: bool = True) -> bool:  # noqa: ARG002  # the signature of Path
         """Return whether it is a folder."""
@@ -273,12 +273,12 @@ class UrlPath(_LocalPath):
         file_system, key = self.store
         with translated_errors(self):
             objects = file_system.ls(key, detail=True)
-        named = {str(each["name"]).strip("/").removeprefix(key.strip("/")).strip("/"): each for each in objects}
-        for name in sorted(named):
+        for details in sorted(objects, key=itemgetter("name")):
+            place = details["name"].strip("/")
             # Some stores list the folder itself, as an empty file.
-            if name:
-                child = self / name
-                child.details = named[name]
+            if place != key.strip("/"):
+                child = self / posixpath.basename(place)
+                child.details = details
                 yield child
 
     def download(self, target: Path) -> None:
@@ -286,9 +286,8 @@ class UrlPath(_LocalPath):
         from fsspec.callbacks import Callback  # noqa: PLC0415  # only an extra
 
         file_system, key = self.store
-        size = most = self.size
-        begun = monotonic()
-        message = f"the server declares {size:,} bytes, and sends another number of them"
+        most, begun = self.size, monotonic()
+        message = f"the server declares {most:,} bytes, and sends another number of them"
         other_size = RecordingError(message, path=self, hint=_AGAIN)
 
         def arrived(_: object, received: int) -> None:
@@ -304,7 +303,7 @@ class UrlPath(_LocalPath):
             finally:
                 # After Ctrl-C, the library's thread would go on.
                 most = -1
-            if target.stat().st_size != size:
+            if target.stat().st_size != self.size:
                 raise other_size
 
 
@@ -392,20 +391,19 @@ def upload(local: Path, dst: UrlPath) -> None:
         If it cannot be written. What was uploaded of a folder is removed.
     """
     file_system, key = dst.store
-    begun: list[str] = []
     with translated_errors(dst, OutputError):
         if not local.is_dir():
             file_system.put_file(os.fspath(local), key)
             return
+        # A recording is complete when its metadata.yaml is there.
+        names = sorted(files_below(local), key=lambda name: name.endswith("metadata.yaml"))
         try:
-            # A recording is complete when its metadata.yaml is there.
-            for name in sorted(files_below(local), key=lambda name: name.endswith("metadata.yaml")):
-                begun.append(f"{key}/{name}")
-                file_system.put_file(os.fspath(local / name), begun[-1])
+            for name in names:
+                file_system.put_file(os.fspath(local / name), f"{key}/{name}")
         except BaseException:
-            for place in begun:
+            for name in names:
                 with suppress(Exception):
-                    file_system.rm_file(place)
+                    file_system.rm_file(f"{key}/{name}")
             raise
 
 
@@ -432,8 +430,8 @@ def translated_errors(path: UrlPath, kind: type[Pc2ScanError] = RecordingError) 
         raise kind(f"the {action} failed ({why})", path=path, hint=_AGAIN) from None
 
 
-def _options(scheme: str, configured: dict[str, Any]) -> dict[str, Any]:
-    """Return options of a store: with our patience, and for one stream at a time.
+def _options(scheme: str) -> dict[str, Any]:
+    """Return options of a store, where fsspec's configuration has none: with our patience, one stream at a time.
 
     By default S3 takes minutes to give up, and fetches ten parts of 50 MB at once.
     """
@@ -442,9 +440,7 @@ def _options(scheme: str, configured: dict[str, Any]) -> dict[str, Any]:
 
         timeout = ClientTimeout(total=None, sock_connect=SLOWEST_SECONDS, sock_read=SLOWEST_SECONDS)
         # What a server compresses would have another size than it declares.
-        return {"timeout": timeout, "headers": {"Accept-Encoding": "identity"} | configured.get("headers", {})}
-    if scheme == "s3":
-        # No retries of the S3 library: s3fs itself tries five times.
-        ours = {"connect_timeout": 10, "read_timeout": 20, "retries": {"max_attempts": 0}}
-        return {"max_concurrency": 1, "config_kwargs": ours | configured.get("config_kwargs", {})}
-    return {}
+        return {"timeout": timeout, "headers": {"Accept-Encoding": "identity"}}
+    # No retries of the S3 library: s3fs itself tries five times.
+    patience = {"connect_timeout": 10, "read_timeout": 20, "retries": {"max_attempts": 0}}
+    return {"max_concurrency": 1, "config_kwargs": patience} if scheme == "s3" else {}
