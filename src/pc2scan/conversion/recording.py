@@ -408,9 +408,7 @@ def _merge_connections(publishers: Sequence[Connection]) -> Connection:
     first = publishers[0]
     return replace(
         first,
-        definition=next(
-            (publisher.definition for publisher in publishers if publisher.definition.data), first.definition
-        ),
+        definition=next((own.definition for own in publishers if own.definition.data), first.definition),
         digest=next((publisher.digest for publisher in publishers if publisher.digest), ""),
         latching=any(publisher.latching for publisher in publishers),
         qos=merge_qos([publisher.qos for publisher in publishers]),

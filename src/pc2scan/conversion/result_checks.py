@@ -142,10 +142,8 @@ def _of_request(spec: ScanSpec) -> Iterator[Remark]:
 def unconverted_topic(topic: TopicReport, *_: object) -> Iterator[Remark]:
     """Yield a warning if no message of a topic was converted."""
     if topic.action == "converted" and not topic.messages_out:
-        reason = f"no message of {topic.topic} could be converted"
-        yield warning(
-            reason if topic.messages_in else f"there is no message of {topic.topic} to convert; see `start`, `end`"
-        )
+        text = f"there is no message of {topic.topic} to convert; see `start`, `end`"
+        yield warning(f"no message of {topic.topic} could be converted" if topic.messages_in else text)
 
 
 def unordered_stamps(topic: TopicReport, *_: object) -> Iterator[Remark]:

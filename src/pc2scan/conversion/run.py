@@ -291,9 +291,7 @@ def _target(
     if output.to is not None:
         check_to(path, output.to)
     # None for a source without ROS messages.
-    ros_version = next(
-        (connection.ros_version for connection in reader.connections if connection.ros_version is not None), None
-    )
+    ros_version = next((own.ros_version for own in reader.connections if own.ros_version is not None), None)
     storage, compression = source_form(path, summaries) if options.repair or not is_named else (None, None)
     keeps_compression = options.repair and output.storage in (None, storage)
     names_directory = output.to is not None and destinations()[output.to].is_directory
