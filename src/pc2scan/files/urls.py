@@ -234,7 +234,7 @@ class UrlPath(_LocalPath):
 
             with translated_errors(self):
                 # A listing that is cached by one thread lacks what another one writes meanwhile.
-                options = _options(scheme) | fsspec.config.conf.get(scheme, {})
+                options = _options(scheme, fsspec.config.conf.get(scheme, {}))
                 file_system, key = fsspec.url_to_fs(self.url, use_listings_cache=False, **options)
         except ImportError as err:
             hint = f'pip install "pc2scan[remote]" {LIBRARIES[scheme]}'.rstrip()
@@ -430,8 +430,8 @@ def translated_errors(path: UrlPath, kind: type[Pc2ScanError] = RecordingError) 
         raise kind(f"the {action} failed ({why})", path=path, hint=_AGAIN) from None
 
 
-def _options(scheme: str) -> dict[str, Any]:
-    """Return options of a store, where fsspec's configuration has none: with our patience, one stream at a time.
+def _options(scheme: str, configured: dict[str, Any]) -> dict[str, Any]:
+    """Return options of a store: with our patience, and for one stream at a time.
 
     By default S3 takes minutes to give up, and fetches ten parts of 50 MB at once.
     """
@@ -440,7 +440,9 @@ def _options(scheme: str) -> dict[str, Any]:
 
         timeout = ClientTimeout(total=None, sock_connect=SLOWEST_SECONDS, sock_read=SLOWEST_SECONDS)
         # What a server compresses would have another size than it declares.
-        return {"timeout": timeout, "headers": {"Accept-Encoding": "identity"}}
-    # No retries of the S3 library: s3fs itself tries five times.
-    patience = {"connect_timeout": 10, "read_timeout": 20, "retries": {"max_attempts": 0}}
-    return {"max_concurrency": 1, "config_kwargs": patience} if scheme == "s3" else {}
+        return {"timeout": timeout, "headers": {"Accept-Encoding": "identity"} | configured.get("headers", {})}
+    if scheme == "s3":
+        # No retries of the S3 library: s3fs itself tries five times.
+        ours = {"connect_timeout": 10, "read_timeout": 20, "retries": {"max_attempts": 0}}
+        return {"max_concurrency": 1, "config_kwargs": ours | configured.get("config_kwargs", {})}
+    return {}
