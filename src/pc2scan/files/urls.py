@@ -18,7 +18,7 @@ from functools import cached_property
 from operator import itemgetter
 from os import PathLike
 from pathlib import Path
-from socket import gethostname
+from platform import node
 from time import monotonic
 from typing import TYPE_CHECKING, Any, ClassVar
 from urllib.parse import unquote, urlsplit
@@ -127,7 +127,7 @@ def local_path(text: str, name: str = "a source") -> str:
     if scheme.lower() != "file" or not rest.startswith("/"):
         return text
     url = urlsplit(text)
-    is_here = url.netloc.lower() in {"", "localhost", gethostname().lower()}
+    is_here = url.netloc.lower() in {"", "localhost", node().lower()}
     if not is_here or not url.path or set("?#") & set(rest) or any(code in rest.upper() for code in ("%00", "%2F")):
         hint = "it has three slashes, %3F for ? and %23 for #: file:///data/drive.bag"
         raise UsageError("is a URL that names no file of this machine", path=text, hint=hint)
