@@ -71,15 +71,13 @@ _TOGETHER = 32
 #: Points that are farther below the ground, metres, are not of it; those of a floor are less far below it.
 _ROUGHEST, _SMOOTH = 0.3, 0.08
 
-#: The lowest and the highest level plane: the fewest cells on it and their least share, the largest share behind it,
-#: its least width, metres, and the share of its places from where on it is a line on walls. What is overhead is so far
-#: above the sensor, metres, and seen from nearer than so many times that.
-_FEWEST_CELLS, _SMALL_SURFACE, _FEW_BEHIND, _NARROW, _GOES_ON = 20, 0.015, 0.02, 0.4, 0.4
-_OVERHEAD, _FLATTEST = 0.3, 6.0
-#: All points of one ring are in a plane: so many are on nothing overhead.
-_ONE_RING = 0.9
+#: The lowest and the highest level plane: the fewest cells on it, the largest share behind it, and the share of its
+#: places from where on it is a line on walls. What is overhead is so far above the sensor, metres, and no plane with a
+#: larger share of a cloud, because all points of one ring are in one.
+_FEWEST_CELLS, _FEW_BEHIND, _GOES_ON = 20, 0.02, 0.4
+_OVERHEAD, _ONE_RING = 0.3, 0.9
 
-#: A floor is seen from nearer than so many times its distance; a smaller one may be the outer ring's.
+#: A floor, or a ceiling, is seen from nearer than so many times its distance; another plane may be a ring on walls.
 _FARTHEST = 12.0
 
 #: The steepest ground that is no obstacle, metres a metre, and how uneven it is, metres. It is compared in
@@ -88,16 +86,17 @@ _FARTHEST = 12.0
 _STEEPEST_RISE, _UNEVEN = 0.25, 0.05
 _WIDE, _FIRST_RING, _WIDER = 2.0, 5.0, 0.01
 
+#: How many steps of elevation there are, and how many are compared; what is higher than this, metres, is not low.
+_ELEVATIONS, _STEPS, _LOW_THING = 360, 12, 0.8
+
 #: A floor is farther from the sensor than so many times the tolerance: a ring that is tilted a little is none.
 _CLEAR = 2.5
 
 #: The floor is as far from a sensor as its transform says that it is high, but for this share. Only a level plane with
-#: a larger share of a cloud, seen from nearer than so many times its distance, and not by one ring, whose elevations
-#: differ by less (sine), contradicts that.
-NEAR_MOUNT = 0.3
+#: a larger share of a cloud contradicts that.
+NEAR_MOUNT, _LARGE_FLOOR = 0.3, 0.1
 #: Floors that differ by less are one, metres.
 ONE_FLOOR = 0.05
-_LARGE_FLOOR, _SEEN_FROM, _RING = 0.1, 8.0, 0.03
 
 #: How many clouds of a topic are judged if the first one has no level floor, how many points of each are sampled, and
 #: with how many a cloud is not judged.
@@ -416,12 +415,9 @@ class Ground(NamedTuple):
 
     def is_large(self, points: _Points) -> bool:
         """Return whether it is so large, and seen from so near, that it contradicts what is recorded."""
-        on_it = np.abs(points @ np.array(self.normal) + self.height) < tolerances(points)
-        if on_it.mean() <= _LARGE_FLOOR:
-            return False
-        near = np.linalg.norm(points[on_it], axis=1)
-        low, high = percentiles(points[on_it, 2] / near, 10, 90)
-        return percentiles(near, 10)[0] < _SEEN_FROM * self.height and high - low > _RING
+        on_it = points[np.abs(points @ np.array(self.normal) + self.height) < tolerances(points)]
+        distances = np.linalg.norm(on_it, axis=1)
+        return len(on_it) > _LARGE_FLOOR * len(points) and percentiles(distances, 10)[0] < _FARTHEST * self.height
 
 
 def common_ground(looks: Sequence[Ground]) -> Ground:
@@ -471,9 +467,7 @@ def find_ground(points: _Points) -> Ground:
     if (directions[:, 2] > 0.5).mean() <= 0.995 or ahead <= 0.85:
         cells = cells_of(points)
         low, ground = outermost(cells, -1), Ground("unknown")
-        is_sure = low is not None and low.share >= _LEAST_SHARE and low.nearest <= _FARTHEST * low.height
-        # Parts of a ramp and of the floor before it are a plane with much just below it.
-        if low is None or not is_sure or _roughness(cells, low.up, low.height) > _SMOOTH:
+        if low is None or low.share < _LEAST_SHARE:
             ground = _choose_ground(points)
         if not ground.off:
             if not ground.height and low is not None:
@@ -501,8 +495,8 @@ def _roughness(cells: _Points, up: _Direction, height: float) -> float:
 def outermost(cells: _Points, side: int) -> Plane | None:
     """Return the lowest level plane (``side`` -1), or the highest (1); None if nothing level is so far out.
 
-    Nearly nothing is behind it, it is wide, and it does not go on: the outer ring of a lidar makes a level line on the
-    walls, too, but with the next ring beside it.
+    Nearly nothing is behind it, and it does not go on: the outer ring of a lidar makes a level line on the walls, too,
+    but with the next ring beside it.
     """
     tolerance = tolerances(cells)
     heights = side * cells[:, 2]
@@ -513,12 +507,10 @@ def outermost(cells: _Points, side: int) -> Plane | None:
         near = np.abs(heights - order[place] + width / 2) <= width / 2
         place = int(np.searchsorted(-order, width / 2 - order[place], "right"))
         plane = _refine(cells, tolerance, near) if near.sum() >= _FEWEST_CELLS else None
-        if plane is None or plane.share < _SMALL_SURFACE or plane.beyond > _FEW_BEHIND or plane.width < _NARROW:
+        if plane is None or plane.beyond > _FEW_BEHIND or plane.height < (_LEAST_HEIGHT if side < 0 else _OVERHEAD):
             continue
-        if (plane.tilt if side < 0 else math.pi - plane.tilt) > LEVEL or plane.height < _LEAST_HEIGHT:
-            continue
-        far = plane.nearest > _FLATTEST * plane.height
-        if side > 0 and (plane.height < _OVERHEAD or far or plane.share > _ONE_RING):
+        far = plane.nearest > _FARTHEST * plane.height
+        if -side * plane.up[2] < math.cos(LEVEL) or (side > 0 and (far or plane.share > _ONE_RING)):
             continue
         at = np.abs(cells @ np.array(plane.up) + plane.height) < tolerance
         if _is_surface(cells, at, tolerance, plane.height, side):
@@ -568,6 +560,34 @@ def are_upright(points: _Points, floor: float, wide: float = 0.0) -> NDArray[np.
         stands |= np.maximum(high[near] - z, z - low[near]) > _UNEVEN + (1 + abs(beyond)) * rise
     upright[known] = stands
     return upright
+
+
+def are_seen_through(points: _Points) -> NDArray[np.bool_]:
+    """Return which points are on something low: just above them, the sensor sees what is farther away, or nothing.
+
+    What is on a wall has more of the wall above it, and of the highest ring of a lidar nothing is known.
+
+    Parameters
+    ----------
+    points
+        Of a cloud, (N, 3), relative to the sensor, along axes of which z points up.
+    """
+    through = np.zeros(len(points), np.bool_)
+    known = np.isfinite(points).all(axis=1)
+    x, y, z = points[known].T
+    ranges = np.hypot(x, y)
+    sectors = math.ceil(360 / _WIDE)
+    sector = ((np.arctan2(y, x) / math.tau + 0.5) * sectors).astype(np.intp) % sectors
+    step = ((np.arctan2(z, ranges) / math.pi + 0.5) * _ELEVATIONS).astype(np.intp)
+    nearest = np.full((sectors, _ELEVATIONS + _STEPS + 1), np.inf)
+    np.minimum.at(nearest, (sector, step), ranges)
+    # The nearest in more and more steps above each; the first one may be of the same ring.
+    above = np.minimum.accumulate([nearest[:, away : away + _ELEVATIONS + 1] for away in range(2, _STEPS)])
+    steps = (_LOW_THING * _ELEVATIONS / math.pi / np.maximum(ranges, _LOW_THING)).astype(np.intp)
+    last = steps.clip(2, _STEPS - 1) - 2
+    in_view = np.asarray(np.isfinite(above).any(axis=1))[last, step] & (steps >= 2)
+    through[known] = in_view & (above[last, sector, step] > ranges + _UNEVEN / _STEEPEST_RISE)
+    return through
 
 
 def planes_of(cells: _Points) -> list[Plane]:
@@ -684,12 +704,12 @@ class _FieldOfView:
         self._weights = np.broadcast_to(np.cos(tilt), (rows, len(angle))).ravel()
         self._empty = (counts[:, seen] == 0).ravel()
 
-    def missing(self, up: _Direction, low: float, high: float) -> float | None:
-        """Return the share of the directions between two elevations (as sines) that have no return."""
+    def missing(self, up: _Direction, low: float, high: float) -> float:
+        """Return the share of the directions between two elevations (as sines) without a return; NaN of too few."""
         sines = self._directions @ np.array(up)
         chosen = (sines > low) & (sines < high)
         if chosen.sum() < 8:
-            return None
+            return math.nan
         return float((self._empty * self._weights)[chosen].sum() / self._weights[chosen].sum())
 
 
@@ -755,24 +775,15 @@ def _opposite_plane(plane: Plane, planes: Sequence[Plane]) -> Plane | None:
 
 def _is_doubtful(plane: Plane, planes: Sequence[Plane], view: _FieldOfView, *, upside_down: bool) -> bool:
     """Return whether a plane may be something other than the ground: whether another explanation fits."""
-    # It is small or narrow, or something is behind it.
-    narrow = max(0.4, plane.height * (1.6 if plane.height > 1.2 else 0.8))
-    if plane.share < (0.15 if upside_down else 0.08) or plane.beyond > 0.04 or plane.width < narrow:
-        return True
-    # Directions that would meet the ground have no return, as beside a wall.
-    holes = view.missing(plane.up, -1.0, -0.2)
-    if holes is None or holes > 0.12:
+    # It is narrow, or directions that would meet the ground have no return, as beside a wall.
+    if plane.width < max(0.4, plane.height) or plane.beyond > 0.04 or not view.missing(plane.up, -1.0, -0.2) <= 0.12:
         return True
     for other in planes:
-        between = _angle_between(plane, other)
+        # There is ground of another slope nearer by.
         nearer = other.nearest < plane.nearest or other.height < 0.9 * plane.height
-        # There is ground of another slope nearer by; or a plane at right angles to it is as near, and it may be a wall.
-        sloped = 4 <= between < 20 and nearer and other.share > _SMALLEST and other.beyond < 0.3
-        if sloped or (70 < between < 110 and other.height < 1.1 * plane.height):
+        if nearer and 4 <= _angle_between(plane, other) < 20 and other.share > _SMALLEST and other.beyond < 0.3:
             return True
     # It may be the ceiling.
     if (ceiling := _opposite_plane(plane, planes)) is not None:
         return upside_down or ceiling.height < 1.75 * plane.height
-    sky, horizon = view.missing(plane.up, 0.2, 1.0), view.missing(plane.up, -0.03, 0.1)
-    is_open = (sky is None or sky > 0.6) and horizon is not None and horizon > 0.3
-    return not is_open and plane.height >= (0.7 if upside_down else 1.2)
+    return not view.missing(plane.up, -0.03, 0.1) > 0.3 and plane.height >= (0.7 if upside_down else 1.2)

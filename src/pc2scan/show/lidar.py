@@ -23,7 +23,7 @@ from pc2scan.conversion.steps import CloudToScan, PlaceStage
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import median, percentiles
 from pc2scan.core.points import Points
-from pc2scan.core.scene import CloudSample, are_upright
+from pc2scan.core.scene import CloudSample, are_seen_through, are_upright
 from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import Pc2ScanError, TransformError
 from pc2scan.options.call import Options
@@ -381,14 +381,11 @@ def _filled_beams(points: NDArray[np.float64], low: float, high: float) -> NDArr
 #: A beam that ends on the ground, or misses what stands on it, is off by more than this, metres.
 _OFF = 0.2
 
-#: Scans with a return in a smaller share of their beams are not judged: a few stones are a third of it.
-_FEWEST = 0.05
-
 #: Slopes are measured from this distance on, metres; nearly all that does not stand rises less, percent.
 _NEAR, _NEARLY = 2.0, 97.0
 
-#: The field of points that stand.
-_STANDS = "<stands>"
+#: The fields of points that stand, and that may stand.
+_STANDS, _MAY_STAND = "<stands>", "<may stand>"
 
 
 class Trial(NamedTuple):
@@ -396,36 +393,30 @@ class Trial(NamedTuple):
 
     Attributes
     ----------
-    ranges, standing
-        The ranges of all beams, infinite without a return: by all points, and by those that stand.
+    ranges
+        The ranges of all beams, (3, N), infinite without a return: by all points, by those that stand, and by those
+        that may.
     slope
         How steeply nearly all that does not stand rises above the lower limit, metres a metre.
     findings
         What a conversion would say.
     """
 
-    ranges: NDArray[np.float64] = np.empty(0)
-    standing: NDArray[np.float64] = np.empty(0)
+    ranges: NDArray[np.float64] = np.empty((3, 0))
     slope: float = 0.0
     findings: tuple[str, ...] = ()
 
     @property
-    def lying(self) -> float:
-        """The share of the returns of which nothing shows that they are on something that stands; 0 of too few."""
-        returns = np.isfinite(self.ranges)
-        if returns.sum() < _FEWEST * returns.size:
-            return 0.0
-        return float((returns & ~(self.ranges > self.standing - _OFF)).sum() / max(returns.sum(), 1))
+    def lying(self) -> NDArray[np.float64]:
+        """The shares of the returns that nothing shows to stand, and of the beams that are seen to end on the ground."""
+        returns = np.isfinite(self.ranges[0])
+        lies = np.logical_and.accumulate(returns & ~(self.ranges[0] > self.ranges[1:] - _OFF))
+        return np.asarray(lies.sum(axis=1) / np.maximum((returns.sum(), returns.size), 1))
 
-    def missed_in(self, other: Trial) -> float:
-        """Return the share of the beams with something that stands that pass by it in the scans of another one.
-
-        Or of those with a return that have none there, if it is larger.
-        """
-        stands, returns = np.isfinite(self.standing), np.isfinite(self.ranges)
-        off = other.ranges[stands] - self.standing[stands] >= _OFF
-        shares = (each.sum() / max(each.size, 1) for each in (off, ~np.isfinite(other.ranges[returns])))
-        return float(max(shares))
+    def missed_in(self, other: Trial) -> NDArray[np.float64]:
+        """Return which shares of the returns are on what stands, and on what may, and pass by it in other scans."""
+        passes = np.isfinite(self.ranges[1:]) & (other.ranges[0] >= self.ranges[1:] + _OFF)
+        return np.asarray(passes.sum(axis=1) / max(np.isfinite(self.ranges[0]).sum(), 1))
 
 
 class Scene(NamedTuple):
@@ -434,7 +425,7 @@ class Scene(NamedTuple):
     Attributes
     ----------
     clouds
-        They have a field of what stands.
+        They have fields of what stands, and of what may stand.
     placer
         Places them in the frame of the scans.
     samples
@@ -489,6 +480,9 @@ def _scene(spec: ScanSpec, lidar: Lidar) -> Scene:
         for cloud, place in (() if is_placed or spec.level else known)
     ]
     placed = [_moved(cloud, place.target_from_source) for cloud, place in known]
+    # Of registered clouds it is not known from where they were seen.
+    sensor = lidar.in_target(np.full((3, 1), np.nan if lidar.is_registered else 0.0), lidar.mounting.frame)
+    possible = [~are_seen_through(points - sensor) for points in placed]
     if spec.level and spec.fixed_frame:
         # What a robot that tilts sees of a place, from all of them.
         ways = [placer.from_fixed(spec.fixed_frame, each.frame_id, each.stamp_ns)[1] for each in clouds]
@@ -498,11 +492,10 @@ def _scene(spec: ScanSpec, lidar: Lidar) -> Scene:
     seen = [np.concatenate(placed)] if merges or (spec.level and spec.fixed_frame) else placed
     every = np.concatenate([are_upright(points, floor, lidar.pattern.degrees) for points in seen])
     stands = np.split(every, np.cumsum([len(each) for each in placed])[:-1])
-    slope = max(
-        _slope(points[~upright], params.min_height, params.max_height)
-        for points, upright in zip(placed, stands, strict=True)
-    )
-    marked = [each.replace({_STANDS: upright}, each.frame_id) for each, upright in zip(clouds, stands, strict=True)]
+    lying = (points[~upright] for points, upright in zip(placed, stands, strict=True))
+    slope = max(_slope(points, params.min_height, params.max_height) for points in lying)
+    marks = zip(clouds, stands, possible, strict=True)
+    marked = [each.replace({_STANDS: stand, _MAY_STAND: may}, each.frame_id) for each, stand, may in marks]
     return Scene(marked, placer, samples, slope, merges)
 
 
@@ -540,18 +533,16 @@ def _scans(spec: ScanSpec, lidar: Lidar, scene: Scene) -> tuple[Trial, list[Poin
     filters = [each for each in spec.filters if not is_placed or each.name in {"ground", "min_height_slope"}]
     measured = {lidar.topic: Measurements(0.0, azimuth_step=lidar.step)}
     steps = CloudToScan(replace(spec, filters=tuple(filters)), placer, measured).steps(lidar.topic)
-    ranges: list[NDArray[np.float64]] = []
+    ranges: list[list[NDArray[np.float32]]] = []
     counts: list[PointCounts] = []
     for cloud in scene.clouds:
         chosen = PlaceStage(placer)(cloud)
         if steps.select is not None:
             chosen = steps.select(chosen)
-        upright = replace(chosen, points=chosen.points.select(chosen.points.field(_STANDS)))
-        scan, standing = steps.project(chosen), steps.project(upright)
-        for each in (scan, standing):
-            read = each.message.ranges.astype(np.float64)
-            read[~((read >= params.range_min) & (read <= params.range_max))] = np.inf
-            ranges.append(read)
-        counts.append(scan.counts)
-    together = np.minimum.reduce if scene.merges else np.concatenate
-    return Trial(together(ranges[::2]), together(ranges[1::2]), scene.slope), counts
+        marked = [chosen.points.select(chosen.points.field(each)) for each in (_STANDS, _MAY_STAND)]
+        scans = [steps.project(replace(chosen, points=each)) for each in (chosen.points, *marked)]
+        ranges.append([each.message.ranges for each in scans])
+        counts.append(scans[0].counts)
+    read = np.array(ranges, np.float64)
+    read[~((read >= params.range_min) & (read <= params.range_max))] = np.inf
+    return Trial(read.min(axis=0) if scene.merges else np.concatenate(read, axis=1), scene.slope), counts

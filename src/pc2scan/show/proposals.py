@@ -15,6 +15,7 @@ from pc2scan.advice.odometry import odometry_of, turned_over
 from pc2scan.bags.destinations import default_destination
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import median_low
+from pc2scan.core.scene import ONE_FLOOR
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.result import Call
 from pc2scan.text import height_text
@@ -49,16 +50,13 @@ _FAR = 0.1
 _TILTS = math.radians(1.0)
 
 #: From the first share of returns that may be on rising ground on, a command removes it, or it is said: less of it is
-#: furniture, whose tops are all that is seen. A limit that rises leaves at most the second share, passes by at most the
-#: third one of what stands, and is proposed if at most the last one may be on the ground.
-_TOLD, _LYING, _MISSED, _MOST = 0.1, 0.05, 0.2, 0.75
+#: furniture, whose tops are all that is seen; and only where the second share of beams is seen to end on it. A limit
+#: that rises leaves at most the third share, and passes by at most the last one of what stands.
+_TOLD, _SEEN, _LYING, _MISSED = 0.1, 0.05, 0.05, 0.1
 #: No robot drives on steeper ground, metres a metre.
 _STEEPEST = 0.17
 #: Scans above rising ground reach so far, metres, and end so far below what is overhead.
 _REACHES, _BELOW = 20.0, 0.2
-
-#: Floors of several lidars that differ by less are one, metres.
-_ONE_FLOOR = 0.05
 
 #: Cells of the robot's own body, metres; how far from its frame they are at most; in how many clouds, and what share of
 #: them, the same cells have returns.
@@ -172,16 +170,18 @@ def proposals(
 def _tried(options: Mapping[str, Any], group: Sequence[Lidar]) -> tuple[list[Choice], Sequence[str]]:
     """Return options that a command lacks by a trial of it, and what it would be told with them."""
     trials = [tried(options, each) for each in group]
-    worst = max(trials, key=lambda trial: trial.lying)
+    worst, seen = np.max([trial.lying for trial in trials], axis=0).tolist()
     ways: list[list[Choice]] = [[]]
-    if worst.lying > _TOLD:
-        why = f"the ground rises: {worst.lying:.0%} of the returns may be on it"
-        slope = math.ceil(100 * worst.slope + 0.5) / 100
+    # Of registered clouds it is not known what their sensor sees above a point.
+    is_known = not any(each.is_registered for each in group)
+    if rises := worst > _TOLD and (seen > _SEEN or not is_known):
+        why = f"the ground rises: {worst:.0%} of the returns may be on it"
+        slope = math.ceil(100 * max(trial.slope for trial in trials) + 0.5) / 100
         ceilings = [each.mounting.heights.ceiling for each in group if each.mounting.heights is not None]
         most = min((each - _BELOW for each in ceilings if each is not None), default=math.inf)
         top = max(options["max_height"], min(options["max_height"] + slope * _REACHES, most))
         above = Choice("max_height", float(f"{top:.2f}"), f"of what stands on it, up to {_REACHES:.0f} m away")
-        if slope <= _STEEPEST:
+        if is_known and slope <= _STEEPEST:
             ways.append([Choice("min_height_slope", slope, why), above])
         # Of the ground, a part of a turn shows too little.
         if not any(each.turn for each in group):
@@ -190,17 +190,18 @@ def _tried(options: Mapping[str, Any], group: Sequence[Lidar]) -> tuple[list[Cho
     for way in ways:
         more = {each.name: each.value for each in way}
         after = [tried({**options, **more}, lidar) for lidar in group] if way else trials
-        lying, missed = max(each.lying for each in after), max(map(Trial.missed_in, trials, after))
-        # A limit that rises with the range may be above what stands, and of one ring nothing shows what does.
-        if "min_height_slope" not in more or (lying <= _LYING and missed <= _MISSED and worst.lying <= _MOST):
-            outcomes.append((lying + missed, lying, way, after))
+        lying = float(max(each.lying[0] for each in after))
+        standing, possible = np.max([*map(Trial.missed_in, trials, after)], axis=0).tolist()
+        # A limit that rises with the range may be above what stands.
+        if "min_height_slope" not in more or (lying <= _LYING and standing <= _MISSED):
+            outcomes.append((lying + possible, lying, way, after))
     _, lying, way, after = min(outcomes, key=itemgetter(0))
     said = (
         f"{lying:.0%} of the returns may be on rising ground: nothing is seen above or below them; "
         "`pc2scan view` shows them"
     )
     findings = dict.fromkeys(text for trial in after for text in trial.findings)
-    return way, (*findings, *([said] if lying > _TOLD else ()))
+    return way, (*findings, *([said] if rises and lying > _TOLD else ()))
 
 
 def _with_common_heights(lidar: Lidar, lidars: Sequence[Lidar]) -> Lidar:
@@ -209,7 +210,7 @@ def _with_common_heights(lidar: Lidar, lidars: Sequence[Lidar]) -> Lidar:
     if own is None or own.floor is None or not lidar.target:
         return lidar
     heights = [each.mounting.heights for each in lidars if each.target == lidar.target and each.mounting.heights]
-    same = [each for each in heights if each.floor is not None and abs(each.floor - own.floor) < _ONE_FLOOR]
+    same = [each for each in heights if each.floor is not None and abs(each.floor - own.floor) < ONE_FLOOR]
     common = own._replace(low=max(each.low for each in same), high=max(each.high for each in same))
     return replace(lidar, mounting=lidar.mounting._replace(heights=common))
 

@@ -287,8 +287,8 @@ def returns_at_sensor(clouds: CloudFacts) -> Iterator[str]:
 
 
 def frame_not_level(clouds: CloudFacts) -> Iterator[str]:
-    """Yield a warning if the frame of the scans is tilted, upside down or optical, whatever the output is."""
-    if clouds.mounting.warning:
+    """Yield a warning if the frame of the scans is tilted, upside down or optical, unless they are made level."""
+    if clouds.mounting.warning and not clouds.spec.level:
         yield clouds.mounting.warning
 
 
