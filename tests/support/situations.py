@@ -108,6 +108,7 @@ MISTAKES: dict[str, Callable[[Path], object]] = {
     "on_side.mcap": once(hall, 90, mount=(0, 0, 0.6)),
     "on_side_and_said.mcap": once(hall, 90, mount=(0, 0, 0.6), turned=math.pi / 2),
     "upside_down.mcap": once(hall, 180, sensor="16 rings"),
+    "upside_down_and_unsaid.mcap": once(hall, 180, sensor="128 rings"),
     "upright.mcap": once(hall, sensor="16 rings"),
     "upside_down_and_said.mcap": once(hall, 180, sensor="128 rings", mount=(0, 0, 0.6), turned=math.pi),
     "upright_and_said.mcap": once(hall, sensor="128 rings", mount=(0, 0, 0.6)),

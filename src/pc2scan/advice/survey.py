@@ -201,7 +201,7 @@ class TopicFacts:
                 break
         return clouds
 
-    def mounting(self, placer: Placer, buffer: TransformBuffer | None) -> Mounting | None:
+    def mounting(self, placer: Placer, buffer: TransformBuffer | None, up: float) -> Mounting | None:
         """Return how the sensor is mounted, and which options suit that; None if no cloud can be judged.
 
         Parameters
@@ -210,9 +210,11 @@ class TopicFacts:
             The frames of the scans.
         buffer
             The robot's transforms; None if there are none.
+        up
+            How much z points up in the frame of the points by an IMU, -1 to 1; 0: not known.
         """
         clouds = self.samples(placer)
-        return mounting(self.topic, placer.source_frame or clouds[0].frame_id, clouds, buffer) if clouds else None
+        return mounting(self.topic, placer.source_frame or clouds[0].frame_id, clouds, buffer, up) if clouds else None
 
     def unit_warning(self) -> str:
         """Return the warning that the clouds are in another unit than metres; empty if they are not."""

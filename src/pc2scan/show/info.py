@@ -434,7 +434,8 @@ class _SurveyResult:
 
     def _judged(self, facts: TopicFacts, frame: str) -> Mounting | None:
         places = self.places._replace(target_frame=frame, buffer=self.buffer) if frame else self.places
-        return facts.mounting(places, self.buffer)
+        ups = (each.z_of(places.source_frame or facts.frame, self.buffer) for each in self.ups.values())
+        return facts.mounting(places, self.buffer, next(filter(None, ups), 0.0))
 
     def moving_frames(self, topic: str) -> Iterator[str]:
         """Yield a warning for each frame that is given for clouds of a topic, and in which the robot moves."""

@@ -408,7 +408,7 @@ class Trial(NamedTuple):
 
     @property
     def lying(self) -> NDArray[np.float64]:
-        """The shares of the returns that nothing shows to stand, and of the beams that are seen to end on the ground."""
+        """The shares of the returns that nothing shows to stand, and of the beams that are seen to end on ground."""
         returns = np.isfinite(self.ranges[0])
         lies = np.logical_and.accumulate(returns & ~(self.ranges[0] > self.ranges[1:] - _OFF))
         return np.asarray(lies.sum(axis=1) / np.maximum((returns.sum(), returns.size), 1))

@@ -415,18 +415,10 @@ def _moves(motion: SensorMotion | None, metres: float = _METRES) -> bool:
 def _level_by_imu(lidar: Lidar) -> Iterator[Choice]:
     for topic, up in lidar.ups.items():
         angle = spread_of_up(up.directions)
-        if angle > _TILTS and _is_connected(lidar, up.frame):
+        if angle > _TILTS and up.z_of(lidar.target or lidar.mounting.frame, lidar.buffer):
             yield Choice("level", True, f"roll and pitch vary by {math.degrees(angle):.1f} deg, by the IMU")
             yield Choice("imu", topic, "no transforms say how the robot tilts")
             return
-
-
-def _is_connected(lidar: Lidar, frame: str) -> bool:
-    """Whether a frame is the lidar's, or transforms connect the two."""
-    own = lidar.target or lidar.mounting.frame
-    if own.removeprefix("/") == frame.removeprefix("/"):
-        return True
-    return lidar.buffer is not None and lidar.buffer.is_rigid(own, frame)
 
 
 def _exclusions(group: Sequence[Lidar]) -> Iterator[Choice]:

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.model import RawMessage
 
+    from .buffer import TransformBuffer
+
 
 #: The standard acceleration of gravity, m/s^2, and the largest deviation of an accelerometer at rest, as a share.
 GRAVITY = 9.80665
@@ -92,6 +94,14 @@ class UpEstimate:
     directions: NDArray[np.float64]
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+
+    def z_of(self, frame: str, buffer: TransformBuffer | None) -> float:
+        """Return how much the z axis of a frame points up, -1 to 1; 0 if none is known to turn with the IMU."""
+        own, other = self.frame.removeprefix("/"), frame.removeprefix("/")
+        if own == other:
+            return float(self.directions[:, 2].mean())
+        rigid = buffer.known(own, other, 0) if buffer is not None and buffer.is_rigid(own, other) else None
+        return 0.0 if rigid is None else float((self.directions @ rigid.matrix[:, 2]).mean())
 
 
 class ImuReading:

@@ -21,11 +21,13 @@ from pc2scan.core.scene import (
     ONE_FLOOR,
     Ground,
     are_enough,
+    cells_of,
     common_ground,
     far_away,
     find_ground,
     floor_at_side,
     gathered,
+    tolerances,
 )
 
 from .frames import BODIES, WORLDS
@@ -51,6 +53,10 @@ _AROUND = 0.4
 
 #: The fewest points and their least share that heights are judged by.
 _FEW, _FEWEST_SHARE = 20, 0.001
+
+#: What is nearer than this share of the farthest in one of so many directions is before a wall. So many cells of it may
+#: be noise. Lidars of robots are at most so high, metres.
+_BEFORE, _DIRECTIONS, _STRAY, _HIGHEST = 0.8, 72, 5, 2.2
 
 #: Names that `static_tf` can have: without blanks and commas, which separate its parts.
 _WORD = re.compile(r"[^\s,]+")
@@ -158,6 +164,7 @@ def mounting(
     frame: str,
     clouds: Sequence[CloudSample],
     buffer: TransformBuffer | None = None,
+    up: float = 0.0,
 ) -> Mounting:
     """Judge how clouds are mounted.
 
@@ -169,6 +176,8 @@ def mounting(
         The first clouds, in the frame of the scans: one at least.
     buffer
         The recording's transforms; None if there are none.
+    up
+        How much z points up in the frame of the points by an IMU, -1 to 1; 0: not known.
     """
     clouds = gathered(clouds)[: 1 if are_enough(clouds[:1]) else JUDGED_CLOUDS]
     judged_in, origin_z, stamp_ns = clouds[0].judged_in, clouds[0].origin[2], clouds[0].stamp_ns
@@ -194,10 +203,30 @@ def mounting(
     if buffer is not None and (by_transforms := _by_transforms(seen, buffer, stamp_ns)):
         return by_transforms
     if not seen.ground.off or seen.ground.kind == "slanted":
-        return seen._replace(fault=_fault(seen.ground), heights=suitable_heights(seen.ground, samples))
+        heights = suitable_heights(seen.ground, samples)
+        if heights and seen.ground.height and (up < 0 or (not up and _may_be_ceiling(seen.ground, samples))):
+            said = "by the IMU z points down" if up else "no transform and no IMU says that z points up"
+            doubt = f"{said}: is what seems the floor the ceiling, and the sensor upside down?"
+            heights = heights._replace(doubt=doubt)
+        return seen._replace(fault=_fault(seen.ground), heights=heights)
     level = Rigid.from_rpy(*seen.ground.level_from_frame, (0.0, 0.0, seen.ground.height))
     name = f"{frame.removeprefix('/')}_level"
     return _mounted_on(seen, name, level, suitable_heights(seen.ground, samples, level))
+
+
+def _may_be_ceiling(ground: Ground, samples: Sequence[NDArray[np.float64]]) -> bool:
+    """Return whether what seems the floor may be the ceiling: more hangs than stands, or it is far away and bare."""
+    cells = cells_of(np.concatenate(samples))
+    ranges, height = np.hypot(cells[:, 0], cells[:, 1]), cells @ np.array(ground.normal) + ground.height
+    top = percentiles(height, 99)[0] if ground.ceiling is None else ground.height + ground.ceiling
+    between = np.minimum(height, top - height) > 3 * tolerances(cells)
+    # Walls are what is farthest away in a direction.
+    direction = (np.arctan2(cells[:, 1], cells[:, 0]) * _DIRECTIONS / math.tau).astype(np.intp)
+    wall = np.zeros(_DIRECTIONS)
+    np.maximum.at(wall, direction[between], ranges[between])
+    before = between & (ranges < _BEFORE * wall[direction])
+    stands, hangs = (np.count_nonzero(before & part) for part in (height < top / 2, height >= top / 2))
+    return bool(hangs > 2 * stands + _STRAY or (ground.height > _HIGHEST and stands <= 2 * hangs + _STRAY))
 
 
 def _mounted_on(seen: Mounting, parent: str, parent_from_frame: Rigid, heights: Heights | None) -> Mounting:
@@ -216,7 +245,7 @@ def _corrected(seen: Mounting, target: str, target_from_frame: Rigid, ground: Gr
     turned = level.compose(target_from_frame).quaternion
     right = Rigid(turned / np.linalg.norm(turned), target_from_frame.translation)
     moved = [level.apply(turn.apply(points)) for points in seen.samples]
-    corrected = common_ground([find_ground(points) for points in moved])
+    corrected = common_ground([find_ground(points).believed(points, _height(right)) for points in moved])
     heights = suitable_heights(corrected, moved, frame=target, origin_z=_height(right))
     return _mounted_on(seen, target, right, heights)
 
@@ -418,8 +447,7 @@ def suitable_heights(
     if not points or far_away(points[0]):
         return None
     moved = target_from_frame or Rigid.from_pose((0.0, 0.0, origin_z, 0.0, 0.0, 0.0, 1.0))
-    every = np.concatenate(points)
-    z = moved.apply(every)[:, 2]
+    z = moved.apply(np.concatenate(points))[:, 2]
     sensor = float(moved.translation[2])
     floor = ceiling = None
     question, least = "", _LOW
@@ -431,7 +459,7 @@ def suitable_heights(
     if frame and sensor > recorded + ONE_FLOOR:
         off = 0.0 if floor is None else recorded - floor
         # A plane that is fitted over a floor and a ramp is as rough as it is off.
-        if abs(off) > max(ONE_FLOOR + 0.03 * (sensor - recorded), ground.rough) and ground.is_large(every):
+        if abs(off) > max(ONE_FLOOR + 0.03 * (sensor - recorded), ground.rough):
             side = "above" if off > 0 else "below"
             name, at = (frame, "its z = 0") if not recorded else ("base_footprint", "it")
             question = f"{name} is {abs(off):.2f} m {side} the floor that the clouds show: is {at} the floor?"
