@@ -226,7 +226,7 @@ def _may_be_ceiling(ground: Ground, samples: Sequence[NDArray[np.float64]]) -> b
     np.maximum.at(wall, direction[between], ranges[between])
     before = between & (ranges < _BEFORE * wall[direction])
     stands, hangs = (np.count_nonzero(before & part) for part in (height < top / 2, height >= top / 2))
-    return bool(hangs > 2 * stands + _STRAY or (ground.height > _HIGHEST and stands <= 2 * hangs + _STRAY))
+    return bool(hangs > 2 * stands + _STRAY or (ground.height > _HIGHEST and stands <= _STRAY))
 
 
 def _mounted_on(seen: Mounting, parent: str, parent_from_frame: Rigid, heights: Heights | None) -> Mounting:
