@@ -12,17 +12,18 @@ from typing import TYPE_CHECKING
 import pytest
 
 import pc2scan
-from pc2scan.errors import UsageError
 from support.batches import batch, contents, manifest_of, place, run_batch
 from support.builders import POINTS, T0, Recording, cloud, item, points_of, write_rosbag1
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-# Not imported: that takes each worker of the tests a second.
-if find_spec("distributed") is None:
-    pytest.skip("distributed is not installed", allow_module_level=True)
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX"),
+    # Not imported: that takes each worker of the tests a second.
+    pytest.mark.skipif(find_spec("distributed") is None, reason="needs distributed"),
+]
 
 
 @pytest.fixture
@@ -34,25 +35,12 @@ def outcomes(folder: Path) -> dict[str, str]:
     return {key: line["outcome"] for key, line in manifest_of(folder).items()}
 
 
-@pytest.mark.slow
 def test_a_cluster_converts_what_this_process_converts(drives: Path, tmp_path: Path) -> None:
     batch(drives / "0.bag", tmp_path / "here")
     assert batch(drives / "0.bag", tmp_path / "there", dask=True, jobs=1).exit_status == 0
     assert contents(tmp_path / "there") == contents(tmp_path / "here")
 
 
-def test_a_missing_package_and_a_wrong_address_are_named(
-    drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(UsageError, match="needs distributed, which is not installed"):
-        pc2scan.batch(drives, tmp_path / "out", dask=True)
-    with pytest.raises(UsageError, match="the address of a scheduler is tcp://HOST:PORT"):
-        pc2scan.batch(drives, tmp_path / "out", dask="scheduler")
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.slow
 def test_a_scheduler_that_does_not_answer_is_an_error(drives: Path, tmp_path: Path) -> None:
     with socket.socket() as server:
         server.bind(("127.0.0.1", 0))
@@ -62,7 +50,6 @@ def test_a_scheduler_that_does_not_answer_is_an_error(drives: Path, tmp_path: Pa
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.slow
 def test_a_scheduler_is_reached_by_its_address(drives: Path, tmp_path: Path) -> None:
     (drives / "bad.bag").write_bytes(b"no recording")
     from distributed import LocalCluster
@@ -108,7 +95,6 @@ class Killer:
 """
 
 
-@pytest.mark.slow
 def test_what_kills_every_worker_is_reported(drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "killing_filter.py").write_text(KILLER)
     monkeypatch.syspath_prepend(str(tmp_path))

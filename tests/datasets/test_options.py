@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ import pytest
 
 import pc2scan
 from pc2scan.datasets.planning import DatasetEntry
+from pc2scan.errors import UsageError
 from support import ROOT
 from support.batches import in_this_process, manifest_of, place
 from support.tables import rows
@@ -125,3 +127,13 @@ def test_the_documented_dataset_file_is_one(digest: Callable[..., str], tmp_path
     (tmp_path / "set.yaml").write_text(text.partition("```yaml\n")[2].partition("```")[0])
     (tmp_path / "robot2.yaml").write_text("beams: 90\n")
     assert digest(dataset=tmp_path / "set.yaml") != digest()
+
+
+def test_a_missing_package_and_a_wrong_address_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    place(tmp_path, "a.bag")
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(UsageError, match="needs distributed, which is not installed"):
+        pc2scan.batch(tmp_path / "a.bag", tmp_path / "out", dask=True)
+    with pytest.raises(UsageError, match="the address of a scheduler is tcp://HOST:PORT"):
+        pc2scan.batch(tmp_path / "a.bag", tmp_path / "out", dask="scheduler")
+    assert not (tmp_path / "out").exists()

@@ -41,7 +41,7 @@ COMMANDS = ("convert", "batch", "export", "view", "plot", "map", "check", "info"
 ELSEWHERE = {
     *("--install-completion", "--version", "--help"),
     *("--clock", "--repeat", "--memory", "--pc2scan-golden", "--pc2scan-update", "--junitxml"),
-    "--qos-profile-overrides-path",
+    *("--qos-profile-overrides-path", "--upgrade-deps"),
 }
 OPTION = r"(?<![\w-])--[a-z][a-z0-9-]*"
 

@@ -83,12 +83,13 @@ def recorded(tmp_path: Path, stamps: Sequence[int] = (START,), **how: Any) -> Pa
 
 
 def read_pcd(path: Path) -> Any:
-    pypcd4 = pytest.importorskip("pypcd4")
+    pypcd4 = pytest.importorskip("pypcd4", reason="pypcd4 reads PCD files")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return pypcd4.PointCloud.from_path(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [{}, {"padding": 7}, {"big": True, "padding": 64}], ids=str)
 def test_pcd_has_every_field_of_every_point(how: dict[str, Any], tmp_path: Path) -> None:
     path = recorded(tmp_path, **how)
