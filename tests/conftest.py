@@ -33,6 +33,8 @@ def pytest_xdist_auto_num_workers() -> int:
 _find_ground = scene.find_ground
 _ground_of = lru_cache(256)(lambda points: _find_ground(np.frombuffer(points).reshape(-1, 3)))
 scene.find_ground = lambda points: _ground_of(np.asarray(points, np.float64).tobytes())
+# What a power failure leaves is tested in e2e/test_faults.py; all other tests would wait for disks.
+os.fsync = lambda fd: None  # noqa: ARG005
 # While thousands of tests are collected, nothing becomes garbage.
 gc.disable()
 

@@ -47,3 +47,11 @@ def test_after_a_gap_it_begins_again() -> None:
         world.stamps_ns[kept], (world.turning * turned)[kept], (world.acceleration * turned)[kept], GRAVITY
     )
     assert errors(found, (world.ups * turned)[kept]).max() < 0.7
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_at_first_up_is_the_mean_of_the_directions_also_after_a_gap(axis: int) -> None:
+    leans = np.array([0.05, 0.05, -0.05, -0.05] * 2)
+    shown = 1.05 * GRAVITY * np.roll(np.column_stack([np.cos(leans), np.sin(leans), 0 * leans]), axis, axis=1)
+    found = up_by_gravity(np.array([0, 1, 2, 3, 100, 101, 102, 103]) * 10_000_000, 0 * shown, shown, GRAVITY)
+    np.testing.assert_allclose(found, [np.eye(3)[axis]] * 8, atol=0.002)
