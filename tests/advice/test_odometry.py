@@ -14,6 +14,7 @@ from pc2scan.advice.odometry import Odometry, odometry_of
 from pc2scan.core.rigid import Rigid
 from pc2scan.transforms.builder import TransformBuilder
 from support import sampled
+from support.worlds import moving
 from support.worlds.moving import Drive, Lidar
 from support.worlds.weaving import REAR, RINGS, Fault, Weaving, write_weaving
 
@@ -55,6 +56,12 @@ def test_sound_odometry_is_not_doubted(drive: str, lidars: str, fault: str, tmp_
     assert warnings(source, LIDARS[lidars]) == []
     if lidars == "two":
         assert warnings(source, LIDARS[lidars], deskew=False) == []
+
+
+def test_even_motion_shows_no_lag_in_a_narrow_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(moving, "WALLS", ((0, -5.0), (0, 6.0), (1, -2.0), (1, 4.0)))
+    source = moving.write_world(tmp_path / "drive.mcap", [RINGS], Drive(0.4, -1.0), seconds=2.4)
+    assert warnings(source, [RINGS]) == []
 
 
 @pytest.mark.parametrize("late", [-0.1, 0.03])

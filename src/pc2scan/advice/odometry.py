@@ -222,13 +222,27 @@ class _Seen(NamedTuple):
 
     def placed(self, later: float = 0.0) -> NDArray[np.float64]:
         """Return the points in the fixed frame by the poses of so many seconds later, (N, 3); NaN without a pose."""
-        seconds = self.seconds + later
+        rows = self._poses(self.seconds + later)
+        placed: NDArray[np.float64] = np.einsum("nij,nj->ni", rows[:, :9].reshape(-1, 3, 3), self.points)
+        return placed + rows[:, 9:]
+
+    def moved(self, later: float) -> NDArray[np.float64]:
+        """Return `placed`, moved as a whole so that the sensor stays in place in the middle of the points' times.
+
+        Motion that is even is the same at all times: other ones only move all that is seen, which shows nothing.
+        """
+        middle = np.array([self.seconds.min() + self.seconds.max()]) / 2
+        (old,), (new,) = self._poses(middle), self._poses(middle + later)
+        turned = (self.placed(later) - new[9:]) @ new[:9].reshape(3, 3)
+        return turned @ old[:9].reshape(3, 3).T + old[9:]
+
+    def _poses(self, seconds: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the poses at some times, as rows; NaN without one."""
         newer = np.clip(self.times.searchsorted(seconds), 1, len(self.times) - 1)
         share = (seconds - self.times[newer - 1]) / (self.times[newer] - self.times[newer - 1])
         rows = self.rows[newer - 1] + share[:, None] * (self.rows[newer] - self.rows[newer - 1])
         rows[(share < 0) | (share > 1)] = np.nan
-        placed: NDArray[np.float64] = np.einsum("nij,nj->ni", rows[:, :9].reshape(-1, 3, 3), self.points)
-        return placed + rows[:, 9:]
+        return rows
 
 
 class Surroundings:
@@ -337,12 +351,12 @@ class Surroundings:
         """Yield a warning if other times, or other poses, of the points of a topic fit better."""
         spec = self._spec
 
-        def gain(changed: Callable[[_Seen], _Seen], seconds: float = 0.0) -> float:
-            return _gain((each.here, changed(each).placed(seconds), _NOTHING) for each in windows)
+        def gain(changed: Callable[[_Seen], NDArray[np.float64]]) -> float:
+            return _gain((each.here, changed(each), _NOTHING) for each in windows)
 
-        sharper, shift = _best_shift(lambda seconds: gain(lambda each: each, seconds))
+        sharper, shift = _best_shift(lambda seconds: gain(lambda each: each.moved(seconds)))
         seen = f"{topic}: in {counted(len(windows), 'second')} of the strongest motion, surroundings are"
-        turned = gain(lambda each: each._replace(points=each.points * _TURNED_OVER))
+        turned = gain(lambda each: each._replace(points=each.points * _TURNED_OVER).placed())
         if turned > max(sharper, _SHARPER):
             yield f"{seen} {turned:.2g} {_IF_TURNED_OVER}"
         elif shift:
@@ -352,7 +366,7 @@ class Surroundings:
                 f"{'lags' if shift > 0 else 'is ahead'}, or its clock is another one; `time_offset={shift:.2f}s` "
                 "corrects the clouds' stamps"
             )
-        elif spec.deskew and (smooth := gain(_Seen.smoothed)) >= _SHARPER:
+        elif spec.deskew and (smooth := gain(lambda each: each.smoothed().placed())) >= _SHARPER:
             yield (
                 f"{seen} {smooth:.2g} times as sharp by poses that are smoothed over {_SMOOTH} s: the "
                 f"transforms to {spec.fixed_frame} jitter; a smoother `fixed_frame` deskews better, or none"
