@@ -129,16 +129,6 @@ def test_beams_are_timed_in_the_scans_frame(tmp_path: Path) -> None:
     assert "`angle_min=1.7" in notes[1]
 
 
-def test_a_missing_field_is_refused_with_those_there_are(tmp_path: Path) -> None:
-    items = recorded(FRONT, [T0], turning(), NAMES)
-    with pytest.raises(ParameterError) as caught:
-        measured(tmp_path, items, ProjectionParams(intensity_field="reflectivity"))
-    assert str(caught.value) == "intensity_field is 'reflectivity', which the clouds on /front do not have"
-    assert caught.value.hint == "their fields are: x, y, z, time"
-    values: Any = measured(tmp_path, items, ProjectionParams(intensity_field="time"))
-    assert values[0]["/front"].scan_time == 1 / 30
-
-
 def rings(columns: int) -> NDArray[np.float32]:
     """A turn of four lasers as x, y, z and the laser's number."""
     azimuths, ups = np.meshgrid(np.arange(columns) * TURN / columns, np.radians([-6.0, -2.0, 2.0, 6.0]))

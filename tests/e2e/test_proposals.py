@@ -31,6 +31,9 @@ def at(height: float, x: float = 0.2) -> tuple[float, float, float, float, float
     return (x, height, 0.0, 0.0, 0.0)
 
 
+LIO = ("camera_init", "body")
+
+
 #: Of each: the world, and a word of what `info` says of it, if it does.
 WORLDS = {
     "level lidar at 1.5 m": (World(ROOM, DESKS, "32 even rings", at(1.5)), ""),
@@ -40,6 +43,10 @@ WORLDS = {
     "packets": (World(ROOM, DESKS, "packets", at(0.6), "drives"), ""),
     "sparse pattern": (World(ROOM, DESKS, "sparse", at(0.7)), ""),
     "clouds in odom": (World(ROOM, DESKS, "32 rings", at(0.6), "drives", in_odom=True), ""),
+    "FAST-LIO": (
+        World(HALL, DESKS, "mid-360", at(0.6, 0), "drives", 0, False, in_odom=True, axle=0.6, pair=LIO),
+        "",
+    ),
     "one ring": (World(HALL, DESKS, "1 ring", at(0.4)), ""),
     "two rings near the floor": (World(HALL, DESKS, "2 rings", at(0.27), "drives"), ""),
     "two rings, the lower one on walls": (World((-13, 14, -8, 8, 8), DESKS, "2 rings", at(1.2)), ""),

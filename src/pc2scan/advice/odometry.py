@@ -233,8 +233,9 @@ class _Seen(NamedTuple):
         """
         middle = np.array([self.seconds.min() + self.seconds.max()]) / 2
         (old,), (new,) = self._poses(middle), self._poses(middle + later)
-        turned = (self.placed(later) - new[9:]) @ new[:9].reshape(3, 3)
-        return turned @ old[:9].reshape(3, 3).T + old[9:]
+        from_new = old[:9].reshape(3, 3) @ new[:9].reshape(3, 3).T
+        moved: NDArray[np.float64] = (self.placed(later) - new[9:]) @ from_new.T + old[9:]
+        return moved
 
     def _poses(self, seconds: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the poses at some times, as rows; NaN without one."""

@@ -18,7 +18,7 @@ from pc2scan.core.scene import PARTS, CloudSample, are_enough, far_away
 from pc2scan.errors import TransformError
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.transforms.attitude import ImuReading
-from pc2scan.transforms.frames import WORLDS
+from pc2scan.transforms.frames import BODIES, WORLDS
 from pc2scan.transforms.mounting import mounting, unit_warning
 from pc2scan.transforms.reading import RobotTransforms, TransformReading
 
@@ -196,7 +196,7 @@ class TopicFacts:
                 continue
             placed = sample.placed_in(place.frame_id, place.target_from_source)
             is_registered = placed.transform is not None and sample.frame_id.removeprefix("/") in WORLDS
-            clouds.append(placed.seen_from(above) if is_registered else placed)
+            clouds.append(placed.seen_from(above) if is_registered and place.frame_id in BODIES else placed)
             if are_enough(clouds):
                 break
         return clouds

@@ -30,7 +30,7 @@ from pc2scan.result import Call, Part, Result
 from pc2scan.text import Table, count, counted, height_text, size, stamp
 from pc2scan.transforms.buffer import ADDS_ODOMETRY
 from pc2scan.transforms.frames import BODIES, WORLDS
-from pc2scan.transforms.motion import find_body_motion
+from pc2scan.transforms.motion import body_in, find_body_motion
 from pc2scan.transforms.placing import FrameOptions, Placer
 from pc2scan.transforms.sources import PoseTopic
 
@@ -423,8 +423,8 @@ class _SurveyResult:
             moving = find_body_motion(buffer, target, own.frame)
             return (own, True) if moving is None else (self._judged(facts, moving.body) or own, False)
         is_registered = facts.frame.removeprefix("/") in WORLDS
-        named = BODIES if is_registered or not own.target_frame else (own.target_frame, *BODIES)
-        body = next((name for name in named if name in buffer.frames), "")
+        named = (name for name in (own.target_frame, *BODIES) if name in buffer.frames)
+        body = body_in(buffer, facts.frame) if is_registered else next(named, "")
         if not body or body == own.frame.removeprefix("/"):
             return own, True
         if is_registered:

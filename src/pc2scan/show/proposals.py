@@ -266,7 +266,8 @@ def _choices(group: Sequence[Lidar], given: Mapping[str, Any]) -> Iterator[Choic
         reason = "makes the clouds level" if option == "static_tf" and static else "as given"
         yield Choice(option, value[0] if isinstance(value, tuple) and len(value) == 1 else value, reason)
     if lidar.target:
-        yield Choice("target_frame", lidar.target, "the robot's frame" if lidar.target in BODIES else "its z points up")
+        is_robot = lidar.target in BODIES or lidar.is_registered
+        yield Choice("target_frame", lidar.target, "the robot's frame" if is_robot else "its z points up")
     if (clock := lidar.clock) is not None:
         yield Choice("time_offset", clock.time_offset, clock.text)
     elif any(stamp_faults(each.facts) for each in group):

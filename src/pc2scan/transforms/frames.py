@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 #: Usual names of a robot's frame, whose z is up; the first that exists is used.
 BODIES = ("base_link", "base_footprint")
 
-#: Frames that a robot moves in (REP 105); the frames below them move with the robot.
-WORLDS = ("odom", "map", "world", "earth")
+#: Frames that a robot moves in (REP 105, and LOAM's and FAST-LIO's); the frames below them move with the robot.
+WORLDS = ("odom", "map", "world", "earth", "camera_init")
 
 #: Why a transform is rejected.
 ACCEPTED, NO_CHILD, NO_PARENT, SELF, NOT_FINITE, ZERO, DENORMALIZED = range(7)

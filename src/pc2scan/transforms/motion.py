@@ -139,6 +139,15 @@ class BodyMotion(NamedTuple):
         )
 
 
+def body_in(buffer: TransformBuffer, world: str) -> str:
+    """Return the frame of a robot in a world: one with a usual name, or the only one that moves; empty if unknown."""
+    named = next((name for name in BODIES if name in buffer.frames), "")
+    links = ((name, buffer.history(name)) for name in buffer.frames if name not in WORLDS)
+    moving = [name for name, link in links if link is not None and not link.static]
+    moving = [name for name in moving if world.removeprefix("/") in buffer.above(name)]
+    return named or (moving[0] if len(moving) == 1 else "")
+
+
 def find_body_motion(buffer: TransformBuffer, world: str, source: str) -> BodyMotion | None:
     """Return what carries ``source`` through ``world``; None if nothing does.
 

@@ -94,6 +94,8 @@ class World:
         The height of base_link above the floor.
     claim
         The roll of the recorded mount, if it is not the true one, degrees.
+    pair
+        The frames of the odometry.
     """
 
     room: tuple[float, float, float, float, float] | None
@@ -108,6 +110,7 @@ class World:
     second: bool = False
     axle: float = 0.0
     claim: float | None = None
+    pair: tuple[str, str] = ("odom", "base_link")
 
     @property
     def lidars(self) -> dict[str, Rigid]:
@@ -192,15 +195,15 @@ class World:
             pose = drive.pose(number / 50).compose(lift).pose
             stamp_ns = BEGIN_NS + number * 20_000_000
             if self.odometry == "tf":
-                data = encode_transforms([("odom", "base_link", stamp_ns, *pose)], "cdr")
+                data = encode_transforms([(*self.pair, stamp_ns, *pose)], "cdr")
             else:
-                data = message("odometry", 2, 0, stamp_ns, ("odom", "base_link"), pose)
+                data = message("odometry", 2, 0, stamp_ns, self.pair, pose)
             rows.append((stamp_ns, topic, data))
         for turn in self.turns:
             parts = SENSORS[self.sensor][1]
             for times, points in zip(np.split(turn.times, parts), np.split(turn.points, parts), strict=True):
                 stamp_ns = BEGIN_NS + round(times[0] * 1e9)
-                data = _cloud("odom" if self.in_odom else turn.name, stamp_ns, times - times[0], points)
+                data = _cloud(self.pair[0] if self.in_odom else turn.name, stamp_ns, times - times[0], points)
                 rows.append((BEGIN_NS + round(times[-1] * 1e9) + 2_000_000, f"/{turn.name}", data))
         return write_rows(path, types, sorted(rows))
 

@@ -15,8 +15,8 @@ from pc2scan.core.percentiles import percentiles
 from pc2scan.core.rule import PointCounts
 from pc2scan.core.scene import FEWEST_POINTS, WHOLE_POINTS, CloudSample, far_away, gathered, tolerances
 from pc2scan.text import agreeing, counted, height_text
-from pc2scan.transforms.frames import BODIES
-from pc2scan.transforms.motion import find_body_motion
+from pc2scan.transforms.frames import WORLDS
+from pc2scan.transforms.motion import body_in, find_body_motion
 from pc2scan.transforms.mounting import is_upside_down, mounting, sensor_exclusion, unit_warning
 from pc2scan.transforms.static import static_text
 
@@ -54,10 +54,6 @@ _NOISE = 0.02
 #: Filters that may remove the floor, and filters that may remove points at the sensor.
 _FLOOR_FILTERS = {"ground", "min_height_slope", "where"}
 _PLACE_FILTERS = {"exclude_box", "exclude_polygon", "where"}
-
-#: Frames that do not move with the robot: those of REP 105, and the one that LOAM and its successors register
-#: clouds in.
-_FIXED = {"odom", "map", "world", "earth", "camera_init"}
 
 
 @dataclass(slots=True)
@@ -252,15 +248,14 @@ def clouds_in_fixed_frame(clouds: CloudFacts) -> Iterator[str]:
         if moving is not None:
             yield f"{clouds.topic}: {moving.of_source(frame, own)}"
             return
-    if clouds.spec.params.target_frame or frame not in _FIXED:
+    if clouds.spec.params.target_frame or frame not in WORLDS:
         return
-    buffer = clouds.robot
-    bodies = [body for body in BODIES if buffer is not None and body in buffer.frames]
-    if buffer is not None and any(buffer.is_rigid(frame, body) for body in bodies):
+    body = "" if (buffer := clouds.robot) is None else body_in(buffer, frame)
+    if buffer is not None and body and buffer.is_rigid(frame, body):
         return
     cure = (
-        f"`target_frame={bodies[0]}` moves them to the robot"
-        if bodies
+        f"`target_frame={body}` moves them to the robot"
+        if body
         else "convert the topic with the lidar's own clouds, or move them to the robot by `tf_from` and `target_frame`"
     )
     yield (
