@@ -66,8 +66,6 @@ _LEAST_SHIFT = 0.015
 
 _NOTHING = np.empty((0, 3))
 
-#: The signs of x, y and z of a lidar that is turned over.
-_TURNED_OVER = (1.0, -1.0, -1.0)
 _IF_TURNED_OVER = (
     "times as sharp if the lidar is turned over: when the robot turns, they turn the wrong way; is it upside down "
     "against its transform? `static_tf` says how it is mounted"
@@ -231,11 +229,21 @@ class _Seen(NamedTuple):
 
         Motion that is even is the same at all times: other ones only move all that is seen, which shows nothing.
         """
-        middle = np.array([self.seconds.min() + self.seconds.max()]) / 2
-        (old,), (new,) = self._poses(middle), self._poses(middle + later)
-        from_new = old[:9].reshape(3, 3) @ new[:9].reshape(3, 3).T
-        moved: NDArray[np.float64] = (self.placed(later) - new[9:]) @ from_new.T + old[9:]
+        (rotation, place), (later_rotation, later_place) = self._middle(0.0), self._middle(later)
+        moved: NDArray[np.float64] = (self.placed(later) - later_place) @ later_rotation @ rotation.T + place
         return moved
+
+    def turned_over(self) -> NDArray[np.float64]:
+        """Return the points in the fixed frame if the sensor is turned over; see `_turned_over`."""
+        rotation, place = self._middle(0.0)
+        own, turn = _turned_over(rotation)
+        turned: NDArray[np.float64] = (self._replace(points=self.points @ own.T).placed() - place) @ turn.T + place
+        return turned
+
+    def _middle(self, later: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the pose in the middle of the points' times, so many seconds later: rotation and translation."""
+        row = self._poses(np.array([(self.seconds.min() + self.seconds.max()) / 2 + later]))[0]
+        return row[:9].reshape(3, 3), row[9:]
 
     def _poses(self, seconds: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the poses at some times, as rows; NaN without one."""
@@ -357,7 +365,7 @@ class Surroundings:
 
         sharper, shift = _best_shift(lambda seconds: gain(lambda each: each.moved(seconds)))
         seen = f"{topic}: in {counted(len(windows), 'second')} of the strongest motion, surroundings are"
-        turned = gain(lambda each: each._replace(points=each.points * _TURNED_OVER).placed())
+        turned = gain(_Seen.turned_over)
         if turned > max(sharper, _SHARPER):
             yield f"{seen} {turned:.2g} {_IF_TURNED_OVER}"
         elif shift:
@@ -398,13 +406,26 @@ def turned_over(topic: str, clouds: Sequence[tuple[Rigid, NDArray[np.floating[An
     clouds
         The transform to a frame that does not move of each cloud, and its points, (N, 3), in the frame of the lidar.
     """
+    if not clouds:
+        return ""
     some = [(rigid, points[:: 1 + len(points) // _OF_CLOUD]) for rigid, points in clouds]
-    here, turned = (
-        np.concatenate([_NOTHING, *(rigid.apply(points * signs) for rigid, points in some)])
-        for signs in ((1.0, 1.0, 1.0), _TURNED_OVER)
-    )
+    first = some[0][0]
+    own, turn = _turned_over(first.matrix)
+    here = np.concatenate([rigid.apply(points) for rigid, points in some])
+    turned = np.concatenate([rigid.apply(points @ own.T) for rigid, points in some])
+    turned = (turned - first.translation) @ turn.T + first.translation
     gain = _gain([(here, turned, _NOTHING)]) if len(here) >= _FEWEST else 0.0
     return f"{topic}: surroundings are {gain:.2g} {_IF_TURNED_OVER}" if gain > _SHARPER else ""
+
+
+def _turned_over(rotation: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return how points turn in a sensor that is turned over about its x axis, or y if x is upright; and in the world.
+
+    Together the two leave what it sees from this pose in place, so only how it turns from there makes a difference.
+    """
+    ahead = np.append(next(axis for axis in rotation[:2].T if axis @ axis > 0.25), 0.0)
+    turn = 2 * np.outer(ahead, ahead) / (ahead @ ahead) - np.eye(3)
+    return rotation.T @ turn @ rotation, turn
 
 
 def _are_walls(points: NDArray[np.float64]) -> NDArray[np.bool_]:

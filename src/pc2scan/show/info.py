@@ -280,7 +280,7 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
                 continue
             # Where the robot moves in the frame of these points, its own body is not at one place.
             parts, has_zeros = [(each.stamp_ns, each.points) for each in placed if is_own], bool(cloud.zero_share)
-            of_robot = recorded, reader.connections, surveyed.knows_end, surveyed.clocks.get(topic), surveyed.ups
+            of_robot = recorded, reader.connections, surveyed.known_ns, surveyed.clocks.get(topic), surveyed.ups
             lidars.append(Lidar(surveyed.facts[topic], mounting, surveyed.buffer, parts, has_zeros, *of_robot))
         if not any(topic.msgtype in {*CLOUDS, *SCANS} for topic in topics) and (
             instead := instead_of_clouds(reader.connections)
@@ -364,8 +364,8 @@ class _SurveyResult:
         What is wrong with the clocks of topics.
     warnings
         About transforms, clocks and units.
-    knows_end
-        Whether all transforms at the end of the recording are known.
+    known_ns
+        All transforms are known up to the first of these log times, and from the second one on.
     """
 
     def __init__(self, survey: Survey, shown: Sequence[TopicInfo], end_ns: int | None, target_frame: str) -> None:
@@ -386,16 +386,17 @@ class _SurveyResult:
         if moved or survey.others or survey.frames.adds_poses:
             survey.ask_transforms((target_frame,))
         elif any(each.ros_type in CLOUDS for each in survey.reader.connections):
-            survey.ask_robot(_moments(survey.span.first_ns, end_ns) if clouds else ())
+            survey.ask_robot(_moments(survey.span.first_ns, end_ns) if clouds and end_ns else ())
         survey.read()
         self.buffer: TransformBuffer | None = None
         self.warnings: list[str] = []
-        self.knows_end = True
+        self.known_ns = end_ns or 0, survey.span.first_ns
         if survey.transforms is not None:
             transforms = survey.transforms.finish()
             self.buffer, self.warnings = transforms.buffer, [*transforms.warnings, *transforms.notes]
         elif survey.robot is not None:
-            self.buffer, self.knows_end = survey.robot.finish(), not survey.robot.is_cut
+            self.buffer, until_ns = survey.robot.finish(), (end_ns or 0) - (0 if survey.robot.is_cut else EDGE_NS)
+            self.known_ns = survey.span.first_ns + EDGE_NS, until_ns
         self.clocks = clocks.findings()
         self.warnings += (each.warning for each in self.clocks.values())
         self.warnings += filter(None, (each.unit_warning() for each in clouds.values()))
@@ -486,10 +487,8 @@ def _topic_infos(
     return topics
 
 
-def _moments(start_ns: int, end_ns: int | None) -> list[int]:
+def _moments(start_ns: int, end_ns: int) -> list[int]:
     """Return the times at which the motion of the robot is looked at: spread, and at the end."""
-    if end_ns is None:
-        return []
     spread = [start_ns + (end_ns - start_ns) * number // _MOMENTS for number in range(_MOMENTS)]
     return [*spread, max(start_ns, end_ns - EDGE_NS + 1)]
 

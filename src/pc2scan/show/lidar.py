@@ -166,8 +166,8 @@ class Lidar:
         Whether points at (0, 0, 0) stand for no return.
     recorded, connections
         The recording's extent, and its connections.
-    knows_end
-        Whether all transforms at its end are known.
+    known_ns
+        All transforms are known up to the first of these log times, and from the second one on.
     clock
         What is wrong with its clock; None if nothing is.
     ups
@@ -183,7 +183,7 @@ class Lidar:
     has_zeros: bool
     recorded: Summary
     connections: Sequence[Connection]
-    knows_end: bool
+    known_ns: tuple[int, int]
     clock: ClockFinding | None
     ups: Mapping[str, UpEstimate]
     scene: Scene | None = None

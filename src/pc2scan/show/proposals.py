@@ -23,7 +23,7 @@ from pc2scan.transforms.frames import BODIES, WORLDS
 from pc2scan.transforms.motion import spread_of_up
 from pc2scan.transforms.mounting import sensor_exclusion
 
-from .lidar import EDGE_NS, TOLERANCE, Lidar, Trial, stamp_faults, tried
+from .lidar import TOLERANCE, Lidar, Trial, stamp_faults, tried
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -262,9 +262,10 @@ def _choices(group: Sequence[Lidar], given: Mapping[str, Any]) -> Iterator[Choic
     static = [each.mounting.static_tf for each in group if each.mounting.static_tf]
     if static:
         given["static_tf"] = (*given.get("static_tf", ()), *static)
+    reasons = {"odom_topic": "says how the robot moves"} | ({"static_tf": "makes the clouds level"} if static else {})
     for option, value in given.items():
-        reason = "makes the clouds level" if option == "static_tf" and static else "as given"
-        yield Choice(option, value[0] if isinstance(value, tuple) and len(value) == 1 else value, reason)
+        alone = value[0] if isinstance(value, tuple) and len(value) == 1 else value
+        yield Choice(option, alone, reasons.get(option, "as given"))
     if lidar.target:
         is_robot = lidar.target in BODIES or lidar.is_registered
         yield Choice("target_frame", lidar.target, "the robot's frame" if is_robot else "its z points up")
@@ -360,9 +361,9 @@ def _edge_cuts(lidars: Sequence[Lidar], fixed: str) -> Iterator[Choice]:
     Notes
     -----
     A cloud is skipped if there is no transform at its stamp, or at none of its points' times. Clouds that lack
-    transforms for longer than `EDGE_NS` are left as they are: they may have transforms that are not known here.
+    transforms for longer than all are known are left as they are: they may have some.
     """
-    buffer, (start_ns, end_ns) = lidars[0].buffer, lidars[0].span_ns
+    buffer, start_ns, (first_ns, last_ns) = lidars[0].buffer, lidars[0].span_ns[0], lidars[0].known_ns
     if not fixed or buffer is None:
         return
     tolerance_ns = round(TOLERANCE * 1e9)
@@ -385,16 +386,16 @@ def _edge_cuts(lidars: Sequence[Lidar], fixed: str) -> Iterator[Choice]:
             else:
                 kept[1].append(header.log_time_ns)
     if lost[0]:
-        last_ns, by_ns = max(lost[0])[0], max(by for _, by in lost[0])
-        later = [time_ns for time_ns in kept[0] if time_ns > last_ns]
-        if later and last_ns < start_ns + EDGE_NS:
-            seconds = _between(last_ns - start_ns, min(later) - start_ns)
+        after_ns, by_ns = max(lost[0])[0], max(by for _, by in lost[0])
+        later = [time_ns for time_ns in kept[0] if time_ns > after_ns]
+        if later and after_ns < first_ns:
+            seconds = _between(after_ns - start_ns, min(later) - start_ns)
             yield Choice("start", seconds, f"transforms to {fixed} begin {by_ns / 1e9:.2g} s after the first cloud")
-    if lost[1] and lidars[0].knows_end:
-        first_ns, by_ns = min(lost[1])[0], max(by for _, by in lost[1])
-        earlier = [time_ns for time_ns in kept[1] if time_ns < first_ns]
-        if earlier and first_ns > end_ns - EDGE_NS:
-            seconds = _between(max(earlier) - start_ns, first_ns - start_ns)
+    if lost[1]:
+        until_ns, by_ns = min(lost[1])[0], max(by for _, by in lost[1])
+        earlier = [time_ns for time_ns in kept[1] if time_ns < until_ns]
+        if earlier and until_ns > last_ns:
+            seconds = _between(max(earlier) - start_ns, until_ns - start_ns)
             yield Choice("end", seconds, f"transforms to {fixed} end {by_ns / 1e9:.2g} s before the last cloud")
 
 

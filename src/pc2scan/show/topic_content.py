@@ -511,10 +511,9 @@ class CloudInfo:
         yield from (f"  cannot be described: {problem}" for problem in self.problems)
         if not self.fields:
             return
-        points = count_range(self.points_min, self.points_max)
         height, width = self.shape
         yield f"  frame   {', '.join(map(repr, self.frames))}"
-        yield f"  points  {points} a cloud ({height} x {width})"
+        yield f"  points  {count_range(self.points_min, self.points_max)} a cloud ({height} x {width})"
         yield f"  fields  {', '.join(map(' '.join, self.fields))}"
         yield f"  NaN {self.nan_share:.1%}, (0, 0, 0) {self.zero_share:.1%}, z > 0 {self.above_zero_share:.1%}"
         if self.limits:
