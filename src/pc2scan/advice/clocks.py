@@ -191,12 +191,10 @@ def _observers(connections: Iterable[Connection], span: Span) -> dict[str, Obser
 def _delays(message: RawMessage) -> Delays:
     """Return the delays from the stamps in a message to its log time, and of transforms their child frames."""
     kind, serialization = message.connection.ros_type, message.connection.serialization
-    stamps: Iterable[tuple[str, int]] = ()
     if kind in TF_TYPES:
-        stamps = ((child, stamp_ns) for _, child, stamp_ns, *_ in decode_transforms(message.data, serialization))
-    elif kind in STAMPED:
-        stamps = (("", stamp_in(message.data, serialization)),)
-    return [(child, message.log_time_ns - stamp_ns) for child, stamp_ns in stamps]
+        transforms = decode_transforms(message.data, serialization)
+        return [(child, message.log_time_ns - stamp_ns) for _, child, stamp_ns, *_ in transforms]
+    return [("", message.log_time_ns - stamp_in(message.data, serialization))]
 
 
 def refuse_other_clock(trajectory: Trajectory, topics: Iterable[TopicFacts], span: Span, end_ns: int | None) -> None:

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from pc2scan.core.points import Points
     from pc2scan.core.timing import Sweep
     from pc2scan.model import RawMessage
-    from pc2scan.request.point_time import Turn, TurnSample
+    from pc2scan.request.point_time import Turn
     from pc2scan.request.spec import ScanSpec
     from pc2scan.transforms.placing import Placer
 
@@ -162,7 +162,7 @@ def _turned(shape: CloudShape, placer: Placer) -> Sweep | None:
         matrix = transform.matrix
         yaw, way = math.atan2(matrix[1, 0], matrix[0, 0]), math.copysign(1.0, matrix[2, 2])
         if abs(matrix[2, 2]) > _UPRIGHT:
-            return replace(shape.sweep, angle=yaw + way * shape.sweep.angle, rate=way * shape.sweep.rate)
+            return shape.sweep._replace(angle=yaw + way * shape.sweep.angle, rate=way * shape.sweep.rate)
     return None
 
 
@@ -298,32 +298,30 @@ def _beams(
     shapes: Sequence[CloudShape], layout: BeamLayout, stamps_ns: Sequence[int], placer: Placer
 ) -> tuple[float, int, str]:
     """Return the time between beams in seconds, from the stamp to the first beam in nanoseconds, and a note."""
-    timed = dict.fromkeys(each.time_field for each in shapes if each.time_field)
-    if not timed:
-        return 0.0, 0, f"time_increment is 0, because the clouds have no field {', '.join(TIME_FIELDS)}"
-    field = ", ".join(timed)
+    field = ", ".join(dict.fromkeys(each.time_field for each in shapes if each.time_field))
     sweeps = [sweep for each in shapes if (sweep := _turned(each, placer)) is not None]
-    if not sweeps:
-        return 0.0, 0, f"time_increment is 0, because the times of points ({field}) are not of a turning lidar"
-    period, takes = (median_interval_ns(stamps_ns) or 0) / 1e9, median([sweep.end - sweep.begin for sweep in sweeps])
-    if is_brief(takes, period):
-        wrong = f"by the times of points ({field}) a cloud takes {takes:.3g} s, but clouds come every {period:.3g} s"
-        return 0.0, 0, f"time_increment is 0, because {wrong}: their unit is probably another one"
+    takes = median([each.end - each.begin for each in sweeps]) if sweeps else 0.0
+    period = (median_interval_ns(stamps_ns) or 0) / 1e9
     timings = [times for sweep in sweeps if (times := beam_times(sweep, layout)) is not None]
-    if len(timings) < len(sweeps):
+    why = ""
+    if not field:
+        why = f"the clouds have no field {', '.join(TIME_FIELDS)}"
+    elif not sweeps:
+        why = f"the times of points ({field}) are not of a turning lidar"
+    elif is_brief(takes, period):
+        wrong = f"by the times of points ({field}) a cloud takes {takes:.3g} s, but clouds come every {period:.3g} s"
+        why = f"{wrong}: their unit is probably another one"
+    elif len(timings) < len(sweeps):
         lowest = median_low(sweep.lowest for sweep in sweeps)
         advice = f"`angle_min={lowest:.4f}` `angle_max={lowest + TURN:.4f}`"
-        note = "time_increment is 0, because the clouds begin inside the scan's sector; let the scan begin there"
-        return 0.0, 0, f"{note}: {advice}"
+        why = f"the clouds begin inside the scan's sector; let the scan begin there: {advice}"
+    if why:
+        return 0.0, 0, f"time_increment is 0, because {why}"
     first_beam_ns = round(median_low(first for first, _ in timings) * 1e9)
     increment = median_low(step for _, step in timings)
     way = "clockwise, so the first beam is the last in time" if increment < 0 else "counter-clockwise"
     note = f"time_increment is {increment:.4g} s, from {field}: the lidar turns {way}"
-    return (
-        increment,
-        first_beam_ns,
-        f"{note}; stamps are shifted by {stamp_text(first_beam_ns)} s, to the first beam",
-    )
+    return increment, first_beam_ns, f"{note}; stamps are shifted by {stamp_text(first_beam_ns)} s, to the first beam"
 
 
 class PointTimes(NamedTuple):
@@ -384,40 +382,7 @@ def duration_warning(facts: TopicFacts, point_time: PointTime) -> str:
     """Return the warning that clouds or scans take far too long or too short by their own times; empty if not."""
     if any(each.turn for each in facts.headers):
         return increment_warning(facts)
-    return "" if point_time.turn is not None else _duration_doubt(facts.topic, facts.values(times_of(point_time)))
-
-
-def increment_warning(facts: TopicFacts) -> str:
-    """Return the warning that scans take far too long or too short by their time_increment; empty if not."""
-    turn = median([each.turn for each in facts.headers]) if facts.headers else 0.0
-    period = (median_interval_ns(each.stamp_ns for each in facts.headers) or 0) / 1e9
-    doubt = increment_doubt(turn, period) if turn else ""
-    return f"{facts.topic}: {doubt}: {IN_SECONDS}" if doubt else ""
-
-
-def times_of(point_time: PointTime) -> Fact[PointTimes]:
-    """Return the fact: the times of points in a field."""
-    return Fact(_times, _CLOUDS, (point_time,))
-
-
-def _turn(points: Points, message: RawMessage) -> TurnSample:
-    return turn_sample(points, message.log_time_ns)
-
-
-#: What clouds show of how a lidar turns.
-TURNS = Fact(_turn, TURN_CLOUDS)
-
-
-def _times(points: Points, _: RawMessage, point_time: PointTime) -> PointTimes | None:
-    """Return the times of a cloud's points; None if it has none."""
-    known = point_time.read(points)
-    low, high = known.low, known.high
-    if known.measured - known.unknown < 2:
-        return None
-    return PointTimes(points.stamp_ns, known.field, low, high, known.unit)
-
-
-def _duration_doubt(topic: str, clouds: Sequence[PointTimes]) -> str:
+    topic, clouds = facts.topic, [] if point_time.turn is not None else facts.values(times_of(point_time))
     period = (median_interval_ns(each.stamp_ns for each in clouds) or 0) / 1e9
     whole = median([each.high - each.low for each in clouds]) if len(clouds) >= _FEWEST else 0.0
     if not (period and whole > 0) or 1 / _OFF < whole / period < _OFF:
@@ -437,6 +402,31 @@ def _duration_doubt(topic: str, clouds: Sequence[PointTimes]) -> str:
             f"hardly moves a point; `point_time=FIELD` names another field, and {BY_AZIMUTH}"
         )
     return ""
+
+
+def increment_warning(facts: TopicFacts) -> str:
+    """Return the warning that scans take far too long or too short by their time_increment; empty if not."""
+    turn = median([each.turn for each in facts.headers]) if facts.headers else 0.0
+    period = (median_interval_ns(each.stamp_ns for each in facts.headers) or 0) / 1e9
+    doubt = increment_doubt(turn, period) if turn else ""
+    return f"{facts.topic}: {doubt}: {IN_SECONDS}" if doubt else ""
+
+
+def times_of(point_time: PointTime) -> Fact[PointTimes]:
+    """Return the fact: the times of points in a field."""
+    return Fact(_times, _CLOUDS, (point_time,))
+
+
+#: What clouds show of how a lidar turns.
+TURNS = Fact(lambda points, message: turn_sample(points, message.log_time_ns), TURN_CLOUDS)
+
+
+def _times(points: Points, _: RawMessage, point_time: PointTime) -> PointTimes | None:
+    """Return the times of a cloud's points; None if it has none."""
+    known = point_time.read(points)
+    if known.measured - known.unknown < 2:
+        return None
+    return PointTimes(points.stamp_ns, known.field, known.low, known.high, known.unit)
 
 
 def measure_turns(topics: Iterable[TopicFacts], point_time: PointTime) -> tuple[dict[str, Turn], list[str]]:

@@ -56,15 +56,12 @@ _EVENLY = np.arange(_OF_CLOUD) * GOLDEN % 1.0
 _KNOWN = 0.8
 _NEAREST, _FARTHEST = 0.1, 1000.0
 
-#: How far times are shifted, seconds: first these, then every hundredth up to the farthest, if one of the first is a
-#: little sharper; the distance of poses that are interpolated, nanoseconds; and the smallest shift that is reported.
+#: How far times are shifted, seconds: first these, then every hundredth from two on, if one of the first is a little
+#: sharper; and the distance of poses that are interpolated, nanoseconds.
 _FIRST_SHIFTS = (0.03, 0.1, 0.25)
-_SHIFTS = np.arange(0.01, 0.315, 0.01).round(2).tolist()
+_SHIFTS = np.arange(0.02, 0.315, 0.01).round(2).tolist()
 _A_LITTLE = 1.02
 _NODE_NS = 5_000_000
-_LEAST_SHIFT = 0.015
-
-_NOTHING = np.empty((0, 3))
 
 _IF_TURNED_OVER = (
     "times as sharp if the lidar is turned over: when the robot turns, they turn the wrong way; is it upside down "
@@ -209,7 +206,7 @@ class _Seen(NamedTuple):
     rows: NDArray[np.float64]
     points: NDArray[np.float64]
     seconds: NDArray[np.float64]
-    here: NDArray[np.float64] = _NOTHING
+    here: NDArray[np.float64] = np.empty((0, 3))
 
     def smoothed(self) -> _Seen:
         """Return the same points with poses that are the means of some time."""
@@ -361,7 +358,7 @@ class Surroundings:
         spec = self._spec
 
         def gain(changed: Callable[[_Seen], NDArray[np.float64]]) -> float:
-            return _gain((each.here, changed(each), _NOTHING) for each in windows)
+            return _gain((each.here, changed(each)) for each in windows)
 
         sharper, shift = _best_shift(lambda seconds: gain(lambda each: each.moved(seconds)))
         seen = f"{topic}: in {counted(len(windows), 'second')} of the strongest motion, surroundings are"
@@ -384,9 +381,12 @@ class Surroundings:
 
 def _clock_doubts(lead: str, other: str, pairs: Sequence[tuple[_Seen, _Seen]]) -> Iterator[str]:
     """Yield a warning if two topics fit each other better with a difference of their clocks."""
-    sharper, shift = _best_shift(
-        lambda seconds: _gain((each.here, each.placed(seconds), first.here) for first, each in pairs)
-    )
+
+    def gain(seconds: float) -> float:
+        ways = ((first.here, each.here, each.placed(seconds)) for first, each in pairs)
+        return _gain((np.concatenate([both, here]), np.concatenate([both, shifted])) for both, here, shifted in ways)
+
+    sharper, shift = _best_shift(gain)
     if shift:
         yield (
             f"{lead} and {other}: in {counted(len(pairs), 'second')} of the strongest motion, what both see fits "
@@ -414,7 +414,7 @@ def turned_over(topic: str, clouds: Sequence[tuple[Rigid, NDArray[np.floating[An
     here = np.concatenate([rigid.apply(points) for rigid, points in some])
     turned = np.concatenate([rigid.apply(points @ own.T) for rigid, points in some])
     turned = (turned - first.translation) @ turn.T + first.translation
-    gain = _gain([(here, turned, _NOTHING)]) if len(here) >= _FEWEST else 0.0
+    gain = _gain([(here, turned)]) if len(here) >= _FEWEST else 0.0
     return f"{topic}: surroundings are {gain:.2g} {_IF_TURNED_OVER}" if gain > _SHARPER else ""
 
 
@@ -438,20 +438,20 @@ def _are_walls(points: NDArray[np.float64]) -> NDArray[np.bool_]:
     return np.asarray(((high - low)[columns] >= _TALL) & np.isfinite(points[:, 2]))
 
 
-def _gain(windows: Iterable[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]]) -> float:
+def _gain(windows: Iterable[tuple[NDArray[np.float64], NDArray[np.float64]]]) -> float:
     """Return how many times as sharp surroundings are in another way; 0 if they are not, in one of the windows.
 
     Parameters
     ----------
     windows
-        Where the points of each are, where they are otherwise, and what is beside them in both cases.
+        Where the points of each are, and where they are otherwise.
     """
     logarithms, weights = 0.0, 0.0
-    for here, otherwise, beside in windows:
+    for here, otherwise in windows:
         known = np.isfinite(otherwise[:, 0])
         if known.mean() < _KNOWN:
             continue
-        now, then = (spread(np.concatenate([each[known], beside])[:, :2]) for each in (here, otherwise))
+        now, then = spread(here[known, :2]), spread(otherwise[known, :2])
         if not then or now / then < _NOT_LESS:
             return 0.0
         logarithms += math.log(now / then) * len(otherwise)
@@ -464,4 +464,4 @@ def _best_shift(gain: Callable[[float], float]) -> tuple[float, float]:
     best = max((gain(sign * shift), sign * shift) for shift in _FIRST_SHIFTS for sign in (1, -1))
     if best[0] >= _A_LITTLE:
         best = max(best, *((gain(sign * shift), sign * shift) for shift in _SHIFTS for sign in (1, -1)))
-    return best if best[0] >= _SHARPER and abs(best[1]) >= _LEAST_SHIFT else (best[0], 0.0)
+    return best if best[0] >= _SHARPER else (best[0], 0.0)

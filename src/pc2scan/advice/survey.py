@@ -70,12 +70,11 @@ class Fact(Generic[_Value]):
     are_enough: Callable[[Sequence[_Value]], bool] | None = None
 
 
-def _sample(points: Points, _: RawMessage) -> CloudSample:
-    return CloudSample.of(points)
-
-
 #: Samples of points, if they are moved into another frame, which the first clouds may lack a transform to; and if not.
-_SAMPLES = {True: Fact(_sample, PARTS), False: Fact(_sample, PARTS, are_enough=are_enough)}
+_SAMPLES = {
+    moved: Fact(lambda points, _: CloudSample.of(points), PARTS, are_enough=None if moved else are_enough)
+    for moved in (True, False)
+}
 
 
 class Header(NamedTuple):
@@ -160,12 +159,12 @@ class TopicFacts:
     @property
     def headers(self) -> Sequence[Header]:
         """The headers, in the order of log time: as many as any caller of `ask_headers` wants."""
-        return self._observed(Header).values
+        return self._observers[Header].values
 
     @property
     def last_headers(self) -> Sequence[Header]:
         """The headers that `ask_last_headers` asked for."""
-        return self._observed("last headers").values
+        return self._observers["last headers"].values
 
     @property
     def frame(self) -> str:
@@ -173,14 +172,8 @@ class TopicFacts:
         return next((each.frame_id for each in self.headers), "")
 
     def values(self, fact: Fact[_Value]) -> list[_Value]:
-        """Return what was taken of the first clouds, in the order of log time, and no more than this fact wants.
-
-        Raises
-        ------
-        LookupError
-            If it was not asked for: a mistake in the program.
-        """
-        return self._observed(fact).values[: fact.most]
+        """Return what was taken of the first clouds, in the order of log time, and no more than this fact wants."""
+        return self._observers[fact].values[: fact.most]
 
     def samples(self, placer: Placer) -> list[CloudSample]:
         """Return as many samples as show how the sensor is mounted, in the frames of scans.
@@ -220,11 +213,6 @@ class TopicFacts:
         """Return the warning that the clouds are in another unit than metres; empty if they are not."""
         distance = next((far_away(each.points) for each in self.values(self._samples)), 0.0)
         return unit_warning(self.topic, distance) if distance else ""
-
-    def _observed(self, fact: Hashable) -> Observer[Any]:
-        if fact not in self._observers:
-            raise LookupError(f"nobody asked for {fact} of {self.topic}")
-        return self._observers[fact]
 
     def _ask(
         self, fact: Hashable, take: Callable[[RawMessage], Any], most: int, connections: Sequence[Connection]
@@ -306,9 +294,7 @@ class Survey:
     def facts(self, connections: Sequence[Connection]) -> TopicFacts:
         """Return the facts about the messages of some connections of one topic."""
         key = tuple(each.id for each in connections)
-        if key not in self._facts:
-            self._facts[key] = TopicFacts(connections, self.span)
-        return self._facts[key]
+        return self._facts.setdefault(key, TopicFacts(connections, self.span))
 
     def topics(self, connections: Iterable[Connection]) -> dict[str, TopicFacts]:
         """Return the facts about the topics of connections."""
@@ -322,9 +308,7 @@ class Survey:
         TopicError
             If there is no such topic.
         """
-        if topic not in self._imus:
-            self._imus[topic] = ImuReading([self.reader, *self.others], topic, most)
-        return self._imus[topic]
+        return self._imus.setdefault(topic, ImuReading([self.reader, *self.others], topic, most))
 
     def read(self, meter: Meter | None = None) -> None:
         """Read the recordings: each once, as far as anything of it is needed.

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -236,8 +235,7 @@ def turn_by_order(angles: NDArray[np.float64]) -> tuple[float, float]:
     return float(near.mean()), float(steps[near].sum()) / TURN
 
 
-@dataclass(frozen=True, slots=True)
-class Sweep:
+class Sweep(NamedTuple):
     """The rotation of a lidar while it measured a cloud.
 
     Attributes

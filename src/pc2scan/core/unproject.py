@@ -8,8 +8,8 @@ version has the same results.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -64,8 +64,7 @@ class UnprojectParams:
             raise ParameterError("range_cutoff is NaN", name="range_cutoff")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class UnprojectedScan:
+class UnprojectedScan(NamedTuple):
     """The points of a scan.
 
     Attributes
@@ -120,7 +119,7 @@ class UnprojectedScan:
             if viewpoint is not None and self.viewpoint is not None:
                 _three_fields(points, "vp_x")[:] = viewpoint
         points.flags.writeable = False
-        return replace(self, points=points)
+        return self._replace(points=points)
 
 
 def unproject(

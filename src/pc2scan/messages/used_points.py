@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -24,8 +24,7 @@ BEAM = "beam"
 _UINT32 = 6
 
 
-@dataclass(frozen=True, slots=True)
-class UsedPoints:
+class UsedPoints(NamedTuple):
     """The points of a cloud that give a scan its ranges.
 
     Attributes

@@ -6,8 +6,7 @@ Files in Python are read as the XML that says the same; see `pc2scan.request.lau
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import ParameterError, UsageError
 from pc2scan.options.table import PARAMETERS
@@ -43,8 +42,7 @@ class UnreadError(Exception):
         self.problem, self.line, self.hint = problem, line, hint
 
 
-@dataclass(frozen=True, slots=True)
-class LaunchValue:
+class LaunchValue(NamedTuple):
     """A parameter or a remapping of a node.
 
     Attributes
@@ -65,8 +63,7 @@ class LaunchValue:
     line: int
 
 
-@dataclass(frozen=True, slots=True)
-class LaunchNode:
+class LaunchNode(NamedTuple):
     """A node of pointcloud_to_laserscan in a launch file.
 
     Attributes

@@ -7,7 +7,7 @@ from collections import Counter
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from pc2scan.advice.checks.plausibility import log_times_of_centuries
 from pc2scan.advice.clocks import Clocks
@@ -61,8 +61,7 @@ _MOMENTS = 8
 _MAX_POINTS = 2_000_000
 
 
-@dataclass(frozen=True, slots=True)
-class FileInfo:
+class FileInfo(NamedTuple):
     """One source: its container, and the container's own description."""
 
     path: str
@@ -73,8 +72,7 @@ class FileInfo:
     size_bytes: int
 
 
-@dataclass(frozen=True, slots=True)
-class TopicInfo:
+class TopicInfo(NamedTuple):
     """One topic and type.
 
     Attributes

@@ -138,8 +138,7 @@ class ScanCount:
         return Finding(kind, level, text, hint, self.count, self.stamp_ns)
 
 
-@dataclass(frozen=True, slots=True)
-class ConsumerCheck:
+class ConsumerCheck(NamedTuple):
     """What one consumer does with the scans of a topic.
 
     Attributes
@@ -173,8 +172,7 @@ class ConsumerCheck:
             yield f"      cure  {verdict.cure}"
 
 
-@dataclass(frozen=True, slots=True)
-class TopicCheck:
+class TopicCheck(NamedTuple):
     """The result of one topic.
 
     Attributes

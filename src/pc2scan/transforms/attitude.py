@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from array import array
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -47,8 +47,7 @@ _NAN = float("nan")
 _UNKNOWN = (_NAN, _NAN, _NAN)
 
 
-@dataclass(frozen=True, slots=True)
-class ImuRequest:
+class ImuRequest(NamedTuple):
     """The IMU that a user gives: its topic, and its frame if the messages' own is wrong or empty."""
 
     topic: str

@@ -39,7 +39,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import takewhile
 from operator import attrgetter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -463,8 +463,7 @@ def _tree_text(tree: Tree) -> str:
 # --- Chains ---
 
 
-@dataclass(frozen=True, slots=True)
-class Query:
+class Query(NamedTuple):
     """The names and numbers of two frames, the stamp, and the tolerance."""
 
     target: str
@@ -475,8 +474,7 @@ class Query:
     tolerance_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class Side:
+class Side(NamedTuple):
     """The links from a frame up to the common ancestor. Static links at the beginning are multiplied only once.
 
     Attributes
@@ -504,8 +502,7 @@ class Side:
         return _multiply_links(self.begin, self.rest, time_ns)
 
 
-@dataclass(frozen=True, slots=True)
-class Chain:
+class Chain(NamedTuple):
     """The links between two frames.
 
     Attributes
@@ -521,7 +518,7 @@ class Chain:
     target_side: Side
     source_side: Side
     above: tuple[FrameHistory, ...]
-    fixed: dict[int, Rigid] = field(default_factory=dict)
+    fixed: dict[int, Rigid]
 
     @property
     def links(self) -> tuple[FrameHistory, ...]:
@@ -566,8 +563,7 @@ def _multiply_links(pose: Pose, links: Iterable[FrameHistory], time_ns: int | No
     return pose
 
 
-@dataclass(frozen=True, slots=True)
-class Walk:
+class Walk(NamedTuple):
     """A walk up from a frame.
 
     Attributes
@@ -619,7 +615,7 @@ def join_walks(target_walk: Walk, source_walk: Walk) -> Chain | None:
         return None
     target_side, _ = _split(target_walk, common)
     source_side, above = _split(source_walk, common)
-    return Chain(Side.of(target_side), Side.of(source_side), above)
+    return Chain(Side.of(target_side), Side.of(source_side), above, {})
 
 
 def _split(walk: Walk, ancestor: int) -> tuple[tuple[FrameHistory, ...], tuple[FrameHistory, ...]]:

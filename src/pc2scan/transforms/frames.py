@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -227,8 +227,7 @@ def reasons_of(poses: NDArray[np.float64], reasons: NDArray[np.int32]) -> NDArra
     ).astype(np.int32)
 
 
-@dataclass(frozen=True, slots=True)
-class FrameInfo:
+class FrameInfo(NamedTuple):
     """Statistics of one child frame.
 
     Attributes
@@ -265,8 +264,7 @@ class FrameInfo:
     largest_gap_at_ns: int | None
 
 
-@dataclass(frozen=True, slots=True)
-class Tree:
+class Tree(NamedTuple):
     """Frames that are connected at some time of the recording.
 
     Attributes

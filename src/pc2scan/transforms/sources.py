@@ -8,7 +8,6 @@ top, because a frame has only one parent in tf2. They replace the recording's ow
 from __future__ import annotations
 
 from array import array
-from dataclasses import dataclass, replace
 from decimal import Decimal, InvalidOperation
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
@@ -198,8 +197,7 @@ class PoseAttachment(NamedTuple):
         return (self.parent, self.frame, stamp_ns, *pose)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class AddedPoses:
+class AddedPoses(NamedTuple):
     """Poses of a topic or a file that became transforms.
 
     Attributes
@@ -270,8 +268,7 @@ def joints_to_add(models: Iterable[RobotModel], pairs: Iterable[tuple[str, str]]
                 yield joint
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Trajectory:
+class Trajectory(NamedTuple):
     """Poses of one frame in another one.
 
     Attributes
@@ -304,7 +301,7 @@ class Trajectory:
 
     def moved(self, offset_ns: int) -> Trajectory:
         """Return the same poses at other times: ``offset_ns`` is added to their stamps."""
-        return replace(self, stamps_ns=self.stamps_ns + offset_ns) if offset_ns else self
+        return self._replace(stamps_ns=self.stamps_ns + offset_ns) if offset_ns else self
 
 
 def frames_of_trajectory(text: str) -> tuple[str, str]:
