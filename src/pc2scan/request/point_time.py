@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from functools import reduce
 from itertools import pairwise
 from operator import or_
@@ -72,8 +71,7 @@ _WAYS = {"cw": -1, "ccw": 1}
 _ENDS = {"start": False, "end": True}
 
 
-@dataclass(frozen=True, slots=True)
-class Turn:
+class Turn(NamedTuple):
     """How a lidar turned, if its points have no times.
 
     Attributes
@@ -151,8 +149,7 @@ def _seconds(text: str) -> float:
     return (duration_ns(text) or duration_ns(f"{text}s") or 0) / 1e9
 
 
-@dataclass(frozen=True, slots=True)
-class PointTime:
+class PointTime(NamedTuple):
     """The source of the points' times.
 
     Attributes
@@ -340,20 +337,20 @@ def measure_turn(topic: str, given: Turn, clouds: Sequence[TurnSample]) -> tuple
         why = f"they have {covered:.0%} of all directions, together {union:.0%}, and go round {turns:.1f} times"
     else:
         # Rounded to the digits that are shown, so that typing the shown period gives the same scans.
-        turn = replace(given, period=float(f"{period:.4g}"))
+        turn = given._replace(period=float(f"{period:.4g}"))
         ways = [1 if cloud.turns > 0 else -1 for cloud in clouds if cloud.turns]
         delays = [(cloud.log_time_ns - cloud.stamp_ns) / 1e9 for cloud in clouds]
         if not turn.direction:
             if 2 * len(ways) <= len(clouds) or len(set(ways)) > 1:
                 why = f"the points of {ways.count(-1)} are in clockwise order, of {ways.count(1)} counter-clockwise"
             else:
-                turn = replace(turn, direction=ways[0])
+                turn = turn._replace(direction=ways[0])
         if turn.ended is None:
             if min(delays) < 0 or not any(delays) or median(delays) >= _OF_LAST * turn.period:
                 logged = f"they are logged {min(delays):.4g} to {max(delays):.4g} s after their stamps"
                 why = why or f"{logged}, which may be of the first or of the last point"
             else:
-                turn = replace(turn, ended=True)
+                turn = turn._replace(ended=True)
     if why:
         way, end = "ccw" if turn.direction > 0 else "cw", "start" if turn.ended is False else "end"
         raise ParameterError(

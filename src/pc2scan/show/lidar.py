@@ -265,7 +265,8 @@ class Lidar:
             return 0.0
         middles = [_middle(each) for each in masks]
         steps = np.remainder(np.diff(middles) + math.pi, math.tau) - math.pi
-        step = median(steps)
+        # Directions are known by sectors, so single steps are off by one.
+        step = float(steps[np.abs(steps - median(steps)) < 1.5 * _STEP].mean())
         # Packets follow each other; a pattern jumps.
         if not abs(step) > _STEP / 4 or (np.abs(steps - step) < max(0.5 * abs(step), _STEP)).mean() < _ENOUGH:
             return 0.0

@@ -7,7 +7,6 @@ parser.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -35,8 +34,7 @@ MAX_BYTES = 2_000_000
 _TO_URDF = "make a URDF of it first: `xacro robot.urdf.xacro > robot.urdf` (ROS 2: `ros2 run xacro xacro ...`)"
 
 
-@dataclass(frozen=True, slots=True)
-class StaticTransform:
+class StaticTransform(NamedTuple):
     """A transform that the user adds; it is valid at any time.
 
     Attributes
