@@ -266,7 +266,8 @@ class Lidar:
         middles = [_middle(each) for each in masks]
         steps = np.remainder(np.diff(middles) + math.pi, math.tau) - math.pi
         # Directions are known by sectors, so single steps are off by one.
-        step = float(steps[np.abs(steps - median(steps)) < 1.5 * _STEP].mean())
+        alike = steps[np.abs(steps - median(steps)) < 1.5 * _STEP]
+        step = float(alike.mean()) if alike.size else 0.0
         # Packets follow each other; a pattern jumps.
         if not abs(step) > _STEP / 4 or (np.abs(steps - step) < max(0.5 * abs(step), _STEP)).mean() < _ENOUGH:
             return 0.0
