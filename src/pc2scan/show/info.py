@@ -284,7 +284,9 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
             instead := instead_of_clouds(reader.connections)
         ):
             warnings.append(f"the recording has no clouds, but {instead[0]}; {instead[1]}")
-        warnings += (each.mounting.warning for each in lidars if each.mounting.warning)
+        mountings = [each.mounting for each in lidars]
+        # The proposed command has the frame in which recorded transforms make clouds level.
+        warnings += (own.warning for own in mountings if own.warning and (own.static_tf or not own.target_frame))
         heights = ((each.topic, each.mounting.heights) for each in lidars)
         warnings += (f"{topic}: {own.doubt}" for topic, own in heights if own and own.doubt)
         warnings += dict.fromkeys(text for each in clouds for text in surveyed.moving_frames(each.topic))
