@@ -78,13 +78,13 @@ def clock_of(options: Options) -> StampOptions | None:
     return clock
 
 
-def first_output(options: Request, verb: str, warn: Warn | None) -> Request:
+def first_output(request: Request, verb: str, warn: Warn | None) -> Request:
     """Return a conversion with the first of its outputs only; ``verb`` says in a note what it is used for."""
-    if not options.scans[1:]:
-        return options
-    only = f"only the first of {len(options.scans)} outputs is {verb}: {options.scan.name}"
+    if not request.scans[1:]:
+        return request
+    only = f"only the first of {len(request.scans)} outputs is {verb}: {request.scan.name}"
     tell_early([], warn, only)
-    return replace(options.with_scan(), notes=(*options.notes, only))
+    return replace(request.with_scan(), notes=(*request.notes, only))
 
 
 def conversion_of(options: Options, warn: Warn | None = None) -> Request:

@@ -130,7 +130,7 @@ def corrected(
 
 
 def corrected_transforms(
-    reader: Reader, options: Request, stack: ExitStack, needed: Collection[str], meter: Meter | None = None
+    reader: Reader, request: Request, stack: ExitStack, needed: Collection[str], meter: Meter | None = None
 ) -> tuple[RecordedTransforms, Sequence[Reader]]:
     """Return all transforms of a recording, and the opened recordings of ``tf_from``, which have some of them.
 
@@ -143,11 +143,11 @@ def corrected_transforms(
     meter
         Counts the bytes; None: nothing is reported.
     """
-    others = open_recordings(options.frames.tf_from, stack, strict=options.strict)
-    if options.clock:
+    others = open_recordings(request.frames.tf_from, stack, strict=request.strict)
+    if request.clock:
         # Of topics with poses that have an offset of their own.
-        reader, _ = corrected(reader, [], options.clock, options.frames.tf_topics)
-    return read_transforms([reader, *others], options.frames, needed=needed, meter=meter), others
+        reader, _ = corrected(reader, [], request.clock, request.frames.tf_topics)
+    return read_transforms([reader, *others], request.frames, needed=needed, meter=meter), others
 
 
 def _is_stamped(connection: Connection) -> bool:

@@ -87,7 +87,7 @@ def items_of(
                 parts.insert(0, [latched_at(earlier, start)])
         for chunks in parts:
             load = merge_by_time(
-                chunks, partial(convert, routes), threads, window=window, path=reader.path, meter=meter
+                chunks, partial(convert_message, routes), threads, window=window, path=reader.path, meter=meter
             )
             # Closed before the threads are joined, so that work that has not begun is cancelled after an error.
             with closing(load) as loaded:
@@ -104,7 +104,7 @@ def items_of(
     return add_groups(items(), combiners, threads) if combiners else items()
 
 
-def convert(routes: Mapping[int, Route], message: RawMessage) -> Item:
+def convert_message(routes: Mapping[int, Route], message: RawMessage) -> Item:
     """Decode a message, and for each conversion of its route place its points, select some, and project them."""
     route = routes[message.connection.id]
     results: list[ConvertedMessage | Contribution | MessageError] = []

@@ -73,7 +73,8 @@ class Route:
     passes
         Whether they are also written as they are.
     decode, steps
-        Decodes a message; and what is done with it then, once for all outputs of one conversion.
+        Decodes a message; and what is done with it then, once for all outputs of one conversion. Like what follows,
+        `recording.equip_routes` sets them, when the transforms are known.
     encode
         The consumer's last step with each result.
     handle
@@ -160,14 +161,14 @@ def _steps_in_words(output: Output, topic: str) -> Iterator[str]:
         yield f"combine with {', '.join(others)}"
 
 
-def make_plan(connections: Sequence[Connection], options: Request) -> Plan:
+def make_plan(connections: Sequence[Connection], request: Request) -> Plan:
     """Decide which topics are converted, which pass through, and which are skipped.
 
     Parameters
     ----------
     connections
         All connections of the source.
-    options
+    request
         The options of the conversion.
 
     Raises
@@ -176,7 +177,7 @@ def make_plan(connections: Sequence[Connection], options: Request) -> Plan:
         If there is nothing to convert, a requested topic is missing or of another type, or an output topic
         already exists in the source.
     """
-    specs = () if options.repair or options.no_scans else options.scans
+    specs = () if request.repair or request.no_scans else request.scans
     types = {topic: {connection.kind for connection in own} for topic, own in by_topic(connections).items()}
     targets: dict[ScanSpec, Mapping[str, Sequence[str]]] = {}
     together: dict[ScanSpec, Mapping[str, Sequence[str]]] = {}
@@ -185,8 +186,8 @@ def make_plan(connections: Sequence[Connection], options: Request) -> Plan:
             if not spec.topics and all(kinds.isdisjoint(spec.types()) for kinds in types.values()):
                 message, hint = without(short_types(spec.types()), connections)
                 raise NothingToConvertError(message, hint=_other_direction(types, spec) or hint or None)
-            targets[spec] = _targets(types, spec, options)
-            together[spec] = _combined(spec, targets[spec], types, options) if spec.may_combine else {}
+            targets[spec] = _targets(types, spec, request)
+            together[spec] = _combined(spec, targets[spec], types, request) if spec.may_combine else {}
     routes = []
     for connection in connections:
         topic = connection.topic
@@ -194,15 +195,15 @@ def make_plan(connections: Sequence[Connection], options: Request) -> Plan:
         for spec in specs:
             begin = outputs[-1].index + 1 if outputs else 0
             outputs += _outputs(spec, connection.kind, targets[spec].get(topic, ()), together[spec], begin)
-        dropped = options.drop and matches(topic, options.drop)
-        is_kept = not dropped and (not options.keep or matches(topic, options.keep))
-        passes = not options.only_scans and (options.keep_clouds if outputs else is_kept)
+        dropped = request.drop and matches(topic, request.drop)
+        is_kept = not dropped and (not request.keep or matches(topic, request.keep))
+        passes = not request.only_scans and (request.keep_clouds if outputs else is_kept)
         routes.append(Route(connection, outputs, passes))
     _refuse_collisions(routes)
     idle: list[str] = []
-    if options.keep or options.drop:
-        replaced = {topic for topics in targets.values() for topic in topics if not options.keep_clouds}
-        idle = [*_idle_patterns("keep", options.keep, types, replaced), *_idle_patterns("drop", options.drop, types)]
+    if request.keep or request.drop:
+        replaced = {topic for topics in targets.values() for topic in topics if not request.keep_clouds}
+        idle = [*_idle_patterns("keep", request.keep, types, replaced), *_idle_patterns("drop", request.drop, types)]
     return Plan(routes, [route.connection for route in routes if route.outputs], specs, idle)
 
 
@@ -220,7 +221,7 @@ def _outputs(
 
 
 def _combined(
-    spec: ScanSpec, targets: Mapping[str, Sequence[str]], types: dict[str, set[str]], options: Request
+    spec: ScanSpec, targets: Mapping[str, Sequence[str]], types: dict[str, set[str]], request: Request
 ) -> dict[str, list[str]]:
     """Return the topics of scans that are made of several messages, each with the topics of these."""
     sources: dict[str, list[str]] = {}
@@ -233,7 +234,7 @@ def _combined(
             # Only topics that share a target may have scans instead of clouds.
             find_topic(topics[0], types, [topic for topic in types if topic in targets], *spec.types())
             del sources[target]
-        elif len(topics) > 1 and not (spec.params.target_frame or options.frames.source_frame):
+        elif len(topics) > 1 and not (spec.params.target_frame or request.frames.source_frame):
             raise TopicError(
                 f"{name_list(topics)} become one scan on {target}, which needs a frame for the points of all: "
                 "`target_frame`",
@@ -243,18 +244,18 @@ def _combined(
     return sources
 
 
-def _targets(types: dict[str, set[str]], spec: ScanSpec, options: Request) -> dict[str, tuple[str, ...]]:
+def _targets(types: dict[str, set[str]], spec: ScanSpec, request: Request) -> dict[str, tuple[str, ...]]:
     """Return the topics to convert, and the topics that their scans go to."""
     convertible = spec.types(named=bool(spec.topics))
     candidates = [topic for topic, kinds in types.items() if not kinds.isdisjoint(convertible)]
     if spec.topics:
         requests: dict[str, list[str | None]] = {}
-        for request in spec.topics:
-            for topic in _matching_topics(request.source, types, candidates, spec):
-                target = request.target and fill_glob(topic, request.source, request.target)
+        for chosen in spec.topics:
+            for topic in _matching_topics(chosen.source, types, candidates, spec):
+                target = chosen.target and fill_glob(topic, chosen.source, chosen.target)
                 requests.setdefault(topic, []).append(target)
     else:
-        kept = [topic for topic in candidates if not (options.drop and matches(topic, options.drop))]
+        kept = [topic for topic in candidates if not (request.drop and matches(topic, request.drop))]
         if len(kept) > 1:
             kept = usual_topics({topic: types[topic] for topic in kept}, convertible)
         requests = {topic: [None] for topic in kept}
@@ -277,7 +278,7 @@ def _targets(types: dict[str, set[str]], spec: ScanSpec, options: Request) -> di
     for topic, names in requests.items():
         own = f"/{name}" if single else f"{topic.rstrip('/')}/{name}"
         if spec.combining.rebin:
-            own = f"{topic}_rebinned" if options.keep_clouds else topic
+            own = f"{topic}_rebinned" if request.keep_clouds else topic
         # A topic that is requested twice is converted once.
         targets[topic] = tuple(dict.fromkeys(target or own for target in names))
     return targets

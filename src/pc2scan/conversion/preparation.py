@@ -38,7 +38,7 @@ from pc2scan.transforms.reading import read_robot_transforms
 from .combine.contributions import MessagesToScan, SourceFacts, measure_sources
 from .corrections import corrected
 from .deskew import Deskew
-from .engine import convert
+from .engine import convert_message
 from .frame_checks import check_fixed_frame, check_given_frames
 from .result_checks import result_findings
 from .steps import CloudToScan, ConvertedMessage, ScanToCloud
@@ -98,7 +98,7 @@ class Preparation:
 
     reader: Reader
     plan: Plan
-    options: Request
+    request: Request
     span: Span
     known: KnownTransforms
     tell: Callable[..., None]
@@ -118,14 +118,14 @@ class Preparation:
         self.notes += (spec.label + text for text in notes)
 
 
-def span_of(reader: Reader, options: Request) -> Span:
+def span_of(reader: Reader, request: Request) -> Span:
     """Return the cut in log times; relative times count from the recording's beginning."""
     beginning = reader.summary.start_ns
     if beginning is None:
         first = next(reader.messages(), None)
         beginning = first.log_time_ns if first is not None else 0
-    start = None if options.start is None else options.start.resolve(beginning)
-    stop = None if options.end is None else options.end.resolve(beginning)
+    start = None if request.start is None else request.start.resolve(beginning)
+    stop = None if request.end is None else request.end.resolve(beginning)
     if start is not None and stop is not None and start >= stop:
         raise UsageError("the cut is empty: start is not before end")
     return Span(start, stop, beginning if start is None else max(start, beginning))
@@ -202,7 +202,7 @@ def _outside(reader: Reader, start_ns: int | None, stop_ns: int | None) -> Usage
 def prepare(
     reader: Reader,
     plan: Plan,
-    options: Request,
+    request: Request,
     span: Span,
     stack: ExitStack,
     tell: Callable[..., None],
@@ -227,16 +227,16 @@ def prepare(
     meter
         Counts the work of the preparation and of the conversion that follows; None: nothing is reported.
     """
-    frames = options.frames
+    frames = request.frames
     notes: list[str] = []
-    if options.clock:
+    if request.clock:
         fields = [spec.point_time.field for spec in plan.specs if spec.point_time and spec.point_time.field]
-        reader, notes = corrected(reader, plan.converted, options.clock, frames.tf_topics, span, fields)
+        reader, notes = corrected(reader, plan.converted, request.clock, frames.tf_topics, span, fields)
     if meter is not None:
         connections = [route.connection for route in plan.routes]
         meter.following = reader.stored_bytes(connections, span.start_ns, span.stop_ns)
-    known = KnownTransforms(frames.source_frame, cache(partial(_robot_transforms, reader, options, span)))
-    prepared = Preparation(reader, plan, options, span, known, tell, notes=notes)
+    known = KnownTransforms(frames.source_frame, cache(partial(_robot_transforms, reader, request, span)))
+    prepared = Preparation(reader, plan, request, span, known, tell, notes=notes)
     # Added transforms are written to the output, even if it needs none.
     uses_frames = frames.source_frame or frames.static or frames.adds_poses or frames.write_static
     measures = (spec.needs_measuring or spec.may_combine for spec in plan.specs if not spec.reverse)
@@ -254,12 +254,12 @@ def _look_ahead(
     prepared: Preparation, transform_frames: Collection[str] | None, stack: ExitStack, meter: Meter | None
 ) -> None:
     """Ask a survey for what the outputs need, let it read, and make their conversions of its facts; see `prepare`."""
-    reader, plan, options, span = prepared.reader, prepared.plan, prepared.options, prepared.span
-    frames, known, tell = options.frames, prepared.known, prepared.tell
+    reader, plan, request, span = prepared.reader, prepared.plan, prepared.request, prepared.span
+    frames, known, tell = request.frames, prepared.known, prepared.tell
     survey = Survey(reader, (), frames, span)
     placed_specs = [spec for spec in plan.specs if spec.needs_transforms]
     if transform_frames is not None or placed_specs or frames.write_static or frames.adds_poses:
-        survey.others = prepared.others = open_recordings(frames.tf_from, stack, strict=options.strict)
+        survey.others = prepared.others = open_recordings(frames.tf_from, stack, strict=request.strict)
         survey.ask_transforms((*(transform_frames or ()), *(frame for spec in placed_specs for frame in spec.frames)))
     given = [survey.facts([connection]) for connection in plan.converted if frames.static or frames.source_frame]
     for facts in given:
@@ -401,9 +401,9 @@ class _OutputFacts:
         return deskews
 
 
-def _robot_transforms(reader: Reader, options: Request, span: Span) -> TransformBuffer | None:
+def _robot_transforms(reader: Reader, request: Request, span: Span) -> TransformBuffer | None:
     """Read the transforms between the robot's frames, for checks of the first clouds."""
-    frames = options.frames
+    frames = request.frames
     given = frames.static or frames.model or frames.tf_from
     if not given and all(connection.ros_type not in TF_TYPES for connection in reader.connections):
         return None
@@ -439,7 +439,7 @@ def judge_first(prepared: Preparation, report: Report, tally: Tally | None = Non
         unconnected: list[UnconnectedError] = []
         with closing(reader.messages(connections, prepared.span.start_ns, prepared.span.stop_ns)) as messages:
             for message in messages:
-                item = convert(routes, message)
+                item = convert_message(routes, message)
                 alone = [(out, out.combiner.alone(result) if out.combiner else result) for out, result in item.results]
                 item = item._replace(results=alone)
                 read, successes = read + 1, successes + (item.failure is None)

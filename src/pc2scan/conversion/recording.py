@@ -44,13 +44,13 @@ if TYPE_CHECKING:
     from .steps import Conversion
 
 
-def open_routes(
+def equip_routes(
     plan: Plan,
     conversions: Mapping[tuple[Any, str], Conversion],
     topics: RecordingTopics | None = None,
     finish: Callable[[str, ConvertedMessage], ConvertedMessage] | None = None,
 ) -> tuple[dict[int, Route], list[TopicReport]]:
-    """Prepare the work on the messages of each connection.
+    """Return the routes with what decodes, converts and encodes the messages of each connection.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def open_routes(
         The routes by the id of their connection, and the report's entries: publishers of one topic share one if their
         messages are handled alike.
     """
-    opened: dict[int, Route] = {}
+    equipped: dict[int, Route] = {}
     entries: dict[tuple[object, ...], TopicReport] = {}
     combiners: dict[tuple[Any, str], Combiner] = {}
 
@@ -81,7 +81,7 @@ def open_routes(
             route.outputs = [output for output in route.outputs if not output.used]
             if not route.outputs:
                 continue
-        opened[connection.id] = route
+        equipped[connection.id] = route
         topic, msgtype = connection.topic, connection.ros_type
         passing = None
         if route.passes and topics is not None:
@@ -119,10 +119,10 @@ def open_routes(
             if leads and topics is not None:
                 makes_clouds = output.used or output.spec.reverse
                 topics.add_like(connection, output.target, POINTCLOUD2 if makes_clouds else LASERSCAN, output)
-    return opened, list(entries.values())
+    return equipped, list(entries.values())
 
 
-def open_output(prepared: Preparation, target: Destination, writer: Writer | None, report: Report) -> None:
+def declare_output(prepared: Preparation, target: Destination, writer: Writer | None, report: Report) -> None:
     """Declare the topics of a recording, and write what comes before all messages.
 
     Then ``prepared`` has the routes, and the report all topics.
@@ -132,20 +132,20 @@ def open_output(prepared: Preparation, target: Destination, writer: Writer | Non
     writer
         Its writer; None in a dry run.
     """
-    reader, options, span = prepared.reader, prepared.options, prepared.span
-    frames, recorded = options.frames, prepared.recorded
+    reader, request, span = prepared.reader, prepared.request, prepared.span
+    frames, recorded = request.frames, prepared.recorded
     copying = target.same_chunks(reader.summary)
     if copying and writer is not None:
         writer.keep_ids(reader.connections)
-    topics = RecordingTopics(target, options, same_kind=target.same_kind(reader.summary))
-    routes, entries = open_routes(prepared.plan, prepared.conversions, topics)
+    topics = RecordingTopics(target, request, same_kind=target.same_kind(reader.summary))
+    routes, entries = equip_routes(prepared.plan, prepared.conversions, topics)
     report.topics = entries
     entry = TopicReport("/tf_static", TFMESSAGE, "/tf_static", "added", "from `write_static_tf`")
     static = AddedTransforms(entry, SERIALIZATIONS[target.ros_version])
     if frames.write_static:
         # One more latched publisher.
         topics.add(new_connection(target, "/tf_static", TFMESSAGE, latching=True, qos=LATCHED_QOS), static)
-    if recorded is not None and recorded.poses and not options.only_scans:
+    if recorded is not None and recorded.poses and not request.only_scans:
         prepared.trajectory = add_poses(prepared, recorded.poses, routes, entries, topics)
     if any(spec.level for spec in prepared.plan.specs):
         connection = tf_connection(reader, frames, target)
@@ -158,7 +158,7 @@ def open_output(prepared: Preparation, target: Destination, writer: Writer | Non
     if writer is None:
         return
     declare(writer, topics.added, one_a_topic=target.format.is_directory)
-    if reader.has_extras and not options.only_scans:
+    if reader.has_extras and not request.only_scans:
         prepared.tell(*_copy_extras(reader, target, writer))
     if frames.write_static:
         earliest_ns, latest_ns = target.times_ns
@@ -283,7 +283,7 @@ def add_poses(
     topics
         The topics of the destination.
     """
-    reader, frames, form = prepared.reader, prepared.options.frames, SERIALIZATIONS[topics.target.ros_version]
+    reader, frames, form = prepared.reader, prepared.request.frames, SERIALIZATIONS[topics.target.ros_version]
     children = {name for poses in added for attachment in poses.attachments.values() for name in attachment.replaced}
     for connection in tf_connections(reader.connections, frames.tf_topics):
         route = routes[connection.id]
@@ -451,7 +451,7 @@ class RecordingTopics:
         The recording.
     same_kind
         Whether the source is in the same kind of container.
-    options
+    request
         The options of the conversion.
 
     Attributes
@@ -461,7 +461,7 @@ class RecordingTopics:
     """
 
     target: Destination
-    options: Request
+    request: Request
     same_kind: bool
     added: list[tuple[Connection, tuple[HasHandle, ...]]] = field(default_factory=list)
     #: The fields of all types that were compiled for re-encoding; their number is bounded.
@@ -485,16 +485,16 @@ class RecordingTopics:
 
         The entry of the report says if its messages are re-encoded, or cannot pass.
         """
-        target, options, connection = self.target, self.options, route.connection
-        if options.clouds_as == "pointcloud2" and written_as_pointcloud2(connection):
+        target, request, connection = self.target, self.request, route.connection
+        if request.clouds_as == "pointcloud2" and written_as_pointcloud2(connection):
             entry.action, entry.note = "re-encoded", "as PointCloud2"
             route.reencode = to_pointcloud2(connection, SERIALIZATIONS[target.ros_version])
             self.add_like(connection, connection.topic, POINTCLOUD2, route)
             return
         foreign = connection.ros_version is None
         # The same kind of container can store the message as it is, even if its type is unknown.
-        as_it_is = (self.same_kind and (foreign or options.repair)) or (foreign and bool(target.format.profiles))
-        defined_already = connection.definition.data or options.repair
+        as_it_is = (self.same_kind and (foreign or request.repair)) or (foreign and bool(target.format.profiles))
+        defined_already = connection.definition.data or request.repair
         if as_it_is or (connection.ros_version == target.ros_version and defined_already):
             self.add(connection, route)
             return
@@ -508,7 +508,7 @@ class RecordingTopics:
                 raise MessageError(f"{form} messages can only be stored in an {holding} file")
             transcoding = _transcode().transcoder(connection, target.ros_version)
         except MessageError as err:
-            if options.strict and connection.message_count != 0:
+            if request.strict and connection.message_count != 0:
                 err.topic = connection.topic
                 raise
             entry.note, entry.lost, entry.action, entry.target = err.message, True, "skipped", None

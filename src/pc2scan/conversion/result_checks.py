@@ -342,7 +342,7 @@ def result_findings(
     return warnings, list(dict.fromkeys(remark.text for remark in remarks if remark.label == "note"))
 
 
-def compare_counts(reader: Reader, options: Request, routes: Collection[Route], report: Report) -> None:
+def compare_counts(reader: Reader, request: Request, routes: Collection[Route], report: Report) -> None:
     """Compare how many messages were read with how many the sources declare, for each connection of a whole recording.
 
     The report then has how many they declare, and the damage of a difference that nothing else explains.
@@ -360,7 +360,7 @@ def compare_counts(reader: Reader, options: Request, routes: Collection[Route], 
     declared = reader.summary.message_count if len(written) == len(reader.connections) else None
     if declared is None and len(counts) == len(written):
         declared = sum(count for _, count, _ in counts)
-    if declared is None or options.start is not None or options.end is not None:
+    if declared is None or request.start is not None or request.end is not None:
         return
     report.messages_declared = declared
     is_equal = declared == read and all(count == own for _, count, own in counts)
@@ -368,7 +368,7 @@ def compare_counts(reader: Reader, options: Request, routes: Collection[Route], 
         return
     details = count_details(counts)
     missing = f"declares {counted(declared, 'message')}, {read:,} {agreeing(read, 'were')} found{details}"
-    if options.strict:
+    if request.strict:
         raise DamageError(missing, path=reader.path, hint=RECOVER)
     lost = max(0, declared - read, sum(max(0, count - own) for _, count, own in counts))
     report.damage.append(Damage(missing, reader.path, messages_lost=lost))
@@ -401,7 +401,7 @@ def refuse_nothing(report: Report) -> None:
     raise ResultError(f"no message was converted: {why}", path=path, hint=hint or None)
 
 
-def refuse_unsatisfied(report: Report, options: Request) -> None:
+def refuse_unsatisfied(report: Report, request: Request) -> None:
     """Raise if the result does not satisfy `fail_on` or `min_used`.
 
     Raises
@@ -410,13 +410,13 @@ def refuse_unsatisfied(report: Report, options: Request) -> None:
         The error has the numbers and the option.
     """
     for topic in report.converted:
-        if options.fail_on and topic.empty_scans:
-            raise ResultError(f"{_empty(topic)} (`fail_on={options.fail_on}`)")
+        if request.fail_on and topic.empty_scans:
+            raise ResultError(f"{_empty(topic)} (`fail_on={request.fail_on}`)")
         share = topic.points.used / topic.points.total if topic.points.total else 0.0
-        if share < options.min_used:
+        if share < request.min_used:
             of = f"{share:.3%} of the points of {topic.topic} are in the scans on {topic.target}"
-            raise ResultError(f"{of}, less than {options.min_used:.3%} (`min_used`)")
-    if options.fail_on != "warning":
+            raise ResultError(f"{of}, less than {request.min_used:.3%} (`min_used`)")
+    if request.fail_on != "warning":
         return
     if report.damage:
         raise ResultError("a source is damaged (`fail_on=warning`)", path=report.damage[0].path)

@@ -54,7 +54,7 @@ from .corrections import scaled
 from .engine import Tally, items_of
 from .plan import make_plan
 from .preparation import count_by_index, judge_first, prepare, refuse_no_messages, span_of
-from .recording import open_output, write_items
+from .recording import declare_output, write_items
 from .report import Report
 from .result_checks import compare_counts, refuse_nothing, refuse_unsatisfied, result_findings
 
@@ -149,7 +149,7 @@ def repair(source: Path, destination: PathText | None, options: Options, *, prog
 def run(
     sources: Sequence[Path],
     destination: Path | None,
-    options: Request,
+    request: Request,
     output: OutputOptions,
     *,
     progress: Progress | None = None,
@@ -166,50 +166,50 @@ def run(
     """
     if not sources:
         raise UsageError("no source given")
-    read = (*sources, *options.frames.tf_from)
-    inputs, states = inputs_of(sources, options.frames.tf_from, options.files), [state_of(path) for path in read]
-    report = Report([str(source) for source in sources], str(destination or ""), options.scans)
+    read = (*sources, *request.frames.tf_from)
+    inputs, states = inputs_of(sources, request.frames.tf_from, request.files), [state_of(path) for path in read]
+    report = Report([str(source) for source in sources], str(destination or ""), request.scans)
     report.dry_run = output.dry_run
-    report.warnings += options.notes
+    report.warnings += request.notes
     tell = partial(tell_early, report.warnings, warn)
     with copying_to(output.scratch), _reporting(report, inputs, output), ExitStack() as stack:
-        readers = _open(stack, sources, destination, options, output)
-        reader = scaled(as_one(readers), options.cloud_scale)
-        if options.repair and reader.damage and not reader.connections:
+        readers = _open(stack, sources, destination, request, output)
+        reader = scaled(as_one(readers), request.cloud_scale)
+        if request.repair and reader.damage and not reader.connections:
             damage = reader.damage[0]
             raise DamageError(f"nothing of it can be recovered: {damage.what}", path=damage.path)
         try:
-            plan = make_plan(reader.connections, options)
+            plan = make_plan(reader.connections, request)
         except TopicError as err:
             mention(reader.damage, err)
             raise
-        target = _target(reader, readers, sources[0], destination, options, output)
+        target = _target(reader, readers, sources[0], destination, request, output)
         report.destination = str(target.path)
         report.container, report.ros_version = target.format.name, target.ros_version
         report.bytes_read = reader.summary.size_bytes
         if readers[1:]:
             tell(*overlap_warnings(readers))
-        tell(*plan.warnings, *request_warnings(options, reader.summary, reader.connections))
+        tell(*plan.warnings, *request_warnings(request, reader.summary, reader.connections))
         with _writing(target, inputs, output, report) as writer:
-            span = span_of(reader, options)
+            span = span_of(reader, request)
             refuse_no_messages(reader, plan.converted, span.start_ns, span.stop_ns)
             meter = None if progress is None else Meter(progress)
-            prepared = prepare(reader, plan, options, span, stack, tell, meter=meter)
+            prepared = prepare(reader, plan, request, span, stack, tell, meter=meter)
             report.add((), prepared.notes)
-            open_output(prepared, target, writer, report)
-            tally = Tally(prepared.routes, strict=options.strict)
+            declare_output(prepared, target, writer, report)
+            tally = Tally(prepared.routes, strict=request.strict)
             report.skipped = tally.skipped
             judge_first(prepared, report, tally if writer is None else None)
             if writer is None:
                 tally.finish()
                 count_by_index(prepared, report)
                 return report
-            jobs = options.jobs or cores()
+            jobs = request.jobs or cores()
             threads = stack.enter_context(closing(Threads(jobs))) if jobs > 1 else None
             if threads is not None:
                 writer.compress_ahead(threads)
             items = items_of(
-                prepared.reader, prepared.routes, span, threads, rule=prepared.rule, window=options.window, meter=meter
+                prepared.reader, prepared.routes, span, threads, rule=prepared.rule, window=request.window, meter=meter
             )
             try:
                 with closing(items):
@@ -260,10 +260,10 @@ def _deliver(report: Result, inputs: Sequence[InputPath], output: OutputOptions)
 
 
 def _open(
-    stack: ExitStack, sources: Sequence[Path], destination: Path | None, options: Request, output: OutputOptions
+    stack: ExitStack, sources: Sequence[Path], destination: Path | None, request: Request, output: OutputOptions
 ) -> Sequence[Reader]:
     """Open the sources, which ``stack`` closes; what forbids the destination is said before anything is fetched."""
-    read = (*sources, *options.frames.tf_from)
+    read = (*sources, *request.frames.tf_from)
     if destination is not None and any(isinstance(path, UrlPath) for path in read):
         check_destination(destination, overwrite=output.overwrite, record_in=recorded_in)
     *others, last = sources
@@ -271,7 +271,7 @@ def _open(
         # It may be meant as the destination, as with `cp`.
         hint = f"did you mean `destination={shlex.quote(str(last))}`?"
         raise MissingError("does not exist", path=last, hint=hint)
-    return open_recordings(sources, stack, strict=options.strict)
+    return open_recordings(sources, stack, strict=request.strict)
 
 
 def _target(
@@ -279,21 +279,21 @@ def _target(
     readers: Sequence[Reader],
     source: Path,
     path: Path | None,
-    options: Request,
+    request: Request,
     output: OutputOptions,
 ) -> Destination:
     """Decide the destination's name and format; a repaired recording has its source's if its name allows it."""
     summaries = [opened.summary for opened in readers]
     is_named = path is not None and not output.like_source
     if path is None:
-        mark = "_repaired" if options.repair else "_clouds" if options.no_scans else "_scan"
+        mark = "_repaired" if request.repair else "_clouds" if request.no_scans else "_scan"
         path = default_destination(source, summaries[0].container, mark, folder=output.folder, to=output.to)
     if output.to is not None:
         check_to(path, output.to)
     # None for a source without ROS messages.
     ros_version = next((own.ros_version for own in reader.connections if own.ros_version is not None), None)
-    storage, compression = source_form(path, summaries) if options.repair or not is_named else (None, None)
-    keeps_compression = options.repair and output.storage in (None, storage)
+    storage, compression = source_form(path, summaries) if request.repair or not is_named else (None, None)
+    keeps_compression = request.repair and output.storage in (None, storage)
     names_directory = output.to is not None and destinations()[output.to].is_directory
     target = plan_destination(
         path,
@@ -304,7 +304,7 @@ def _target(
         is_directory=not is_named or output.storage is not None or names_directory,
     )
     # A recording without ROS messages has no ROS profile.
-    if options.repair and ros_version is None and target.format.profiles and output.profile is None:
+    if request.repair and ros_version is None and target.format.profiles and output.profile is None:
         return target._replace(profile=summaries[0].profile)
     return target
 
@@ -342,7 +342,7 @@ def _writing(
 
 def _judge(prepared: Preparation, target: Destination, report: Report) -> None:
     """Add to the report what the result and its sources show; raise if the result is of no use."""
-    reader, options = prepared.reader, prepared.options
+    reader, request = prepared.reader, prepared.request
     report.add(reader.remarks)
     report.damage += [damage for source in (reader, *prepared.others) for damage in source.damage]
     outputs = [output for route in prepared.routes.values() for output in route.outputs if output.first]
@@ -356,14 +356,14 @@ def _judge(prepared: Preparation, target: Destination, report: Report) -> None:
         and topic.spec is not None
         and not (topic.spec.fixed_frame or topic.spec.imu)
     }
-    if far and not options.clock:
+    if far and not request.clock:
         doubtful = [connection for connection in prepared.plan.converted if connection.topic in far]
-        survey = Survey(reader, (), options.frames, prepared.span)
+        survey = Survey(reader, (), request.frames, prepared.span)
         clocks = Clocks(survey, survey.topics(doubtful).values())
         survey.read()
         report.add(clocks.warnings())
-    compare_counts(reader, options, prepared.routes.values(), report)
+    compare_counts(reader, request, prepared.routes.values(), report)
     if prepared.plan.specs and not any(topic.messages_out for topic in report.converted):
         refuse_nothing(report)
-    if options.fail_on or options.min_used:
-        refuse_unsatisfied(report, options)
+    if request.fail_on or request.min_used:
+        refuse_unsatisfied(report, request)

@@ -186,7 +186,7 @@ def export(
 def run(
     sources: Sequence[Path],
     destination: Path,
-    options: Request,
+    request: Request,
     form: ExportOptions,
     warn: Callable[[str], None] | None = None,
     progress: Progress | None = None,
@@ -202,7 +202,7 @@ def run(
         Recordings; several are read as one.
     destination
         The file; or a folder, which is created, for several topics, or for a format with a file for each message.
-    options
+    request
         As for a conversion: topics, ``start`` and ``end``, the source of transforms, and how clouds are converted.
     form
         The options of the files to write.
@@ -229,15 +229,15 @@ def run(
         If ``options.strict`` and a message cannot be written. After any error nothing is written.
     """
     file_format = format_of(form.format, destination)
-    frames = options.frames
-    _check_request(file_format, options, form)
-    refuse_overlap(inputs_of(sources, frames.tf_from, options.files), [destination])
+    frames = request.frames
+    _check_request(file_format, request, form)
+    refuse_overlap(inputs_of(sources, frames.tf_from, request.files), [destination])
     meter = None if progress is None else Meter(progress)
     with ExitStack() as stack:
         if file_format.clouds:
-            stream: Scans | Clouds = Clouds(sources, options, all_topics=True, meter=meter)
+            stream: Scans | Clouds = Clouds(sources, request, all_topics=True, meter=meter)
         else:
-            reading = replace(options, only_scans=form.converting)
+            reading = replace(request, only_scans=form.converting)
             stream = Scans(sources, reading, form.converting, all_topics=True, meter=meter)
         stack.callback(stream.close)
         names = _names(stream.topics, destination, file_format, in_folder=in_folder)
@@ -248,10 +248,10 @@ def run(
         unfinished = stack.enter_context(staged_output(destination, overwrite=overwrite, record_in=read_record))
         poses, readers = None, []
         if form.pose_frame or frames.odometry:
-            readers = open_recordings(sources, stack, strict=options.strict)
+            readers = open_recordings(sources, stack, strict=request.strict)
             unnamed = form.base_frame.removeprefix("/")
             odometry = tuple(topic._replace(unnamed=unnamed or topic.unnamed) for topic in frames.odometry)
-            own = replace(options, frames=replace(frames, odometry=odometry))
+            own = replace(request, frames=replace(frames, odometry=odometry))
             needed = form.pose_frame, form.base_frame
             transforms, others = corrected_transforms(as_one(readers), own, stack, needed, meter)
             readers += others
@@ -272,9 +272,9 @@ def run(
     return report
 
 
-def _check_request(file_format: FileWriter, options: Request, form: ExportOptions) -> None:
+def _check_request(file_format: FileWriter, request: Request, form: ExportOptions) -> None:
     """Raise if an option has no effect on an export, or if one is missing."""
-    scan, frames = options.scan, options.frames
+    scan, frames = request.scan, request.frames
     posed = form.pose_frame or frames.odometry
     message = hint = ""
     if file_format.needs_poses and not posed:

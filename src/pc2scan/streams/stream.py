@@ -19,7 +19,7 @@ from pc2scan.conversion.corrections import corrected, scaled
 from pc2scan.conversion.engine import Tally, items_of
 from pc2scan.conversion.plan import Output, Route, make_plan
 from pc2scan.conversion.preparation import judge_first, prepare, refuse_no_messages, span_of
-from pc2scan.conversion.recording import open_routes
+from pc2scan.conversion.recording import equip_routes
 from pc2scan.conversion.report import Report, TopicReport
 from pc2scan.conversion.result_checks import result_findings
 from pc2scan.conversion.steps import ConvertedMessage, Steps
@@ -141,11 +141,11 @@ class Stream(ABC, Generic[Item]):
     """
 
     def __init__(
-        self, paths: Sequence[Path], options: Request, *, all_topics: bool = False, meter: Meter | None = None
+        self, paths: Sequence[Path], request: Request, *, all_topics: bool = False, meter: Meter | None = None
     ) -> None:
         self._paths = tuple(paths)
-        self._options = options
-        self.strict = options.strict
+        self._options = request
+        self.strict = request.strict
         self._all_topics = all_topics
         self._meter = meter
         self._live: WeakSet[Generator[EngineItem]] = WeakSet()
@@ -414,7 +414,7 @@ class Scans(Stream[Scan]):
     def __init__(
         self,
         paths: Sequence[Path],
-        options: Request,
+        request: Request,
         converting: bool = False,  # for pickles
         *,
         transform_frames: Collection[str] | None = None,
@@ -424,7 +424,7 @@ class Scans(Stream[Scan]):
         self._converting = converting
         self._transform_frames = transform_frames
         self.transforms: TransformBuffer | None = None
-        super().__init__(paths, options, all_topics=all_topics, meter=meter)
+        super().__init__(paths, request, all_topics=all_topics, meter=meter)
 
     def __reduce__(self) -> tuple[object, ...]:
         return type(self), (self._paths, self._options, self._converting)
@@ -459,7 +459,7 @@ class Scans(Stream[Scan]):
         self.transforms = prepared.recorded and prepared.recorded.buffer
         report.add((), prepared.notes)
         self.notes = tuple(report.notes)
-        prepared.routes, report.topics = open_routes(plan, prepared.conversions, finish=_as_in_message)
+        prepared.routes, report.topics = equip_routes(plan, prepared.conversions, finish=_as_in_message)
         judge_first(prepared, report)
 
         def conclude() -> None:

@@ -62,17 +62,17 @@ def found_by(checks: Checks[Facts], facts: Facts, label: str = "") -> list[str]:
     return [label + text for check in checks for text in check(facts)]
 
 
-def request_warnings(options: Request, recorded: Summary, connections: Sequence[Connection]) -> list[str]:
+def request_warnings(request: Request, recorded: Summary, connections: Sequence[Connection]) -> list[str]:
     """Return the warnings about a request, of each output, and about the recording's extent."""
     warnings: list[str] = []
-    for spec in options.scans:
-        attributes = ((part, each) for part in (options, spec) for each in fields(part))
+    for spec in request.scans:
+        attributes = ((part, each) for part in (request, spec) for each in fields(part))
         chosen = {each.name for part, each in attributes if getattr(part, each.name) != each.default}
         chosen |= {name for name, origin in spec.origins.items() if origin != "default"}
         checks = tuple(check for check, names in REQUEST.items() if names & chosen)
-        warnings += found_by(checks, OutputRequest(options, spec, connections), spec.label)
-    if options.start or options.end:
-        warnings += plausibility.cut_in_another_unit(options, recorded)
+        warnings += found_by(checks, OutputRequest(request, spec, connections), spec.label)
+    if request.start or request.end:
+        warnings += plausibility.cut_in_another_unit(request, recorded)
     return [*warnings, *plausibility.log_times_of_centuries(recorded)]
 
 

@@ -144,10 +144,10 @@ def log_times_of_centuries(recorded: Summary) -> Iterator[str]:
         )
 
 
-def cut_in_another_unit(options: Request, recorded: Summary) -> Iterator[str]:
+def cut_in_another_unit(request: Request, recorded: Summary) -> Iterator[str]:
     """Yield a warning if a cut is outside of the recording, and inside of it in another unit of time."""
     first_ns, last_ns = recorded.start_ns, recorded.end_ns
-    for name, bound in (("start", options.start), ("end", options.end)):
+    for name, bound in (("start", request.start), ("end", request.end)):
         if bound is None or not bound.absolute or first_ns is None or last_ns is None:
             continue
         if meant := in_another_unit(name, bound.resolve(first_ns), first_ns, last_ns):
