@@ -194,11 +194,6 @@ class Lidar:
         return self.facts.topic
 
     @property
-    def span_ns(self) -> tuple[int, int]:
-        """The log times of the recording's first and last message."""
-        return self.recorded.start_ns or 0, self.recorded.end_ns or 0
-
-    @property
     def target(self) -> str:
         """The frame of its scans; empty for its own."""
         own = self.mounting

@@ -376,7 +376,7 @@ def _edge_cuts(lidars: Sequence[Lidar], fixed: str) -> Iterator[Choice]:
     A cloud is skipped if there is no transform at its stamp, or at none of its points' times. Clouds that lack
     transforms for longer than all are known are left as they are: they may have some.
     """
-    buffer, start_ns, (first_ns, last_ns) = lidars[0].buffer, lidars[0].span_ns[0], lidars[0].known_ns
+    buffer, start_ns, (first_ns, last_ns) = lidars[0].buffer, lidars[0].recorded.start_ns or 0, lidars[0].known_ns
     if not fixed or buffer is None:
         return
     tolerance_ns = round(TOLERANCE * 1e9)
