@@ -54,8 +54,10 @@ if TYPE_CHECKING:
 #: How many of the first messages of an IMU are read.
 _MAX_IMU = 1_000
 
-#: At how many times, spread over the recording, the motion of the robot is looked at.
+#: At how many times, spread over the recording, the motion of the robot is looked at, and in how many of its first
+#: seconds.
 _MOMENTS = 8
+_FIRST = 3
 
 #: How many points are examined, in all clouds together; of larger clouds every second, third, ... point is used.
 _MAX_POINTS = 2_000_000
@@ -396,7 +398,7 @@ class _SurveyResult:
             self.buffer, self.warnings = transforms.buffer, [*transforms.warnings, *transforms.notes]
         elif survey.robot is not None:
             self.buffer, until_ns = survey.robot.finish(), (end_ns or 0) - (0 if survey.robot.is_cut else EDGE_NS)
-            self.known_ns = survey.span.first_ns + EDGE_NS, until_ns
+            self.known_ns = survey.span.first_ns + _FIRST * EDGE_NS, until_ns
         self.clocks = clocks.findings()
         self.warnings += (each.warning for each in self.clocks.values())
         self.warnings += filter(None, (each.unit_warning() for each in clouds.values()))
@@ -488,9 +490,10 @@ def _topic_infos(
 
 
 def _moments(start_ns: int, end_ns: int) -> list[int]:
-    """Return the times at which the motion of the robot is looked at: spread, and at the end."""
+    """Return when the motion of the robot is looked at for a second: at the begin, spread, and at the end."""
     spread = [start_ns + (end_ns - start_ns) * number // _MOMENTS for number in range(_MOMENTS)]
-    return [*spread, max(start_ns, end_ns - EDGE_NS + 1)]
+    first = [start_ns + number * EDGE_NS for number in range(_FIRST)]
+    return [*first, *spread, max(start_ns, end_ns - EDGE_NS + 1)]
 
 
 def _described(topics: Sequence[TopicInfo], names: Sequence[str], types: dict[str, set[str]]) -> list[TopicInfo]:
