@@ -143,6 +143,7 @@ def scans_of(path: Path) -> list[LaserScan]:
         ((-0.4, 3.5), (FRONT,), {}),
         # The stamp of the third cloud is before them, within the tolerance.
         ((0.21, 3.5), (FRONT,), {"start": "transforms to odom begin 0.21 s after the first cloud"}),
+        ((1.31, 3.5), (FRONT,), {"start": "transforms to odom begin 1.3 s after the first cloud"}),
         (
             (0.254, 2.654),
             (FRONT, REAR),
