@@ -391,29 +391,34 @@ class Trial(NamedTuple):
     Attributes
     ----------
     ranges
-        The ranges of all beams, (3, N), infinite without a return: by all points, by those that stand, and by those
-        that may.
+        The ranges of the beams of each scan, (scans, 3, N), infinite without a return: by all points, by those that
+        stand, and by those that may.
     slope
         How steeply nearly all that does not stand rises above the lower limit, metres a metre.
     findings
         What a conversion would say.
     """
 
-    ranges: NDArray[np.float64] = np.empty((3, 0))
+    ranges: NDArray[np.float64] = np.empty((1, 3, 0))
     slope: float = 0.0
     findings: tuple[str, ...] = ()
 
     @property
     def lying(self) -> NDArray[np.float64]:
-        """The shares of the returns that nothing shows to stand, and of the beams that are seen to end on ground."""
-        returns = np.isfinite(self.ranges[0])
-        lies = np.logical_and.accumulate(returns & ~(self.ranges[0] > self.ranges[1:] - _OFF))
-        return np.asarray(lies.sum(axis=1) / np.maximum((returns.sum(), returns.size), 1))
+        """The shares of the returns that nothing shows to stand, and of the beams that are seen to end on ground.
+
+        They are those of the scan with most: a robot that pitches sees the ground only now and then.
+        """
+        every, marked = self.ranges[:, :1], self.ranges[:, 1:]
+        returns = np.isfinite(every)
+        lies = np.logical_and.accumulate(returns & ~(every > marked - _OFF), axis=1).sum(axis=2)
+        counts = np.insert(returns.sum(axis=2), 1, returns.shape[2], axis=1)
+        return np.asarray((lies / np.maximum(counts, 1)).max(axis=0))
 
     def missed_in(self, other: Trial) -> NDArray[np.float64]:
         """Return which shares of the returns are on what stands, and on what may, and pass by it in other scans."""
-        passes = np.isfinite(self.ranges[1:]) & (other.ranges[0] >= self.ranges[1:] + _OFF)
-        return np.asarray(passes.sum(axis=1) / max(np.isfinite(self.ranges[0]).sum(), 1))
+        passes = np.isfinite(self.ranges[:, 1:]) & (other.ranges[:, :1] >= self.ranges[:, 1:] + _OFF)
+        return np.asarray(passes.sum(axis=(0, 2)) / max(np.isfinite(self.ranges[:, 0]).sum(), 1))
 
 
 class Scene(NamedTuple):
@@ -542,4 +547,4 @@ def _scans(spec: ScanSpec, lidar: Lidar, scene: Scene) -> tuple[Trial, list[Poin
         counts.append(scans[0].counts)
     read = np.array(ranges, np.float64)
     read[~((read >= params.range_min) & (read <= params.range_max))] = np.inf
-    return Trial(read.min(axis=0) if scene.merges else np.concatenate(read, axis=1), scene.slope), counts
+    return Trial(read.min(axis=0, keepdims=True) if scene.merges else read, scene.slope), counts

@@ -188,7 +188,7 @@ def _tried(options: Mapping[str, Any], group: Sequence[Lidar]) -> tuple[list[Cho
     # Of registered clouds it is not known what their sensor sees above a point.
     is_known = not any(each.is_registered for each in group)
     if rises := worst > _TOLD and (seen > _SEEN or not is_known):
-        why = f"the ground rises: {worst:.0%} of the returns may be on it"
+        why = f"the ground rises: {worst:.0%} of a cloud's returns may be on it"
         slope = math.ceil(100 * max(trial.slope for trial in trials) + 0.5) / 100
         ceilings = [each.mounting.heights.ceiling for each in group if each.mounting.heights is not None]
         most = min((each - _BELOW for each in ceilings if each is not None), default=math.inf)
@@ -210,7 +210,7 @@ def _tried(options: Mapping[str, Any], group: Sequence[Lidar]) -> tuple[list[Cho
             outcomes.append((lying + possible, lying, way, after))
     _, lying, way, after = min(outcomes, key=itemgetter(0))
     said = (
-        f"{lying:.0%} of the returns may be on rising ground: nothing is seen above or below them; "
+        f"{lying:.0%} of a cloud's returns may be on rising ground: nothing is seen above or below them; "
         "`pc2scan view` shows them"
     )
     findings = dict.fromkeys(text for trial in after for text in trial.findings)

@@ -282,8 +282,9 @@ def returns_at_sensor(clouds: CloudFacts) -> Iterator[str]:
 
 
 def frame_not_level(clouds: CloudFacts) -> Iterator[str]:
-    """Yield a warning if the frame of the scans is tilted, upside down or optical, unless they are made level."""
-    if clouds.mounting.warning and not clouds.spec.level:
+    """Yield a warning if the frame of the scans is tilted, upside down or optical, whatever the output is."""
+    # In a frame that is made level, ground that seems tilted by the transform may rise.
+    if clouds.mounting.warning and (clouds.mounting.ground.off or not clouds.spec.level):
         yield clouds.mounting.warning
 
 
