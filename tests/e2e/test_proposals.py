@@ -52,7 +52,7 @@ WORLDS = {
     "two rings, the lower one on walls": (World((-13, 14, -8, 8, 8), DESKS, "2 rings", at(1.2)), ""),
     "one ring, pitches": (World(HALL, DESKS, "1 ring", at(0.6), "pitches"), ""),
     "four rings": (World(HALL, DESKS, "4 rings", at(0.4), "drives"), ""),
-    "32 rings, pitches, which nothing says": (World(HALL, DESKS, "32 rings", at(0.7), "pitches", odometry=""), ""),
+    "32 rings, pitches, which nothing says": (World(CORRIDOR, (), "32 rings", at(0.9), "pitches", odometry=""), ""),
     "64 rings, pitches": (World(HALL, DESKS, "64 rings", at(1.2), "pitches"), ""),
     "rising ground": (World(None, RISING, "16 rings", at(0.9), "drives", slope=0.12), ""),
     "rising ground, low, open at the sides": (World(None, RISING[-2:], "16 rings", at(0.5), slope=0.06), ""),
