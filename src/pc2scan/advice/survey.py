@@ -189,7 +189,8 @@ class TopicFacts:
                 continue
             placed = sample.placed_in(place.frame_id, place.target_from_source)
             is_registered = placed.transform is not None and sample.frame_id.removeprefix("/") in WORLDS
-            clouds.append(placed.seen_from(above) if is_registered and place.frame_id in BODIES else placed)
+            origin = above if place.frame_id in BODIES else Rigid.identity()
+            clouds.append(placed.seen_from(origin) if is_registered else placed)
             if are_enough(clouds):
                 break
         return clouds
