@@ -37,11 +37,11 @@ INNER = {
     "pc2scan.bags.damage": ["Damage"],
     "pc2scan.cli.render": ["as_typed"],
     "pc2scan.errors": ["ParameterError", "name_list", "stamp_text", "visible"],
+    "pc2scan.files.urls": ["path_of"],
     "pc2scan.options.moment": ["TimeBound"],
     "pc2scan.text": ["count", "did_you_mean", "duration", "nearest", "size", "stamp"],
 }
-for module, inner in INNER.items():
-    NAMES |= {name: getattr(import_module(module), name) for name in inner}
+NAMES |= {name: getattr(import_module(module), name) for module, inner in INNER.items() for name in inner}
 
 
 class Call(NamedTuple):
