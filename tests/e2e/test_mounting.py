@@ -87,8 +87,7 @@ def test_info_says_what_makes_a_frame_level(case: str, recorded: Callable[..., P
     source = recorded(**arguments, name="drive it.mcap")
     own = ("--target-frame", "base_link") if "tf" in arguments else ()
     done = run("info", source, *own)
-    assert done.status == 0
-    assert told in done.stderr
+    assert (done.status, told in done.stderr) == (0, True)
     if own:
         assert '--static-tf "base_link lidar 0.2 0.1 0.6 0.3' in done.stderr
     else:
@@ -117,6 +116,12 @@ def test_a_low_ceiling_is_told_from_the_floor_by_transforms(
     done = run("convert", source, "-o", tmp_path / "a.mcap", "--min-height", "-0.3", "--max-height", "0.3")
     assert (done.status, "upside down according to its transform" in done.stderr) == (0, warned)
     assert warned or not done.stderr
+
+
+@pytest.mark.parametrize(("roll", "place"), [(65, "hall"), (90, "corridor")])
+def test_a_transform_says_which_plane_is_the_floor(roll: int, place: str, recorded: Callable[..., Path]) -> None:
+    tf = (transform("base_link", "lidar", (roll, 0, 0), (0, 0, 0.6)),)
+    assert f"tilted by {roll}.0 deg according to its transform" in mounting(recorded(roll, place=place, tf=tf))["fault"]
 
 
 REAL = [

@@ -104,7 +104,6 @@ MISTAKES: dict[str, Callable[[Path], object]] = {
     "mounted.mcap": once(hall, mount=(0.2, 0, 0.6)),
     "tilted.mcap": once(hall, 20),
     "slanted.mcap": once(hall, 65),
-    "slanted_and_said.mcap": once(hall, 65, mount=(0, 0, 0.6), turned=math.radians(65)),
     "on_side.mcap": once(hall, 90, mount=(0, 0, 0.6)),
     "on_side_and_said.mcap": once(hall, 90, mount=(0, 0, 0.6), turned=math.pi / 2),
     "upside_down.mcap": once(hall, 180, sensor="16 rings"),

@@ -283,7 +283,9 @@ def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int) -> Mo
     # The transform says which of the slanted planes is the floor.
     fault = "" if ground.kind == "slanted" and tilt > LEVEL else _fault(ground)
     if not fault and tilt > _NOTABLE_TILT:
-        if ground.kind == "level" and tilt < math.pi - _NOTABLE_TILT:
+        # If both are level, what is wide and level in the frame itself are walls.
+        contradicts = ground.kind == "level" and not (body_ground.kind == "level" and tilt > 2 * LEVEL)
+        if contradicts and tilt < math.pi - _NOTABLE_TILT:
             return None
         how = f"tilted by {math.degrees(tilt):.1f} deg"
         if tilt > math.pi - _NOTABLE_TILT:
