@@ -59,18 +59,19 @@ _STEEPEST = 0.17
 _REACHES, _BELOW = 20.0, 0.2
 
 #: Cells of the robot's own body, metres; how far from its frame they are at most; in how many clouds, and what share of
-#: them, the same cells have returns. What passes slowly has returns in a smaller share.
+#: them, the same cells have returns.
 _CELL = 0.1
 _REACH = 3.0
 _FEWEST_CLOUDS = 5
 _PERSIST = 0.9
-_PASS = 0.25
-#: The robot moves if at most this share of larger cells, up to this distance, have returns in as many clouds.
-_STAYS = 0.5
+#: The robot moves if at most this share of larger cells beyond, up to this distance, have returns in as many clouds,
+#: in this time at least, nanoseconds.
+_STAYS = 0.05
 _LARGE = 0.5
-_FAR = 15.0
+_BEYOND = 15.0
 #: How many cells, small or large, are between the origin and the farthest one.
 _CELLS = 30
+_LONG_NS = 5_000_000_000
 
 #: A cut at an edge has so many digits at least: hundredths of a second.
 _DIGITS = 2
@@ -88,32 +89,25 @@ def body_of(clouds: Iterable[NDArray[np.float64]], low: float, high: float) -> S
 
     Notes
     -----
-    The body has returns at the same places in all clouds, while the surroundings change: they pass through cells beside
-    those that they stay in, like a wall that the robot drives along. If all of them stay, the robot stands still.
+    The body has returns at the same places in all clouds, while the surroundings change. If the surroundings stay, too,
+    the robot stands still.
     """
-    # In how many clouds each cell has returns; in how many they are in it or beside it.
-    small, beside, large = (np.zeros((2 * _CELLS + 1, 2 * _CELLS + 1), np.intp) for _ in range(3))
+    # In how many clouds each cell has returns.
+    small, large = (np.zeros((2 * _CELLS + 1, 2 * _CELLS + 1), np.intp) for _ in range(2))
     count = 0
     for points in clouds:
         count += 1
         good = points[(points[:, 2] >= low) & (points[:, 2] <= high), :2]
-        ranges = np.abs(good).max(axis=1, initial=0.0)
-        near = _filled_cells(good[(ranges > _CELL) & (ranges < _REACH)], _CELL)
-        small += near
-        beside += _with_neighbours(near)
-        large += _filled_cells(good[(ranges > _LARGE) & (ranges < _FAR)], _LARGE)
+        ranges = np.hypot(good[:, 0], good[:, 1])
+        small += _filled_cells(good[(ranges > _CELL) & (ranges < _REACH)], _CELL)
+        large += _filled_cells(good[(ranges >= _REACH) & (ranges < _BEYOND)], _LARGE)
         # Not held while the next one is transformed.
         del points
-    cells = np.count_nonzero(large)
-    if count < _FEWEST_CLOUDS or cells < 20 or np.count_nonzero(large >= _PERSIST * count) > _STAYS * cells:
+    if count < _FEWEST_CLOUDS:
         return ()
-    filled = small >= _PASS * count
-    # What goes on beyond the reach is none of it, either.
-    passes = filled & ((beside < _PERSIST * count) | ~np.pad(np.ones(np.array(filled.shape) - 4, np.bool_), 2))
-    while np.any(more := _with_neighbours(passes) & filled & ~passes):
-        passes |= more
-    body = np.argwhere(filled & ~passes) - _CELLS
-    if not len(body):
+    body, beyond = (np.argwhere(counts >= _PERSIST * count) - _CELLS for counts in (small, large))
+    cells = np.count_nonzero(large)
+    if len(body) < 3 or cells < 20 or len(beyond) > _STAYS * cells:
         return ()
     (x0, y0), (x1, y1) = body.min(axis=0) * _CELL - 0.05, (body.max(axis=0) + 1) * _CELL + 0.05
     return [round(float(limit), 2) for limit in (x0, x1, y0, y1, low - 0.1, high + 0.1)]
@@ -124,13 +118,6 @@ def _filled_cells(points: NDArray[np.float64], size: float) -> NDArray[np.bool_]
     filled = np.zeros((2 * _CELLS + 1, 2 * _CELLS + 1), np.bool_)
     filled[tuple((np.floor(points / size).astype(np.intp) + _CELLS).T)] = True
     return filled
-
-
-def _with_neighbours(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return these cells of a grid and the eight around each."""
-    padded = np.pad(cells, 1)
-    rows = padded[:-2] | padded[1:-1] | padded[2:]
-    return rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:]
 
 
 class Choice(NamedTuple):
@@ -441,7 +428,8 @@ def _exclusions(group: Sequence[Lidar]) -> Iterator[Choice]:
     lidar = group[0]
     boxes: dict[str, str] = {}
     if (heights := lidar.mounting.heights) is not None:
-        for body in filter(None, (body_of(each.placed, heights.low, heights.high) for each in group)):
+        long = [each for each in group if (each.recorded.end_ns or 0) - (each.recorded.start_ns or 0) >= _LONG_NS]
+        for body in filter(None, (body_of(each.placed, heights.low, heights.high) for each in long)):
             box = " ".join((lidar.target or lidar.mounting.frame, *map("{:g}".format, body)))
             boxes[box] = "returns of the robot's own body"
     # The preset rejects points at the origin of the scans' own frame.
