@@ -403,7 +403,8 @@ class Ground(NamedTuple):
     def believed(self, points: _Points, height: float) -> Ground:
         """Return what the points show if the transforms say how high the sensor is, above 0: z points up by them.
 
-        What is not about as far below it is another plane, such as the outer ring on walls, unless it is large.
+        What is not about as far below it is another plane, such as the outer ring on walls, unless it is large, and
+        seen from near.
         """
         near = NEAR_MOUNT * height if self.off else max(ONE_FLOOR + 0.03 * height, self.rough)
         is_there = abs(self.height - height) < near
@@ -411,13 +412,13 @@ class Ground(NamedTuple):
             return self
         if self.off:
             return Ground("unknown")
-        return self if self.is_large(points) else self._replace(up=None, height=0.0, rough=0.0)
-
-    def is_large(self, points: _Points) -> bool:
-        """Return whether it is so large, and seen from so near, that it contradicts what is recorded."""
         on_it = points[np.abs(points @ np.array(self.normal) + self.height) < tolerances(points)]
-        distances = np.linalg.norm(on_it, axis=1)
-        return len(on_it) > _LARGE_FLOOR * len(points) and percentiles(distances, 10)[0] < _FARTHEST * self.height
+        # Far from the sensor, a plane that is not quite level is elsewhere than below it.
+        is_elsewhere = len(on_it) > 0 and abs(percentiles(-on_it[:, 2], 50)[0] - height) >= near
+        is_large = len(on_it) > _LARGE_FLOOR * len(points)
+        if is_elsewhere and is_large and percentiles(np.linalg.norm(on_it, axis=1), 10)[0] < _FARTHEST * self.height:
+            return self
+        return self._replace(up=None, height=0.0, rough=0.0)
 
 
 def common_ground(looks: Sequence[Ground]) -> Ground:
