@@ -5,12 +5,8 @@ from __future__ import annotations
 import gc
 import os
 import signal
-from functools import lru_cache
 
-import numpy as np
 from hypothesis import settings
-
-from pc2scan.core import scene
 
 # No time limits, because machines are shared. CI draws the same examples each time, so that failures are repeatable.
 settings.register_profile("pc2scan", deadline=None, derandomize="CI" in os.environ, max_examples=25)
@@ -29,10 +25,6 @@ def pytest_xdist_auto_num_workers() -> int:
     return (os.cpu_count() or 1) + 1
 
 
-# Hundreds of commands judge the same few clouds.
-_find_ground = scene.find_ground
-_ground_of = lru_cache(256)(lambda points: _find_ground(np.frombuffer(points).reshape(-1, 3)))
-scene.find_ground = lambda points: _ground_of(np.asarray(points, np.float64).tobytes())
 # What a power failure leaves is tested in e2e/test_faults.py; all other tests would wait for disks.
 os.fsync = lambda fd: None  # noqa: ARG005
 # While thousands of tests are collected, nothing becomes garbage.

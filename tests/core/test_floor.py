@@ -44,6 +44,16 @@ def patch(height: float, near: float, far: float, slope: float = 0.0) -> NDArray
     return np.stack([x, y, height + slope * (x - near)], axis=1)
 
 
+LOWER, FAR = patch(-1.6, -4, 4), patch(-0.92, 3, 7, 0.04)
+TWO = np.concatenate([patch(-1.0, -4, 2), patch(-1.6, 2, 12), patch(-1.6, 2, 12)])
+
+
+@pytest.mark.parametrize(("points", "height", "is_other"), [(LOWER, 1.0, True), (TWO, 1.0, False), (FAR, 0.88, False)])
+def test_what_contradicts_a_recorded_mount(points: NDArray[np.float64], height: float, is_other: bool) -> None:
+    ground = find_ground(points)
+    assert (ground.height > height + 0.12, bool(ground.believed(points, height).height)) == (True, is_other)
+
+
 @pytest.mark.parametrize(("height", "near"), [(1.0, -4), (0.2, -4), (1.0, 14)])
 def test_what_is_overhead_is_not_just_above_the_sensor_and_not_far_away(height: float, near: float) -> None:
     found = outermost(cells_of(np.concatenate([patch(-1.0, -4, 4), patch(height, near, near + 8)])), 1)

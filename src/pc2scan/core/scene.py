@@ -415,8 +415,11 @@ class Ground(NamedTuple):
         on_it = points[np.abs(points @ np.array(self.normal) + self.height) < tolerances(points)]
         # Far from the sensor, a plane that is not quite level is elsewhere than below it.
         is_elsewhere = len(on_it) > 0 and abs(percentiles(-on_it[:, 2], 50)[0] - height) >= near
-        is_large = len(on_it) > _LARGE_FLOOR * len(points)
-        if is_elsewhere and is_large and percentiles(np.linalg.norm(on_it, axis=1), 10)[0] < _FARTHEST * self.height:
+        nearest = percentiles(np.linalg.norm(on_it, axis=1), 10)[0] if is_elsewhere else math.inf
+        # What is also seen where the transforms say is the floor that the robot stands on.
+        below = np.abs(points[:, 2] + height) < tolerances(points)
+        is_larger = len(on_it) > _LARGE_FLOOR * len(points) >= np.count_nonzero(below)
+        if nearest < _FARTHEST * self.height and is_larger:
             return self
         return self._replace(up=None, height=0.0, rough=0.0)
 
