@@ -432,7 +432,7 @@ def remove_beams(filters: Sequence[str], empty_range: float, result: ConvertedMe
         result.empty = not np.isfinite(seen).any()
         if result.used is not None:
             kept = ~removed[result.used.beams]
-            result.used = replace(result.used, numbers=result.used.numbers[kept], beams=result.used.beams[kept])
+            result.used = result.used._replace(numbers=result.used.numbers[kept], beams=result.used.beams[kept])
     result.removed = counts
     return result
 

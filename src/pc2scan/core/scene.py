@@ -61,9 +61,7 @@ _BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.
 _PLASTIC = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)
 
 #: The most planes of a cloud, the triplets tried for each, and the smallest share of the cloud that is a plane.
-_PLANES = 8
-_TRIPLETS = 250
-_SMALLEST = 0.03
+_PLANES, _TRIPLETS, _SMALLEST = 8, 250, 0.03
 
 #: How many planes are compared with a cloud at a time.
 _TOGETHER = 32
@@ -413,13 +411,10 @@ class Ground(NamedTuple):
         if self.off:
             return Ground("unknown")
         on_it = points[np.abs(points @ np.array(self.normal) + self.height) < tolerances(points)]
-        # Far from the sensor, a plane that is not quite level is elsewhere than below it.
-        is_elsewhere = len(on_it) > 0 and abs(percentiles(-on_it[:, 2], 50)[0] - height) >= near
-        nearest = percentiles(np.linalg.norm(on_it, axis=1), 10)[0] if is_elsewhere else math.inf
+        distances = np.linalg.norm(on_it, axis=1)
         # What is also seen where the transforms say is the floor that the robot stands on.
-        below = np.abs(points[:, 2] + height) < tolerances(points)
-        is_larger = len(on_it) > _LARGE_FLOOR * len(points) >= np.count_nonzero(below)
-        if nearest < _FARTHEST * self.height and is_larger:
+        below = np.count_nonzero(np.abs(points[:, 2] + height) < tolerances(points))
+        if len(on_it) > _LARGE_FLOOR * len(points) >= below and percentiles(distances, 10)[0] < _FARTHEST * self.height:
             return self
         return self._replace(up=None, height=0.0, rough=0.0)
 
@@ -471,7 +466,8 @@ def find_ground(points: _Points) -> Ground:
     if (directions[:, 2] > 0.5).mean() <= 0.995 or ahead <= 0.85:
         cells = cells_of(points)
         low, ground = outermost(cells, -1), Ground("unknown")
-        if low is None or low.share < _LEAST_SHARE:
+        # Parts of a ramp and of the floor before it are a plane with much just below it.
+        if low is None or low.share < _LEAST_SHARE or _roughness(cells, low.up, low.height) > _SMOOTH:
             ground = _choose_ground(points)
         if not ground.off:
             if not ground.height and low is not None:
@@ -779,13 +775,17 @@ def _opposite_plane(plane: Plane, planes: Sequence[Plane]) -> Plane | None:
 
 def _is_doubtful(plane: Plane, planes: Sequence[Plane], view: _FieldOfView, *, upside_down: bool) -> bool:
     """Return whether a plane may be something other than the ground: whether another explanation fits."""
-    # It is narrow, or directions that would meet the ground have no return, as beside a wall.
-    if plane.width < max(0.4, plane.height) or plane.beyond > 0.04 or not view.missing(plane.up, -1.0, -0.2) <= 0.12:
+    # It is small or narrow, or directions that would meet the ground have no return, as beside a wall.
+    if plane.share < (0.15 if upside_down else 0.08) or plane.width < max(0.4, plane.height) or plane.beyond > 0.04:
+        return True
+    if not view.missing(plane.up, -1.0, -0.2) <= 0.12:
         return True
     for other in planes:
-        # There is ground of another slope nearer by.
+        between = _angle_between(plane, other)
         nearer = other.nearest < plane.nearest or other.height < 0.9 * plane.height
-        if nearer and 4 <= _angle_between(plane, other) < 20 and other.share > _SMALLEST and other.beyond < 0.3:
+        # There is ground of another slope nearer by; or a plane at right angles to it is as near, and it may be a wall.
+        sloped = 4 <= between < 20 and nearer and other.share > _SMALLEST and other.beyond < 0.3
+        if sloped or (70 < between < 110 and other.height < 1.1 * plane.height):
             return True
     # It may be the ceiling.
     if (ceiling := _opposite_plane(plane, planes)) is not None:
