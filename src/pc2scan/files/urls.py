@@ -395,15 +395,16 @@ def upload(local: Path, dst: UrlPath) -> None:
         if not local.is_dir():
             file_system.put_file(os.fspath(local), key)
             return
-        # A recording is complete when its metadata.yaml is there.
-        names = sorted(files_below(local), key=lambda name: name.endswith("metadata.yaml"))
+        begun: list[str] = []
         try:
-            for name in names:
-                file_system.put_file(os.fspath(local / name), f"{key}/{name}")
+            # A recording is complete when its metadata.yaml is there.
+            for name in sorted(files_below(local), key=lambda name: name.endswith("metadata.yaml")):
+                begun.append(f"{key}/{name}")
+                file_system.put_file(os.fspath(local / name), begun[-1])
         except BaseException:
-            for name in names:
+            for place in begun:
                 with suppress(Exception):
-                    file_system.rm_file(f"{key}/{name}")
+                    file_system.rm_file(place)
             raise
 
 
