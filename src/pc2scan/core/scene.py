@@ -401,8 +401,8 @@ class Ground(NamedTuple):
     def believed(self, points: _Points, height: float) -> Ground:
         """Return what the points show if the transforms say how high the sensor is, above 0: z points up by them.
 
-        What is not about as far below it is another plane, such as the outer ring on walls, unless it is large, and
-        seen from near.
+        What is not about as far below it is another plane, such as the outer ring on walls, unless it is large and seen
+        from near, and few points are as far below as the transforms say.
         """
         near = NEAR_MOUNT * height if self.off else max(ONE_FLOOR + 0.03 * height, self.rough)
         is_there = abs(self.height - height) < near
