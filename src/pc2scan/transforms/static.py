@@ -7,6 +7,7 @@ parser.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -34,7 +35,8 @@ MAX_BYTES = 2_000_000
 _TO_URDF = "make a URDF of it first: `xacro robot.urdf.xacro > robot.urdf` (ROS 2: `ros2 run xacro xacro ...`)"
 
 
-class StaticTransform(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class StaticTransform:
     """A transform that the user adds; it is valid at any time.
 
     Attributes
