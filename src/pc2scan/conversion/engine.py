@@ -117,17 +117,20 @@ def convert_message(routes: Mapping[int, Route], message: RawMessage) -> Item:
     except MessageError as err:
         error = err
         results = [err] * len(route.steps)
-    cache: dict[Any, Any] = {}
+    done: dict[Any, Any] = {}
+
+    def once(step: Callable[[Any], Any], points: Any) -> Any:
+        """Return what a step makes of points; equal steps of several conversions are done once."""
+        key = step, id(points)
+        if key not in done:
+            done[key] = step(points)
+        return done[key]
+
     for steps in route.steps if error is None else ():
         try:
-            points = cloud
-            for step in filter(None, (steps.place, steps.select)):
-                # Equal steps of several conversions are done once.
-                key = step, id(points)
-                if key not in cache:
-                    cache[key] = step(points)
-                points = cache[key]
-            scan = steps.project(points)
+            placed = once(steps.place, cloud)
+            selected = once(steps.select, placed)
+            scan = steps.project(selected)
             results.append(route.encode(scan) if isinstance(scan, ConvertedMessage) else scan)
         except MessageError as err:
             # It does not stop the other conversions.

@@ -76,15 +76,15 @@ class Steps(NamedTuple):
     Attributes
     ----------
     place
-        Places a cloud; None: ``project`` does that, too.
+        Places a cloud.
     select
-        Selects some of its points; None: all are used.
+        Selects some of its points.
     project
         Makes the new message, or what a message contributes to a scan of several.
     """
 
-    place: Callable[[Any], Any] | None = None
-    select: Callable[[Any], Any] | None = None
+    place: Callable[[Any], Any] = as_it_is
+    select: Callable[[Any], Any] = as_it_is
     project: Callable[[Any], Any] = as_it_is
 
 
@@ -365,7 +365,7 @@ class CloudToScan:
             0.0 if params.scan_time == "auto" else params.scan_time,
             0.0 if params.time_increment == "auto" else params.time_increment,
         )
-        self._select = SelectStage(spec.filters, placer, bool(spec.keep_used)) if spec.filters else None
+        self._select = SelectStage(spec.filters, placer, bool(spec.keep_used)) if spec.filters else as_it_is
 
     def steps(self, topic: str) -> Steps:
         """Return what is done with the clouds of one topic; see `Conversion`."""
@@ -397,7 +397,7 @@ class CloudToScan:
         """Return which of the decoded points the beams read."""
         points = placed.points
         numbers, beams = projector.read(*points.xyz(), transform)
-        if self._select is not None:
+        if self.spec.filters:
             numbers = points.field(NUMBER).reshape(-1)[numbers]
         return UsedPoints(placed.whole, numbers, beams)
 

@@ -538,9 +538,7 @@ def _scans(spec: ScanSpec, lidar: Lidar, scene: Scene) -> tuple[Trial, list[Poin
     ranges: list[list[NDArray[np.float32]]] = []
     counts: list[PointCounts] = []
     for cloud in scene.clouds:
-        chosen = PlaceStage(placer)(cloud)
-        if steps.select is not None:
-            chosen = steps.select(chosen)
+        chosen = steps.select(PlaceStage(placer)(cloud))
         marked = [chosen.points.select(chosen.points.field(each)) for each in (_STANDS, _MAY_STAND)]
         scans = [steps.project(replace(chosen, points=each)) for each in (chosen.points, *marked)]
         ranges.append([each.message.ranges for each in scans])
