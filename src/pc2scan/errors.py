@@ -40,7 +40,7 @@ _HINT = "hint: "
 _MAX_LINE = 4_000
 
 
-def visible(text: str, most: int | None = _MAX_LINE, *, ascii_only: bool = False) -> str:
+def visible(text: str, most: int | None = _MAX_LINE) -> str:
     r"""Return one line that terminals, logs and CI systems show and do not obey; all text for users passes through it.
 
     Names, types and frames come from untrusted recordings. Characters that cannot be printed (controls, ends of lines,
@@ -53,8 +53,6 @@ def visible(text: str, most: int | None = _MAX_LINE, *, ascii_only: bool = False
         One line.
     most
         Longer text is cut; None for any length.
-    ascii_only
-        Escape all characters that are not ASCII, too.
 
     Examples
     --------
@@ -62,12 +60,9 @@ def visible(text: str, most: int | None = _MAX_LINE, *, ascii_only: bool = False
     /scan\x1b[2J\n \x3a:error::no aaaa... (5000 chars)
     """
     if most is not None and len(text) > most:
-        return f"{visible(text[:most], None, ascii_only=ascii_only)}... ({len(text)} chars)"
-    if not text.isprintable() or (ascii_only and not text.isascii()):
-        text = "".join(
-            c if c.isprintable() and (c.isascii() or not ascii_only) else c.encode("unicode_escape").decode()
-            for c in text
-        )
+        return f"{visible(text[:most], None)}... ({len(text)} chars)"
+    if not text.isprintable():
+        text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
     if "##" in text and "[" in text:
         text = re.sub(r"##(?=\w*\[)", r"\\x23\\x23", text)
     begin = text.lstrip()

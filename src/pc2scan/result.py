@@ -11,7 +11,6 @@ import math
 from abc import abstractmethod
 from dataclasses import dataclass, field, fields, is_dataclass
 from enum import Enum
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
 
@@ -20,7 +19,7 @@ from .text import Table, stamp
 from .version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from .bags.damage import Damage
 
@@ -103,15 +102,13 @@ class Skipped(NamedTuple):
     messages: int = 1
     gap_ns: int = 0
 
-    @property
-    def message(self) -> str:
-        """The topic, and the stamp or else the log time, as far as they are known."""
-        if self.stamp_ns is not None:
-            return f"{self.topic}, stamp {stamp(self.stamp_ns)}"
-        return self.topic + ("" if self.log_time_ns is None else f", log time {stamp(self.log_time_ns)}")
-
     def __str__(self) -> str:
-        return f"{self.message}: {self.reason}"
+        place = self.topic
+        if self.stamp_ns is not None:
+            place += f", stamp {stamp(self.stamp_ns)}"
+        elif self.log_time_ns is not None:
+            place += f", log time {stamp(self.log_time_ns)}"
+        return f"{place}: {self.reason}"
 
 
 class Result:
@@ -160,16 +157,35 @@ class Result:
     def body(self, *, verbose: bool = False) -> Iterator[Part]:
         """Yield what was found or done; ``verbose`` for everything."""
 
-    def remarks(self, *, verbose: bool = False) -> Iterator[Remark]:
-        """Yield what is not as it should be; ``verbose`` for every reason and every damaged place."""
-        yield from skipped_remarks(self.skipped, self.skipped_count, verbose=verbose)
-        yield from self.usual_remarks(verbose=verbose)
+    def remarks(self, *, verbose: bool = False, total: int | None = None, recovered: str = "") -> Iterator[Remark]:
+        """Yield what is not as it should be: skipped messages, damaged places, warnings.
 
-    def usual_remarks(self, recovered: str = "", *, verbose: bool = False) -> Iterator[Remark]:
-        """Yield the damaged places, what was recovered of them, and the warnings."""
-        shown = self.damage if verbose else self.damage[:SHOWN]
-        yield from (Remark("damaged", str(place)) for place in shown)
-        if more := len(self.damage) - len(shown):
+        Parameters
+        ----------
+        verbose
+            Whether to yield every reason and every damaged place.
+        total
+            How many messages were skipped, listed or not; None for all.
+        recovered
+            What was recovered of damaged recordings.
+        """
+        limit = None if verbose else SHOWN
+        reasons: dict[tuple[str, str], list[Skipped]] = {}
+        for entry in self.skipped:
+            reasons.setdefault((entry.topic, entry.reason), []).append(entry)
+        groups = list(reasons.values())[:limit]
+        for entries in groups:
+            number = sum(entry.messages for entry in entries)
+            yield Remark("skipped", str(entries[0]) + (f" ({number:,} messages)" if number > 1 else ""))
+        # A message counts once for each output that lacks it, like in the counts of the topics.
+        shown = sum(entry.messages * max(1, len(entry.targets)) for entries in groups for entry in entries)
+        if (more := (self.skipped_count if total is None else total) - shown) > 0:
+            yield Remark("skipped", f"{more:,} more")
+        # The hint for the one that is farthest from any transform helps the others, too.
+        if hinted := [entry for entry in self.skipped if entry.hint]:
+            yield Remark("hint", max(hinted, key=lambda entry: entry.gap_ns).hint)
+        yield from (Remark("damaged", str(place)) for place in self.damage[:limit])
+        if more := len(self.damage) - len(self.damage[:limit]):
             yield Remark("damaged", f"{more:,} more")
         if recovered:
             yield Remark("recovered", recovered)
@@ -186,23 +202,12 @@ class Result:
         """Return it as the text of a JSON file."""
         return json.dumps(self.as_dict(), indent=2) + "\n"
 
-    def __str__(self) -> str:
-        lines: list[str] = []
-        for part in (*self.body(), *(Remark("note", note) for note in self.notes), *self.remarks()):
-            # Calls are indented, like the commands that they stand for.
-            text = f"  {part}" if isinstance(part, Call) else str(part)
-            lines += part.lines() if isinstance(part, Table) else [visible(text)]
-        return "\n".join(lines)
-
     def __repr__(self) -> str:
-        return f"<{type(self).__name__} with exit status {self.exit_status}; print shows it>"
-
-    def _repr_html_(self) -> str:
-        """Return what notebooks show."""
-        return f"<pre>{escape(str(self))}</pre>"
+        notes = (Remark("note", note) for note in self.notes)
+        return "\n".join(map(visible, lines_of((*self.body(), *notes, *self.remarks()))))
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, repr=False)
 class Failure(Result):
     """A command that failed before there was a result.
 
@@ -228,6 +233,26 @@ class Failure(Result):
     def body(self, *, verbose: bool = False) -> Iterator[Part]:
         """Yield the errors."""
         yield from (Remark("error", str(error)) for error in self.errors)
+
+
+def lines_of(
+    parts: Iterable[Part], width: int | None = None, spelled: Callable[[str | Call | Remark], str] = str
+) -> Iterator[str]:
+    """Yield parts of a result as lines.
+
+    Parameters
+    ----------
+    width
+        The columns that tables are fitted to; None for no limit.
+    spelled
+        Returns the text of a call, a remark, or a text with names of options. Default: as in Python.
+    """
+    for part in parts:
+        if isinstance(part, Table):
+            yield from part._replace(rows=[[*map(spelled, row)] for row in part.rows]).lines(width)
+        else:
+            # Calls stand in a line of their own.
+            yield f"  {spelled(part)}" if isinstance(part, Call) else spelled(part)
 
 
 def json_value(value: Any) -> Any:
@@ -272,34 +297,3 @@ def tell_early(warnings: list[str], warn: Callable[[str], None] | None, *texts: 
             warnings.append(text)
             if warn is not None:
                 warn(text)
-
-
-def skipped_remarks(skipped: Sequence[Skipped], total: int, *, verbose: bool = False) -> Iterator[Remark]:
-    """Yield the reasons for which messages were skipped, with a hint for the one that is farthest from any transform.
-
-    Parameters
-    ----------
-    skipped
-        The messages that are listed.
-    total
-        How many messages were skipped.
-    verbose
-        Whether to yield all reasons.
-    """
-    reasons: dict[tuple[str, str], list[Skipped]] = {}
-    for entry in skipped:
-        reasons.setdefault((entry.topic, entry.reason), []).append(entry)
-    shown = 0
-    for (topic, reason), entries in list(reasons.items())[: None if verbose else SHOWN]:
-        first, count = entries[0], sum(entry.messages for entry in entries)
-        more = f" and {count - 1:,} more" if count > 1 else ""
-        is_one = first.stamp_ns is not None or first.log_time_ns is not None
-        of = first.message + more if is_one else f"{count:,} of {topic}"
-        yield Remark("skipped", f"{of}: {reason}")
-        # A message counts once for each output that lacks it, like in the counts of the topics.
-        shown += sum(entry.messages * max(1, len(entry.targets)) for entry in entries)
-    if total > shown:
-        yield Remark("skipped", f"{total - shown:,} more")
-    # What helps the farthest helps the others, too.
-    if hinted := [(-entry.gap_ns, number) for number, entry in enumerate(skipped) if entry.hint]:
-        yield Remark("hint", skipped[min(hinted)[1]].hint)

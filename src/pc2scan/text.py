@@ -32,19 +32,18 @@ def nearest(name: str, known: Iterable[str]) -> str | None:
     ('base_link', '/lidar/points')
     >>> nearest("x", ["odom"])
     """
-    names = {
-        _normalized(name): name for name in reversed(list(islice(known, _MOST_NAMES))) if len(name) <= _LONGEST_NAME
-    }
-    normalized = _normalized(name[:_LONGEST_NAME])
-    if not normalized:
-        return None
-    close = difflib.get_close_matches(normalized, names, n=1)
-    # Then names that contain it as a part, or are a part of it, the shortest first.
-    close += sorted((name for name in names if _is_part(normalized, name) or _is_part(name, normalized)), key=len)
-    if not close:
-        ends = {name.rpartition("/")[2]: name for name in names}
-        close = [ends[end] for end in difflib.get_close_matches(normalized.rpartition("/")[2], ends, n=1)]
-    return names[close[0]] if close else None
+    names: dict[str, str] = {}
+    parts: dict[str, str] = {}
+    for candidate in islice(known, _MOST_NAMES):
+        if len(candidate) <= _LONGEST_NAME:
+            normalized = _normalized(candidate)
+            names.setdefault(normalized, candidate)
+            parts |= dict.fromkeys(normalized.split("/"), candidate)
+    wanted = _normalized(name[:_LONGEST_NAME])
+    for text, candidates in ((wanted, names), (wanted.rpartition("/")[2], parts)):
+        for close in difflib.get_close_matches(text, candidates, n=1):
+            return candidates[close]
+    return None
 
 
 def shell_word(word: str) -> str:
@@ -65,10 +64,6 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
 def _normalized(name: str) -> str:
     return name.casefold().replace("-", "_").strip("/ ")
-
-
-def _is_part(short: str, long: str) -> bool:
-    return len(short) >= 3 and (long.endswith(f"/{short}") or long.startswith(f"{short}/") or f"/{short}/" in long)
 
 
 def height_text(value: float) -> str:
@@ -144,11 +139,8 @@ def stamp(stamp_ns: int) -> str:
 #: Maximum number of characters of a cell, because one long name would widen every line. Names in ROS have at most 255.
 _MAX_CELL = 255
 
-#: The space between columns, and the smaller one for tables that do not fit otherwise.
-_GAP, _NARROW_GAP = 3, 2
-
-#: The smallest width of a column of wrapped text is that of its longest word, but at most this.
-_NARROWEST, _LONGEST_WORD = 12, 24
+#: The space between columns, and the smallest width of a column of wrapped text.
+_GAP, _NARROWEST = 2, 12
 
 _NOTHING = frozenset({"", "-"})
 
@@ -160,52 +152,38 @@ class Table(NamedTuple):
     rows: Sequence[Sequence[str]]
     left: Sequence[str] = ()
 
-    def lines(self, width: int | None = None, *, ascii_only: bool = False) -> Iterator[str]:
-        """Yield the lines of the table, at most ``width`` columns wide; cells have names of untrusted recordings."""
-        rows = ([visible(cell, _MAX_CELL, ascii_only=ascii_only) for cell in row] for row in self.rows)
-        cells = [self.columns, *([leading(cell) for cell in row[:1]] + row[1:] for row in rows)]
-        headings, left, kept = self.columns, self.left, list(range(len(self.columns)))
-        gap = _GAP
-        dropped: list[str] = []
+    def lines(self, width: int | None = None) -> Iterator[str]:
+        """Yield the lines of the table, ``width`` columns wide if its numbers fit; cells may have untrusted names."""
+        rows = ([visible(cell, _MAX_CELL) for cell in row] for row in self.rows)
+        columns = [*zip(self.columns, *([leading(name), *cells] for name, *cells in rows), strict=True)]
+        widths = [max(map(len, column)) for column in columns]
 
-        def needed() -> int:
-            return sum(widths[i] for i in kept) + gap * (len(kept) - 1)
+        def is_wide() -> bool:
+            return width is not None and sum(widths) + _GAP * (len(widths) - 1) > width
 
-        widths = [max(len(line[i]) for line in cells) for i in range(len(headings))]
-        if width is not None and needed() > width:
-            kept = [i for i in kept if i == 0 or not self.rows or any(row[i] not in _NOTHING for row in cells[1:])]
-            gap = _GAP if needed() <= width else _NARROW_GAP
-            texts = [i for i in kept if headings[i] in left]
-            least = {i: max(_NARROWEST, *(_longest_word(line[i]) for line in cells)) for i in texts}
-            while needed() > width and (wide := [i for i in texts if widths[i] > least[i]]):
-                # Narrow the widest column by one at a time, so that all columns share the space.
-                widths[max(wide, key=widths.__getitem__)] -= 1
-            while needed() > width and len(kept) > 1:
-                numbers = [i for i in kept[1:] if headings[i] not in left] or kept[1:]
-                dropped.insert(0, headings[numbers[-1]])
-                kept.remove(numbers[-1])
-        for number, line in enumerate(cells):
+        for number in reversed(range(1, len(columns))):
+            if is_wide() and _NOTHING.issuperset(columns[number][1:]):
+                del columns[number], widths[number]
+        texts = [number for number, column in enumerate(columns) if column[0] in self.left]
+        while is_wide() and (wide := [number for number in texts if widths[number] > _NARROWEST]):
+            # Narrow the widest column by one at a time, so that all columns share the space.
+            widths[max(wide, key=widths.__getitem__)] -= 1
+        for number, cells in enumerate(zip(*columns, strict=True)):
             # Text that is too wide continues on the next line.
-            pieces = [[line[i]] if len(line[i]) <= widths[i] else _broken(line[i], widths[i]) for i in kept]
+            pieces = map(_wrapped, cells, widths)
             for parts in zip_longest(*pieces, fillvalue=""):
                 aligned = (
-                    part.ljust(widths[i]) if headings[i] in left else part.rjust(widths[i])
-                    for i, part in zip(kept, parts, strict=True)
+                    part.ljust(widths[i]) if i in texts else part.rjust(widths[i]) for i, part in enumerate(parts)
                 )
-                yield (" " * gap).join(aligned).rstrip()
+                yield (" " * _GAP).join(aligned).rstrip()
             if number == 0:
-                yield "-" * needed()
-        if dropped:
-            yield f"(no room for: {', '.join(dropped)})"
+                yield "-" * (sum(widths) + _GAP * (len(widths) - 1))
 
 
-def _longest_word(text: str) -> int:
-    words = text.split() if " " in text else text.replace("/", "/ ").split()
-    return min(_LONGEST_WORD, max(map(len, words), default=0))
-
-
-def _broken(text: str, width: int) -> list[str]:
-    # Names of topics and types may be broken after a slash.
+def _wrapped(text: str, width: int) -> list[str]:
+    """Return a text as lines; names of topics and types may be broken after a slash."""
+    if len(text) <= width:
+        return [text]
     spaced = text if " " in text else text.replace("/", "/ ")
-    lines = wrap(spaced, width, break_on_hyphens=False) or [""]
-    return lines if " " in text else [part.replace(" ", "") for part in lines]
+    lines = wrap(spaced, width, break_on_hyphens=False)
+    return lines if " " in text else [line.replace(" ", "") for line in lines]

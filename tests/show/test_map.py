@@ -147,7 +147,7 @@ def test_scans_without_a_place_are_counted(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "late.mcap", drive_recording(beams=91, motion_from=2.0))
     done = run("map", source, "-o", tmp_path / "map.png")
     assert done.status == 3
-    assert "skipped: 10 of /scan: their stamps are before the first [base_link] in [odom]" in done.stderr
+    assert "skipped: /scan: their stamps are before the first [base_link] in [odom] (10 messages)" in done.stderr
     assert pc2scan.map(source).scans == {"/scan": 30}
 
 

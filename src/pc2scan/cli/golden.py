@@ -41,7 +41,7 @@ def _init(folder: Path, options: Options) -> int:
     """Make a case, and list its files."""
     with progress_bar(options) as progress:
         report = make_case(folder, run_command, options, progress=progress)
-    for remark in report.usual_remarks():
+    for remark in report.remarks():
         say(as_typed(str(remark)), err=True)
     if not options.quiet:
         show_parts(f"{file}  {counted(file.stat().st_size, 'byte')}" for file in sorted(folder.iterdir()))

@@ -11,7 +11,7 @@ from pc2scan.options.option import Parameter
 from pc2scan.options.table import options_of
 
 from .commands import COMMANDS
-from .render import as_typed, shape_of
+from .render import as_typed, columns_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -46,7 +46,7 @@ _OPTIONS = (
 
 def help_of(command: str, *, every: bool = False) -> Iterator[str]:
     """Yield the lines of the help of a command, or of all commands if there is none."""
-    width = min(shape_of(sys.stdout)[0] or _WIDTH, _WIDEST)
+    width = min(columns_of(sys.stdout) or _WIDTH, _WIDEST)
     if not command:
         yield "Usage: pc2scan [OPTIONS] COMMAND [ARGS]..."
         yield from _paragraphs(ABOUT, width)

@@ -19,15 +19,15 @@ from typing import TYPE_CHECKING, TextIO
 from pc2scan.errors import visible
 from pc2scan.options.call import call_words
 from pc2scan.options.table import spellings
-from pc2scan.result import Call
-from pc2scan.text import Table, shell_word
+from pc2scan.result import Call, lines_of
+from pc2scan.text import shell_word
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterable, Iterator
 
     from pc2scan.errors import Pc2ScanError
     from pc2scan.options.call import Options
-    from pc2scan.result import Part, Result
+    from pc2scan.result import Part, Remark, Result
 
 #: The smallest width that is used, because no table fits into less.
 _NARROWEST = 40
@@ -46,9 +46,8 @@ class StdoutError(Exception):
 def say(text: str = "", *, err: bool = False) -> None:
     """Print one line, with whatever a terminal or a CI system would obey made visible. All commands print with it."""
     stream = sys.stderr if err else sys.stdout
-    columns, ascii_only = shape_of(stream)
-    line = visible(text, ascii_only=ascii_only)
-    width = columns or len(line)
+    line = visible(text)
+    width = columns_of(stream) or len(line)
     # A command stays one line, to be copied.
     if len(line) > width and not line.lstrip().startswith(("next: ", "pc2scan ")):
         indent = line[: -len(line.lstrip())] + "  "
@@ -61,8 +60,10 @@ def say(text: str = "", *, err: bool = False) -> None:
 
 
 def _write(text: str, stream: TextIO) -> None:
+    # Characters that the stream's encoding lacks are escaped.
+    encoding = stream.encoding or "utf-8"
     try:
-        stream.write(text)
+        stream.write(text.encode(encoding, "backslashreplace").decode(encoding))
         stream.flush()
     except OSError as err:
         if stream is sys.stdout:
@@ -70,10 +71,9 @@ def _write(text: str, stream: TextIO) -> None:
         raise
 
 
-def shape_of(stream: TextIO) -> tuple[int | None, bool]:
-    """Return the columns of a stream, None for no limit, and whether it cannot show every character."""
-    columns = max(get_terminal_size().columns, _NARROWEST) if stream.isatty() else None
-    return columns, not (getattr(stream, "encoding", None) or "ascii").lower().startswith("utf")
+def columns_of(stream: TextIO) -> int | None:
+    """Return the columns of a terminal; None for a stream that is none, whose lines have no limit."""
+    return max(get_terminal_size().columns, _NARROWEST) if stream.isatty() else None
 
 
 def show_error(err: Pc2ScanError) -> None:
@@ -152,16 +152,13 @@ def show_parts(parts: Iterable[Part]) -> None:
 
     Rich is not used, because to import it takes a third of the time in which a small recording is converted.
     """
-    for part in parts:
-        if isinstance(part, Table):
-            shown = part._replace(rows=[[as_typed(cell) for cell in row] for row in part.rows])
-            columns, ascii_only = shape_of(sys.stdout)
-            for line in shown.lines(columns, ascii_only=ascii_only):
-                say(line)
-        elif isinstance(part, Call):
-            say(f"  {' '.join(map(shell_word, call_words(part)))}")
-        else:
-            say(as_typed(str(part)))
+    for line in lines_of(parts, columns_of(sys.stdout), _in_a_shell):
+        say(line)
+
+
+def _in_a_shell(part: str | Call | Remark) -> str:
+    """Return a call as a command line, and texts with their options as they are typed."""
+    return " ".join(map(shell_word, call_words(part))) if isinstance(part, Call) else as_typed(str(part))
 
 
 @contextmanager

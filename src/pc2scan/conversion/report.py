@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from pc2scan.bags.formats import FORMATS
 from pc2scan.core.percentiles import median_low
@@ -13,7 +13,7 @@ from pc2scan.core.rule import REJECTIONS, PointCounts, Rejection
 from pc2scan.errors import leading
 from pc2scan.options.table import PARAMETERS
 from pc2scan.options.values import in_words
-from pc2scan.result import Part, Remark, Result, Skipped, skipped_remarks
+from pc2scan.result import Part, Remark, Result, Skipped
 from pc2scan.text import Table, count, counted, duration, size
 
 if TYPE_CHECKING:
@@ -335,16 +335,15 @@ class Report(Result):
         columns = ("on", "points", "used", *headings, "empty")
         return Table(columns, rows, left=("on",))
 
-    def remarks(self, *, verbose: bool = False) -> Iterator[Remark]:
+    def remarks(self, *, verbose: bool = False, **_: Any) -> Iterator[Remark]:
         """Yield skipped messages, damage and what was recovered, and warnings."""
-        # Topics that are skipped completely are not counted here: they have their own warning.
-        single = sum(topic.skipped for topic in self.topics if topic.action != "skipped")
-        yield from skipped_remarks(self.skipped, single, verbose=verbose)
-        yield from self.usual_remarks(self._recovered() if self.damage else "", verbose=verbose)
-
-    def _recovered(self) -> str:
-        """Return how much was read of a damaged recording."""
-        declared, text = self.messages_declared, counted(self.messages_read, "message")
-        if declared is not None and declared > self.messages_read:
-            text = f"{self.messages_read:,} of the {declared:,} messages that the source declares"
-        return text + ("" if any(place.loses for place in self.damage) else "; nothing is known to be lost")
+        # Topics that are skipped completely have their own warning.
+        total = sum(topic.skipped for topic in self.topics if topic.action != "skipped")
+        recovered = ""
+        if self.damage:
+            declared, recovered = self.messages_declared, counted(self.messages_read, "message")
+            if declared is not None and declared > self.messages_read:
+                recovered = f"{self.messages_read:,} of the {declared:,} messages that the source declares"
+            if not any(place.loses for place in self.damage):
+                recovered += "; nothing is known to be lost"
+        yield from Result.remarks(self, verbose=verbose, total=total, recovered=recovered)

@@ -113,7 +113,7 @@ def _row(frame: FrameInfo) -> tuple[str, ...]:
     return (frame.child, ", ".join(frame.parents), kind, count(frame.transforms), rate, *times, gap)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Lookup(Result):
     """The transform that takes points in the frame ``source`` to the frame ``target``.
 
