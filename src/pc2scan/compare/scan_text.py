@@ -6,8 +6,9 @@ A number is written with the fewest digits that read back as the same bits; a Na
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from itertools import starmap, zip_longest
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,23 +31,24 @@ _HEADER = f"""{_FIRST_LINE}
 # Written by pc2scan golden --update: read it, compare it, but do not edit it."""
 _VALUES_A_LINE = 10
 
+_ARRAYS = ("ranges", "intensities")
+
 
 @dataclass(frozen=True, slots=True)
 class ScanText:
     """Scans read from text; a `pc2scan.compare.diff.OpenRecording`."""
 
     path: Path
-    connections: list[Connection] = field(default_factory=list)
-    content: list[RawMessage] = field(default_factory=list)
+    connections: list[Connection]
+    content: list[RawMessage]
 
     def messages(
-        self, connections: Collection[Connection] | None = None, start_ns: int | None = None, stop_ns: int | None = None
+        self, connections: Collection[Connection] | None = None, start_ns: int = -(1 << 63), stop_ns: int = 1 << 63
     ) -> Iterator[RawMessage]:
         """Messages in the order of log time, ``start_ns <= log_time_ns < stop_ns``."""
         for message in sorted(self.content, key=lambda message: message.log_time_ns):
             is_wanted = connections is None or message.connection in connections
-            is_early = start_ns is not None and message.log_time_ns < start_ns
-            if is_wanted and not is_early and (stop_ns is None or message.log_time_ns < stop_ns):
+            if is_wanted and start_ns <= message.log_time_ns < stop_ns:
                 yield message
 
     def close(self) -> None:
@@ -114,12 +116,8 @@ def _texts(values: NDArray[np.float32]) -> list[str]:
 
 def _numbers(texts: Sequence[str]) -> NDArray[np.float32]:
     """Read the texts of `_texts`."""
-    with np.errstate(over="raise"):
-        numbers = np.array([0.0 if text.startswith("bits:") else float(text) for text in texts], float).astype("f4")
-    for index, text in enumerate(texts):
-        if text.startswith("bits:"):
-            numbers.view(np.uint32)[index] = int(text[5:], 16)
-    return numbers
+    bits = [int(text[5:], 16) if text.startswith("bits:") else np.float32(text).view(np.uint32) for text in texts]
+    return np.array(bits, np.uint32).view(np.float32)
 
 
 def open_scan_text(path: Path) -> ScanText:
@@ -130,78 +128,51 @@ def open_scan_text(path: Path) -> ScanText:
     RecordingError
         If it cannot be read, or `render_scans` does not write such text; the message names the line.
     """
+    number = 1
+    connections: dict[str, Connection] = {}
+    scans: list[tuple[Connection, dict[str, Any]]] = []
     try:
         with open_text(path) as file:
-            lines = _Lines(file.read())
-    except (OSError, UnicodeDecodeError) as err:
-        raise RecordingError(f"cannot be read: {err}", path=path) from err
-    result = ScanText(path)
-    connections: dict[str, Connection] = {}
-    try:
-        for word, rest in lines:
-            topic, end = json.JSONDecoder().raw_decode(rest)
-            if word == "message":
-                result.content.append(_scan(lines, connections[topic]))
-                continue
-            msgtype, serialization = rest[end:].split()
-            if (word, msgtype) != ("topic", LASERSCAN) or serialization not in ("ros1", "cdr"):
-                raise ValueError(f"{word} {rest}")
-            connections[topic] = Connection(len(connections), str(topic), msgtype, serialization)
-    except Exception as err:  # any that text can cause which `render_scans` does not write
-        raise RecordingError(
-            f"line {lines.number} has been changed: {str(err) or type(err).__name__}",
-            path=path,
-            hint="restore it from version control, or write it again: pc2scan golden `update=True`",
-        ) from err
-    result.connections.extend(connections.values())
-    return result
-
-
-class _Lines:
-    """Lines as their first word and the rest, without comments and blank lines; has the number of the last one."""
-
-    def __init__(self, text: str) -> None:
-        self.number = 0
-        self._lines = enumerate(text.split("\n"), start=1)
-
-    def __iter__(self) -> Iterator[tuple[str, str]]:
-        for number, line in self._lines:
-            self.number = number
+            lines = file.read().splitlines()
+        for number, line in enumerate(lines, start=1):  # noqa: B007  # the error names it
             word, _, rest = line.strip().partition(" ")
-            if word and not word.startswith("#"):
-                yield word, rest
-
-    def value(self, name: str) -> str:
-        """Return what stands behind the word that must be next."""
-        word, rest = next(iter(self))
-        if word != name:
-            raise ValueError(f"{word!r} where {name!r} belongs")
-        return rest
-
-    def values(self, name: str) -> NDArray[np.float32]:
-        """Return the numbers of an array."""
-        count, texts = int(self.value(name).partition(" ")[0]), list[str]()
-        while len(texts) < count:
-            texts += self.value(f"{len(texts)}:").split() or ("",)
-        if len(texts) > count:
-            raise ValueError(f"{len(texts)} values where {count} belong")
-        return _numbers(texts)
-
-
-def _scan(lines: _Lines, connection: Connection) -> RawMessage:
-    """Read a scan, behind its first line."""
-    log_time_ns, stamp_ns = (_nanoseconds(lines.value(name)) for name in ("log_time", "stamp"))
-    sequence = int(lines.value("seq")) if connection.serialization == "ros1" else 0
-    frame_id = json.loads(lines.value("frame_id"))
-    geometry = _numbers([lines.value(name) for name in GEOMETRY]).tolist()
-    arrays = [lines.values(name) for name in ("ranges", "intensities")]
-    data = encode_laserscan(LaserScan(sequence, stamp_ns, frame_id, *geometry, *arrays), connection.serialization)
-    return RawMessage(connection, log_time_ns, data, log_time_ns)
+            if word == "topic":
+                topic = json.JSONDecoder().raw_decode(rest)[0]
+                connections[topic] = Connection(len(connections), topic, LASERSCAN, rest.split()[-1])
+            elif word == "message":
+                scans.append((connections[json.loads(rest)], {}))
+            elif word in _ARRAYS:
+                array = scans[-1][1][word] = []
+            elif word.endswith(":"):
+                array.append(_numbers(rest.split()))
+            elif word and not word.startswith("#"):
+                scans[-1][1][word] = _value(word, rest)
+        messages = list(starmap(_message, scans))
+        written = render_scans(messages).splitlines()
+        for number, (line, expected) in enumerate(zip_longest(lines, written), 1):  # noqa: B007
+            if line != expected:
+                raise ValueError(f"{line!r} where {expected!r} belongs")
+    except Exception as err:  # any that text can cause which `render_scans` does not write
+        problem = f"line {number} has been changed: {str(err) or type(err).__name__}"
+        hint = "restore it from version control, or write it again: pc2scan golden `update=True`"
+        raise RecordingError(problem, path=path, hint=hint) from err
+    return ScanText(path, list(connections.values()), messages)
 
 
-def _nanoseconds(text: str) -> int:
-    seconds, _, fraction = text.partition(".")
-    nanoseconds = int(seconds + fraction)
-    if len(fraction) != 9 or abs(nanoseconds) >> 63:
-        raise ValueError(f"{text!r} is not a time in nanoseconds")
-    return nanoseconds
+def _message(connection: Connection, values: dict[str, Any]) -> RawMessage:
+    """Return the message of a scan, given the values of its lines; numbers that have none are 0."""
+    log_time_ns, stamp_ns, sequence = (values.get(name, 0) for name in ("log_time", "stamp", "seq"))
+    geometry = [values.get(name, 0.0) for name in GEOMETRY]
+    arrays = [np.concatenate([_numbers([]), *values.get(name, ())]) for name in _ARRAYS]
+    scan = LaserScan(sequence, stamp_ns, values.get("frame_id", ""), *geometry, *arrays)
+    return RawMessage(connection, log_time_ns, encode_laserscan(scan, connection.serialization), log_time_ns)
+
+
+def _value(name: str, text: str) -> Any:
+    """Return the value of a line that begins with a name."""
+    if name == "frame_id":
+        return json.loads(text)
+    if name in GEOMETRY:
+        return _numbers([text]).tolist()[0]
+    # A time, in nanoseconds, or a sequence number.
+    return int(text.replace(".", ""))
