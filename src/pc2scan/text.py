@@ -158,32 +158,33 @@ class Table(NamedTuple):
         columns = [*zip(self.columns, *([leading(name), *cells] for name, *cells in rows), strict=True)]
         widths = [max(map(len, column)) for column in columns]
 
-        def is_wide() -> bool:
-            return width is not None and sum(widths) + _GAP * (len(widths) - 1) > width
+        def needed() -> int:
+            return sum(widths) + _GAP * (len(widths) - 1)
 
+        most = width or needed()
         for number in reversed(range(1, len(columns))):
-            if is_wide() and _NOTHING.issuperset(columns[number][1:]):
+            if needed() > most and _NOTHING.issuperset(columns[number][1:]):
                 del columns[number], widths[number]
         texts = [number for number, column in enumerate(columns) if column[0] in self.left]
-        while is_wide() and (wide := [number for number in texts if widths[number] > _NARROWEST]):
+        while needed() > most and (wide := [number for number in texts if widths[number] > _NARROWEST]):
             # Narrow the widest column by one at a time, so that all columns share the space.
             widths[max(wide, key=widths.__getitem__)] -= 1
         for number, cells in enumerate(zip(*columns, strict=True)):
             # Text that is too wide continues on the next line.
-            pieces = map(_wrapped, cells, widths)
+            pieces = [
+                [cell] if len(cell) <= room else _wrapped(cell, room) for cell, room in zip(cells, widths, strict=True)
+            ]
             for parts in zip_longest(*pieces, fillvalue=""):
                 aligned = (
                     part.ljust(widths[i]) if i in texts else part.rjust(widths[i]) for i, part in enumerate(parts)
                 )
                 yield (" " * _GAP).join(aligned).rstrip()
             if number == 0:
-                yield "-" * (sum(widths) + _GAP * (len(widths) - 1))
+                yield "-" * needed()
 
 
 def _wrapped(text: str, width: int) -> list[str]:
     """Return a text as lines; names of topics and types may be broken after a slash."""
-    if len(text) <= width:
-        return [text]
     spaced = text if " " in text else text.replace("/", "/ ")
     lines = wrap(spaced, width, break_on_hyphens=False)
     return lines if " " in text else [line.replace(" ", "") for line in lines]

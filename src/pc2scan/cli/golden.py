@@ -42,7 +42,7 @@ def _init(folder: Path, options: Options) -> int:
     with progress_bar(options) as progress:
         report = make_case(folder, run_command, options, progress=progress)
     for remark in report.remarks():
-        say(as_typed(str(remark)), err=True)
+        say(as_typed(remark), err=True)
     if not options.quiet:
         show_parts(f"{file}  {counted(file.stat().st_size, 'byte')}" for file in sorted(folder.iterdir()))
         say(f"next: look at {folder}/expected.txt, commit the folder, and: pc2scan golden {folder}")

@@ -92,14 +92,17 @@ class LiveWarnings(list[str]):
         say(as_typed(f"warning: {text}"), err=True)
 
 
-def as_typed(text: str) -> str:
-    """Return a text with its options as they are typed; other text in backticks is unchanged.
+def as_typed(part: str | Call | Remark) -> str:
+    """Return a call as a command line, or a text with its options as they are typed.
 
-    Messages name an option as in Python: ```overwrite=True` replaces it``.
+    Messages name an option as in Python: ```overwrite=True` replaces it``; other text in backticks is unchanged.
 
     >>> as_typed("`overwrite=True` replaces it; `topics=/points:=/b` is free; see `min_height` and `ls`")
     '--overwrite replaces it; --topic /points:=/b is free; see --min-height and `ls`'
     """
+    if isinstance(part, Call):
+        return " ".join(map(shell_word, call_words(part)))
+    text = str(part)
     return _NAMED.sub(_spelled, text) if "`" in text else text
 
 
@@ -143,7 +146,7 @@ def show(result: Result, options: Options, known: Container[str] = ()) -> int:
         show_parts(f"note: {note}" for note in result.notes)
     for remark in result.remarks(verbose=verbose):
         if remark.label != "warning" or remark.text not in known:
-            say(as_typed(str(remark)), err=True)
+            say(as_typed(remark), err=True)
     return result.exit_status
 
 
@@ -152,13 +155,8 @@ def show_parts(parts: Iterable[Part]) -> None:
 
     Rich is not used, because to import it takes a third of the time in which a small recording is converted.
     """
-    for line in lines_of(parts, columns_of(sys.stdout), _in_a_shell):
+    for line in lines_of(parts, columns_of(sys.stdout), as_typed):
         say(line)
-
-
-def _in_a_shell(part: str | Call | Remark) -> str:
-    """Return a call as a command line, and texts with their options as they are typed."""
-    return " ".join(map(shell_word, call_words(part))) if isinstance(part, Call) else as_typed(str(part))
 
 
 @contextmanager
