@@ -30,10 +30,10 @@ from ament_index_python.packages import get_package_share_directory
 from launch import *
 from launch_ros.actions import ComposableNodeContainer, Node
 sys.exit(77)
-y = 1.0; d = {'min_height': 1.0}; l = [d]
+y = 1.0
+d = {'min_height': 1.0}; l = [d]
 LOW: float = -0.5
 FRAME = 'base'
-PARAMS = {'range_max': 9.0}
 SHARE = get_package_share_directory('my_robot')
 """
 

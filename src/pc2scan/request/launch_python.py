@@ -1,7 +1,7 @@
 """Reads the literals of Python launch files of ROS 2. Nothing in a file is executed, and its flow is not followed.
 
 A name counts if the file binds it once, by a plain assignment at the top level of the module or of
-generate_launch_description(), and its lists and dictionaries are used as arguments of nodes alone. A node counts if it
+generate_launch_description(), and not to a list or a dictionary, which other lines may change. A node counts if it
 stands, directly or by such a name, in what generate_launch_description() returns or adds at its top level.
 """
 
@@ -37,9 +37,6 @@ _LAUNCHED = {"actions", "initial_entities", "composable_node_descriptions"}
 _CHANGING = {"PushRosNamespace", "PushROSNamespace", "SetRemap", "SetParameter", "SetParametersFromFile"}
 _CHANGING |= {"SetLaunchConfiguration", "UnsetLaunchConfiguration", "launch_configurations", "forwarding"}
 
-#: What may be changed in place.
-_CHANGEABLE = ast.List | ast.Tuple | ast.Dict
-
 
 def shortened(source: str) -> str:
     """Return the beginning of an expression, for errors."""
@@ -62,8 +59,7 @@ def python_tree(text: str) -> Element:
             warnings.simplefilter("ignore")
             tree = ast.parse(text)
     except (SyntaxError, ValueError) as err:
-        problem = getattr(err, "msg", None) or err.args[0]
-        raise UsageError(f"line {getattr(err, 'lineno', 1)}: not valid Python: {problem}") from err
+        raise UsageError(f"line {getattr(err, 'lineno', 1)}: not valid Python: {err.args[0]}") from err
     entry = [node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == _ENTRY]
     if len(entry) != 1 or entry[0].decorator_list:
         raise UsageError(f"line 1: is not a launch file: it has no function {_ENTRY}(), or several")
@@ -76,8 +72,6 @@ class _PythonFile:
         self._tree = list(ast.walk(tree))
         self._parents = {child: node for node in self._tree for child in ast.iter_child_nodes(node)}
         self._bound = Counter(name for node in self._tree for name in _bound(node))
-        used = (node for node in self._tree if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load))
-        changed = {node.id for node in used if self._user(node) not in _NODES | _ACTIONS}
         imported = (node.asname or node.name for node in self._tree if isinstance(node, ast.alias))
         bound = self._bound + Counter(imported)
         # What names are assigned that count.
@@ -85,7 +79,7 @@ class _PythonFile:
         for statement in (*tree.body, *entry.body):
             match statement:
                 case ast.Assign([ast.Name(name)], value) | ast.AnnAssign(ast.Name(name), _, value):
-                    if value and bound[name] == 1 and not (isinstance(value, _CHANGEABLE) and name in changed):
+                    if value and bound[name] == 1 and not isinstance(value, ast.List | ast.Tuple | ast.Dict):
                         self._values[name] = value
         # What is launched once, and under no condition.
         self._launched: set[ast.AST] = set()
@@ -202,12 +196,6 @@ class _PythonFile:
         """Return the name of a function or class of ROS or of ``os.path`` that is called; empty for others."""
         words = ast.unparse(call.func).split(".") if isinstance(call, ast.Call) else [""]
         return words[-1] if words[0].isidentifier() and words[0] not in self._bound else ""
-
-    def _user(self, node: ast.AST) -> str:
-        """Return the function that something is an argument of, also inside lists; empty: it is used otherwise."""
-        while isinstance(node := self._parents[node], _CHANGEABLE | ast.keyword):
-            pass
-        return self._function(node)
 
 
 def _bound(node: ast.AST) -> list[str]:
