@@ -105,22 +105,31 @@ def test_what_is_refused_changes_nothing(words: str, why: str, bucket: Any) -> N
     assert contents(bucket) == before
 
 
-@pytest.mark.parametrize(("name", "method"), [("metadata.yaml", "put_file"), ("hall_0.db3", "get_file")])
+@pytest.mark.parametrize(("method", "name", "others"), rows(CASES, "transfers"))
 @pytest.mark.parametrize("failure", [OSError("gone"), KeyboardInterrupt()])
-def test_a_transfer_that_fails_leaves_nothing(
-    failure: BaseException, name: str, method: str, bucket: Any, monkeypatch: pytest.MonkeyPatch
+def test_a_transfer_that_fails_leaves_nothing_of_its_own(
+    failure: BaseException, method: str, name: str, others: list[str], bucket: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     transfer = getattr(bucket, method)
 
     def failing(source: str, target: str, **options: Any) -> None:
         transfer(source, target, **options)
         if source.endswith(name):
+            bucket.pipe(dict.fromkeys(others, b""))
             raise failure
 
     monkeypatch.setattr(type(bucket), method, staticmethod(failing))
     with pytest.raises((Pc2ScanError, KeyboardInterrupt)):
         pc2scan.convert("memory://bucket/hall", "memory://out/x", **HEIGHTS)
-    assert bucket.find("/out") == []
+    assert bucket.find("/out") == others
+
+
+def test_s3_gives_up_soon_and_reads_in_one_stream(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(fsspec.config.conf, "s3", {"config_kwargs": {"region_name": "here", "read_timeout": 9}})
+    monkeypatch.setattr(fsspec, "url_to_fs", lambda url, **options: (options, url))
+    options, _ = urls.UrlPath("s3://drives/hall.bag").store
+    settings = {"connect_timeout": 10, "read_timeout": 9, "retries": {"max_attempts": 0}, "region_name": "here"}
+    assert (options["max_concurrency"], options["config_kwargs"]) == (1, settings)
 
 
 def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
