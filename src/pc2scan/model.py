@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
+    from collections.abc import Collection, Container, Iterable, Mapping, Sequence
 
     from .threads import Threads
 
@@ -183,6 +183,11 @@ class RawMessage(NamedTuple):
 def own_data(data: Buffer) -> Buffer:
     """Return data to keep: copied, if a view of it would keep more than twice as much in memory."""
     return data if isinstance(data, bytes) or 2 * len(data) >= memoryview(data.obj).nbytes else bytes(data)
+
+
+def of_types(connections: Iterable[Connection], types: Container[str]) -> list[Connection]:
+    """Return the connections whose messages have one of some types."""
+    return [connection for connection in connections if connection.ros_type in types]
 
 
 def copied_message(message: RawMessage) -> RawMessage:

@@ -13,6 +13,7 @@ from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.poses import POSES
 from pc2scan.messages.stamps import STAMPED, stamp_in
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
+from pc2scan.model import of_types
 from pc2scan.request.point_time import PointTime
 from pc2scan.request.spec import TRAJECTORY
 from pc2scan.text import counted, stamp
@@ -122,17 +123,18 @@ class Clocks:
         for facts in self._topics:
             facts.ask_headers(CLOCK_HEADERS)
         connections = survey.reader.connections
-        self._is_simulated = any(each.ros_type == _CLOCK for each in connections)
+        self._is_simulated = bool(of_types(connections, {_CLOCK}))
         motion = moving(connections, survey.frames.tf_topics) if compared is None else compared
         self._motion = _observers(motion, survey.span)
         own = {facts.topic for facts in self._topics}
-        others = (each for each in connections if each.ros_type in STAMPED and each.ros_version is not None)
-        self._others = _observers((each for each in others if each.topic not in own and compared is None), survey.span)
+        others = (other for other in of_types(connections, STAMPED) if other.ros_version is not None)
+        others = (other for other in others if other.topic not in own and compared is None)
+        self._others = _observers(others, survey.span)
         survey.observers += (*self._motion.values(), *self._others.values())
 
     def warnings(self) -> list[str]:
         """Return warnings about topics whose clock is not that of what says where the robot was."""
-        return [each.warning for each in self.findings().values() if each.other]
+        return [clock.warning for clock in self.findings().values() if clock.other]
 
     def findings(self) -> dict[str, ClockFinding]:
         """Return what is wrong with the clocks of topics, once the survey was read.
@@ -152,7 +154,7 @@ class Clocks:
             reference_ns = motion.get(topic, 0)
             if not are_doubtful(delay_ns, reference_ns):
                 continue
-            if not motion and (self._is_simulated or not all(are_doubtful(delay_ns, each) for each in others)):
+            if not motion and (self._is_simulated or not all(are_doubtful(delay_ns, other_ns) for other_ns in others)):
                 continue
             against = f"those of {topic}, compared with their log times" if topic else "their log times"
             behind_ns = delay_ns - reference_ns
@@ -167,13 +169,13 @@ class Clocks:
 
 
 def _delay(facts: TopicFacts) -> int:
-    return median_low([each.delay_ns for each in facts.headers[:CLOCK_HEADERS]])
+    return median_low([header.delay_ns for header in facts.headers[:CLOCK_HEADERS]])
 
 
 def _medians(observers: Mapping[str, Observer[Delays]]) -> dict[str, int]:
     """Return the median delay of each topic that has messages."""
-    delays = {topic: _nearest(each.values) for topic, each in observers.items()}
-    return {topic: median_low(each) for topic, each in delays.items() if each}
+    delays = {topic: _nearest(observer.values) for topic, observer in observers.items()}
+    return {topic: median_low(values) for topic, values in delays.items() if values}
 
 
 def _duration_text(duration_ns: int) -> str:
@@ -214,7 +216,7 @@ def refuse_other_clock(trajectory: Trajectory, topics: Iterable[TopicFacts], spa
     UsageError
         The error has the times of both.
     """
-    last_ns = min((each for each in (span.stop_ns, end_ns) if each is not None), default=span.first_ns)
+    last_ns = min((time_ns for time_ns in (span.stop_ns, end_ns) if time_ns is not None), default=span.first_ns)
     for facts in topics:
         if not facts.headers:
             continue
@@ -269,7 +271,7 @@ def measure_offsets(
     span
         The cut, in whose first messages it is measured.
     """
-    motion = [each for each in moving(reader.connections, tf_topics) if each.topic not in topics]
+    motion = [connection for connection in moving(reader.connections, tf_topics) if connection.topic not in topics]
     ends = {topic: Observer(own, _delay_of_end, _MOTIONS, span.start_ns, span.stop_ns) for topic, own in topics.items()}
     references = _observers(motion, span)
     observe((reader, [*ends.values(), *references.values()]))
@@ -298,8 +300,8 @@ def moving(connections: Sequence[Connection], tf_topics: Sequence[str]) -> list[
     """Return the connections with moving transforms; without any, or if it is not clear which, those with poses."""
     transforms: list[Connection] = []
     with suppress(UsageError):
-        transforms = [each for each in tf_connections(connections, tf_topics) if not each.is_static]
-    return transforms or [each for each in connections if each.ros_type in POSES and each.ros_version is not None]
+        transforms = [connection for connection in tf_connections(connections, tf_topics) if not connection.is_static]
+    return transforms or [poses for poses in of_types(connections, POSES) if poses.ros_version is not None]
 
 
 def _nearest(messages: Iterable[Delays]) -> list[int]:
@@ -308,7 +310,7 @@ def _nearest(messages: Iterable[Delays]) -> list[int]:
     for message in messages:
         for child, delay_ns in message:
             delays.setdefault(child, []).append(delay_ns)
-    return min(delays.values(), key=lambda each: abs(median_low(each)), default=[])
+    return min(delays.values(), key=lambda values: abs(median_low(values)), default=[])
 
 
 def _delay_of_end(message: RawMessage) -> int:

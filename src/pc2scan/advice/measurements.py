@@ -235,7 +235,7 @@ def _require_fields(facts: TopicFacts, spec: ScanSpec) -> None:
     if not facts.headers:
         return
     topic = facts.topic
-    fields = list(dict.fromkeys(name for each in facts.headers for name in each.fields))
+    fields = list(dict.fromkeys(name for header in facts.headers for name in header.fields))
     listed = f"their fields are: {', '.join(fields) or 'none'}"
     require_fields(spec, fields, f"the clouds on {topic}", listed, spec.point_time.field if spec.point_time else "")
     if spec.deskew and not spec.point_time and not time_field(fields):
@@ -256,7 +256,7 @@ def _timing(facts: TopicFacts, spec: ScanSpec, placer: Placer, notes: list[str])
     layout = (params.at_resolution(step) if step else params).layout
     scan_time, time_increment, first_beam_ns = params.scan_time, params.time_increment, 0
     if scan_time == "auto":
-        stamps = [each.stamp_ns for each in facts.headers[:STAMPS]]
+        stamps = [header.stamp_ns for header in facts.headers[:STAMPS]]
         interval = median_interval_ns(stamps)
         scan_time = (interval or 0) / 1e9
         notes.append(
@@ -266,20 +266,21 @@ def _timing(facts: TopicFacts, spec: ScanSpec, placer: Placer, notes: list[str])
             f"{'its' if len(stamps) < STAMPS else 'the first'} {len(stamps)} stamps"
         )
     if time_increment == "auto":
-        time_increment, first_beam_ns, note = _beams(shapes, layout, [each.stamp_ns for each in facts.headers], placer)
+        times = [header.stamp_ns for header in facts.headers]
+        time_increment, first_beam_ns, note = _beams(shapes, layout, times, placer)
         notes.append(f"{topic}: {note}")
     return Measurements(scan_time, time_increment, first_beam_ns, step)
 
 
 def regular_step(shapes: Sequence[CloudShape]) -> float | None:
     """Return how finely the lidar samples azimuth, radians; None if most of its clouds have no regular rings."""
-    known = [each.step for each in shapes if each.step is not None]
+    known = [shape.step for shape in shapes if shape.step is not None]
     return median_low(known) if 2 * len(known) > len(shapes) else None
 
 
 def _resolution(topic: str, shapes: Sequence[CloudShape], params: ProjectionParams, notes: list[str]) -> float:
     """Return how finely the lidar samples azimuth, radians."""
-    known = sum(each.step is not None for each in shapes)
+    known = sum(shape.step is not None for shape in shapes)
     step = regular_step(shapes)
     if step is None:
         raise unknown_step(
@@ -298,9 +299,9 @@ def _beams(
     shapes: Sequence[CloudShape], layout: BeamLayout, stamps_ns: Sequence[int], placer: Placer
 ) -> tuple[float, int, str]:
     """Return the time between beams in seconds, from the stamp to the first beam in nanoseconds, and a note."""
-    field = ", ".join(dict.fromkeys(each.time_field for each in shapes if each.time_field))
-    sweeps = [sweep for each in shapes if (sweep := _turned(each, placer)) is not None]
-    takes = median([each.end - each.begin for each in sweeps]) if sweeps else 0.0
+    field = ", ".join(dict.fromkeys(shape.time_field for shape in shapes if shape.time_field))
+    sweeps = [sweep for shape in shapes if (sweep := _turned(shape, placer)) is not None]
+    takes = median([sweep.end - sweep.begin for sweep in sweeps]) if sweeps else 0.0
     period = (median_interval_ns(stamps_ns) or 0) / 1e9
     timings = [times for sweep in sweeps if (times := beam_times(sweep, layout)) is not None]
     why = ""
@@ -364,10 +365,10 @@ def time_warnings(facts: TopicFacts, point_time: PointTime) -> Iterator[str]:
     if doubt := duration_warning(facts, point_time):
         yield doubt
         return
-    period = (median_interval_ns(each.stamp_ns for each in clouds) or 0) / 1e9
+    period = (median_interval_ns(cloud.stamp_ns for cloud in clouds) or 0) / 1e9
     if len(clouds) < _FEWEST or not period:
         return
-    low, high = median([each.low for each in clouds]), median([each.high for each in clouds])
+    low, high = median([cloud.low for cloud in clouds]), median([cloud.high for cloud in clouds])
     every = f"clouds come every {period:.3g} s"
     if max(low, -high) > max(_PERIODS * period, _SECONDS):
         where = "after" if low > 0 else "before"
@@ -380,11 +381,11 @@ def time_warnings(facts: TopicFacts, point_time: PointTime) -> Iterator[str]:
 
 def duration_warning(facts: TopicFacts, point_time: PointTime) -> str:
     """Return the warning that clouds or scans take far too long or too short by their own times; empty if not."""
-    if any(each.turn for each in facts.headers):
+    if any(header.turn for header in facts.headers):
         return increment_warning(facts)
     topic, clouds = facts.topic, [] if point_time.turn is not None else facts.values(times_of(point_time))
-    period = (median_interval_ns(each.stamp_ns for each in clouds) or 0) / 1e9
-    whole = median([each.high - each.low for each in clouds]) if len(clouds) >= _FEWEST else 0.0
+    period = (median_interval_ns(cloud.stamp_ns for cloud in clouds) or 0) / 1e9
+    whole = median([cloud.high - cloud.low for cloud in clouds]) if len(clouds) >= _FEWEST else 0.0
     if not (period and whole > 0) or 1 / _OFF < whole / period < _OFF:
         return ""
     name, unit = clouds[0].field, clouds[0].unit
@@ -406,8 +407,8 @@ def duration_warning(facts: TopicFacts, point_time: PointTime) -> str:
 
 def increment_warning(facts: TopicFacts) -> str:
     """Return the warning that scans take far too long or too short by their time_increment; empty if not."""
-    turn = median([each.turn for each in facts.headers]) if facts.headers else 0.0
-    period = (median_interval_ns(each.stamp_ns for each in facts.headers) or 0) / 1e9
+    turn = median([header.turn for header in facts.headers]) if facts.headers else 0.0
+    period = (median_interval_ns(header.stamp_ns for header in facts.headers) or 0) / 1e9
     doubt = increment_doubt(turn, period) if turn else ""
     return f"{facts.topic}: {doubt}: {IN_SECONDS}" if doubt else ""
 

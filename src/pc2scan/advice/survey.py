@@ -116,8 +116,8 @@ class TopicFacts:
         self.topic = connections[0].topic
         self.connections = connections
         self._span = span
-        self._clouds = [each for each in connections if each.ros_type not in SCANS]
-        self._decoders = {each.id: CLOUDS[each.ros_type](each.serialization) for each in self._clouds}
+        self._clouds = [connection for connection in connections if connection.ros_type not in SCANS]
+        self._decoders = {cloud.id: CLOUDS[cloud.ros_type](cloud.serialization) for cloud in self._clouds}
         # By `Fact`; the headers, which LaserScans have as well, by `Header`.
         self._observers: dict[Hashable, Observer[Any]] = {}
         self._samples = _SAMPLES[True]
@@ -125,7 +125,7 @@ class TopicFacts:
     @property
     def observers(self) -> Sequence[Observer[Any]]:
         """Those of everything that was asked for."""
-        return [each for each in self._observers.values() if each.connections]
+        return [observer for observer in self._observers.values() if observer.connections]
 
     def ask_headers(self, most: int) -> None:
         """Ask for the headers of so many messages."""
@@ -169,7 +169,7 @@ class TopicFacts:
     @property
     def frame(self) -> str:
         """The frame of the first message; empty if there is none."""
-        return next((each.frame_id for each in self.headers), "")
+        return next((header.frame_id for header in self.headers), "")
 
     def values(self, fact: Fact[_Value]) -> list[_Value]:
         """Return what was taken of the first clouds, in the order of log time, and no more than this fact wants."""
@@ -212,7 +212,7 @@ class TopicFacts:
 
     def unit_warning(self) -> str:
         """Return the warning that the clouds are in another unit than metres; empty if they are not."""
-        distance = next((far_away(each.points) for each in self.values(self._samples)), 0.0)
+        distance = next((far_away(sample.points) for sample in self.values(self._samples)), 0.0)
         return unit_warning(self.topic, distance) if distance else ""
 
     def _ask(
@@ -294,7 +294,7 @@ class Survey:
 
     def facts(self, connections: Sequence[Connection]) -> TopicFacts:
         """Return the facts about the messages of some connections of one topic."""
-        key = tuple(each.id for each in connections)
+        key = tuple(connection.id for connection in connections)
         return self._facts.setdefault(key, TopicFacts(connections, self.span))
 
     def topics(self, connections: Iterable[Connection]) -> dict[str, TopicFacts]:
@@ -337,7 +337,7 @@ class Survey:
                 observers += imu.observers(reader)
             if reader is self.reader:
                 observers += [] if self.robot is None else self.robot.observers
-                observers += (each for facts in self._facts.values() for each in facts.observers)
+                observers += (observer for facts in self._facts.values() for observer in facts.observers)
                 observers += self.observers
             passes.append((reader, observers))
         observe(*passes, meter=meter)

@@ -114,7 +114,7 @@ class _State(NamedTuple):
 
     def reverse(self) -> _State:
         """The state for time that runs backward: rotations and the bias change their sign."""
-        return self._replace(bias=tuple(-each for each in self.bias))
+        return self._replace(bias=tuple(-value for value in self.bias))
 
 
 def up_by_gravity(

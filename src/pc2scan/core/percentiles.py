@@ -36,7 +36,7 @@ def percentiles(values: ArrayLike, *percents: float) -> tuple[float, ...]:
     """
     flat = np.ravel(values)
     places = [percent / 100 * (len(flat) - 1) for percent in percents]
-    near = {min(each, len(flat) - 1) for place in places for each in (math.floor(place), math.floor(place) + 1)}
+    near = {min(index, len(flat) - 1) for place in places for index in (math.floor(place), math.floor(place) + 1)}
     ordered: NDArray[Any] = np.partition(flat, sorted(near))
     results = []
     for place in places:

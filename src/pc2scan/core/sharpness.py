@@ -80,8 +80,8 @@ def busiest(
     turned = one[:, 3:] * other[:, :3] - other[:, 3:] * one[:, :3] - np.cross(other[:, :3], one[:, :3])
     turned *= np.where((one * other).sum(axis=1, keepdims=True) < 0, -2.0, 2.0)
     motion = np.concatenate([np.diff(near[:, :3], axis=0), _LEVER / 2 * turned], axis=1)
-    sums, squares = (np.cumsum(np.pad(each, ((1, 0), (0, 0))), axis=0) for each in (motion, motion**2))
-    mean, square = ((each[steps:] - each[:-steps]) / steps for each in (sums, squares))
+    sums, squares = (np.cumsum(np.pad(values, ((1, 0), (0, 0))), axis=0) for values in (motion, motion**2))
+    mean, square = ((cumulated[steps:] - cumulated[:-steps]) / steps for cumulated in (sums, squares))
     change = (square - mean**2).sum(axis=1)
     windows: list[Window] = []
     while len(windows) < most and change.size and (at := int(np.argmax(change))) >= 0 and change[at] > 0:
@@ -115,4 +115,4 @@ def roughness(stamps_ns: NDArray[np.int64], values: NDArray[np.float64]) -> NDAr
     weights = 1 / apart.prod(axis=2)
     weights /= np.linalg.norm(weights, axis=1, keepdims=True)
     off = np.abs(np.einsum("np,npk->nk", weights, values[places]))
-    return np.array([median(each) / 0.6745 for each in off.T])
+    return np.array([median(column) / 0.6745 for column in off.T])

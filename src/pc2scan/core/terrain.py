@@ -219,7 +219,7 @@ def _follow_ground(cells: Cells) -> NDArray[np.float64]:
     kerb = np.full(_SECTORS, -np.inf)
     ground = np.full(cells.height.shape, np.nan)
     for ring in np.flatnonzero(np.isfinite(cells.height).any(axis=1)).tolist():
-        z, r, cluttered = (each[ring] for each in cells)
+        z, r, cluttered = (values[ring] for values in cells)
         rise, over, apart, base = z - z0, z - z1, r - r0, r - r1
         fall = _STEEPEST * base
         most = np.where(cluttered, _NOISE + 0.02 * apart, np.minimum(_STEEPEST * apart + _NOISE, _RISE))
@@ -283,8 +283,8 @@ def _heights_at(
     after = np.minimum.accumulate(np.concatenate([np.where(known, number, rings), end])[::-1], axis=0)[::-1]
     nothing = np.zeros((1, sectors))
     heights, distances = np.concatenate([ground, nothing]), np.concatenate([distance, nothing])
-    z0, z1 = (np.take_along_axis(heights, each, axis=0) for each in (before, after))
-    r0, r1 = (np.take_along_axis(distances, each, axis=0) for each in (before, after))
+    z0, z1 = (np.take_along_axis(heights, ring, axis=0) for ring in (before, after))
+    r0, r1 = (np.take_along_axis(distances, ring, axis=0) for ring in (before, after))
     along = edges[:, np.newaxis]
     edge_heights = np.where(after < rings, (z1 - z0) / (r1 - r0) * (along - r0) + z0, z0)
     # After the last cell the ground continues for some metres.

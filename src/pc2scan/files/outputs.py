@@ -567,7 +567,7 @@ class Inputs:
                 ("is inside", self._files, above),
             ]
             for relation, known, paths in relations:
-                keys = (key for each in paths for key in (*file_ids(each), name_key(each.as_posix())))
+                keys = (key for path in paths for key in (*file_ids(path), name_key(path.as_posix())))
                 used = next((known[key] for key in keys if key in known), None)
                 if used is None:
                     continue

@@ -107,14 +107,14 @@ class Check(Result):
     @property
     def _refused(self) -> list[tuple[str, str, str]]:
         """Outcome, topic and consumer, where a consumer that counts does not accept every scan of a topic."""
-        outcomes = {topic.topic: {each.consumer: each.outcome for each in topic.consumers} for topic in self.topics}
+        outcomes = {topic.topic: {by.consumer: by.outcome for by in topic.consumers} for topic in self.topics}
         every = [(own.get(name, _NOTHING), topic, name) for topic, own in outcomes.items() for name in self.counting]
-        return [each for each in every if each[0] != "accepted"]
+        return [outcome for outcome in every if outcome[0] != "accepted"]
 
     @property
     def _defects(self) -> list[str]:
         """The kinds of all defects."""
-        kinds = [each.kind for topic in self.topics for each in topic.findings if each.level == "defect"]
+        kinds = [finding.kind for topic in self.topics for finding in topic.findings if finding.level == "defect"]
         return [*kinds, *["damage"] * bool(self.damage)]
 
     @property
@@ -138,7 +138,7 @@ class Check(Result):
     def _conclusion(self) -> str:
         """Return in one line which consumers would not accept what, the worst first."""
         refusing: dict[str, list[str]] = {}
-        for outcome, topic, consumer in sorted(self._refused, key=lambda each: -_WORST.index(each[0])):
+        for outcome, topic, consumer in sorted(self._refused, key=lambda outcome: -_WORST.index(outcome[0])):
             of = f" ({topic})" if len(self.topics) > 1 else ""
             refusing.setdefault(f"{outcome}{of}: ", []).append(consumer)
         parts = [outcome + ", ".join(consumers) for outcome, consumers in refusing.items()]
@@ -178,11 +178,11 @@ def check(sources: Sequence[Path], options: Options, progress: Progress | None =
         # Consumers know no transforms but those of the recording, and what the user adds.
         known = frames if frames.model else replace(frames, model=RobotModel("", ()))
         survey = Survey(reader, others, known, Span(None, None, 0))
-        wanted = [each for group in chosen.values() for each in group]
+        wanted = [connection for group in chosen.values() for connection in group]
         clocks = Clocks(survey, survey.topics(wanted).values())
         reading = survey.ask_transforms((options.odom_frame, options.base_frame), use=False)
         arrivals = Arrivals()
-        moving = [each for each in tf_connections(reader.connections, known.tf_topics) if not each.is_static]
+        moving = [tf for tf in tf_connections(reader.connections, known.tf_topics) if not tf.is_static]
         survey.observers.append(Observer(moving, copied_message, keep=arrivals.add))
         meter = Meter(progress)
         meter.following = reader.stored_bytes(wanted)
@@ -197,13 +197,13 @@ def check(sources: Sequence[Path], options: Options, progress: Progress | None =
             topic = message.connection.topic
             scans[topic].read(message, options.echo, places[topic].add)
         meter.finish()
-        shared = [Finding("static-unheard", "defect", *each) for each in unheard(reader.connections)]
+        shared = [Finding("static-unheard", "defect", *texts) for texts in unheard(reader.connections)]
         checked = []
         for name, own in scans.items():
             findings = [*own.findings(), *(places[name].findings(own.interval_ns) if own.scans else ())]
             findings.sort(key=lambda finding: finding.level)
             checked.append(own.result(name, own.interval_ns, [*shared, *findings]))
-        damage = tuple(place for each in (reader, *others) for place in each.damage)
+        damage = tuple(place for recording in (reader, *others) for place in recording.damage)
     warnings = (*transforms.warnings, *transforms.notes)
     return Check(tuple(map(str, sources)), options.consumers, tuple(checked), warnings, damage)
 

@@ -23,7 +23,7 @@ from pc2scan.messages.clouds import CLOUDS, SCANS, usual_topics
 from pc2scan.messages.imu import IMU
 from pc2scan.messages.other_clouds import instead_of_clouds
 from pc2scan.messages.tfmessage import TF_TYPES
-from pc2scan.model import copied_message, declared_counts
+from pc2scan.model import copied_message, declared_counts, of_types
 from pc2scan.parsing import OF_FRAMES, frames_of
 from pc2scan.request.point_time import PointTime
 from pc2scan.result import Call, Part, Result
@@ -176,14 +176,16 @@ class Info(Result):
             yield ""
             yield from scans.head()
             yield from (text for finding in scans.findings for text in finding.lines())
-            for outcome in dict.fromkeys(each.outcome for each in scans.consumers):
-                names = (each.consumer for each in scans.consumers if each.outcome == outcome)
+            for outcome in dict.fromkeys(verdict.outcome for verdict in scans.consumers):
+                names = (verdict.consumer for verdict in scans.consumers if verdict.outcome == outcome)
                 yield f"  {outcome:<10}{', '.join(names)}"
             yield "  of a sample; pc2scan check explains why, and checks all scans and their transforms"
         if self.proposals:
             yield ""
-            mountings = ((each.topic, each.mounting) for each in self.clouds if each.mounting and each.mounting.heights)
-            yield from (f"{leading(topic)}: {_ground_text(mounting)}" for topic, mounting in mountings)
+            placed = (
+                (cloud.topic, cloud.mounting) for cloud in self.clouds if cloud.mounting and cloud.mounting.heights
+            )
+            yield from (f"{leading(topic)}: {_ground_text(mounting)}" for topic, mounting in placed)
             for call in self.proposals:
                 yield ""
                 yield "options, and why:" if len(self.proposals) == 1 else f"options for {_topics_of(call)}, and why:"
@@ -279,25 +281,25 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
             if cloud.mounting is None or mounting is None:
                 continue
             # Where the robot moves in the frame of these points, its own body is not at one place.
-            parts, has_zeros = [(each.stamp_ns, each.points) for each in placed if is_own], bool(cloud.zero_share)
+            parts, has_zeros = [(cloud.stamp_ns, cloud.points) for cloud in placed if is_own], bool(cloud.zero_share)
             of_robot = recorded, reader.connections, surveyed.known_ns, surveyed.clocks.get(topic), surveyed.ups
             lidars.append(Lidar(surveyed.facts[topic], mounting, surveyed.buffer, parts, has_zeros, *of_robot))
         if not any(topic.msgtype in {*CLOUDS, *SCANS} for topic in topics) and (
             instead := instead_of_clouds(reader.connections)
         ):
             warnings.append(f"the recording has no clouds, but {instead[0]}; {instead[1]}")
-        mountings = [each.mounting for each in lidars]
+        mountings = [lidar.mounting for lidar in lidars]
         # The proposed command has the frame in which recorded transforms make clouds level.
         warnings += (own.warning for own in mountings if own.warning and (own.static_tf or not own.target_frame))
-        heights = ((each.topic, each.mounting.heights) for each in lidars)
+        heights = ((lidar.topic, lidar.mounting.heights) for lidar in lidars)
         warnings += (f"{topic}: {own.doubt}" for topic, own in heights if own and own.doubt)
-        warnings += dict.fromkeys(text for each in clouds for text in surveyed.moving_frames(each.topic))
-        warnings += (text for each in lidars for text in time_warnings(each.facts, PointTime()))
+        warnings += dict.fromkeys(text for cloud in clouds for text in surveyed.moving_frames(cloud.topic))
+        warnings += (text for lidar in lidars for text in time_warnings(lidar.facts, PointTime()))
         warnings += (*missing_mounts(lidars), *odometry_doubts(lidars), *reader.remarks)
         # Landmarks and the like are no lidar's, if there is one.
         types = {topic.topic: [topic.msgtype] for topic in topics if topic.messages}
-        usual = {each.topic for each in lidars} if options.topics else set(usual_topics(types, (*CLOUDS, *SCANS)))
-        calls = proposals([each for each in lidars if each.topic in usual], readers, types, given, warnings)
+        usual = {lidar.topic for lidar in lidars} if options.topics else set(usual_topics(types, (*CLOUDS, *SCANS)))
+        calls = proposals([lidar for lidar in lidars if lidar.topic in usual], readers, types, given, warnings)
         periods = {topic.topic: 1e9 / topic.rate_hz if topic.rate_hz else None for topic in shown}
         return Info(
             tuple(map(_file_info, readers)),
@@ -306,7 +308,7 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
             sum(counts.values()),
             tuple(topics),
             tuple(clouds),
-            tuple(each.result(topic, periods[topic], each.undecodable()) for topic, each in of_scans.items()),
+            tuple(scan.result(topic, periods[topic], scan.undecodable()) for topic, scan in of_scans.items()),
             tuple(calls),
             tuple(reader.damage),
             tuple(warnings),
@@ -318,11 +320,11 @@ def _with_odometry(
     reader: Reader, counts: Counter[int], frames: FrameOptions, given: Mapping[str, Any]
 ) -> tuple[FrameOptions, Mapping[str, Any]]:
     """Return options with the only topic that has odometry, if transforms mount the lidar and none move it."""
-    recorded = [each for each in reader.connections if counts[each.id]]
-    transforms = [each for each in recorded if each.ros_type in TF_TYPES]
-    moves = not transforms or not all(each.is_static for each in transforms)
-    topics = {each.topic for each in recorded if each.ros_type == "nav_msgs/msg/Odometry"}
-    has_clouds = any(each.ros_type in CLOUDS for each in recorded)
+    recorded = [connection for connection in reader.connections if counts[connection.id]]
+    transforms = of_types(recorded, TF_TYPES)
+    moves = not transforms or not all(connection.is_static for connection in transforms)
+    topics = {connection.topic for connection in of_types(recorded, {"nav_msgs/msg/Odometry"})}
+    has_clouds = bool(of_types(recorded, CLOUDS))
     if moves or len(topics) != 1 or not has_clouds or frames.adds_poses or frames.tf_from:
         return frames, given
     (topic,) = topics
@@ -331,8 +333,8 @@ def _with_odometry(
 
 def _lacking(reader: Reader, counts: Counter[int]) -> str:
     """Return what SLAM and navigation need that no messages give; empty if nothing is missing."""
-    transforms = [each for each in reader.connections if counts[each.id] and each.ros_type in TF_TYPES]
-    if not all(each.is_static for each in transforms):
+    transforms = [tf for tf in of_types(reader.connections, TF_TYPES) if counts[tf.id]]
+    if not all(connection.is_static for connection in transforms):
         return ""
     needs, mount = ("odometry", "") if transforms else ("odometry and the lidar's mount", ", `static_tf` the mount")
     return f"SLAM and navigation also need {needs}, which the recording does not have: {ADDS_ODOMETRY}{mount}"
@@ -373,9 +375,9 @@ class _SurveyResult:
     def __init__(self, survey: Survey, shown: Sequence[TopicInfo], end_ns: int | None, target_frame: str) -> None:
         moved = bool(target_frame)
         names = {topic.topic for topic in shown}
-        connections = [each for each in survey.reader.connections if each.topic in names]
-        clouds = survey.topics(each for each in connections if each.ros_type in CLOUDS)
-        flat = survey.topics(each for each in connections if each.ros_type in SCANS and each.topic not in clouds)
+        connections = [connection for connection in survey.reader.connections if connection.topic in names]
+        clouds = survey.topics(of_types(connections, CLOUDS))
+        flat = survey.topics(scan for scan in of_types(connections, SCANS) if scan.topic not in clouds)
         self.facts: Mapping[str, TopicFacts] = {**clouds, **flat}
         for facts in self.facts.values():
             facts.ask_headers(HEADERS)
@@ -383,11 +385,11 @@ class _SurveyResult:
         for facts in clouds.values():
             ask_facts(facts, end_ns)
         clocks = Clocks(survey, clouds.values())
-        imus = {each.topic for each in survey.reader.connections if clouds and each.ros_type == IMU}
+        imus = {imu.topic for imu in of_types(survey.reader.connections, {IMU}) if clouds}
         readings = {topic: survey.imu(topic, _MAX_IMU) for topic in sorted(imus)}
         if moved or survey.others or survey.frames.adds_poses:
             survey.ask_transforms((target_frame,))
-        elif any(each.ros_type in CLOUDS for each in survey.reader.connections):
+        elif of_types(survey.reader.connections, CLOUDS):
             survey.ask_robot(_moments(survey.span.first_ns, end_ns) if clouds and end_ns else ())
         survey.read()
         self.buffer: TransformBuffer | None = None
@@ -400,10 +402,10 @@ class _SurveyResult:
             self.buffer, until_ns = survey.robot.finish(), (end_ns or 0) - (0 if survey.robot.is_cut else EDGE_NS)
             self.known_ns = survey.span.first_ns + _FIRST * EDGE_NS, until_ns
         self.clocks = clocks.findings()
-        self.warnings += (each.warning for each in self.clocks.values())
-        self.warnings += filter(None, (each.unit_warning() for each in clouds.values()))
-        self.warnings += filter(None, (increment_warning(each) for each in flat.values()))
-        self.warnings += (text for each in self.facts.values() for text in stamp_faults(each))
+        self.warnings += (clock.warning for clock in self.clocks.values())
+        self.warnings += filter(None, (cloud.unit_warning() for cloud in clouds.values()))
+        self.warnings += filter(None, (increment_warning(scan) for scan in flat.values()))
+        self.warnings += (text for topic_facts in self.facts.values() for text in stamp_faults(topic_facts))
         self.ups: dict[str, UpEstimate] = {}
         for topic, reading in readings.items():
             with suppress(UsageError):
@@ -437,7 +439,7 @@ class _SurveyResult:
 
     def _judged(self, facts: TopicFacts, frame: str) -> Mounting | None:
         places = self.places._replace(target_frame=frame, buffer=self.buffer) if frame else self.places
-        ups = (each.z_of(places.source_frame or facts.frame, self.buffer) for each in self.ups.values())
+        ups = (up.z_of(places.source_frame or facts.frame, self.buffer) for up in self.ups.values())
         return facts.mounting(places, self.buffer, next(filter(None, ups), 0.0))
 
     def moving_frames(self, topic: str) -> Iterator[str]:
@@ -500,7 +502,7 @@ def _described(topics: Sequence[TopicInfo], names: Sequence[str], types: dict[st
     """Return the topics with clouds or scans that names or globs mean; without any, all of them."""
     known = [topic for topic in topics if topic.msgtype in (*CLOUDS, *SCANS) and topic.messages]
     candidates = sorted({topic.topic for topic in known})
-    matched = {each for name in names for each in find_topics(name, types, candidates, *CLOUDS, *SCANS)}
+    matched = {topic for name in names for topic in find_topics(name, types, candidates, *CLOUDS, *SCANS)}
     return [topic for topic in known if topic.topic in matched] if names else known
 
 
@@ -520,7 +522,7 @@ def _sampled(
     most = _MAX_POINTS // (len(clouds) + len(scans)) // taken + 1
     for topic in (*clouds, *scans):
         kinds = CLOUDS if topic in clouds else SCANS
-        own = [each for each in survey.reader.connections if each.topic == topic and each.ros_type in kinds]
+        own = [source for source in of_types(survey.reader.connections, kinds) if source.topic == topic]
         observer: Observer[Any] = Observer(own, copied_message, start_ns=start_ns, stop_ns=end_ns + 1)
         observer.spread = Spread.of(own, start_ns, end_ns + 1, samples)
         if topic in clouds:

@@ -313,7 +313,7 @@ def _converts(reader: Reader, request: Request, *, is_about_clouds: bool) -> boo
     types = types_by_topic(reader.connections)
     scans = [topic for topic, kinds in types.items() if LASERSCAN in kinds]
     clouds = [topic for topic, kinds in types.items() if not kinds.isdisjoint(CLOUDS)]
-    names = [each.source for each in request.scan.topics]
+    names = [topic.source for topic in request.scan.topics]
     if request.scan.may_share or request.scan.combining.rebin:
         return True
     of_scans, of_clouds = (any(matches(topic, names) for topic in kind) for kind in (scans, clouds))

@@ -102,7 +102,7 @@ def _figure(taken: Shots, title: str, kind: str) -> bytes:
         axes: Any = figure.subplots(2, columns, squeeze=False, height_ratios=inches)
         for column, (shot, points) in enumerate(zip(taken.shots, placed, strict=True)):
             _draw(axes[0, column], axes[1, column], shot, points, taken.params, limits)
-        legends = [each.get_legend_handles_labels() for each in axes[0]]
+        legends = [axis.get_legend_handles_labels() for axis in axes[0]]
         named = {name: handle for own in legends for handle, name in zip(*own, strict=True)}
         style: dict[str, Any] = {"loc": "outside lower center", "fontsize": 8, "frameon": False, "markerscale": 3}
         figure.legend(list(named.values()), list(named), ncols=4 if columns > 1 else 2, **style)

@@ -330,8 +330,8 @@ def _shot(message: RawMessage, conversion: CloudToScan, placer: Placer, samples:
     deskew, filters = conversion.deskews.get(connection.topic), conversion.spec.filters
     # Points at their own times, in the frame of the cloud; and, for filters, in that of the scans.
     place_own, place = (
-        PlaceStage(each, None if deskew is None else replace(deskew, placer=each, sample=None))
-        for each in (placer._replace(target_frame="", up=None), placer)
+        PlaceStage(frames, None if deskew is None else replace(deskew, placer=frames, sample=None))
+        for frames in (placer._replace(target_frame="", up=None), placer)
     )
     recorded = place_own(points)
     moving, stamp_ns = recorded.moving, recorded.stamp_ns

@@ -602,7 +602,7 @@ def describe_clouds(
     if not clouds:
         return info, clouds
     parts, sizes = [cloud.points for cloud in clouds], [math.prod(cloud.shape) for cloud in clouds]
-    kept, nans, zeros = np.sum([(each.points.shape[1], each.nans, each.zeros) for each in clouds], axis=0).tolist()
+    kept, nans, zeros = np.sum([(cloud.points.shape[1], cloud.nans, cloud.zeros) for cloud in clouds], axis=0).tolist()
     examined = max(1, kept + nans + zeros)
     return replace(
         info,

@@ -35,6 +35,7 @@ from pc2scan.errors import MessageError, Pc2ScanError, RecordingError, UsageErro
 from pc2scan.files.outputs import files_output, inputs_of, refuse_overlap
 from pc2scan.files.urls import path_of, path_or_url
 from pc2scan.messages.clouds import CLOUDS, SCANS
+from pc2scan.model import of_types
 from pc2scan.options.call import Options, call_words
 from pc2scan.options.table import PARAMETERS, options_of
 from pc2scan.parsing import conversion_of, first_output
@@ -165,7 +166,7 @@ def view(sources: Sequence[Path], destination: PathText | None, options: Options
 def _page(sources: Sequence[Path], request: Request, options: Options, warn: Warn | None) -> Page:
     """Make a page of a recording: of its clouds and their projection, or of its scans if it has no clouds."""
     with opened(sources, request, options, warn, _MOST_CLOUDS) as recording:
-        has_clouds = any(each.ros_type in CLOUDS for each in recording.reader.connections)
+        has_clouds = bool(of_types(recording.reader.connections, CLOUDS))
         describe = _clouds_page if has_clouds and not request.scan.reverse else _scans_page
         blobs: dict[str, bytes] = {}
         description, damage = describe(recording, blobs)
@@ -255,8 +256,8 @@ def _visible(value: Any) -> Any:
     if isinstance(value, str):
         return visible(value, None)
     if isinstance(value, Mapping):
-        return {visible(key, None): _visible(each) for key, each in value.items()}
-    return [_visible(each) for each in value] if isinstance(value, list | tuple) else value
+        return {visible(key, None): _visible(part) for key, part in value.items()}
+    return [_visible(part) for part in value] if isinstance(value, list | tuple) else value
 
 
 def _digest(text: str) -> str:
@@ -287,7 +288,7 @@ def _clouds_page(recording: PictureSource, blobs: dict[str, bytes]) -> tuple[dic
     request = recording.request if is_given else _as_proposed(recording)
     scan, preset = request.scan, options.preset or ""
     topics: dict[str, list[dict[str, Any]]] = {}
-    count = max(1, len({each.topic for each in recording.reader.connections if each.ros_type in CLOUDS}))
+    count = max(1, len({cloud.topic for cloud in of_types(recording.reader.connections, CLOUDS)}))
     most = _MOST_POINTS // (count * (len(options.at) or options.clouds))
     taken = take_shots(recording._replace(request=request), level=False, keep=partial(_packed, blobs, max(1, most)))
     for shot in taken.shots:
@@ -339,7 +340,7 @@ def _as_proposed(recording: PictureSource) -> Request:
         return request
     try:
         # Heights are of the first clouds, however many are sampled.
-        topics = [each.source for each in request.scan.topics]
+        topics = [topic.source for topic in request.scan.topics]
         given = Options("info", {"topics": topics, "target_frame": params.target_frame})
         calls = [call.options for call in info_of([recording.reader], given, request.frames, samples=1).proposals]
         first = next((call for call in calls if params.target_frame in ("", call.get("target_frame", ""))), {})
@@ -374,10 +375,10 @@ def _command_options(options: Options, request: Request) -> dict[str, Any]:
     given = {
         "destination": "scans.mcap",
         **given,
-        "topics": tuple(each.source + (f":={each.target}" if each.target else "") for each in topics),
+        "topics": tuple(topic.source + (f":={topic.target}" if topic.target else "") for topic in topics),
         "static_tf": tuple(
-            f"{each.parent} {each.child} {' '.join(map(repr, each.parent_from_child.pose))}"
-            for each in request.frames.static
+            f"{transform.parent} {transform.child} {' '.join(map(repr, transform.parent_from_child.pose))}"
+            for transform in request.frames.static
         ),
     }
     return {name: value for name, value in given.items() if value}
@@ -440,11 +441,11 @@ def _scans_page(recording: PictureSource, blobs: dict[str, bytes]) -> tuple[dict
         If no scan can be shown.
     """
     reader, request, options = recording.reader, recording.request, recording.options
-    names = [each.source for each in request.scan.topics]
+    names = [topic.source for topic in request.scan.topics]
     topics = scan_connections(reader, names)
     transforms, others = corrected_transforms(reader, request, recording.stack, ())
     if request.clock:
-        own = [each for connections in topics.values() for each in connections]
+        own = [connection for connections in topics.values() for connection in connections]
         reader, _ = corrected(reader, own, request.clock, request.frames.tf_topics)
     taken: dict[str, list[RawMessage]] = {topic: [] for topic in topics}
     for message in chosen_messages(recording._replace(reader=reader), topics):
@@ -512,8 +513,8 @@ def _layer(name: str, colour: int, scan: LaserScan, blobs: dict[str, bytes], pos
 def _findings(checked: Check) -> Iterator[dict[str, Any]]:
     """Yield the results of `pc2scan check` for each topic."""
     for topic in checked.topics:
-        told = [(f"{each.consumer}: {each.outcome}", each.outcome != "accepted") for each in topic.consumers]
-        told += [(f"{each.level}: {each.text}", each.level == "defect") for each in topic.findings]
+        told = [(f"{by.consumer}: {by.outcome}", by.outcome != "accepted") for by in topic.consumers]
+        told += [(f"{finding.level}: {finding.text}", finding.level == "defect") for finding in topic.findings]
         lines = [{"text": text, "wrong": is_wrong} for text, is_wrong in told]
         yield {"heading": f"pc2scan check: {topic.topic}", "lines": lines}
 

@@ -105,7 +105,7 @@ class TransformBuffer:
 
     def __len__(self) -> int:
         """Return the number of samples that are kept."""
-        return sum(each.size for each in self._histories if each is not None)
+        return sum(history.size for history in self._histories if history is not None)
 
     def history(self, frame: str) -> FrameHistory | None:
         """Return the transforms of a child frame; None for a frame that is never a child, or unknown."""
@@ -252,7 +252,7 @@ class TransformBuffer:
     @cached_property
     def infos(self) -> tuple[FrameInfo, ...]:
         """Statistics of each child frame, sorted by name."""
-        infos = (frame_info(each, self.frames) for each in self._histories if each is not None)
+        infos = (frame_info(history, self.frames) for history in self._histories if history is not None)
         return tuple(sorted(infos, key=attrgetter("child")))
 
     @cached_property

@@ -182,15 +182,15 @@ class TransformReading:
         if not missing or not candidates:
             return
         trials = {topic: PoseReading(PoseTopic(topic), own) for topic, own in candidates.items()}
-        firsts = [Observer(each.connections, copied_message, 1, keep=each.add) for each in trials.values()]
+        firsts = [Observer(trial.connections, copied_message, 1, keep=trial.add) for trial in trials.values()]
         observe((reader, firsts))
         fitting = []
         for topic, trial in trials.items():
-            pairs = ((each.parent, each.child) for each in trial.finish()[0])
+            pairs = ((transform.parent, transform.child) for transform in trial.finish()[0])
             fitting += [(topic, *pair) for pair in pairs if not missing.isdisjoint(pair)][:1]
         for topic, parent, child in fitting:
             # Without the name of the frame that has the poses, the user has to know it.
-            is_named = all(POSES[each.ros_type] for each in candidates[topic])
+            is_named = all(POSES[connection.ros_type] for connection in candidates[topic])
             if use and is_named and len(fitting) == 1:
                 observe((reader, [self._pose_observer(PoseTopic(topic), reader)]))
                 self._notes.append(
@@ -210,7 +210,7 @@ class TransformReading:
         if trajectory is not None:
             yield trajectory.parent, trajectory.child
         for reading in self._poses:
-            yield from ((each.parent, each.child) for each in reading.finish()[0])
+            yield from ((transform.parent, transform.child) for transform in reading.finish()[0])
 
     def add(self, reader: Reader, first: dict[str, TransformRow], message: RawMessage) -> None:
         """Add the transforms of a message, or count it if it cannot be decoded.
@@ -335,7 +335,7 @@ def read_transforms(
         Counts the bytes; None: nothing is reported.
     """
     reading = TransformReading(options)
-    observe(*((each, reading.observers(each, own=each is readers[0])) for each in readers), meter=meter)
+    observe(*((reader, reading.observers(reader, own=reader is readers[0])) for reader in readers), meter=meter)
     if needed:
         reading.supply(readers[0], needed)
     return reading.finish()
@@ -391,7 +391,7 @@ class RobotTransforms:
     @property
     def is_cut(self) -> bool:
         """Whether one of the seconds may have more messages than were taken."""
-        return any(len(each.values) >= _SOME_MESSAGES for each in self.observers)
+        return any(len(observer.values) >= _SOME_MESSAGES for observer in self.observers)
 
     def finish(self) -> TransformBuffer | None:
         """Return the transforms; None if there are none, or it is not clear which ones to use."""
@@ -399,7 +399,7 @@ class RobotTransforms:
         if not self._is_known or not (self.observers or options.static or options.model):
             return None
         reading = TransformReading(options)
-        for message in (each for observer in self.observers for each in observer.values):
+        for message in (value for observer in self.observers for value in observer.values):
             with suppress(RecordingError):
                 if message.connection.ros_type in TF_TYPES:
                     reading.add(self._reader, {}, message)

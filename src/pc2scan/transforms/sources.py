@@ -242,7 +242,7 @@ def add_trajectory(builder: TransformBuilder, trajectory: Trajectory, attachment
     poses = trajectory.poses
     if attachment.child_from_frame is not None:
         moved = compose_poses(tuple(poses.T), attachment.child_from_frame)
-        poses = np.stack([np.broadcast_to(np.asarray(each), len(poses)) for each in moved], axis=1)
+        poses = np.stack([np.broadcast_to(np.asarray(pose), len(poses)) for pose in moved], axis=1)
     builder.add_poses(attachment.parent, attachment.frame, trajectory.stamps_ns, poses)
 
 

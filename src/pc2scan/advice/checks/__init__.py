@@ -66,8 +66,8 @@ def request_warnings(request: Request, recorded: Summary, connections: Sequence[
     """Return the warnings about a request, of each output, and about the recording's extent."""
     warnings: list[str] = []
     for spec in request.scans:
-        attributes = ((part, each) for part in (request, spec) for each in fields(part))
-        chosen = {each.name for part, each in attributes if getattr(part, each.name) != each.default}
+        values = ((part, value) for part in (request, spec) for value in fields(part))
+        chosen = {value.name for part, value in values if getattr(part, value.name) != value.default}
         chosen |= {name for name, origin in spec.origins.items() if origin != "default"}
         checks = tuple(check for check, names in REQUEST.items() if names & chosen)
         warnings += found_by(checks, OutputRequest(request, spec, connections), spec.label)

@@ -144,9 +144,11 @@ class CloudFacts:
     def no_returns(self) -> int:
         """How many of the points outside the heights are at (0, 0, 0), as drivers write for no return."""
         params = self.spec.params
-        if any(each.name in _PLACE_FILTERS for each in self.spec.filters):
+        if any(chosen.name in _PLACE_FILTERS for chosen in self.spec.filters):
             return 0  # these come first
-        outside = (each.zeros for each in self.samples if not params.min_height <= each.origin[2] <= params.max_height)
+        outside = (
+            sample.zeros for sample in self.samples if not params.min_height <= sample.origin[2] <= params.max_height
+        )
         return min(sum(outside), self.total.height)
 
     @cached_property
@@ -155,7 +157,7 @@ class CloudFacts:
         placed = self.samples[0].placed
         limited = _limited(placed, self.spec.params)
         used = np.logical_and.reduce([(values >= low) & (values <= high) for values, low, high in limited.values()])
-        ranges, angles = (limited[each][0] for each in ("range", "angle"))
+        ranges, angles = (limited[limit][0] for limit in ("range", "angle"))
         order = np.flatnonzero(used)[np.argsort(ranges[used])]
         _, first = np.unique(np.degrees(angles[order]).astype(int), return_index=True)
         mask = np.zeros(len(placed), np.bool_)
@@ -167,7 +169,7 @@ class CloudFacts:
 
         0 if the plane is outside the heights, or if a filter may remove it.
         """
-        if any(each.name in _FLOOR_FILTERS for each in self.spec.filters):
+        if any(chosen.name in _FLOOR_FILTERS for chosen in self.spec.filters):
             return 0.0
         sample, params = self.samples[0], self.spec.params
         distances = sample.points @ up + height
@@ -220,13 +222,13 @@ class CloudFacts:
         return (
             params.range_min <= math.hypot(x, y) <= params.range_max
             and params.angle_min <= math.atan2(y, x) <= params.angle_max
-            and not any(each.name in _PLACE_FILTERS for each in self.spec.filters)
+            and not any(chosen.name in _PLACE_FILTERS for chosen in self.spec.filters)
         )
 
 
 def notable_share(spec: ScanSpec) -> float:
     """Return the share of the points from which on a warning suggests heights, if the default ones reject it."""
-    return _NOTABLE_ABOVE_GROUND if any(each.name == "ground" for each in spec.filters) else NOTABLE_SHARE
+    return _NOTABLE_ABOVE_GROUND if any(chosen.name == "ground" for chosen in spec.filters) else NOTABLE_SHARE
 
 
 def target_that_moves(clouds: CloudFacts) -> Iterator[str]:
@@ -293,7 +295,7 @@ def swapped_transform(clouds: CloudFacts) -> Iterator[str]:
     sample = clouds.samples[0]
     below = -sample.origin[2]
     target = sample.judged_in.removeprefix("/")
-    static = next((each for each in clouds.transforms.static if each.child.removeprefix("/") == target), None)
+    static = next((mount for mount in clouds.transforms.static if mount.child.removeprefix("/") == target), None)
     if static is None or below < _BELOW or len(sample.points) < FEWEST_POINTS:
         return
     # Where the ground rises, its lowest points are nearly as far below the sensor as a level floor would be.
