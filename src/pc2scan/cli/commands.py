@@ -74,7 +74,7 @@ COMMANDS = {
         _sources("ROS 1 bag, rosbag2 directory, .db3 or .mcap file, or a URL; several are merged in time order."),
         _DST,
         examples={
-            "pc2scan convert drive.bag --min-height 0.1 --max-height 1.5": "writes drive_scan.bag",
+            "pc2scan convert drive.bag --target-frame base_link --min-height 0.1": "writes drive_scan.bag",
             "pc2scan convert drive.bag -o drive.mcap --params-file params.yaml": "with the robot's parameters",
             "pc2scan convert drive.bag --preset slam_toolbox --target-frame base_link": "scans that SLAM takes",
         },

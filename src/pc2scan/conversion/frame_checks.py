@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import ParameterError, UsageError, name_list
 from pc2scan.text import did_you_mean, nearest
 from pc2scan.transforms.buffer import frames_text
-from pc2scan.transforms.frames import WORLDS
+from pc2scan.transforms.frames import BODIES, WORLDS
 from pc2scan.transforms.motion import find_body_motion
 from pc2scan.transforms.static import static_text
 
@@ -57,6 +57,13 @@ def check_given_frames(
                 f"`source_frame` is {source!r}, which neither a cloud nor a transform of the recording has (the clouds "
                 f"are in {name_list(frames, _MOST_NAMES) or 'no frame'}); {meant}"
             )
+        for frame in frames:
+            recorded = None if transforms is None or source not in BODIES else transforms.known(source, frame, 0)
+            if recorded is not None and recorded.translation.any():
+                yield (
+                    f"`source_frame` is {source}, so points in {frame} are used without the recorded transform to "
+                    f"{source}; `target_frame={source}` applies it"
+                )
         frames = [source]
     if buffer is None:
         return

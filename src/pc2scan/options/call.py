@@ -104,7 +104,8 @@ class Options:
 
 def call_words(call: Call) -> list[str]:
     """Return the words of the command that a result proposes."""
-    words = ["pc2scan", call.command, *call.sources]
+    sources = (f"./{path}" if path.startswith("-") else path for path in call.sources)
+    words = ["pc2scan", call.command, *sources]
     for name, value in call.options.items():
         words += _option_words(spellings().get(name, f"--{name}"), value)
     return words

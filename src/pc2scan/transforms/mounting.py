@@ -15,6 +15,7 @@ import numpy as np
 from pc2scan.core.percentiles import percentiles
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.scene import (
+    FEWEST_POINTS,
     JUDGED_CLOUDS,
     LEVEL,
     NEAR_MOUNT,
@@ -307,7 +308,7 @@ def _on_its_side(seen: Mounting, target: str, target_from_frame: Rigid, turn: Ri
     height = _height(target_from_frame)
     if height <= 0 or _tilt(target_from_frame) > LEVEL:
         return None
-    planes = [floor_at_side(turn.apply(points)) for points in seen.samples]
+    planes = [floor_at_side(turn.apply(points)) for points in seen.samples if len(points) >= FEWEST_POINTS]
     floors = [each for each in planes if each is not None and abs(each.height - height) < NEAR_MOUNT * height]
     if 2 * len(floors) < max(len(planes), 2):
         return None

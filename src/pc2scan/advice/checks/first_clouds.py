@@ -13,7 +13,7 @@ import numpy as np
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import percentiles
 from pc2scan.core.rule import PointCounts
-from pc2scan.core.scene import FEWEST_POINTS, WHOLE_POINTS, CloudSample, far_away, gathered, tolerances
+from pc2scan.core.scene import FEWEST_POINTS, MOST_POINTS, WHOLE_POINTS, CloudSample, far_away, gathered, tolerances
 from pc2scan.text import agreeing, counted, height_text
 from pc2scan.transforms.frames import WORLDS
 from pc2scan.transforms.motion import body_in, find_body_motion
@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 #: A scan with fewer points than this share of its beams counts as empty. The share of the cloud's points is no measure:
 #: outdoors most points are ground, which scans reject.
 _NEARLY_EMPTY = 0.02
+
+#: Points that are farther than 5 cm from the sensor are at most this share of those that scans use: the unit is wrong.
+_FEW_FAR = 0.1
 
 #: If the default min_height rejects this share of the points, a warning suggests heights; where the ground is removed
 #: before, the second one.
@@ -317,9 +320,16 @@ def lossy_clouds(clouds: CloudFacts) -> Iterator[str]:
 
 
 def clouds_in_another_unit(clouds: CloudFacts) -> Iterator[str]:
-    """Yield a warning if the points are so far away that they are in another unit."""
-    if distance := far_away(clouds.samples[0].points):
+    """Yield a warning if the points are so far away, or so near, that they are in another unit."""
+    sample, counts = clouds.samples[0], clouds.counts[0]
+    if distance := far_away(sample.points):
         yield unit_warning(clouds.topic, distance)
+    # Points within 5 cm are in no sample.
+    elif len(sample.points) * counts.total < _FEW_FAR * counts.used * min(counts.total, MOST_POINTS):
+        yield (
+            f"{clouds.topic}: nearly all points are within 5 cm of the sensor, so they are in another unit than "
+            "metres; `cloud_scale` is the factor that makes metres of them"
+        )
 
 
 def nearly_empty_scans(clouds: CloudFacts) -> Iterator[str]:

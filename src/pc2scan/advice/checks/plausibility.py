@@ -25,9 +25,12 @@ _COARSE = 0.2
 #: A warning is worth it if this share of the beams is out of reach.
 _NOTABLE_SHARE = 0.01
 
-#: A time of this many seconds or more is nearly always meant in milliseconds.
-_LONG = 5.0
-
+#: From so many seconds on, a time is nearly always meant in this smaller unit; and why.
+_LONG = {
+    "transform_tolerance": (5.0, "ms", "a transform of that age is used as if it were current"),
+    "scan_time": (5.0, "ms", "a lidar takes less than a second for a scan"),
+    "time_increment": (0.01, "us", "a lidar takes less than a millisecond from beam to beam"),
+}
 
 #: Messages of less time, nanoseconds, are the packets of a turn: together they are a cloud like any other.
 _TURN_NS = 200_000_000
@@ -93,16 +96,12 @@ def returns_without_object(request: OutputRequest) -> Iterator[str]:
         )
 
 
-def times_in_milliseconds(request: OutputRequest) -> Iterator[str]:
-    """Yield a warning for each time that is so long that milliseconds were probably meant."""
-    whys = {
-        "transform_tolerance": "a transform of that age is used as if it were current",
-        "scan_time": "a lidar takes less than a second for a scan",
-    }
-    for name, why in whys.items():
+def times_in_seconds(request: OutputRequest) -> Iterator[str]:
+    """Yield a warning for each time that is so long that a smaller unit was probably meant."""
+    for name, (longest, unit, why) in _LONG.items():
         seconds = getattr(request.spec.params, name)
-        if name in request.given and not isinstance(seconds, str) and seconds >= _LONG:
-            yield f"{name} is {seconds:g} s, and {why}; milliseconds are written `{name}={seconds:g}ms`"
+        if name in request.given and not isinstance(seconds, str) and seconds >= longest:
+            yield f"{name} is {seconds:g} s, and {why}; for {seconds:g} {unit} write `{name}={seconds:g}{unit}`"
 
 
 def increment_in_degrees(request: OutputRequest) -> Iterator[str]:
