@@ -531,7 +531,7 @@ def are_upright(points: _Points, floor: float, wide: float = 0.0) -> NDArray[np.
     Parameters
     ----------
     points
-        Of a cloud, (N, 3), in a frame whose z axis points up.
+        Finite ones of a cloud, (N, 3), in a frame whose z axis points up.
     floor
         The height of the ground at the origin of this frame.
     wide
@@ -539,27 +539,27 @@ def are_upright(points: _Points, floor: float, wide: float = 0.0) -> NDArray[np.
     """
     wide = max(wide, _WIDE)
     sectors, wider = math.ceil(360 / wide), _WIDER * wide / _WIDE
-    upright = np.zeros(len(points), np.bool_)
-    known = np.isfinite(points).all(axis=1)
-    x, y, z = points[known].T
+    x, y, z = points.T
     ranges = np.hypot(x, y)
     sector = ((np.arctan2(y, x) / math.tau + 0.5) * sectors).astype(np.intp) % sectors
     ring = (np.log1p(ranges / _FIRST_RING) / math.log1p(wider)).astype(np.intp) + 1
-    low, high = (np.full((ring.max(initial=0) + 2, sectors), limit) for limit in (np.inf, -np.inf))
-    np.minimum.at(low, (ring, sector), z)
-    np.maximum.at(high, (ring, sector), z)
+    # Numbers of cells: to index by two arrays takes several times as long.
+    cell = ring * sectors + sector
+    low, high = (np.full((ring.max(initial=0) + 2) * sectors, limit) for limit in (np.inf, -np.inf))
+    np.minimum.at(low, cell, z)
+    np.maximum.at(high, cell, z)
     rise = _STEEPEST_RISE * wider * (_FIRST_RING + ranges)
     # The highest ground that goes on from the lowest point of each cell, or begins at the floor.
-    slope = _STEEPEST_RISE * _FIRST_RING * np.expm1(np.arange(len(low)) * math.log1p(wider))[:, None]
-    lowest = np.maximum(low, floor)
+    lowest = np.maximum(low, floor).reshape(-1, sectors)
+    slope = _STEEPEST_RISE * _FIRST_RING * np.expm1(np.arange(len(lowest)) * math.log1p(wider))[:, None]
     behind = np.minimum.accumulate(lowest - slope) + slope
     before = np.minimum.accumulate((lowest + slope)[::-1])[::-1] - slope
-    stands = (z > np.minimum(behind, before)[ring, sector] + _UNEVEN + 2 * rise) | (z - floor > _STEEPEST_RISE * ranges)
+    ground = np.minimum(behind, before).ravel()
+    stands = (z > ground[cell] + _UNEVEN + 2 * rise) | (z - floor > _STEEPEST_RISE * ranges)
     for beyond in (-1, 0, 1):
-        near = ring + beyond, sector
+        near = cell + beyond * sectors
         stands |= np.maximum(high[near] - z, z - low[near]) > _UNEVEN + (1 + abs(beyond)) * rise
-    upright[known] = stands
-    return upright
+    return np.asarray(stands)
 
 
 def are_seen_through(points: _Points) -> NDArray[np.bool_]:
@@ -570,23 +570,24 @@ def are_seen_through(points: _Points) -> NDArray[np.bool_]:
     Parameters
     ----------
     points
-        Of a cloud, (N, 3), relative to the sensor, along axes of which z points up.
+        Finite ones of a cloud, (N, 3), relative to the sensor, along axes of which z points up.
     """
-    through = np.zeros(len(points), np.bool_)
-    known = np.isfinite(points).all(axis=1)
-    x, y, z = points[known].T
+    x, y, z = points.T
     ranges = np.hypot(x, y)
     sectors = math.ceil(360 / _WIDE)
     sector = ((np.arctan2(y, x) / math.tau + 0.5) * sectors).astype(np.intp) % sectors
     step = ((np.arctan2(z, ranges) / math.pi + 0.5) * _ELEVATIONS).astype(np.intp)
-    nearest = np.full((sectors, _ELEVATIONS + _STEPS + 1), np.inf)
-    np.minimum.at(nearest, (sector, step), ranges)
+    cell = sector * (_ELEVATIONS + _STEPS) + step
+    nearest, above = (np.full(sectors * (_ELEVATIONS + _STEPS), np.inf) for _ in range(2))
+    np.minimum.at(nearest, cell, ranges)
+    last = (_LOW_THING * _ELEVATIONS / math.pi / np.maximum(ranges, _LOW_THING)).astype(np.intp).clip(max=_STEPS - 1)
+    through = np.zeros(len(points), np.bool_)
     # The nearest in more and more steps above each; the first one may be of the same ring.
-    above = np.minimum.accumulate([nearest[:, away : away + _ELEVATIONS + 1] for away in range(2, _STEPS)])
-    steps = (_LOW_THING * _ELEVATIONS / math.pi / np.maximum(ranges, _LOW_THING)).astype(np.intp)
-    last = steps.clip(2, _STEPS - 1) - 2
-    in_view = np.asarray(np.isfinite(above).any(axis=1))[last, step] & (steps >= 2)
-    through[known] = in_view & (above[last, sector, step] > ranges + _UNEVEN / _STEEPEST_RISE)
+    for away in range(2, _STEPS):
+        np.minimum(above[:-away], nearest[away:], out=above[:-away])
+        at = np.flatnonzero(last == away)
+        in_view = np.isfinite(above).reshape(sectors, -1).any(axis=0)[step[at]]
+        through[at] = in_view & (above[cell[at]] > ranges[at] + _UNEVEN / _STEEPEST_RISE)
     return through
 
 

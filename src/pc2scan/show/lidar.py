@@ -23,7 +23,7 @@ from pc2scan.conversion.steps import CloudToScan, PlaceStage
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import median, percentiles
 from pc2scan.core.points import Points
-from pc2scan.core.scene import CloudSample, are_seen_through, are_upright
+from pc2scan.core.scene import are_seen_through, are_upright
 from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import Pc2ScanError, TransformError
 from pc2scan.options.call import Options
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from pc2scan.advice.survey import TopicFacts
     from pc2scan.core.rigid import Rigid
     from pc2scan.core.rule import PointCounts
+    from pc2scan.core.scene import CloudSample
     from pc2scan.model import Connection, RawMessage, Summary
     from pc2scan.request.spec import ScanSpec
     from pc2scan.transforms.attitude import UpEstimate
@@ -332,7 +333,8 @@ class Lidar:
             chosen = self.clouds[:: max(1, len(self.clouds) // _CLOUDS)][:_CLOUDS]
             stamped = [(stamp_ns, each[:, :: -(-each.shape[1] // _POINTS) or 1]) for stamp_ns, each in chosen]
         clouds = []
-        for stamp_ns, xyz in stamped:
+        for stamp_ns, recorded in stamped:
+            xyz = recorded[:, np.isfinite(recorded).all(axis=0)]
             axes = self.in_target(xyz, stamp_ns=stamp_ns).T if is_placed else xyz
             at_ns = stamp_ns + round(sum(self.reach) / 2 * 1e9) if is_level else 0
             frame = self.target if is_placed else self.mounting.judged_in
@@ -431,7 +433,7 @@ class Scene(NamedTuple):
     placer
         Places them in the frame of the scans.
     samples
-        What the checks of first clouds read of them; empty if they are placed by other means than in a conversion.
+        The first clouds, for their checks; empty if clouds are placed by other means than in a conversion.
     slope
         How steeply nearly all that does not stand rises above the lower limit, metres a metre.
     merges
@@ -459,7 +461,8 @@ def tried(options: Mapping[str, Any], lidar: Lidar) -> Trial:
         return Trial(findings=(str(err),))
     if scene.samples:
         known = KnownTransforms("", lambda: lidar.buffer, lidar.buffer if spec.needs_transforms else None)
-        findings += judge(CloudFacts(lidar.topic, spec, known, scene.samples, counts)).warnings
+        facts = CloudFacts(lidar.topic, spec, known, scene.samples[: len(counts)], counts[: len(scene.samples)])
+        findings += judge(facts).warnings
     return trial._replace(findings=tuple(findings))
 
 
@@ -477,14 +480,11 @@ def _scene(spec: ScanSpec, lidar: Lidar) -> Scene:
     if not known:
         return Scene((), placer, [], 0.0, merges)
     clouds = [cloud for cloud, _ in known]
-    samples = [
-        CloudSample.of(cloud).placed_in(place.frame_id, place.target_from_source)
-        for cloud, place in (() if is_placed or spec.level else known)
-    ]
+    samples = [] if is_placed or spec.level else lidar.facts.samples(placer)
     placed = [_moved(cloud, place.target_from_source) for cloud, place in known]
+    sensor = lidar.in_target(np.zeros((3, 1)), lidar.mounting.frame)
     # Of registered clouds it is not known from where they were seen.
-    sensor = lidar.in_target(np.full((3, 1), np.nan if lidar.is_registered else 0.0), lidar.mounting.frame)
-    possible = [~are_seen_through(points - sensor) for points in placed]
+    possible = [~are_seen_through(points - sensor) | lidar.is_registered for points in placed]
     if spec.level and spec.fixed_frame:
         # What a robot that tilts sees of a place, from all of them.
         ways = [placer.from_fixed(spec.fixed_frame, each.frame_id, each.stamp_ns)[1] for each in clouds]
@@ -520,8 +520,7 @@ def _moved(cloud: Points, transform: Rigid | None) -> NDArray[np.float64]:
 
 def _slope(lying: NDArray[np.float64], low: float, high: float) -> float:
     """Return how steeply points rise above the lower limit: those up to the upper one, which then rises with them."""
-    known = lying[np.isfinite(lying).all(axis=1)]
-    z, ranges, slope = known[:, 2], np.hypot(known[:, 0], known[:, 1]), 0.0
+    z, ranges, slope = lying[:, 2], np.hypot(lying[:, 0], lying[:, 1]), 0.0
     for _ in range(2):
         rising = (z > low) & (z < high + slope * ranges) & (ranges > _NEAR)
         slope = percentiles((z - low)[rising] / ranges[rising], _NEARLY)[0] if rising.any() else 0.0
