@@ -210,10 +210,8 @@ def chunk_at(head: Buffer, record_offset: int, file: RecordFile, *, fits: bool =
     )
 
 
-def read_chunk(file: RecordFile, segment: Segment, *, keep: bool = False) -> tuple[Segment, memoryview, memoryview]:
+def read_chunk(file: RecordFile, segment: Segment) -> tuple[Segment, memoryview, memoryview]:
     """Read a chunk; return it by its own header, its payload, and its decompressed records.
-
-    The payload is in a buffer that is used again, unless it is to ``keep``.
 
     Raises
     ------
@@ -222,8 +220,7 @@ def read_chunk(file: RecordFile, segment: Segment, *, keep: bool = False) -> tup
     """
     where = f"the chunk at byte {segment.record_offset}"
     head = segment.offset - segment.record_offset
-    read = file.read if keep else file.borrow
-    record = memoryview(read(segment.record_offset, head + segment.length))
+    record = file.borrow(segment.record_offset, head + segment.length)
     chunk = chunk_at(record, segment.record_offset, file)
     if record[0] != OP_CHUNK or form_of(chunk) != form_of(segment):
         raise file.damage(f"the index and {where} contradict each other")
@@ -241,7 +238,7 @@ def read_chunk(file: RecordFile, segment: Segment, *, keep: bool = False) -> tup
 
 def whole_chunk(file: RecordFile, segment: Segment, rule: ChunkRule) -> StoredChunk | memoryview:
     """Read a chunk to copy it as a whole; return its decompressed records if ``rule`` does not allow that."""
-    chunk, stored, records = read_chunk(file, segment, keep=True)
+    chunk, stored, records = read_chunk(file, segment)
     index = _index_of(records, segment, rule.declarations)
     if index is None or not index.keys() <= rule.connection_ids:
         return records

@@ -112,7 +112,7 @@ class Rosbag1Reader(ChunkedReader):
         try:
             if not (whole and selection.rule):
                 return self._scan(selection, segment, read_chunk(self._file, segment)[1], {})
-            stored, records = read_chunk(self._file, segment, keep=True)
+            stored, records = read_chunk(self._file, segment)
             described: dict[int, bool] = {}
             places: list[int] = []
             messages = self._scan(selection, segment, records, described, places)

@@ -199,9 +199,9 @@ def part_of(data: memoryview, offset: int, length: int) -> memoryview:
     return data[offset : offset + length]
 
 
-def read_chunk(file: BagFile, segment: Segment, *, keep: bool = False) -> tuple[memoryview, memoryview]:
-    """Read a chunk; return its payload, in a buffer that is used again unless it is to ``keep``, and its records."""
-    stored = memoryview((file.read if keep else file.borrow)(segment.offset, segment.length))
+def read_chunk(file: BagFile, segment: Segment) -> tuple[memoryview, memoryview]:
+    """Read a chunk; return its payload and its decompressed records."""
+    stored = file.borrow(segment.offset, segment.length)
     try:
         return stored, unpacked(segment, stored, file.size)
     except CompressionError as err:
