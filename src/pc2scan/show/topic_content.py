@@ -401,7 +401,7 @@ class ScanTopic:
         period = self.interval_ns / 1e9
         off = np.abs(np.array(self._intervals) - self.interval_ns) > _STUTTER * self.interval_ns
         if count := int(off.sum()):
-            most = f"{count} of {len(off)} intervals are not about {period:.3f} s"
+            most = f"{count} of {len(off)} intervals {agreeing(count, 'are')} not about {period:.3f} s"
             text = f"the rate stutters: {most}; the longest is {max(self._intervals) / 1e9:.3f} s"
             yield Finding("rate", "notice", text, "scans are missing, or were stamped on arrival", count)
         if first.scan_time > 0 and abs(first.scan_time - period) > _SCAN_TIME * period:
