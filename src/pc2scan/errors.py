@@ -80,7 +80,7 @@ def leading(name: str) -> str:
 
 
 def stamp_text(stamp_ns: int) -> str:
-    """Return nanoseconds as seconds with all nine decimals, of which a float would lose the last.
+    """Return nanoseconds as seconds with all nine decimals; a float would lose the last ones.
 
     >>> stamp_text(1604515190231374463), stamp_text(-1)
     ('1604515190.231374463', '-0.000000001')

@@ -127,7 +127,7 @@ def conversion_of(options: Options, warn: Warn | None = None) -> Request:
 
 
 def _refuse_scans(options: Options) -> None:
-    """Raise if there are options about scans, of which none are made."""
+    """Raise if there are options about scans, and no scans are made."""
     about_scans = options_about_scans()
     if idle := [name for name in options.given if name in about_scans]:
         raise UsageError(

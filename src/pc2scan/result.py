@@ -155,7 +155,7 @@ class Result:
 
     @abstractmethod
     def body(self, *, verbose: bool = False) -> Iterator[Part]:
-        """Yield what was found or done; ``verbose`` for everything."""
+        """Yield the result, part by part; ``verbose`` for everything."""
 
     def remarks(self, *, verbose: bool = False, total: int | None = None, recovered: str = "") -> Iterator[Remark]:
         """Yield what is not as it should be: skipped messages, damaged places, warnings.
@@ -227,7 +227,7 @@ class Failure(Result):
 
     @property
     def exit_status(self) -> int:
-        """That of the error."""
+        """The exit status of the error."""
         return self.errors[0].exit_status
 
     def body(self, *, verbose: bool = False) -> Iterator[Part]:

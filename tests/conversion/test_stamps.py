@@ -82,7 +82,7 @@ def test_an_offset_is_measured_against_the_transforms(tmp_path: Path) -> None:
         (note,) = (note for note in report.notes if "time_offset" in note)
         if text == "-120ms":
             # A slow driver may delay messages by as much.
-            assert "time_offset is 0: its first stamps fit to the stamps of /tf" in note
+            assert "time_offset is 0: its first stamps fit the stamps of /tf" in note
             continue
         assert {log - stamp for log, stamp in zip(logged, stamps, strict=True)} == {2_000_003}
         assert f"time_offset is {-offset_ns / 1e9 + 0.003:.3f} s, measured against the stamps of /tf" in note

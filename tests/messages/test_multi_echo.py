@@ -46,7 +46,7 @@ def test_messages_that_end_too_early_or_contradict_themselves_are_errors(ros_ver
     for size in range(len(data)):
         with pytest.raises(DecodeError):
             decode_multi_echo(data[:size], serialization)
-    with pytest.raises(DecodeError, match="other numbers of intensities"):
+    with pytest.raises(DecodeError, match="as many intensities as ranges"):
         decode_multi_echo(multi_echo(ros_version, intensities=RANGES[::-1]), serialization)
     with pytest.raises(DecodeError, match="no echo is the strongest"):
         decode_multi_echo(multi_echo(ros_version, intensities=()), serialization, "strongest")

@@ -1,1 +1,1 @@
-"""What a recording shows, and what is said about it: facts of the first messages, and checks."""
+"""What a recording shows, and warnings about it: facts of the first messages, and checks."""

@@ -133,7 +133,7 @@ class Clocks:
         survey.observers += (*self._motion.values(), *self._others.values())
 
     def warnings(self) -> list[str]:
-        """Return warnings about topics whose clock is not that of what says where the robot was."""
+        """Return warnings about topics with another clock than the transforms or the IMU."""
         return [clock.warning for clock in self.findings().values() if clock.other]
 
     def findings(self) -> dict[str, ClockFinding]:
@@ -191,7 +191,7 @@ def _observers(connections: Iterable[Connection], span: Span) -> dict[str, Obser
 
 
 def _delays(message: RawMessage) -> Delays:
-    """Return the delays from the stamps in a message to its log time, and of transforms their child frames."""
+    """Return the delays from the stamps in a message to its log time, with the child frames of transforms."""
     kind, serialization = message.connection.ros_type, message.connection.serialization
     if kind in TF_TYPES:
         transforms = decode_transforms(message.data, serialization)
@@ -227,7 +227,7 @@ def refuse_other_clock(trajectory: Trajectory, topics: Iterable[TopicFacts], spa
         offset = f"`time_offset={TRAJECTORY}={stamp_text(begin_ns - trajectory.first_ns)}s`"
         raise UsageError(
             f"its poses are from {stamp(trajectory.first_ns)} to {stamp(trajectory.last_ns)}, {facts.topic} is from "
-            f"{stamp(begin_ns)} to {stamp(end_ns)}: no pose is of the time of a message",
+            f"{stamp(begin_ns)} to {stamp(end_ns)}: no pose has the time of a message",
             path=trajectory.name,
             hint=f"if the clocks differ, {offset} moves the first pose to the first message",
         )
@@ -284,7 +284,7 @@ def measure_offsets(
         delays = observer.values
         number = counted(len(delays), "message")
         if not delays or not are_doubtful(median_low(delays), median_low(others)):
-            note = f"{topic}: time_offset is 0: its first stamps fit to {against} ({number})"
+            note = f"{topic}: time_offset is 0: its first stamps fit {against} ({number})"
             offsets[topic] = Offset(0, reference, note)
             continue
         offset_ns = round((min(delays) - min(others)) / 1e6) * 1_000_000
@@ -314,7 +314,7 @@ def _nearest(messages: Iterable[Delays]) -> list[int]:
 
 
 def _delay_of_end(message: RawMessage) -> int:
-    """Return the delay from the time of a message's last point to its log time; of others from their stamp."""
+    """Return the delay from a message's last point to its log time; from the stamp if points have no times."""
     kind, serialization = message.connection.ros_type, message.connection.serialization
     stamp_ns, last_s = stamp_in(message.data, serialization), 0.0
     if kind in CLOUDS:

@@ -49,19 +49,19 @@ class Span(NamedTuple):
 
 @dataclass(frozen=True)
 class Fact(Generic[_Value]):
-    """What is taken of each of the first clouds of a topic; who asks and who reads it share its declaration.
+    """A value that is taken from each of the first clouds of a topic; who asks for it and who reads it share this.
 
     Attributes
     ----------
     take
-        Returns it, of a cloud, its message and ``given``; clouds of which it is None, or which raise a `MessageError`,
-        are left out. It must keep no view of the message.
+        Returns it, given a cloud, its message and ``given``. A cloud for which it is None, or raises a `MessageError`,
+        is left out. It must keep no view of the message.
     most
-        Of how many clouds it is wanted. Facts that differ only in this are observed once, of the most.
+        For how many clouds it is wanted. Facts that differ only in this are observed once, for the most clouds.
     given
         Further arguments of ``take``.
     are_enough
-        Whether no more clouds are wanted, by what was taken of the first ones; None: all are.
+        Whether the values of the first clouds are enough; None: all clouds are wanted.
     """
 
     take: Callable[..., _Value | None]
@@ -78,7 +78,7 @@ _SAMPLES = {
 
 
 class Header(NamedTuple):
-    """What a message with a cloud or a scan says of itself.
+    """The header of a message with a cloud or a scan, and its times.
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ class TopicFacts:
 
     @property
     def observers(self) -> Sequence[Observer[Any]]:
-        """Those of everything that was asked for."""
+        """The observers of all facts that were asked for."""
         return [observer for observer in self._observers.values() if observer.connections]
 
     def ask_headers(self, most: int) -> None:
@@ -172,7 +172,7 @@ class TopicFacts:
         return next((header.frame_id for header in self.headers), "")
 
     def values(self, fact: Fact[_Value]) -> list[_Value]:
-        """Return what was taken of the first clouds, in the order of log time, and no more than this fact wants."""
+        """Return a fact's values for the first clouds, in the order of log time, and no more than it wants."""
         return self._observers[fact].values[: fact.most]
 
     def samples(self, placer: Placer) -> list[CloudSample]:
@@ -239,7 +239,7 @@ class TopicFacts:
 
 
 class Survey:
-    """What is asked for of recordings before anything else is done with them.
+    """Reads the first messages of recordings once, for everything that needs them before the conversion.
 
     Parameters
     ----------

@@ -205,7 +205,7 @@ def _settings(path: Path) -> dict[str, Any]:
 
 
 def _only(folder: Path, names: tuple[str, ...]) -> list[Path]:
-    """Return the one of several names that exists; empty for none."""
+    """Return the only path that exists among several names; empty for none."""
     paths = [folder / name for name in names if (folder / name).exists()]
     if len(paths) > 1:
         raise UsageError(f"has {' and '.join(path.name for path in paths)}", path=folder, hint="remove all but one")

@@ -152,7 +152,7 @@ def _layout_text(cloud: PointCloud2) -> str:
 
 
 def _readable_fields(cloud: PointCloud2) -> list[PointField]:
-    """Return the fields with a known datatype; of several with one name, or of the same bytes, the first."""
+    """Return the fields with a known datatype; the first of those with one name, or with the same bytes."""
     first: dict[str, PointField] = {}
     for field in cloud.fields:
         first.setdefault(field.name, field)

@@ -64,9 +64,7 @@ def _moved(offset_ns: int | None, fields: Sequence[str], remarks: dict[str, None
     except DecodeError:
         return message
     if not fits:
-        remarks[f"{connection.topic}: corrected stamps do not fit into its messages, which have the nearest time"] = (
-            None
-        )
+        remarks[f"{connection.topic}: its messages cannot hold the corrected stamps, and have the nearest time"] = None
     return message._replace(data=bytes(copy))
 
 

@@ -311,7 +311,7 @@ def _up_source(spec: ScanSpec, buffer: TransformBuffer, survey: Survey, prepared
 
 
 class _OutputFacts:
-    """The facts that one output to scans needs: asked for before the survey reads, and then made into conversions."""
+    """The facts that one output to scans needs: requested before the survey reads, and used to make conversions."""
 
     def __init__(self, spec: ScanSpec, plan: Plan, survey: Survey) -> None:
         self._spec = spec

@@ -396,7 +396,7 @@ def _transcode() -> ModuleType:
 
 
 def _layout(connection: Connection) -> str:
-    """Return the type's hash, as ROS 2 computes it; of an unreadable definition its text without comments and space."""
+    """Return the type's hash, as ROS 2 computes it; an unreadable definition's text, without comments and space."""
     try:
         return str(_transcode().ros2_hash(connection.msgtype, connection.definition))
     except MessageError:

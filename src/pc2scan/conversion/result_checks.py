@@ -1,4 +1,4 @@
-"""Checks of the result of a conversion: of its first scans, and of the counts of its topics. Notes, too."""
+"""Checks the result of a conversion: its first scans, and the counts of its topics. Yields warnings and notes."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ def median(values: ArrayLike) -> float:
 
 
 def median_low(values: Iterable[_Number]) -> _Number:
-    """Return the median of at least one number; of an even number of them, the lower one of the two in the middle.
+    """Return the median of at least one number: the lower one, if two are in the middle.
 
     >>> median_low([3, 1, 2, 4])
     2

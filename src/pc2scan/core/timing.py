@@ -67,7 +67,7 @@ _OVERLAP = 0.2
 
 
 def median_interval_ns(stamps_ns: Iterable[int]) -> int | None:
-    """Return the median time between stamps, in any order; of an even number the lower one of the two in the middle.
+    """Return the median time between stamps, in any order: the lower one, if two are in the middle.
 
     None for fewer than two different stamps.
     """

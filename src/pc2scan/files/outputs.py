@@ -603,7 +603,7 @@ def path_identities(path: Path) -> Iterator[Path]:
 
 
 def file_ids(path: Path) -> set[FileId]:
-    """Return a path, and device and inode if it exists; of a symbolic link its own and its target's."""
+    """Return a path, and device and inode if it exists; for a symbolic link, its own and its target's."""
     ids: set[FileId] = {path.identity if isinstance(path, UrlPath) else path}
     with suppress(OSError):
         status = path.lstat()

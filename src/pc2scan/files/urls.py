@@ -243,7 +243,7 @@ class UrlPath(_LocalPath):
 
     @cached_property
     def details(self) -> dict[str, Any]:
-        """What fsspec says of it, in a listing or else when asked; raises MissingError if nothing is there."""
+        """What fsspec knows of the file, from a listing or on request; raises MissingError if there is none."""
         file_system, key = self.store
         with translated_errors(self):
             return dict(file_system.info(key))

@@ -1,4 +1,4 @@
-"""The tables of the message types that are clouds, with their decoders to points, and of those that are 2D scans.
+"""The tables of message types: clouds with their decoders to points, and 2D scans.
 
 A new type is one entry, because everything that needs to know which topics can be converted uses these tables.
 """

@@ -59,7 +59,7 @@ def decode_multi_echo(data: Buffer, serialization: str, echo: str = "first") -> 
         ranges, intensities = _echoes(cursor), _echoes(cursor)
         lit = intensities.counts.size > 0
         if lit and not np.array_equal(ranges.counts, intensities.counts):
-            raise DecodeError("it has other numbers of intensities than of ranges")
+            raise DecodeError("it does not have as many intensities as ranges")
         if echo == "strongest" and ranges.counts.size and not lit:
             raise DecodeError("it has no intensities, so no echo is the strongest", hint="`echo` is first or last")
     except DecodeError as err:
@@ -90,7 +90,7 @@ def _echoes(cursor: Cursor) -> _Echoes:
 
 
 def _chosen(echoes: _Echoes, echo: str) -> NDArray[np.int64]:
-    """Return the number of the echo of each beam; of a beam without echoes any."""
+    """Return the number of the echo that each beam uses; any number for a beam without echoes."""
     if echo == "first":
         return np.zeros_like(echoes.counts)
     chosen = np.maximum(echoes.counts - 1, 0)

@@ -142,5 +142,5 @@ def without(wanted: str, connections: Sequence[Connection]) -> tuple[str, str]:
 
 
 def _type(connection: Connection) -> str:
-    """Return the type; of messages in other encodings than ROS's, the name of the schema."""
+    """Return the type; for messages in other encodings than ROS's, the name of the schema."""
     return connection.ros_type if connection.ros_version is not None else connection.msgtype

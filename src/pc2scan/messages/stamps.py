@@ -64,7 +64,7 @@ def set_stamp(data: bytearray, serialization: str, stamp_ns: int) -> bool:
 
 
 def move_times(data: bytearray, serialization: str, ros_type: str, shift_ns: int, names: Iterable[str] = ()) -> None:
-    """Move the absolute times in a message in place, besides its stamp: those of points, and of packets.
+    """Move the absolute times of points and packets in a message, in place; its stamp is left.
 
     Parameters
     ----------

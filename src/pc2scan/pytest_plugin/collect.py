@@ -31,7 +31,7 @@ class GoldenFolder(pytest.Directory):
     """A case, or a folder with cases in it."""
 
     def collect(self) -> Iterator[pytest.Item | pytest.Collector]:
-        """Yield the test of a case; of a folder, its cases and the folders that may contain cases."""
+        """Yield the test of a case; for a folder, its cases and the folders that may contain cases."""
         if is_case(self.path):
             # The id is the folder, so that an id which pytest prints can be given to pytest.
             yield GoldenItem.from_parent(self, name=self.name, nodeid=self.nodeid)

@@ -1,1 +1,1 @@
-"""What was asked: options, parameter files, launch files and scans files become one checked request."""
+"""Options, parameter files, launch files and scans files become one checked request."""

@@ -344,7 +344,7 @@ def _node_to_read(sections: _Sections, node: str | None, file: Path) -> str:
 
 
 def _matching_nodes(sections: _Sections, node: str | None) -> list[str]:
-    """Return the nodes that may be read: those that are asked for, else those of pointcloud_to_laserscan."""
+    """Return the nodes that may be read: the requested ones, or else those of pointcloud_to_laserscan."""
     if node is not None:
         full_name = _full_name((node,))
         ending = [full_name] if full_name in sections else [full for full in sections if full.endswith(f"/{node}")]
@@ -374,7 +374,7 @@ def _matches(pattern: str, full: str) -> bool:
 
 
 def _merge_sections(sections: _Sections, target: str, *, ros1: bool) -> ParamsFile:
-    """Merge the sections that apply to a node, of which the later one overrides as in ROS 2, and check the names."""
+    """Merge the sections that apply to a node, and check the names; a later section overrides, as in ROS 2."""
     applying = {full: parameters for full, parameters in sections.items() if _matches(full, target)}
     given = {name for parameters in applying.values() for name in parameters} & PARAMETERS.keys()
     reverse = _reverses(target)

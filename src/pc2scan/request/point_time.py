@@ -334,7 +334,7 @@ def measure_turn(topic: str, given: Turn, clouds: Sequence[TurnSample]) -> tuple
         spread = f"{min(intervals, default=0):.4g} to {max(intervals, default=0):.4g} s"
         why = f"{len(stamps)} different stamps with intervals of {spread}, {_FEWEST} regular ones are needed"
     elif covered < max(_SEEN, _OF_ALL * union) or _TWO_OR_THREE[0] <= turns < _TWO_OR_THREE[1]:
-        why = f"they have {covered:.0%} of all directions, together {union:.0%}, and go round {turns:.1f} times"
+        why = f"they cover {covered:.0%} of all directions, together {union:.0%}, and go round {turns:.1f} times"
     else:
         # Rounded to the digits that are shown, so that typing the shown period gives the same scans.
         turn = given._replace(period=float(f"{period:.4g}"))
@@ -348,7 +348,7 @@ def measure_turn(topic: str, given: Turn, clouds: Sequence[TurnSample]) -> tuple
         if turn.ended is None:
             if min(delays) < 0 or not any(delays) or median(delays) >= _OF_LAST * turn.period:
                 logged = f"they are logged {min(delays):.4g} to {max(delays):.4g} s after their stamps"
-                why = why or f"{logged}, which may be of the first or of the last point"
+                why = why or f"{logged}, which may be the time of the first or of the last point"
             else:
                 turn = turn._replace(ended=True)
     if why:

@@ -1,4 +1,4 @@
-"""Reads the outputs of a conversion: the one of a call, or those of a file (``scans.yaml``) or of Python's dicts.
+"""Reads the outputs of a conversion from a call, a file (``scans.yaml``) or a dict.
 
 The parameters of an output are collected from every place where a user can give them.
 """

@@ -1,4 +1,4 @@
-"""What was asked, checked: a `Request` has the description of each output, and what applies to all of them."""
+"""The checked request: a `Request` has the description of each output, and what applies to all of them."""
 
 from __future__ import annotations
 
@@ -373,7 +373,7 @@ def _offset_of(text: str, value: str) -> int | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
-    """What was asked of a conversion, checked: its outputs, and what applies to all of them.
+    """A checked request to convert: its outputs, and what applies to all of them.
 
     Attributes
     ----------

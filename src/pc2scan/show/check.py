@@ -425,7 +425,7 @@ class ScanFrames:
 
     def _frame_findings(self, name: str, frame: _Frame, interval_ns: float | None) -> Iterator[Finding]:
         if moving := find_body_motion(self._buffer, name, self._base):
-            text = f"the scan's frame {name!r} is one that {moving.body} moves in (by {moving.metres:.2f} m)"
+            text = f"{moving.body} moves in the scan's frame {name!r} (by {moving.metres:.2f} m)"
             hint = f"for scans made from clouds: pc2scan convert `target_frame={moving.body}`"
             yield Finding("moving-frame", "defect", text, hint, frame.scans)
         missing = frame.missing.count

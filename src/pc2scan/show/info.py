@@ -179,7 +179,7 @@ class Info(Result):
             for outcome in dict.fromkeys(verdict.outcome for verdict in scans.consumers):
                 names = (verdict.consumer for verdict in scans.consumers if verdict.outcome == outcome)
                 yield f"  {outcome:<10}{', '.join(names)}"
-            yield "  of a sample; pc2scan check explains why, and checks all scans and their transforms"
+            yield "  judged by a sample; pc2scan check reads all scans and their transforms, and explains why"
         if self.proposals:
             yield ""
             placed = (

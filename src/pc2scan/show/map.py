@@ -210,7 +210,7 @@ free_thresh: 0.196
 
 
 def _paths(path: Path) -> list[Path]:
-    """Return the files of a map: image, picture, and the YAML file; of ``NAME.png`` only the picture."""
+    """Return the files of a map: image, picture, and the YAML file; for ``NAME.png`` only the picture."""
     if path.suffix == ".png":
         return [path]
     if path.suffix != ".yaml":

@@ -1,4 +1,4 @@
-"""What a topic holds: the properties of its clouds, from a sample; of its scans, what is wrong with them."""
+"""What a topic holds: the properties of its clouds, from a sample, and the defects of its scans."""
 
 from __future__ import annotations
 

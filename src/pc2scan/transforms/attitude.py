@@ -237,7 +237,7 @@ def _weaknesses(topic: str, off: float, missing: int, what: str) -> list[str]:
     warnings = []
     if off > _LARGEST_JITTER:
         warnings.append(
-            f"{topic}: up is off by about {off:.2g} degrees, as that of an IMU that vibrates, and so are level scans; "
+            f"{topic}: up is off by about {off:.2g} degrees, as with an IMU that vibrates, and so are level scans; "
             "`fixed_frame` levels by transforms instead"
         )
     if missing:

@@ -60,7 +60,7 @@ class _Child:
             self.parts[-2:] = [_joined(self.parts[-2:])]
 
     def sorted(self) -> _Columns:
-        """Return the transforms in the order of their stamps, which replace the parts; of one stamp, the first."""
+        """Return the transforms in the order of their stamps, which replace the parts; the first one of each stamp."""
         stamps, poses, parents = _joined(self.parts)
         if not (stamps[1:] > stamps[:-1]).all():
             order = time_order(stamps)

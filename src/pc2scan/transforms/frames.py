@@ -171,7 +171,7 @@ class FrameHistory:
 
 
 def time_order(stamps_ns: NDArray[np.int64]) -> NDArray[np.intp]:
-    """Return the indices that sort stamps; of several equal ones, the first."""
+    """Return the indices that sort stamps; the first of equal ones."""
     order = stamps_ns.argsort(kind="stable")
     ordered = stamps_ns[order]
     return order[np.concatenate(([True], ordered[1:] != ordered[:-1]))]

@@ -131,7 +131,7 @@ class BodyMotion(NamedTuple):
         )
 
     def of_source(self, source: str, own: str) -> str:
-        """Return the warning about clouds that are said to be in this frame, given their own frame."""
+        """Return the warning that ``source_frame`` is this frame, given the clouds' own frame."""
         with_body = f" with {self.body}" if self.body != own else ""
         return (
             f"`source_frame` is {source}, in which {own}, the frame of the clouds, moves{with_body}: "

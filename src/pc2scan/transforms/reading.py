@@ -160,7 +160,7 @@ class TransformReading:
         return Observer(connections, copied_message, keep=reading.add)
 
     def supply(self, reader: Reader, needed: Collection[str], *, use: bool = True) -> None:
-        """Use topics with poses that have a needed frame which no transform has; they were not asked for.
+        """Use topics with poses, unrequested, if they have a needed frame that no transform has.
 
         Parameters
         ----------

@@ -168,7 +168,7 @@ class CloudFacts:
         return mask
 
     def share_on(self, up: NDArray[np.float64], height: float) -> float:
-        """Return the share of beams, of those with a return of the first cloud, whose closest return is on a plane.
+        """Return the share of the first cloud's beams, of one degree, whose closest return is on a plane.
 
         0 if the plane is outside the heights, or if a filter may remove it.
         """
@@ -242,7 +242,7 @@ def target_that_moves(clouds: CloudFacts) -> Iterator[str]:
 
 
 def clouds_in_fixed_frame(clouds: CloudFacts) -> Iterator[str]:
-    """Yield a warning if clouds are in a frame that the robot moves in and stay in it, or are only said to be in it.
+    """Yield a warning if clouds are, or claim to be, in a frame that the robot moves in, and stay in it.
 
     There is none if the recording's transforms say that nothing moves in it.
     """
@@ -398,7 +398,7 @@ def ceiling_within_heights(clouds: CloudFacts) -> Iterator[str]:
 def _limited(
     placed: NDArray[np.float64], params: ProjectionParams
 ) -> dict[str, tuple[NDArray[np.float64], float, float]]:
-    """Return what is limited of points, (N,) each, with its limits."""
+    """Return the limited quantities of points, (N,), with their limits."""
     x, y, z = placed.T
     return {
         "height": (z, params.min_height, params.max_height),
