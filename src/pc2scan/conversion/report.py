@@ -247,18 +247,13 @@ class Report(Result):
             return self.errors[0].exit_status
         if self.all_empty:
             return 4
-        return 3 if self.damage or self.skipped_count or self.lost_topics or self.undelivered else 0
+        return 3 if self.damage or self.skipped_count or self.undelivered else 0
 
     @property
     def all_empty(self) -> bool:
         """Whether messages were converted, and no result has a return or a point."""
         messages = sum(topic.messages_out for topic in self.converted)
         return messages > 0 and sum(topic.empty_scans for topic in self.converted) == messages
-
-    @property
-    def lost_topics(self) -> list[TopicReport]:
-        """Topics whose messages are missing because they cannot be written."""
-        return [topic for topic in self.topics if topic.lost and topic.messages_in]
 
     def add(self, warnings: Sequence[str], notes: Sequence[str] = ()) -> None:
         """Add warnings, and notes that it does not have yet."""

@@ -331,7 +331,7 @@ def result_findings(
         That of the scans: ``ros1`` or ``cdr``.
     """
     remarks = [*_of_first_scans(first_scans, serialization)]
-    if lost := report.lost_topics:
+    if lost := [topic for topic in report.topics if topic.lost and topic.messages_in]:
         remarks.append(_lost_messages(lost))
     remarks += (remark for spec in report.scans for remark in _of_request(spec))
     for topic in report.topics:
