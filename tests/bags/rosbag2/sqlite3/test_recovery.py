@@ -69,3 +69,14 @@ def test_of_an_overwritten_page_only_its_own_rows_are_lost(tmp_path: Path) -> No
         if len(rows) < len(complete):
             assert damage, page
         assert rows == sorted(rows, key=lambda row: row[1])
+
+
+def test_a_message_whose_time_the_index_has_lost_is_read(tmp_path: Path) -> None:
+    complete = build(tmp_path / "a.db3")
+    data = (tmp_path / "a.db3").read_bytes()
+    # The kinds of an entry's time and row, and the time.
+    kinds, time = b"\x03\x03\x01", complete[50][1].to_bytes(3, "big")
+    assert data.count(kinds + time) == 1
+    (tmp_path / "b.db3").write_bytes(data.replace(kinds + time, b"\x03\x00\x01" + time))
+    rows, damage = recovered(tmp_path / "b.db3")
+    assert (Counter(rows), len(damage)) == (Counter(complete), 1)

@@ -16,7 +16,7 @@ Source: rosbag2_storage_sqlite3/sqlite_storage.cpp.
 SQLite stores values of any type in any column, whatever the table declares: an INTEGER column keeps 1e300, text and
 blobs as they are. So whatever counts, compares or orders messages does so with `_SOUND` rows only; others are damage.
 
-The number of rows is compared with that of the index of their times. Unlike SQLite's own check, this reads no message.
+The number of rows is compared with that of times in their index. Unlike SQLite's own check, this reads no message.
 """
 
 from __future__ import annotations
@@ -268,15 +268,16 @@ def _read_connections(
 ) -> tuple[tuple[Connection, ...], tuple[int | None, int | None]]:
     """Return the connections, and the first and the last log time; messages without a topic are noted."""
     topics = _read_topics(database, noted)
-    sql = f"SELECT topic_id, count(*) FROM messages WHERE {_SOUND} GROUP BY 1 LIMIT ?"  # noqa: S608
-    counts: dict[int, int] = dict(database.query(sql, (MAX_CONNECTIONS + 2,)))
+    sql = f"SELECT CASE WHEN {_SOUND} THEN topic_id END, count(*) FROM messages NOT INDEXED GROUP BY 1 LIMIT ?"  # noqa: S608
+    counts: dict[Any, int] = dict(database.query(sql, (MAX_CONNECTIONS + 2,)))
+    unsound = counts.pop(None, 0)
     ConnectionLimit(database.path).add(count=len(counts))
-    ((total,),) = database.query("SELECT count(*) FROM messages NOT INDEXED")
     if is_indexed:
-        ((indexed,),) = database.query(f"SELECT count(*) FROM messages INDEXED BY {_INDEX}")  # noqa: S608
-        if indexed != total:
-            raise database.damage(f"the index of timestamps has {indexed} messages, the table {total}")
-    if unsound := total - sum(counts.values()):
+        sql = f"SELECT count(*) FROM messages INDEXED BY {_INDEX} WHERE typeof(timestamp) = 'integer'"  # noqa: S608
+        ((indexed,),), sound = database.query(sql), sum(counts.values())
+        if not sound <= indexed <= sound + unsound:
+            raise database.damage(f"the index of timestamps has {indexed} messages, the table {sound}")
+    if unsound:
         what = f"{counted(unsound, 'row')} of messages with a topic or a time that is no integer"
         noted.note(database.damage(f"has {what}"), key="rows", messages_lost=unsound)
     for topic_id, count in counts.items():
