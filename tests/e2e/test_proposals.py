@@ -42,9 +42,10 @@ WORLDS = {
     "Mid-360 in a corridor, no mount": (World(CORRIDOR, (), "mid-360", at(0.5), has_mount=False, odometry=""), ""),
     "packets": (World(ROOM, DESKS, "packets", at(0.6), "drives"), ""),
     "sparse pattern": (World(ROOM, DESKS, "sparse", at(0.7)), ""),
-    "clouds in odom": (World(ROOM, DESKS, "32 rings", at(0.6), "drives", in_odom=True), ""),
+    "clouds in odom": (World(ROOM, DESKS, "32 rings", at(0.6), "drives", placed_in="odom"), ""),
+    "clouds in base_link": (World(ROOM, DESKS, "mid-360", at(0.3), "drives", placed_in="base_link"), ""),
     "FAST-LIO": (
-        World(HALL, DESKS, "mid-360", at(0.6, 0), "drives", 0, False, in_odom=True, axle=0.6, pair=LIO),
+        World(HALL, DESKS, "mid-360", at(0.6, 0), "drives", 0, False, placed_in=LIO[0], axle=0.6, pair=LIO),
         "",
     ),
     "one ring": (World(HALL, DESKS, "1 ring", at(0.4)), ""),

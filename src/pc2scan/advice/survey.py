@@ -14,7 +14,7 @@ from pc2scan.bags.observers import Observer, observe
 from pc2scan.bags.topics import by_topic
 from pc2scan.core.layout import TURN
 from pc2scan.core.rigid import Rigid
-from pc2scan.core.scene import PARTS, CloudSample, are_enough, far_away
+from pc2scan.core.scene import PARTS, CloudSample, are_enough, far_away, gathered
 from pc2scan.errors import TransformError
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.transforms.attitude import ImuReading
@@ -188,9 +188,11 @@ class TopicFacts:
             except TransformError:
                 continue
             placed = sample.placed_in(place.frame_id, place.target_from_source)
-            is_registered = placed.transform is not None and sample.frame_id.removeprefix("/") in WORLDS
-            origin = above if place.frame_id in BODIES else Rigid.identity()
-            clouds.append(placed.seen_from(origin) if is_registered else placed)
+            own = sample.frame_id.removeprefix("/")
+            # From where such clouds were seen is not known.
+            is_placed = own in BODIES or (own in WORLDS and placed.transform is not None)
+            origin = above if place.frame_id.removeprefix("/") in BODIES else Rigid.identity()
+            clouds.append(placed.seen_from(origin) if is_placed else placed)
             if are_enough(clouds):
                 break
         return clouds
@@ -212,7 +214,7 @@ class TopicFacts:
 
     def unit_warning(self) -> str:
         """Return the warning that the clouds are in another unit than metres; empty if they are not."""
-        distance = next((far_away(sample.points) for sample in self.values(self._samples)), 0.0)
+        distance = next((far_away(sample.points) for sample in gathered(self.values(self._samples))), 0.0)
         return unit_warning(self.topic, distance) if distance else ""
 
     def _ask(

@@ -169,8 +169,8 @@ class CloudSample:
         return replace(self, judged_in=frame, points=transform.rotation.apply(self.points), transform=transform)
 
     def seen_from(self, rigid: Rigid) -> CloudSample:
-        """Return the sample as if the sensor were elsewhere in the frame in which it is judged."""
-        return replace(self, points=self.placed - rigid.translation, transform=rigid)
+        """Return the sample as if the sensor were elsewhere in the frame in which it is judged: without zeros there."""
+        return replace(self, points=self.placed - rigid.translation, transform=rigid, zeros=0)
 
     @property
     def origin(self) -> tuple[float, float, float]:

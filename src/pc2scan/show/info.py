@@ -219,7 +219,8 @@ def _ground_text(mounting: Mounting) -> str:
         return "no floor found; the heights are those around the sensor"
     frame = mounting.target_frame or mounting.judged_in
     ceiling = "" if heights.ceiling is None else f", ceiling at {height_text(heights.ceiling)} m"
-    sensor = "" if not ground.height else f"; the sensor is {ground.height:.2f} m above the floor"
+    is_known = ground.height and mounting.frame.removeprefix("/") not in {*BODIES, *WORLDS}
+    sensor = f"; the sensor is {ground.height:.2f} m above the floor" if is_known else ""
     question = f"; {heights.question}" if heights.question else ""
     return f"floor at z = {height_text(heights.floor)} m in frame {frame!r}{ceiling}{sensor}{question}"
 

@@ -29,7 +29,7 @@ from pc2scan.errors import Pc2ScanError, TransformError
 from pc2scan.options.call import Options
 from pc2scan.parsing import conversion_of
 from pc2scan.request.point_time import DIRECTIONS, PointTime, directions_of
-from pc2scan.transforms.frames import WORLDS
+from pc2scan.transforms.frames import BODIES, WORLDS
 from pc2scan.transforms.motion import sensor_motion
 from pc2scan.transforms.placing import Placer, UpByFrame, UpByImu
 from pc2scan.transforms.static import StaticTransform
@@ -204,6 +204,11 @@ class Lidar:
     def is_registered(self) -> bool:
         """Whether its clouds are in a frame that does not move with the robot: their points are placed already."""
         return bool(self.target) and self.mounting.frame.removeprefix("/") in WORLDS
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether its clouds are in a frame of the robot or of a world: from where they were seen is not known."""
+        return self.is_registered or self.mounting.frame.removeprefix("/") in BODIES
 
     @cached_property
     def period(self) -> float:
@@ -484,7 +489,7 @@ def _scene(spec: ScanSpec, lidar: Lidar) -> Scene:
     placed = [_moved(cloud, place.target_from_source) for cloud, place in known]
     sensor = lidar.in_target(np.zeros((3, 1)), lidar.mounting.frame)
     # Of registered clouds it is not known from where they were seen.
-    possible = [~are_seen_through(points - sensor) | lidar.is_registered for points in placed]
+    possible = [~are_seen_through(points - sensor) | lidar.is_placed for points in placed]
     if spec.level and spec.fixed_frame:
         # What a robot that tilts sees of a place, from all of them.
         ways = [placer.from_fixed(spec.fixed_frame, each.frame_id, each.stamp_ns)[1] for each in clouds]

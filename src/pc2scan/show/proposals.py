@@ -172,8 +172,8 @@ def _tried(options: Mapping[str, Any], group: Sequence[Lidar]) -> tuple[list[Cho
     trials = [tried(options, each) for each in group]
     worst, seen = np.max([trial.lying for trial in trials], axis=0).tolist()
     ways: list[list[Choice]] = [[]]
-    # Of registered clouds it is not known what their sensor sees above a point.
-    is_known = not any(each.is_registered for each in group)
+    # Of clouds that are placed already it is not known what their sensor sees above a point.
+    is_known = not any(each.is_placed for each in group)
     if rises := worst > _TOLD and (seen > _SEEN or not is_known):
         why = f"the ground rises: {worst:.0%} of a cloud's returns may be on it"
         slope = math.ceil(100 * max(trial.slope for trial in trials) + 0.5) / 100

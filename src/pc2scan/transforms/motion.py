@@ -66,8 +66,8 @@ def sensor_motion(buffer: TransformBuffer, frame: str, seconds: float) -> Sensor
         The time of a cloud.
     """
     above = buffer.above(frame)
-    # Localisation makes the robot jump in map, so odom comes first.
-    for fixed in (*(name for name in WORLDS if name in above), *above[-1:]):
+    # Localisation makes the robot jump in map, so odom comes first. Sensors that move on the robot are no odometry.
+    for fixed in (*(name for name in WORLDS if name in above), *(name for name in above[-1:] if name not in BODIES)):
         motion = _motion_in(buffer, fixed, frame.removeprefix("/"), seconds)
         if motion is not None:
             return motion

@@ -184,7 +184,7 @@ def mounting(
     judged_in, origin_z, stamp_ns = clouds[0].judged_in, clouds[0].origin[2], clouds[0].stamp_ns
     samples = [cloud.points for cloud in clouds]
     seen = Mounting(topic, frame, judged_in, common_ground([cloud.ground for cloud in clouds]), samples)
-    if judged_in.removeprefix("/") != frame.removeprefix("/"):
+    if (transform := clouds[0].transform) is not None:
         ground, fault = seen.ground, _fault(seen.ground)
         if not (ground.off and ground.kind != "slanted") and (tilted := clouds[0].floor_tilted_by_transform):
             ground = Ground("tilted", tilted.up, tilted.height)
@@ -194,9 +194,8 @@ def mounting(
             )
         if buffer and fault and ground.kind != "slanted" and (moved := _lookup(buffer, judged_in, frame, stamp_ns)):
             return _corrected(seen, judged_in, moved, ground, Rigid.identity())._replace(fault=fault)
-        transform = clouds[0].transform
         is_unknown = seen.ground.kind == "unknown"
-        if is_unknown and transform and (lying := _on_its_side(seen, judged_in, transform, Rigid.identity())):
+        if is_unknown and (lying := _on_its_side(seen, judged_in, transform, Rigid.identity())):
             return lying
         recorded = _recorded_floor(buffer, judged_in, stamp_ns)
         heights = suitable_heights(seen.ground, samples, frame=judged_in, origin_z=origin_z, recorded=recorded)

@@ -86,8 +86,8 @@ class World:
         How the ground rises, from two metres ahead of where the robot begins.
     has_mount, odometry
         Whether its mount is recorded; ``tf``, ``topic`` or nothing.
-    in_odom
-        Whether the clouds are registered in odom.
+    placed_in
+        The frame that the clouds are in already: that of the odometry, or ``base_link``; empty: that of their lidar.
     second
         Whether there is a second lidar, at the other end of the robot.
     axle
@@ -106,7 +106,7 @@ class World:
     slope: float = 0.0
     has_mount: bool = True
     odometry: str = "tf"
-    in_odom: bool = False
+    placed_in: str = ""
     second: bool = False
     axle: float = 0.0
     claim: float | None = None
@@ -168,8 +168,10 @@ class World:
                 true = origins + np.where(hit, ranges, 0)[:, None] * cast
                 ranges = ranges + random.normal(0, _NOISE, len(ranges))
                 own = np.where(hit, ranges, np.nan)[:, None] * rays
-                if self.in_odom:
+                if self.placed_in == self.pair[0]:
                     own = origins + np.where(hit, ranges, np.nan)[:, None] * cast
+                elif self.placed_in:
+                    own = mount.apply(own) - (0.0, 0.0, self.axle)
                 found.append(Turn(name, times, own, true, hit))
         return found
 
@@ -203,7 +205,7 @@ class World:
             parts = SENSORS[self.sensor][1]
             for times, points in zip(np.split(turn.times, parts), np.split(turn.points, parts), strict=True):
                 stamp_ns = BEGIN_NS + round(times[0] * 1e9)
-                data = _cloud(self.pair[0] if self.in_odom else turn.name, stamp_ns, times - times[0], points)
+                data = _cloud(self.placed_in or turn.name, stamp_ns, times - times[0], points)
                 rows.append((BEGIN_NS + round(times[-1] * 1e9) + 2_000_000, f"/{turn.name}", data))
         return write_rows(path, types, sorted(rows))
 
@@ -377,11 +379,16 @@ def random_world(seed: int) -> tuple[str, World]:
         odometry = "topic" if has_mount and drive != "pitches" else odometry
     world = World(
         room if not walls else None, (*boxes, *walls), sensor, mount, drive, slope, has_mount, odometry,
-        in_odom=odometry == "tf" and sensor not in {"packets", "sparse"} and random.uniform() < 0.08,
+        placed_in="odom" * (odometry == "tf" and sensor not in {"packets", "sparse"} and random.uniform() < 0.08),
         second=has_mount and sensor in {"16 rings", "32 rings"} and random.uniform() < 0.2,
     )  # fmt: skip
     if not odometry:
         world = replace(world, drive="stands")
-    marks = {"no mount": not has_mount, "in odom": world.in_odom, "two": world.second, "topic": odometry == "topic"}
+    marks = {
+        "no mount": not has_mount,
+        "in odom": bool(world.placed_in),
+        "two": world.second,
+        "topic": odometry == "topic",
+    }
     name = f"{seed} {kind} {sensor} {world.mount[1]:.2f} m {world.drive}"
     return ", ".join([name, *(mark for mark, is_so in marks.items() if is_so)]), world
