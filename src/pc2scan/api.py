@@ -443,8 +443,8 @@ def diff(
     Examples
     --------
     >>> import pc2scan
-    >>> found = pc2scan.diff("expected.bag", "scans.mcap", rtol=1e-5)  # doctest: +SKIP
-    >>> assert found.same, found  # doctest: +SKIP
+    >>> difference = pc2scan.diff("expected.bag", "scans.mcap", rtol=1e-5)  # doctest: +SKIP
+    >>> assert difference.same, difference  # doctest: +SKIP
     """
     other = None if b is None else path_of("b", b)
     return compare(path_of("a", a), other, Options("diff", options))

@@ -97,7 +97,7 @@ class CloudShape(NamedTuple):
     Attributes
     ----------
     frame_id, stamp_ns
-        Of the cloud.
+        The cloud's.
     step
         The azimuth step, radians; None if the points are in no regular rings, or it is not measured.
     sweep
@@ -335,7 +335,7 @@ class PointTimes(NamedTuple):
     field
         The field with the times.
     low, high
-        Of the first and the last point, seconds after the stamp.
+        The times of the first and the last point, seconds after the stamp.
     unit
         Of the values, seconds.
     """

@@ -49,7 +49,7 @@ class Span(NamedTuple):
 
 @dataclass(frozen=True)
 class Fact(Generic[_Value]):
-    """A value that is taken from each of the first clouds of a topic; who asks for it and who reads it share this.
+    """A value that is taken from each of the first clouds of a topic; whoever requests or reads it shares this.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class TopicFacts:
     Parameters
     ----------
     connections
-        Those of one topic, with clouds or LaserScans. Of LaserScans only the headers are observed.
+        The connections of one topic, with clouds or LaserScans. LaserScans have only their headers observed.
     span
         The cut.
     """
@@ -124,7 +124,7 @@ class TopicFacts:
 
     @property
     def observers(self) -> Sequence[Observer[Any]]:
-        """The observers of all facts that were asked for."""
+        """The observers of all requested facts."""
         return [observer for observer in self._observers.values() if observer.connections]
 
     def ask_headers(self, most: int) -> None:
@@ -259,9 +259,9 @@ class Survey:
     reader, others, frames, span
         As given.
     transforms
-        All transforms; None if they were not asked for.
+        All transforms; None if they were not requested.
     robot
-        Those between the robot's frames; None if they were not asked for.
+        The transforms between the robot's frames; None if they were not requested.
     observers
         Further observers of the sources.
     """

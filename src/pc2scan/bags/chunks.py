@@ -105,10 +105,12 @@ def unpacked(chunk: Segment, stored: memoryview, file_size: int) -> memoryview:
     """
     compression, size = chunk.compression, chunk.uncompressed_size
     if size > (most := allowed_bytes(file_size, len(stored))):
-        raise CompressionError(f"it declares {size} bytes uncompressed, in a file of its size at most {most} may be")
+        raise CompressionError(
+            f"it declares {size} bytes uncompressed; at most {most} are possible in a file of this size"
+        )
     if compression == "none" or not stored:
         if len(stored) != size:
-            raise CompressionError(f"it holds {len(stored)} bytes, {size} are declared")
+            raise CompressionError(f"it has {len(stored)} bytes, and declares {size}")
         return stored
     try:
         records = lend(size)
@@ -405,7 +407,7 @@ def salvage(
     return messages, {
         "bytes_lost": max(segment.uncompressed_size, len(data)) - covered,
         "messages_lost": max(0, len(entries) - len(messages)) if entries else unknown or None,
-        "first_ns": max(each.log_time_ns for each in messages) if is_front else segment.start_ns,
+        "first_ns": max(message.log_time_ns for message in messages) if is_front else segment.start_ns,
         "last_ns": segment.end_ns,
     }
 
@@ -504,9 +506,9 @@ class ChunkedReader(Reader):
         self._log.note(problem, offset=segment.record_offset or segment.offset, **lost)
         wanted, start_ns, stop_ns, *_ = selection
         return [
-            callback(each)
-            for each in self._unpacked(segment, messages)
-            if each.connection.id in wanted and start_ns <= each.log_time_ns < stop_ns
+            callback(message)
+            for message in self._unpacked(segment, messages)
+            if message.connection.id in wanted and start_ns <= message.log_time_ns < stop_ns
         ]
 
     def _unpacked(self, segment: Segment, messages: list[RawMessage]) -> list[RawMessage]:  # noqa: ARG002

@@ -103,7 +103,7 @@ def plan_destination(
     written, known = _formats_by_suffix(), {entry.suffix for entry in FORMATS.values()}
     # The suffix of a storage is one that a directory must not have.
     if suffix not in written and (suffix in known or (_is_like_a_file(suffix) and not is_directory)):
-        names = ", ".join(f"NAME{each}" for each in written if each)
+        names = ", ".join(f"NAME{suffix}" for suffix in written if suffix)
         raise DestinationError(
             f"{suffix} is not a destination",
             path=path,
@@ -118,7 +118,7 @@ def plan_destination(
             hint=f"leave it out, or leave {suffix} out of the name",
         )
     if profile is not None and not entry.profiles:
-        suffixes = " and ".join(each for each, other in written.items() if other.profiles)
+        suffixes = " and ".join(suffix for suffix, other in written.items() if other.profiles)
         raise DestinationError(f"`profile` is for {suffixes} files", path=path, hint="leave it out")
     if entry.storages:
         storage = _one_of("storage", storage or entry.storages[0], entry.storages, path)

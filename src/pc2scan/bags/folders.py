@@ -153,9 +153,9 @@ def refuse_unrelated(folder: Path, readers: Sequence[Reader]) -> None:
     UsageError
         If they are several recordings.
     """
-    for reader, other in pairwise(each for each in readers if each.summary.message_count != 0):
+    for reader, other in pairwise(part for part in readers if part.summary.message_count != 0):
         if why := _why_unrelated(reader, other):
-            raise several_recordings(folder, [each.path for each in readers], why)
+            raise several_recordings(folder, [part.path for part in readers], why)
 
 
 def _part_name(path: Path) -> _PartName | None:
@@ -171,7 +171,7 @@ def _follows(reader: Reader, other: Reader) -> bool:
 
 def _why_unrelated(reader: Reader, other: Reader) -> str:
     """Return why two files that are named as parts are no parts, the second after the first; empty if they may be."""
-    topics, others = ({(own.topic, own.ros_type) for own in each.connections} for each in (reader, other))
+    topics, others = ({(own.topic, own.ros_type) for own in recording.connections} for recording in (reader, other))
     if not topics & others and not reader.damage and not other.damage:
         return f"{reader.path.name} and {other.path.name} have no topic in common"
     end_ns, start_ns = reader.summary.end_ns, other.summary.start_ns
@@ -211,13 +211,13 @@ def _some_of(names: Iterable[str]) -> str:
 
 def _common_ns(reader: Reader, other: Reader) -> int:
     """Return how long two recordings overlap; 0 if they do not, or if their times are unknown."""
-    starts, ends = ([getattr(each.summary, name) for each in (reader, other)] for name in ("start_ns", "end_ns"))
+    starts, ends = ([getattr(part.summary, name) for part in (reader, other)] for name in ("start_ns", "end_ns"))
     return 0 if None in (*starts, *ends) else max(0, min(ends) - max(starts))
 
 
 def _allowed_ns(*readers: Reader) -> int:
     """Return how long parts of one recording may overlap."""
-    durations = [(each.summary.end_ns or 0) - (each.summary.start_ns or 0) for each in readers]
+    durations = [(part.summary.end_ns or 0) - (part.summary.start_ns or 0) for part in readers]
     return min(_MAX_COMMON_NS, max(_LATE_NS, min(durations) // 2))
 
 

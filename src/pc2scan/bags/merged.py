@@ -122,7 +122,7 @@ class MergedReader(Reader):
         start_ns, end_ns = reader.summary.start_ns, reader.summary.end_ns
         if start_ns is None or end_ns is None or end_ns < start_ns:
             return False
-        others = [each.summary for each in self._readers if each is not reader and each.summary.message_count != 0]
+        others = [other.summary for other in self._readers if other is not reader and other.summary.message_count != 0]
         return all(
             (other.start_ns is not None and end_ns < other.start_ns)
             or (other.end_ns is not None and other.end_ns < start_ns)

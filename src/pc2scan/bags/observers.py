@@ -45,8 +45,8 @@ class Spread(NamedTuple):
     @classmethod
     def of(cls, connections: Iterable[Connection], start_ns: int, stop_ns: int, samples: int) -> Spread | None:
         """Return the parts for so many samples of connections; None if all their messages are wanted."""
-        counts = [each.message_count for each in connections]
-        if None not in counts and samples >= sum(each or 0 for each in counts):
+        counts = [connection.message_count for connection in connections]
+        if None not in counts and samples >= sum(count or 0 for count in counts):
             return None
         return cls(start_ns, stop_ns, max(1, min(samples, stop_ns - start_ns)))
 
@@ -181,8 +181,12 @@ class _Seen(NamedTuple):
 
 def _bytes_for(reader: Reader, observers: Iterable[Observer[Any]]) -> int:
     """Return how many bytes are read for those observers that want all messages; the others want few."""
-    lasting = [each for each in observers if each.most is None and each.spread is None and each.is_needless is None]
-    connections = {connection.id: connection for each in lasting for connection in each.connections}
+    lasting = [
+        observer
+        for observer in observers
+        if observer.most is None and observer.spread is None and observer.is_needless is None
+    ]
+    connections = {connection.id: connection for observer in lasting for connection in observer.connections}
     return reader.stored_bytes(list(connections.values())) if connections else 0
 
 
@@ -207,11 +211,11 @@ def observe(*sources: tuple[Reader, Sequence[Observer[Any]]], meter: Meter | Non
         If a file is damaged, and damage is an error.
     """
     if meter is not None:
-        meter.expect(sum(_bytes_for(*each) for each in sources) + meter.following)
+        meter.expect(sum(_bytes_for(*source) for source in sources) + meter.following)
     for reader, observers in sources:
         groups: dict[object, list[Observer[Any]]] = {}
         for observer in observers:
-            ids = frozenset(each.id for each in observer.connections)
+            ids = frozenset(connection.id for connection in observer.connections)
             limits = ids, observer.start_ns, observer.stop_ns, observer.spread
             groups.setdefault(reader.has_chunks or limits, []).append(observer)
         for group in groups.values():
@@ -223,7 +227,7 @@ def observe(*sources: tuple[Reader, Sequence[Observer[Any]]], meter: Meter | Non
 
 def _observe_together(reader: Reader, observers: Sequence[Observer[Any]], meter: Meter | None) -> None:
     """Read a recording once."""
-    connections = {each.id: each for observer in observers for each in observer.connections}
+    connections = {connection.id: connection for observer in observers for connection in observer.connections}
     by_connection: dict[int, list[Observer[Any]]] = {}
     lone: dict[int, Callable[[RawMessage], object]] = {}
 

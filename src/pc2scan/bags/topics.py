@@ -175,9 +175,12 @@ def unheard(connections: Iterable[Connection]) -> list[tuple[str, str]]:
     tf2 asks for the durability transient local.
     """
     topics = dict.fromkeys(
-        each.topic
-        for each in connections
-        if each.ros_version == 2 and each.is_static and not each.latching and each.message_count != 0
+        connection.topic
+        for connection in connections
+        if connection.ros_version == 2
+        and connection.is_static
+        and not connection.latching
+        and connection.message_count != 0
     )
     what = "its QoS is volatile or not recorded, so ROS 2 plays it as volatile, and tf2 does not receive it"
     cure = "play it with --qos-profile-overrides-path qos.yaml, a file with the line"

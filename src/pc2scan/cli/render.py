@@ -129,7 +129,7 @@ def show(result: Result, options: Options, known: Container[str] = ()) -> int:
     Parameters
     ----------
     options
-        Those of the call; ``as_json``, ``quiet`` and ``verbose`` are read.
+        The options of the call; ``as_json``, ``quiet`` and ``verbose`` are read.
     known
         Warnings that were shown while it was made.
 

@@ -196,7 +196,7 @@ def diff(a: Path, b: Path | None, options: Options, *, progress: Progress | None
         sources = [stack.enter_context(closing(open_source(path))) for path in paths]
         result = Difference(str(sources[0].path), str(sources[1].path))
         compared, result.left_aside = _streams(sources, topics, all_topics=options.all_topics)
-        # Those of a recording that does not count them are 0.
+        # A recording that does not count its messages has 0.
         counts = [[sum(c.message_count or 0 for c in stream.connections) for stream in pair] for pair in compared]
         meter.expect(sum(map(max, counts)))
         for pair in compared:

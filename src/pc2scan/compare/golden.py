@@ -416,7 +416,7 @@ def make_case(folder: Path, command: Command, options: Options, *, progress: Pro
     Returns
     -------
     Report
-        That of the cut.
+        The report of the conversion that cuts the input out.
 
     Raises
     ------

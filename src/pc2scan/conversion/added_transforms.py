@@ -47,7 +47,7 @@ class AddedTransforms:
     report
         The report's entry that counts the messages.
     serialization
-        That of the destination.
+        The destination's.
     handle
         The writer's handle.
     """

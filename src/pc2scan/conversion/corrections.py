@@ -47,7 +47,7 @@ def _moved(offset_ns: int | None, fields: Sequence[str], remarks: dict[str, None
     Parameters
     ----------
     offset_ns
-        What is added; None: the stamp becomes the log time.
+        Nanoseconds to add; None: the stamp becomes the log time.
     fields
         Fields with the points' times, besides the usual ones.
     remarks
@@ -143,7 +143,7 @@ def corrected_transforms(
     """
     others = open_recordings(request.frames.tf_from, stack, strict=request.strict)
     if request.clock:
-        # Of topics with poses that have an offset of their own.
+        # Topics with poses may have an offset of their own.
         reader, _ = corrected(reader, [], request.clock, request.frames.tf_topics)
     return read_transforms([reader, *others], request.frames, needed=needed, meter=meter), others
 
@@ -163,7 +163,7 @@ def _named_topics(connections: Sequence[Connection], clock: StampOptions) -> dic
     }
 
 
-#: Messages that have the coordinates as numbers; those of others are compressed, or computed of packets.
+#: Messages that have the coordinates as numbers; other messages are compressed, or have packets.
 _TYPES = (
     *(POINTCLOUD2, "sensor_msgs/msg/PointCloud"),
     *("livox_ros_driver/msg/CustomMsg", "livox_ros_driver2/msg/CustomMsg"),

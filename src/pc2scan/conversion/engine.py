@@ -59,7 +59,7 @@ def items_of(
     reader
         The recording.
     routes
-        What is done with the messages of each connection; messages of others are not read.
+        The route of each connection's messages; other messages are not read.
     span
         The cut. Messages of latched topics from before it are valid in it, and come first.
     threads
@@ -156,7 +156,7 @@ def latched_at(messages: Iterable[RawMessage], start_ns: int) -> Chunk:
     Parameters
     ----------
     messages
-        Those of latched connections from before the cut, in their order.
+        The messages of latched connections from before the cut, in their order.
     start_ns
         The beginning of the cut: at their own log times, they would make the recording begin when they were logged.
     """
@@ -198,7 +198,7 @@ class Item(NamedTuple):
     route
         The route of the message; of a group, that of its leading message.
     log_time_ns, publish_time_ns, sequence
-        Those of the message. A group has the log time of the message that completes it, and the leading one's sequence.
+        The message's. A group has the log time of the message that completes it, and the leading one's sequence.
     results
         Each output with its result, or with the error in its place. The message of an output that makes one scan of
         several waits for its group.
@@ -453,7 +453,7 @@ def add_groups(items: Items, combiners: Iterable[Combiner], threads: Threads | N
     Parameters
     ----------
     items
-        Those of single messages, in the order of writing.
+        The items of single messages, in the order of writing.
     combiners
         All combiners of the outputs.
     threads
@@ -472,7 +472,7 @@ def add_groups(items: Items, combiners: Iterable[Combiner], threads: Threads | N
                 del work
                 yield result
         return
-    # Of scans with very many points, only one may wait.
+    # Scans may have very many points, so only one may wait.
     queue: InOrder[Any] = InOrder(threads, _AHEAD_BYTES, 1)
     try:
         for work, size, takes_long in _work(items, combiners):

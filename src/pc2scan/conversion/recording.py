@@ -255,7 +255,7 @@ def count_skipped(routes: Mapping[int, Route], reader: Reader, span: Span) -> di
     """
     skipped = [route for route in routes.values() if not route.writes]
     counted = reader.counts([route.connection for route in skipped], span.start_ns, span.stop_ns) if skipped else {}
-    # What was latched before the cut would have been written, too.
+    # Messages that were latched before the cut would have been written, too.
     lasting = [route.connection for route in skipped if route.connection.is_latched]
     earlier = reader.counts(lasting, None, span.start_ns) if lasting and span.start_ns is not None else {}
     for route in skipped:

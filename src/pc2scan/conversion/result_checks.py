@@ -328,7 +328,7 @@ def result_findings(
     first_scans
         The first scan of each topic that was written, serialised, and its request. Empty for a dry run.
     serialization
-        That of the scans: ``ros1`` or ``cdr``.
+        The serialisation of the scans: ``ros1`` or ``cdr``.
     """
     remarks = [*_of_first_scans(first_scans, serialization)]
     if lost := [topic for topic in report.topics if topic.lost and topic.messages_in]:
@@ -388,7 +388,7 @@ def refuse_nothing(report: Report) -> None:
     if read:
         reasons = Counter("" if entry.gap_ns else entry.reason for entry in report.skipped)
         ((common, count),) = reasons.most_common(1)
-        # Of stamps without transforms the farthest: what helps it helps the others, too.
+        # The stamp that is farthest from any transform: its hint helps the others, too.
         shown = max(report.skipped, key=lambda entry: entry.gap_ns if not common else entry.reason == common)
         which = "" if count == len(report.skipped) else f", {count:,} of {read:,}"
         why, hint = f"all were skipped{which}: {shown.reason}", shown.hint

@@ -296,7 +296,7 @@ def span(x: NDArray[Any], values: NDArray[Any]) -> tuple[float, float, int, int]
     measured : int
         How many points have an ``x`` that is not NaN.
     unknown : int
-        Those of them whose value is NaN or infinite.
+        How many of them have a value that is NaN or infinite.
     """
     measured = ~np.isnan(x)
     elements = values[measured].astype(np.float64)

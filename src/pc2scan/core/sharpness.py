@@ -106,7 +106,7 @@ def roughness(stamps_ns: NDArray[np.int64], values: NDArray[np.float64]) -> NDAr
     count = len(stamps_ns) - _TOGETHER + 1
     if count < _FEWEST:
         return np.zeros(values.shape[1])
-    # Of long recordings, a thousand times five values are enough.
+    # For long recordings, a thousand times five values are enough.
     begins = np.linspace(0, count - 1, min(count, 1_000)).astype(np.intp)
     places = begins[:, None] + np.arange(_TOGETHER)
     times = (stamps_ns[places] - stamps_ns[places[:, :1]]) / 1e9

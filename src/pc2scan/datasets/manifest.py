@@ -435,7 +435,7 @@ def open_folder(out: Path, *, dry_run: bool) -> Iterator[BatchFolder]:
 def _hold(out: Path, stack: ExitStack) -> int:
     """Return the lock of a folder, which is held until the stack is closed, and until the workers end that inherit it.
 
-    Those of a killed run may take some seconds.
+    The workers of a killed run may take some seconds.
     """
     deadline = time.monotonic() + _WAIT_SECONDS
     while True:

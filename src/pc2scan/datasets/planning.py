@@ -138,7 +138,7 @@ class Choices:
     Parameters
     ----------
     entries
-        Those of the dataset file.
+        The entries of the dataset file.
     keywords
         Options of the call. They override those of the file.
     origins

@@ -39,7 +39,7 @@ _AGREEING = re.compile(r"\b(?:is|are|was|were|has|have|its|their)\b|(?<=# )([a-z
 
 
 class RemarkGroup(NamedTuple):
-    """Recordings of which the same is said, with other names or numbers.
+    """Recordings with the same remark, apart from names and numbers.
 
     Attributes
     ----------

@@ -56,7 +56,7 @@ def _multi_echo(serialization: str, echo: str) -> DecodeScan:
     return partial(decode_multi_echo, serialization=serialization, echo=echo)
 
 
-#: Of 2D scans, by ROS type, the function that makes the decoder of a serialisation and an echo (``first``, ``last`` or
+#: 2D scans by ROS type: the function that makes the decoder of a serialisation and an echo (``first``, ``last`` or
 #: ``strongest``), which types with one range for each beam ignore.
 SCANS: dict[str, Callable[[str, str], DecodeScan]] = {
     LASERSCAN: _laserscan,
@@ -75,7 +75,7 @@ def to_pointcloud2(connection: Connection, serialization: str) -> Callable[[Buff
     Parameters
     ----------
     serialization
-        That of the new messages: ``ros1`` or ``cdr``.
+        The serialisation of the new messages: ``ros1`` or ``cdr``.
     """
     decode = CLOUDS[connection.ros_type](connection.serialization)
     return lambda data: encode_cloud(as_pointcloud2(decode(data)), serialization)

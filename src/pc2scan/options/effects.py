@@ -14,7 +14,7 @@ from .table import options_of
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-#: An option, those of which it needs one, and the command in which it does; empty: in all.
+#: An option, the options of which it needs one, and the command in which it needs it; empty: in all commands.
 NEEDS = (
     ("node", "params_file", ""),
     ("launch_args", "params_file", ""),

@@ -161,7 +161,7 @@ class ScanSpec:
     keep_used
         A topic for the points that give the scans their ranges; empty: none.
     echo
-        Of 2D scans with several echoes of a beam: ``first``, ``last`` or ``strongest``.
+        The echo that 2D scans with several echoes use: ``first``, ``last`` or ``strongest``.
     """
 
     topics: tuple[TopicRequest, ...] = ()

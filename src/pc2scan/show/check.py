@@ -263,7 +263,7 @@ class _Frame:
     scans
         How many there are.
     missing
-        Those without a transform to the odometry, although there is one.
+        Scans without a transform to the odometry, although there are such transforms.
     pose
         The first place on the robot: x, y and yaw.
     moving

@@ -358,7 +358,7 @@ class _SurveyResult:
     Attributes
     ----------
     facts
-        Of each topic with clouds or scans.
+        The facts of each topic with clouds or scans.
     places
         The frames in which clouds are described.
     buffer

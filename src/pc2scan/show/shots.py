@@ -74,7 +74,7 @@ class Picture(Result):
     notes
         Notes about the picture.
     warnings
-        What is not as the options ask.
+        What differs from the request.
     damage
         The damage in the parts of the recording that were read.
     """

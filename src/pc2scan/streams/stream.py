@@ -80,13 +80,13 @@ class StreamSource(NamedTuple):
     topics
         The topics of the items.
     routes
-        What is done with the messages of each connection.
+        The route of each connection's messages.
     span
         The cut.
     jobs
         The number of threads; 0: one for each processor core.
     warnings
-        Those of a conversion, which adds more while it is read.
+        The warnings of a conversion, which adds more while it is read.
     conclude
         Adds the last warnings, at the end.
     """

@@ -77,7 +77,7 @@ def _joined(parts: list[_Columns]) -> _Columns:
 class TransformBuilder:
     """Collects transforms in the order of the recording; `build` turns them into a `TransformBuffer`.
 
-    Those of each child frame that are accepted are together, in 68 bytes each.
+    Accepted transforms of one child frame are together, in 68 bytes each.
     """
 
     # Pair of frames, stamp_ns, whether static, and the pose.

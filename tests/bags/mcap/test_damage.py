@@ -43,12 +43,12 @@ UNSIZED = zstd(BODY, size=False)
 #: What stands where a file has its records.
 DAMAGED = [
     (raw_chunk(BODY, compression="bz2"), "compression 'bz2', known are none, lz4 and zstd"),
-    (raw_chunk(BODY, uncompressed_size=len(BODY) + 1), "cannot be decompressed to|are declared"),
+    (raw_chunk(BODY, uncompressed_size=len(BODY) + 1), "cannot be decompressed to|declares"),
     (raw_chunk(BODY, uncompressed_crc=1), "has CRC .*, recorded is 00000001"),
     (raw_chunk(BODY, compression="zstd", packed=b"nonsense"), "cannot be decompressed"),
     (raw_chunk(BODY, compression="lz4", packed=lz4_packed(BODY)[:-3]), "cannot be decompressed"),
     (raw_chunk(BODY, compression="lz4", packed=lz4_packed(DEEP)), "there is more"),
-    (raw_chunk(BODY, compression="zstd", packed=UNSIZED, uncompressed_size=1 << 60), "at most [0-9]+ may be"),
+    (raw_chunk(BODY, compression="zstd", packed=UNSIZED, uncompressed_size=1 << 60), "at most [0-9]+ are possible"),
     (record(6, struct.pack("<QQQIIQ", 1, 1, 5, 0, 0, 6) + b"short"), "declares 6 bytes of records in 45 bytes"),
     (raw_chunk(BODY + raw_message(channel=7)), "channel 7 has messages"),
     (raw_chunk(BODY + record(15, b"")), "has a record of kind 15 in it"),

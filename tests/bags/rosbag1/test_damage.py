@@ -68,7 +68,7 @@ def test_a_damaged_index_is_refused(info: bytes, told: str, tmp_path: Path) -> N
         (message(1, order=("conn", "op", "time"))[:-1], "a message reaches to byte 50 of a chunk of 49"),
         (message(1) + b"\0", "a record's length does not fit"),
         (record(op=b"\x04"), "a record of kind 4"),
-        (message(10), "a message of log time 0.000000010, declared are 0.000000001 to 0.000000009"),
+        (message(10), "a message of log time 0.000000010, and declares 0.000000001 to 0.000000009"),
     ],
 )
 def test_a_damaged_chunk_is_refused(payload: bytes, told: str, tmp_path: Path) -> None:
@@ -87,7 +87,7 @@ def test_a_chunk_of_another_size_is_refused(compression: str, wrong: int, tmp_pa
     path = simple_bag(tmp_path / "a.bag", PAYLOAD, compression=compression, size=len(PAYLOAD) + wrong)
     observed = "there is more" if wrong < 0 else f"it ends after {len(PAYLOAD)} bytes"
     said = f"its {compression} data cannot be decompressed to the declared {len(PAYLOAD) + wrong} bytes: {observed}"
-    assert (said if compression != "none" else f"{len(PAYLOAD) + wrong} are declared") in fails(path)
+    assert (said if compression != "none" else f"declares {len(PAYLOAD) + wrong}") in fails(path)
 
 
 @pytest.mark.parametrize("compression", ["bz2", "lz4"])

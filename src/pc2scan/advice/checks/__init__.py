@@ -100,7 +100,7 @@ def are_enough(facts: CloudFacts) -> bool:
         return len(facts.samples) >= PARTS
     if len(facts.samples) != 1:
         return len(facts.samples) >= JUDGED_CLOUDS
-    # What is computed of one cloud is not true of several.
+    # Cached values of one cloud are not those of several.
     facts = replace(facts)
     with np.errstate(all="ignore"):
         return facts.are_fine and not found_by(FIRST_CLOUDS, facts)

@@ -150,7 +150,7 @@ def scan_messages(
                     append(new(RawMessage, (connection, log_time_ns, data_view, publish_time_ns, sequence)))
                 elif not first_ns <= log_time_ns <= last_ns:
                     times = " to ".join(map(stamp_text, span))
-                    raise ValueError(f"it has a message of log time {stamp_text(log_time_ns)}, declared are {times}")
+                    raise ValueError(f"it has a message of log time {stamp_text(log_time_ns)}, and declares {times}")
             elif further is not None:
                 further(position)
             position = following

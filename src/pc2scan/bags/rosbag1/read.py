@@ -152,9 +152,8 @@ class Rosbag1Reader(ChunkedReader):
         if declared is not None and count < declared:
             raise FormatError(f"it has {counted(count, 'message')}, the index counts {declared}")
         if declared is not None and count > declared:
-            what = (
-                f"the chunk with data at byte {segment.offset} has {counted(count, 'message')}, counted are {declared}"
-            )
+            chunk = f"the chunk with data at byte {segment.offset}"
+            what = f"{chunk} has {counted(count, 'message')}, its index counts {declared}"
             self._log.note_index(self._file, segment.offset, what)
         return messages
 
@@ -307,7 +306,7 @@ def scan_messages(
             elif not first <= stamp <= last:
                 raise FormatError(
                     f"it has a message of log time {stamp_text(stamp)}, "
-                    f"declared are {stamp_text(first)} to {stamp_text(last)}"
+                    f"and declares {stamp_text(first)} to {stamp_text(last)}"
                 )
         check_number(messages)
     return messages, others, count

@@ -309,7 +309,7 @@ def _read_bag_header(file: BagFile) -> tuple[int, int, int]:
     fields = file.record(len(FIRST_LINE), BAG_HEADER).fields
     if encryptor := text_of(fields.get(b"encryptor", b"")):
         raise RecordingError(
-            f"is encrypted ({encryptor}), only bags that are not can be read",
+            f"is encrypted ({encryptor}); only unencrypted bags can be read",
             path=file.path,
             hint="decrypt it with ROS 1: rosbag decrypt FILE",
         )

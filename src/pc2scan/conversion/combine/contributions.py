@@ -121,8 +121,7 @@ class MessagesToScan:
     grouper
         Makes the grouper of messages; None: each message becomes a scan by itself.
     deskews
-        What places the points of a topic at their own times, by topic. Those of others are placed at the
-        message's stamp.
+        The stages that place points at their own times, by topic. Other topics are placed at the message's stamp.
     surroundings
         Samples some clouds that are not deskewed; None: nothing does.
     """

@@ -363,7 +363,7 @@ class Database:
             database.execute(f"CREATE TABLE {place}({', '.join(('id INTEGER PRIMARY KEY', *names))})")
             # A broken tree may lead to a row twice.
             insert = f"INSERT OR IGNORE INTO {place} VALUES (?{', ?' * len(names)})"  # noqa: S608  # constants
-            rows, *others = (_readable_rows(each, table, names, self.size) for each in damaged)
+            rows, *others = (_readable_rows(cursor, table, names, self.size) for cursor in damaged)
             if table != "messages":
                 # Of messages, the data come last.
                 same = list(map(set, others))
