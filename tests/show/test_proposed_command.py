@@ -143,7 +143,8 @@ def scans_of(path: Path) -> list[LaserScan]:
         ((-0.4, 3.5), (FRONT,), {}),
         # The stamp of the third cloud is before them, within the tolerance.
         ((0.21, 3.5), (FRONT,), {"start": "transforms to odom begin 0.21 s after the first cloud"}),
-        ((1.31, 3.5), (FRONT,), {"start": "transforms to odom begin 1.3 s after the first cloud"}),
+        # None of the first clouds, whose headers are read, has a place.
+        ((2.17, 3.5), (FRONT,), {"start": "transforms to odom begin 2.2 s after the first cloud"}),
         (
             (0.254, 2.654),
             (FRONT, REAR),
@@ -169,7 +170,7 @@ def test_clouds_without_transforms_are_left_out(
         sum(topic.messages_out for topic in each.topics if topic.target == "/scan") for each in (report, whole)
     )
     assert sum(topic.skipped for topic in whole.topics) > 0 or not reasons
-    assert kept == every > 10
+    assert kept == every > 5
 
 
 @pytest.mark.parametrize("degrees", [0.5, 2.0, 8.0])

@@ -62,7 +62,7 @@ TOLERANCE = ProjectionParams().transform_tolerance
 #: How many clouds of a topic are looked at, how many at most of those in the recording's last second, how many for the
 #: shape of their rings, and the largest of a pattern that is sparse, points.
 HEADERS = 21
-_LAST_HEADERS = 400
+_LAST_HEADERS = 4_000
 _SHAPES = 3
 _SPARSE = 60_000
 

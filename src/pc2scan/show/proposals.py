@@ -73,8 +73,9 @@ _BEYOND = 15.0
 _CELLS = 30
 _LONG_NS = 5_000_000_000
 
-#: A cut at an edge has so many digits at least: hundredths of a second.
+#: A cut at an edge has so many digits at least: hundredths of a second. Further packets come within so much time.
 _DIGITS = 2
+_SOON_NS = 20_000_000
 
 
 def body_of(clouds: Iterable[NDArray[np.float64]], low: float, high: float) -> Sequence[float]:
@@ -386,10 +387,12 @@ def _edge_cuts(lidars: Sequence[Lidar], fixed: str) -> Iterator[Choice]:
             else:
                 kept[1].append(header.log_time_ns)
     if lost[0]:
-        after_ns, by_ns = max(lost[0])[0], max(by for _, by in lost[0])
+        (after_ns, lacks_ns), by_ns = max(lost[0]), max(by for _, by in lost[0])
         later = [time_ns for time_ns in kept[0] if time_ns > after_ns]
-        if later and after_ns < first_ns:
-            seconds = _between(after_ns - start_ns, min(later) - start_ns)
+        if not later:  # all of these packets came too early
+            after_ns += lacks_ns
+        if after_ns < first_ns:
+            seconds = _between(after_ns - start_ns, min(later, default=after_ns + _SOON_NS) - start_ns)
             yield Choice("start", seconds, f"transforms to {fixed} begin {by_ns / 1e9:.2g} s after the first cloud")
     if lost[1]:
         until_ns, by_ns = min(lost[1])[0], max(by for _, by in lost[1])
