@@ -28,6 +28,7 @@ from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import Pc2ScanError, TransformError
 from pc2scan.options.call import Options
 from pc2scan.parsing import conversion_of
+from pc2scan.request.filters import Frame
 from pc2scan.request.point_time import DIRECTIONS, PointTime, directions_of
 from pc2scan.transforms.frames import BODIES, WORLDS
 from pc2scan.transforms.motion import sensor_motion
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
 
     from pc2scan.advice.clocks import ClockFinding
     from pc2scan.advice.survey import TopicFacts
+    from pc2scan.conversion.steps import PlacedCloud
     from pc2scan.core.rigid import Rigid
     from pc2scan.core.rule import PointCounts
     from pc2scan.core.scene import CloudSample
@@ -50,7 +52,6 @@ if TYPE_CHECKING:
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.motion import SensorMotion
     from pc2scan.transforms.mounting import Mounting
-    from pc2scan.transforms.placing import Placement
 
 
 #: All transforms of so much time at both edges of a recording are known, nanoseconds.
@@ -400,14 +401,11 @@ class Trial(NamedTuple):
     ranges
         The ranges of the beams of each scan, (scans, 3, N), infinite without a return: by all points, by those that
         stand, and by those that may.
-    slope
-        How steeply nearly all that does not stand rises above the lower limit, metres a metre.
     findings
         What a conversion would say.
     """
 
     ranges: NDArray[np.float64] = np.empty((1, 3, 0))
-    slope: float = 0.0
     findings: tuple[str, ...] = ()
 
     @property
@@ -445,7 +443,7 @@ class Scene(NamedTuple):
         Whether they are parts of one scan.
     """
 
-    clouds: Sequence[Points]
+    clouds: Sequence[PlacedCloud]
     placer: Placer
     samples: list[CloudSample]
     slope: float
@@ -474,35 +472,36 @@ def tried(options: Mapping[str, Any], lidar: Lidar) -> Trial:
 def _scene(spec: ScanSpec, lidar: Lidar) -> Scene:
     """Return what commands like this one are tried on."""
     is_placed = bool(lidar.mounting.static_tf) or lidar.is_registered
-    clouds, merges = lidar.tried_clouds(is_placed=is_placed, is_level=spec.level)
+    recorded, merges = lidar.tried_clouds(is_placed=is_placed, is_level=spec.level)
     placer = _placer(spec, lidar, "" if is_placed else spec.params.target_frame)
-    known: list[tuple[Points, Placement]] = []
+    clouds: list[PlacedCloud] = []
     # Those of a robot that tilts are level only where transforms, or an IMU, show it.
     left_out = (TransformError,) if spec.level else ()
-    for cloud in clouds:
+    for points in recorded:
         with suppress(*left_out):
-            known.append((cloud, placer.place(cloud.frame_id, cloud.stamp_ns)))
-    if not known:
+            clouds.append(PlaceStage(placer)(points))
+    if not clouds:
         return Scene((), placer, [], 0.0, merges)
-    clouds = [cloud for cloud, _ in known]
     samples = [] if is_placed or spec.level else lidar.facts.samples(placer)
-    placed = [_moved(cloud, place.target_from_source) for cloud, place in known]
+    placed = [_coordinates(cloud) for cloud in clouds]
     sensor = lidar.in_target(np.zeros((3, 1)), lidar.mounting.frame)
     # Of registered clouds it is not known from where they were seen.
-    possible = [~are_seen_through(points - sensor) | lidar.is_placed for points in placed]
+    possible = [~are_seen_through(xyz - sensor) | lidar.is_placed for xyz in placed]
     if spec.level and spec.fixed_frame:
         # What a robot that tilts sees of a place, from all of them.
-        ways = [placer.from_fixed(spec.fixed_frame, each.frame_id, each.stamp_ns)[1] for each in clouds]
+        ways = [placer.from_fixed(spec.fixed_frame, each.points.frame_id, each.stamp_ns)[1] for each in clouds]
         placed = [ways[0].compose(way.inverse()).apply(xyz) for way, xyz in zip(ways, placed, strict=True)]
     params, heights = spec.params, lidar.mounting.heights
     floor = params.min_height if heights is None or heights.floor is None else heights.floor
     seen = [np.concatenate(placed)] if merges or (spec.level and spec.fixed_frame) else placed
-    every = np.concatenate([are_upright(points, floor, lidar.pattern.degrees) for points in seen])
+    every = np.concatenate([are_upright(xyz, floor, lidar.pattern.degrees) for xyz in seen])
     stands = np.split(every, np.cumsum([len(each) for each in placed])[:-1])
-    lying = (points[~upright] for points, upright in zip(placed, stands, strict=True))
-    slope = max(_slope(points, params.min_height, params.max_height) for points in lying)
-    marks = zip(clouds, stands, possible, strict=True)
-    marked = [each.replace({_STANDS: stand, _MAY_STAND: may}, each.frame_id) for each, stand, may in marks]
+    lying = (xyz[~upright] for xyz, upright in zip(placed, stands, strict=True))
+    slope = max(_slope(xyz, params.min_height, params.max_height) for xyz in lying)
+    marked = []
+    for cloud, stand, may in zip(clouds, stands, possible, strict=True):
+        fields = {_STANDS: stand, _MAY_STAND: may}
+        marked.append(replace(cloud, points=cloud.points.replace(fields, cloud.points.frame_id)))
     return Scene(marked, placer, samples, slope, merges)
 
 
@@ -516,11 +515,10 @@ def _placer(spec: ScanSpec, lidar: Lidar, target: str) -> Placer:
     return Placer(target, "", buffer, tolerance_ns, up)
 
 
-def _moved(cloud: Points, transform: Rigid | None) -> NDArray[np.float64]:
-    """Return the points of a cloud in another frame, (N, 3)."""
-    with np.errstate(invalid="ignore"):  # coordinates may be infinite, and a NaN a signalling one
-        points = np.stack(cloud.xyz(), axis=1).astype(np.float64)
-        return points if transform is None else np.asarray(transform.apply(points))
+def _coordinates(cloud: PlacedCloud) -> NDArray[np.float64]:
+    """Return the points of a cloud in the frame of the scans, (N, 3)."""
+    points, transform = np.stack(cloud.points.xyz(), axis=1).astype(np.float64), cloud.place.target_from_source
+    return points if transform is None else np.asarray(transform.apply(points))
 
 
 def _slope(lying: NDArray[np.float64], low: float, high: float) -> float:
@@ -535,18 +533,19 @@ def _slope(lying: NDArray[np.float64], low: float, high: float) -> float:
 def _scans(spec: ScanSpec, lidar: Lidar, scene: Scene) -> tuple[Trial, list[PointCounts]]:
     """Return what a command makes of the clouds, and what became of the points of each."""
     params, placer = spec.params, scene.placer
+    # Placed clouds have no other frame.
     is_placed = placer.target_frame != params.target_frame
-    filters = [each for each in spec.filters if not is_placed or each.name in {"ground", "min_height_slope"}]
+    filters = [each for each in spec.filters if not is_placed or each.frame is Frame.TARGET]
     measured = {lidar.topic: Measurements(0.0, azimuth_step=lidar.step)}
     steps = CloudToScan(replace(spec, filters=tuple(filters)), placer, measured).steps(lidar.topic)
     ranges: list[list[NDArray[np.float32]]] = []
     counts: list[PointCounts] = []
     for cloud in scene.clouds:
-        chosen = steps.select(PlaceStage(placer)(cloud))
+        chosen = steps.select(cloud)
         marked = [chosen.points.select(chosen.points.field(each)) for each in (_STANDS, _MAY_STAND)]
         scans = [steps.project(replace(chosen, points=each)) for each in (chosen.points, *marked)]
         ranges.append([each.message.ranges for each in scans])
         counts.append(scans[0].counts)
     read = np.array(ranges, np.float64)
     read[~((read >= params.range_min) & (read <= params.range_max))] = np.inf
-    return Trial(read.min(axis=0, keepdims=True) if scene.merges else read, scene.slope), counts
+    return Trial(read.min(axis=0, keepdims=True) if scene.merges else read), counts

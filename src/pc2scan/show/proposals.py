@@ -177,7 +177,7 @@ def _tried(options: Mapping[str, Any], group: Sequence[Lidar]) -> tuple[list[Cho
     is_known = not any(each.is_placed for each in group)
     if rises := worst > _TOLD and (seen > _SEEN or not is_known):
         why = f"the ground rises: {worst:.0%} of a cloud's returns may be on it"
-        slope = math.ceil(100 * max(trial.slope for trial in trials) + 0.5) / 100
+        slope = math.ceil(100 * max(each.scene.slope for each in group if each.scene) + 0.5) / 100
         ceilings = [each.mounting.heights.ceiling for each in group if each.mounting.heights is not None]
         most = min((each - _BELOW for each in ceilings if each is not None), default=math.inf)
         top = max(options["max_height"], min(options["max_height"] + slope * _REACHES, most))
