@@ -30,7 +30,7 @@ def golden(folder: Path, pattern: str | None, *, options: Options) -> int:
         if not options.as_json and not (options.quiet and case.outcome == "passed"):
             show_parts(case.body())
 
-    report = check_cases(folder, pattern or "", run_command, update=options.update, each=show_case)
+    report = check_cases(folder, pattern or "", run_command, update=options.update, show=show_case)
     if options.as_json:
         return show(report, options)
     show_parts(report.conclusion())

@@ -307,18 +307,18 @@ def check_cases(
     command: Command,
     *,
     update: bool = False,
-    each: Callable[[CaseResult], object] | None = None,
+    show: Callable[[CaseResult], object] | None = None,
 ) -> GoldenReport:
     """Check conversions against expected outputs; see `pc2scan.golden`.
 
-    ``each`` is called with the result of each case.
+    ``show`` is called with the result of each case.
     """
     report = GoldenReport(str(folder))
     for name, case in case_folders(folder, pattern):
         result = check_case(name, case, command, update=update)
         report.cases.append(result)
-        if each is not None:
-            each(result)
+        if show is not None:
+            show(result)
     return report
 
 

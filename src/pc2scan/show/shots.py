@@ -317,7 +317,7 @@ def take_shots(recording: PictureSource, *, level: bool, keep: Callable[[Shot], 
                 warnings += found_by(group, facts)
     if failed:
         warnings.append(f"Not shown: {len(failed)} of {counted(len(failed) + len(shots), 'cloud')}; {failed[0]}.")
-    measured = next((each for topic in topics if (each := conversion.measurements.get(topic))), Measurements(0.0))
+    measured = next(filter(None, map(conversion.measurements.get, topics)), Measurements(0.0))
     resolved, damage = measured.resolve(conversion.spec.params), damage_of(reader, *prepared.others)
     transforms = prepared.recorded and prepared.recorded.buffer
     return Shots(shots, resolved, transforms, prepared.notes, warnings, damage)
