@@ -22,6 +22,7 @@ from support.situations import hall
 from support.worlds.moving import Drive, Lidar, off_the_walls, returns_in_odom, write_imu, write_world
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
 STANDING = Drive(speed=0.0, turn=0.0)
@@ -249,27 +250,26 @@ def test_a_missing_mount_is_named_with_the_line_to_complete(tmp_path: Path) -> N
     assert pasted(path)
 
 
-def driven_through_posts(*, moves: bool, has_body: bool) -> list[np.ndarray[Any, np.dtype[np.float64]]]:
-    """Clouds of a robot among posts, as its lidar sees them; a frame of 0.8 by 0.5 m may be in view."""
+def driven_through_posts(step: float, said: float | None, *, has_body: bool) -> Iterator[tuple[Any, Any]]:
+    """Poses of a robot among posts, as odometry says, and its clouds; the corners of its frame may be in view."""
     random = np.random.default_rng(3)
     posts = random.uniform(-30, 30, (400, 2))
-    frame = np.array([(x, y) for x in (-0.4, 0.4) for y in np.linspace(-0.25, 0.25, 12)])
-    clouds = []
+    frame = np.array([(x, y) for x in (-0.45, 0.45) for y in (-0.25, 0.25)])
     for number in range(10):
-        seen = posts - ([2.0 * number, 0.0] if moves else [0.0, 0.0])
+        seen = posts - [step * number, 0.0]
         seen = seen[np.hypot(*seen.T) > 1.0]
         flat = np.concatenate([seen, frame]) if has_body else seen
-        clouds.append(np.column_stack([flat + random.normal(0, 0.005, flat.shape), np.full(len(flat), 0.5)]))
-    return clouds
+        place = None if said is None else Rigid.from_rpy(0, 0, 0, (said * number, 0, 0))
+        yield place, np.column_stack([flat + random.normal(0, 0.005, flat.shape), np.full(len(flat), 0.5)])
 
 
-@pytest.mark.parametrize(("moves", "has_body"), [(True, True), (True, False), (False, True), (False, False)])
-def test_the_body_is_what_stays_while_all_else_moves(moves: bool, has_body: bool) -> None:
-    box = body_of(driven_through_posts(moves=moves, has_body=has_body), 0.1, 1.5)
-    if moves and has_body:
-        # A cell around it, and 5 cm.
-        np.testing.assert_allclose(box[:4], (-0.525, 0.525, -0.375, 0.375), atol=0.125)
-        assert box[4:] == [0.0, 1.6]
-    else:
-        # What stands beside a robot that stands still may be anything.
-        assert not box
+@pytest.mark.parametrize("has_body", [True, False])
+@pytest.mark.parametrize(
+    ("step", "said", "shows"),
+    # What stands beside a robot that stands still may be anything, whatever its odometry says.
+    [(2.0, None, True), (2.0, 2.0, True), (0.1, 0.1, True), (0.02, None, False), (0.0, None, False), (0.0, 0.1, False)],
+)
+def test_the_body_is_what_stays(step: float, said: float | None, *, shows: bool, has_body: bool) -> None:
+    box = body_of(driven_through_posts(step, said, has_body=has_body), np.zeros(3), 0.1, 1.5)
+    # The cells of the corners, and 5 cm.
+    assert box == ([-0.55, 0.55, -0.35, 0.35, 0.0, 1.6] if shows and has_body else ())

@@ -43,7 +43,6 @@ _OTHER_CLOCK_NS = 500_000_000
 _BEFORE_NS = -20_000_000
 _SMALL_NS = 100_000_000
 
-
 #: Messages with simulated time.
 _CLOCK = "rosgraph_msgs/msg/Clock"
 
@@ -283,15 +282,14 @@ def measure_offsets(
     for topic, observer in ends.items():
         delays = observer.values
         number = counted(len(delays), "message")
-        if not delays or not are_doubtful(median_low(delays), median_low(others)):
-            note = f"{topic}: time_offset is 0: its first stamps fit {against} ({number})"
-            offsets[topic] = Offset(0, reference, note)
-            continue
-        offset_ns = round((min(delays) - min(others)) / 1e6) * 1_000_000
-        note = (
-            f"{topic}: time_offset is {offset_ns / 1e9:.3f} s, measured against {against} in the first {number}, whose "
-            f"delays differ by {(max(delays) - min(delays)) / 1e9:.3f} s; `time_offset={topic}={offset_ns / 1e9:.3f}s`"
-        )
+        offset_ns, note = 0, f"{topic}: time_offset is 0: its first stamps fit {against} ({number})"
+        if delays and are_doubtful(median_low(delays), median_low(others)):
+            offset_ns = round((min(delays) - min(others)) / 1e6) * 1_000_000
+            note = (
+                f"{topic}: time_offset is {offset_ns / 1e9:.3f} s, measured against {against} in the first {number}, "
+                f"whose delays differ by {(max(delays) - min(delays)) / 1e9:.3f} s; "
+                f"`time_offset={topic}={offset_ns / 1e9:.3f}s`"
+            )
         offsets[topic] = Offset(offset_ns, reference, note)
     return offsets
 

@@ -369,13 +369,12 @@ def time_warnings(facts: TopicFacts, point_time: PointTime) -> Iterator[str]:
     if len(clouds) < _FEWEST or not period:
         return
     low, high = median([cloud.low for cloud in clouds]), median([cloud.high for cloud in clouds])
-    every = f"clouds come every {period:.3g} s"
     if max(low, -high) > max(_PERIODS * period, _SECONDS):
-        where = "after" if low > 0 else "before"
         first, last = sorted((abs(low), abs(high)))
         yield (
-            f"{topic}: the points are measured {first:.3g} to {last:.3g} s {where} the stamp of their cloud, by field "
-            f"{clouds[0].field}, but {every}: if their clocks differ, deskewing moves the points wrongly; {BY_AZIMUTH}"
+            f"{topic}: the points are measured {first:.3g} to {last:.3g} s {'after' if low > 0 else 'before'} the "
+            f"stamp of their cloud, by field {clouds[0].field}, but clouds come every {period:.3g} s: if their clocks "
+            f"differ, deskewing moves the points wrongly; {BY_AZIMUTH}"
         )
 
 

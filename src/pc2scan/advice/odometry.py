@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pc2scan.core.percentiles import median
-from pc2scan.core.scene import GOLDEN
+from pc2scan.core.scene import GOLDEN, find_ground, thin_points
 from pc2scan.core.sharpness import Window, busiest, spread
 from pc2scan.errors import DecodeError, TransformError
 from pc2scan.request.point_time import PointTime
 from pc2scan.text import counted
+from pc2scan.transforms.motion import spread_of_up
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -208,6 +209,12 @@ class _Seen(NamedTuple):
     seconds: NDArray[np.float64]
     here: NDArray[np.float64] = np.empty((0, 3))
 
+    def of_walls(self) -> _Seen:
+        """Return what is seen of walls, and where it is in the fixed frame."""
+        here = self.placed()
+        walls = _are_walls(here)
+        return self._replace(points=self.points[walls], seconds=self.seconds[walls], here=here[walls])
+
     def smoothed(self) -> _Seen:
         """Return the same points with poses that are the means of some time."""
         width = round(_SMOOTH * 1e9 / _NODE_NS)
@@ -231,9 +238,16 @@ class _Seen(NamedTuple):
         return moved
 
     def turned_over(self) -> NDArray[np.float64]:
-        """Return the points in the fixed frame if the sensor is turned over; see `_turned_over`."""
-        rotation, place = self._middle(0.0)
-        own, turn = _turned_over(rotation)
+        """Return the points in the fixed frame if the sensor is turned over about its x axis, or y if x is upright.
+
+        The world is turned, too, so that what is seen from the first pose stays in place: only how the sensor turns
+        from there makes a difference.
+        """
+        row = self._poses(self.seconds[:1])[0]
+        rotation, place = row[:9].reshape(3, 3), row[9:]
+        ahead = np.append(next(axis for axis in rotation[:2].T if axis @ axis > 0.25), 0.0)
+        turn = 2 * np.outer(ahead, ahead) / (ahead @ ahead) - np.eye(3)
+        own = rotation.T @ turn @ rotation
         turned: NDArray[np.float64] = (self._replace(points=self.points @ own.T).placed() - place) @ turn.T + place
         return turned
 
@@ -347,15 +361,11 @@ class Surroundings:
             return None
         points, seconds = np.concatenate([each.points for each in own]), np.concatenate([each.seconds for each in own])
         some = slice(None, None, 1 + len(points) // _OF_WINDOW)
-        seen = _Seen((stamps_ns - window.begin_ns) / 1e9, rows[::2], points[some], seconds[some])
-        here = seen.placed()
-        walls = _are_walls(here)
-        seen = seen._replace(points=seen.points[walls], seconds=seen.seconds[walls], here=here[walls])
+        seen = _Seen((stamps_ns - window.begin_ns) / 1e9, rows[::2], points[some], seconds[some]).of_walls()
         return seen if len(seen.points) >= _FEWEST else None
 
     def _doubts(self, topic: str, windows: Sequence[_Seen]) -> Iterator[str]:
         """Yield a warning if other times, or other poses, of the points of a topic fit better."""
-        spec = self._spec
 
         def gain(changed: Callable[[_Seen], NDArray[np.float64]]) -> float:
             return _gain((each.here, changed(each)) for each in windows)
@@ -367,15 +377,15 @@ class Surroundings:
             yield f"{seen} {turned:.2g} {_IF_TURNED_OVER}"
         elif shift:
             yield (
-                f"{seen} {sharper:.2g} times as sharp with the transforms to {spec.fixed_frame} of "
+                f"{seen} {sharper:.2g} times as sharp with the transforms to {self._spec.fixed_frame} of "
                 f"{1000 * abs(shift):.0f} ms {'later' if shift > 0 else 'earlier'}: the odometry "
                 f"{'lags' if shift > 0 else 'is ahead'}, or its clock is another one; `time_offset={shift:.2f}s` "
                 "corrects the clouds' stamps"
             )
-        elif spec.deskew and (smooth := gain(lambda each: each.smoothed().placed())) >= _SHARPER:
+        elif self._spec.deskew and (smooth := gain(lambda each: each.smoothed().placed())) >= _SHARPER:
             yield (
                 f"{seen} {smooth:.2g} times as sharp by poses that are smoothed over {_SMOOTH} s: the "
-                f"transforms to {spec.fixed_frame} jitter; a smoother `fixed_frame` deskews better, or none"
+                f"transforms to {self._spec.fixed_frame} jitter; a smoother `fixed_frame` deskews better, or none"
             )
 
 
@@ -406,26 +416,26 @@ def turned_over(topic: str, clouds: Sequence[tuple[Rigid, NDArray[np.floating[An
     clouds
         The transform to a frame that does not move of each cloud, and its points, (N, 3), in the frame of the lidar.
     """
-    if not clouds:
+    some = [points[:: 1 + len(points) // _OF_CLOUD] for _, points in clouds]
+    if len(clouds) < 2:
         return ""
-    some = [(rigid, points[:: 1 + len(points) // _OF_CLOUD]) for rigid, points in clouds]
-    first = some[0][0]
-    own, turn = _turned_over(first.matrix)
-    here = np.concatenate([rigid.apply(points) for rigid, points in some])
-    turned = np.concatenate([rigid.apply(points @ own.T) for rigid, points in some])
-    turned = (turned - first.translation) @ turn.T + first.translation
-    gain = _gain([(here, turned)]) if len(here) >= _FEWEST else 0.0
+    times = np.arange(float(len(clouds)))
+    rows = np.array([[*rigid.matrix.ravel(), *rigid.translation] for rigid, _ in clouds])
+    seen = _Seen(times, rows, np.concatenate(some), np.repeat(times, [len(points) for points in some])).of_walls()
+    gain = _gain([(seen.here, seen.turned_over())]) if len(seen.points) >= _FEWEST else 0.0
     return f"{topic}: surroundings are {gain:.2g} {_IF_TURNED_OVER}" if gain > _SHARPER else ""
 
 
-def _turned_over(rotation: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return how points turn in a sensor that is turned over about its x axis, or y if x is upright; and in the world.
+def floor_tilt(clouds: Iterable[NDArray[np.float64]]) -> float:
+    """Return how far the floor is tilted from its mean, radians, in nine of ten clouds at most; 0 if it is not seen.
 
-    Together the two leave what it sees from this pose in place, so only how it turns from there makes a difference.
+    Parameters
+    ----------
+    clouds
+        Points relative to the sensor, (N, 3), along axes of which z points up.
     """
-    ahead = np.append(next(axis for axis in rotation[:2].T if axis @ axis > 0.25), 0.0)
-    turn = 2 * np.outer(ahead, ahead) / (ahead @ ahead) - np.eye(3)
-    return rotation.T @ turn @ rotation, turn
+    grounds = [find_ground(thin_points(*points.T)) for points in clouds]
+    return spread_of_up(np.array([ground.up for ground in grounds if ground.kind == "level" and ground.up]))
 
 
 def _are_walls(points: NDArray[np.float64]) -> NDArray[np.bool_]:

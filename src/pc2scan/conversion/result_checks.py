@@ -243,14 +243,14 @@ def jumping_stamps(topic: TopicReport, *_: object) -> Iterator[Remark]:
 
 
 def source_in_no_scan(topic: TopicReport, *_: object) -> Iterator[Remark]:
-    """Yield a warning about a topic whose messages are in no scan, or not in some."""
+    """Yield a warning about a topic whose messages are in no scan, or not in some between the first and the last."""
     counts, scans = topic.joined, topic.target
     if topic.action != "joined" or counts is None:
         return
     if counts.messages and not counts.used:
         why = "its stamps are never within the window of the leading topic's"
         yield warning(f"no message of {topic.topic} is in a scan on {scans}: {why}")
-    elif counts.scans_without:
+    elif counts.scans_without > sum(counts.edges):
         have = agreeing(counts.scans_without, "have")
         yield warning(f"{counted(counts.scans_without, 'scan')} on {scans} {have} nothing of {topic.topic}")
 

@@ -54,9 +54,9 @@ if TYPE_CHECKING:
 #: How many of the first messages of an IMU are read.
 _MAX_IMU = 1_000
 
-#: At how many times, spread over the recording, the motion of the robot is looked at, and in how many of its first
-#: seconds.
-_MOMENTS = 8
+#: At how many times, spread over the recording like samples of clouds, the motion of the robot is looked at, and in how
+#: many of its first seconds.
+_MOMENTS = 10
 _FIRST = 3
 
 #: How many points are examined, in all clouds together; of larger clouds every second, third, ... point is used.

@@ -316,9 +316,20 @@ class Lidar:
         return Pattern(_MOST_CLOUDS, _WIDTHS[-1] // 2)
 
     @property
-    def placed(self) -> Iterator[NDArray[np.float64]]:
-        """The spread clouds in the frame of the scans, each (N, 3)."""
-        return (self.in_target(points, stamp_ns=stamp_ns) for stamp_ns, points in self.clouds)
+    def placed(self) -> Iterator[tuple[Rigid | None, NDArray[np.float64]]]:
+        """The transform from the frame of the scans to one that does not move, and the points of the spread clouds."""
+        # What stays for a short time may be what the robot stands beside.
+        is_long = (self.recorded.end_ns or 0) - (self.recorded.start_ns or 0) >= 5 * EDGE_NS
+        for stamp_ns, points in self.clouds:
+            place = self.transform(self.world, self.target or self.mounting.frame, stamp_ns)
+            if place is not None or is_long:
+                yield place, self.in_target(points, stamp_ns=stamp_ns)
+
+    @property
+    def sensor(self) -> NDArray[np.float64]:
+        """The position of the sensor in the frame of the scans, or of the robot if clouds are registered."""
+        own = self.target if self.is_registered else self.mounting.frame
+        return np.asarray(self.in_target(np.zeros((3, 1)), own)[0])
 
     def tried_clouds(self, *, is_placed: bool, is_level: bool) -> tuple[list[Points], bool]:
         """Return clouds to try a command on, and whether they are parts of one scan.
@@ -484,9 +495,8 @@ def _scene(spec: ScanSpec, lidar: Lidar) -> Scene:
         return Scene((), placer, [], 0.0, merges)
     samples = [] if is_placed or spec.level else lidar.facts.samples(placer)
     placed = [_coordinates(cloud) for cloud in clouds]
-    sensor = lidar.in_target(np.zeros((3, 1)), lidar.mounting.frame)
     # Of registered clouds it is not known from where they were seen.
-    possible = [~are_seen_through(xyz - sensor) | lidar.is_placed for xyz in placed]
+    possible = [~are_seen_through(xyz - lidar.sensor) | lidar.is_placed for xyz in placed]
     if spec.level and spec.fixed_frame:
         # What a robot that tilts sees of a place, from all of them.
         ways = [placer.from_fixed(spec.fixed_frame, each.points.frame_id, each.stamp_ns)[1] for each in clouds]

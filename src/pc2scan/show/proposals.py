@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
+from itertools import product
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from pc2scan.advice.clocks import are_doubtful
-from pc2scan.advice.odometry import odometry_of, turned_over
+from pc2scan.advice.odometry import floor_tilt, odometry_of, turned_over
 from pc2scan.bags.destinations import default_destination
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import median_low
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
     from pc2scan.advice.survey import TopicFacts
     from pc2scan.bags.reader import Reader
+    from pc2scan.core.rigid import Rigid
     from pc2scan.transforms.motion import SensorMotion
 
 
@@ -58,67 +60,80 @@ _STEEPEST = 0.17
 #: Scans above rising ground reach so far, metres, and end so far below what is overhead.
 _REACHES, _BELOW = 20.0, 0.2
 
-#: Cells of the robot's own body, metres; how far from its frame they are at most; in how many clouds, and what share of
-#: them, the same cells have returns.
-_CELL = 0.1
-_REACH = 3.0
-_FEWEST_CLOUDS = 5
-_PERSIST = 0.9
-#: The robot moves if at most this share of larger cells beyond, up to this distance, have returns in as many clouds,
-#: in this time at least, nanoseconds.
-_STAYS = 0.05
-_LARGE = 0.5
-_BEYOND = 15.0
-#: How many cells, small or large, are between the origin and the farthest one.
-_CELLS = 30
-_LONG_NS = 5_000_000_000
+#: Cells of the robot's own body, metres; in how many clouds, and what share of them, the same cells have returns.
+_CELL, _FEWEST_CLOUDS, _PERSIST = 0.1, 5, 0.9
+#: Robots stand if more than this share of larger cells, metres, have returns in as many clouds; without odometry, they
+#: move only if so few have. How many cells, small or large, are between the origin and the farthest one.
+_STANDS, _MOVES, _LARGE, _CELLS = 0.5, 0.05, 0.5, 20
+#: What does not move is left behind if its place is so many cells from all that stay, and what is seen in its direction
+#: is so far away from it, metres. How many directions there are.
+_AWAY, _LEFT, _DIRECTIONS = 3, 0.3, 360
 
-#: A cut at an edge has so many digits at least: hundredths of a second. Further packets come within so much time.
-_DIGITS = 2
-_SOON_NS = 20_000_000
+#: Cuts at an edge are hundredths of a second if there is one between the clouds; further packets come within so much
+#: time, nanoseconds.
+_CUT_NS, _SOON_NS = 10_000_000, 20_000_000
 
 
-def body_of(clouds: Iterable[NDArray[np.float64]], low: float, high: float) -> Sequence[float]:
+def body_of(
+    clouds: Iterable[tuple[Rigid | None, NDArray[np.float64]]], sensor: NDArray[np.float64], low: float, high: float
+) -> Sequence[float]:
     """Return the limits of x, y and z of returns of the robot's own body; empty if nothing tells these apart.
+
+    The body has returns at the same places in all clouds. Where it was in the world, other clouds see what is farther
+    away; what they see there again is a wall that the robot drives along.
 
     Parameters
     ----------
     clouds
-        Points of some clouds, spread over a recording, each (N, 3), in the frame of the scans.
+        The transforms to a frame that does not move, if they are known, and the points, (N, 3), of `Lidar.placed`.
+    sensor
+        The position of the sensor.
     low, high
         The heights of the scans.
-
-    Notes
-    -----
-    The body has returns at the same places in all clouds, while the surroundings change. If the surroundings stay, too,
-    the robot stands still.
     """
     # In how many clouds each cell has returns.
-    small, large = (np.zeros((2 * _CELLS + 1, 2 * _CELLS + 1), np.intp) for _ in range(2))
-    count = 0
-    for points in clouds:
-        count += 1
-        good = points[(points[:, 2] >= low) & (points[:, 2] <= high), :2]
-        ranges = np.hypot(good[:, 0], good[:, 1])
-        small += _filled_cells(good[(ranges > _CELL) & (ranges < _REACH)], _CELL)
-        large += _filled_cells(good[(ranges >= _REACH) & (ranges < _BEYOND)], _LARGE)
+    small, large = np.zeros((2, 2 * _CELLS + 1, 2 * _CELLS + 1), np.intp)
+    views: list[tuple[Rigid | None, NDArray[np.float64]]] = []
+    for place, points in clouds:
+        good = points[(points[:, 2] >= low) & (points[:, 2] <= high)]
+        for counts, size in (small, _CELL), (large, _LARGE):
+            cells = np.floor(good[np.abs(good).max(axis=1, initial=0.0) < _CELLS * size, :2] / size).astype(np.intp)
+            counts[tuple(np.unique(cells, axis=0).T + _CELLS)] += 1
+        ranges, direction = _polar(good - sensor)
+        view = np.full(_DIRECTIONS, np.inf)
+        np.minimum.at(view, direction, ranges)
+        views.append((place, np.minimum.reduce([np.roll(view, step) for step in (-1, 0, 1)])))
         # Not held while the next one is transformed.
-        del points
-    if count < _FEWEST_CLOUDS:
+        del points, good
+    stays, beyond = (counts >= _PERSIST * len(views) for counts in (small, large))
+    standing = beyond.sum() / max(np.count_nonzero(large), 1)
+    cells = np.argwhere(stays) - _CELLS
+    body = np.insert((cells + 0.5) * _CELL, 2, low, axis=1)
+    near = np.logical_or.reduce([np.roll(stays, step, (0, 1)) for step in product(range(-_AWAY, _AWAY + 1), repeat=2)])
+    free, farther, again = np.zeros((3, len(cells)), np.intp)
+    for (now, _), (then, view) in product(views, views):
+        if now is not None and then is not None:
+            moved = then.inverse().apply(now.apply(body))
+            is_off = ~near[tuple((np.floor(moved[:, :2] / _CELL).astype(np.intp) + _CELLS).clip(0, 2 * _CELLS).T)]
+            ranges, direction = _polar(moved - sensor)
+            behind = view[direction] - ranges
+            is_free = is_off & (behind > _LEFT) & np.isfinite(behind)
+            # What is nearer may be too high or too low for the sensor.
+            free, farther = free + is_free, farther + (is_free & (ranges >= _polar(body - sensor)[0]))
+            again += is_off & (np.abs(behind) <= _LEFT)
+    if standing > _MOVES or any(place is not None for place, _ in views):
+        is_left, is_certain = (counts * (1 - _PERSIST) > again * _PERSIST for counts in (free, farther))
+        cells = cells[is_left & is_certain.any()]
+    if len(views) < _FEWEST_CLOUDS or standing > _STANDS or not cells.size:
         return ()
-    body, beyond = (np.argwhere(counts >= _PERSIST * count) - _CELLS for counts in (small, large))
-    cells = np.count_nonzero(large)
-    if len(body) < 3 or cells < 20 or len(beyond) > _STAYS * cells:
-        return ()
-    (x0, y0), (x1, y1) = body.min(axis=0) * _CELL - 0.05, (body.max(axis=0) + 1) * _CELL + 0.05
+    (x0, y0), (x1, y1) = cells.min(axis=0) * _CELL - 0.05, (cells.max(axis=0) + 1) * _CELL + 0.05
     return [round(float(limit), 2) for limit in (x0, x1, y0, y1, low - 0.1, high + 0.1)]
 
 
-def _filled_cells(points: NDArray[np.float64], size: float) -> NDArray[np.bool_]:
-    """Return which cells of a grid around the origin have points, (N, 2)."""
-    filled = np.zeros((2 * _CELLS + 1, 2 * _CELLS + 1), np.bool_)
-    filled[tuple((np.floor(points / size).astype(np.intp) + _CELLS).T)] = True
-    return filled
+def _polar(places: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """Return how far away places are, and in which direction."""
+    x, y = places[:, 0], places[:, 1]
+    return np.hypot(x, y), ((np.arctan2(y, x) / math.tau + 0.5) * _DIRECTIONS).astype(np.intp) % _DIRECTIONS
 
 
 class Choice(NamedTuple):
@@ -220,16 +235,11 @@ def _groups(lidars: Sequence[Lidar]) -> Iterator[list[Lidar]]:
     """Yield the lidars whose clouds become one scan: they measure at the same time, and transforms connect them."""
     rest = list(lidars)
     while rest:
-        first = rest.pop(0)
-        group = [first]
+        group = [rest.pop(0)]
         for other in list(rest):
             frames = {each.mounting.frame.removeprefix("/") for each in group}
-            if (
-                first.target
-                and other.target == first.target
-                and other.mounting.frame.removeprefix("/") not in frames
-                and _measure_together(first.facts, other.facts)
-            ):
+            is_beside = other.target == group[0].target and other.mounting.frame.removeprefix("/") not in frames
+            if other.target and is_beside and _measure_together(group[0].facts, other.facts):
                 group.append(other)
                 rest.remove(other)
         yield group
@@ -318,11 +328,9 @@ def _heights(group: Sequence[Lidar]) -> Iterator[Choice]:
 def _times(group: Sequence[Lidar]) -> Iterator[Choice]:
     """Yield the options about motion, packets and patterns."""
     lidar = group[0]
-    is_alone = len(group) == 1
-    turn = lidar.turn if is_alone else 0.0
-    clouds = lidar.pattern.clouds if is_alone else 0
+    turn, clouds = (0.0, 0) if group[1:] else (lidar.turn, lidar.pattern.clouds)
     within_cloud = lidar.motion(lidar.duration or lidar.period or 0.1)
-    gathered = turn or clouds * lidar.period or (0.0 if is_alone else lidar.period)
+    gathered = turn or clouds * lidar.period or (lidar.period if group[1:] else 0.0)
     within_scan = lidar.motion(gathered) if gathered else within_cloud
     tilts = within_scan is not None and within_scan.tilt > _TILTS
     deskews = (tilts or _moves(within_cloud) or _moves(within_scan)) and all(each.duration for each in group)
@@ -347,10 +355,17 @@ def _times(group: Sequence[Lidar]) -> Iterator[Choice]:
         yield Choice("fixed_frame", fixed, "the frame that does not move with the robot")
     if not tilts:
         yield from _level_by_imu(lidar)
+        # An IMU levels a cloud as a whole, and says nothing of a part of a turn.
+        seen = (points - lidar.sensor for _, points in lidar.placed)
+        if lidar.mounting.ground.height and not turn and (tilt := floor_tilt(seen)) > _TILTS:
+            yield Choice("ground", "remove", f"the floor tilts by {math.degrees(tilt):.1f} deg from cloud to cloud")
 
 
 def _edge_cuts(lidars: Sequence[Lidar], fixed: str) -> Iterator[Choice]:
     """Yield ``start`` or ``end``, seconds, and why, so that the first and last clouds have transforms; or nothing.
+
+    A cloud is skipped if there is no transform at its stamp, or at none of its points' times. Clouds that lack
+    transforms for longer than all are known are left as they are: they may have some.
 
     Parameters
     ----------
@@ -358,58 +373,38 @@ def _edge_cuts(lidars: Sequence[Lidar], fixed: str) -> Iterator[Choice]:
         The topics with clouds that become one scan.
     fixed
         The frame that does not move; empty if there is none.
-
-    Notes
-    -----
-    A cloud is skipped if there is no transform at its stamp, or at none of its points' times. Clouds that lack
-    transforms for longer than all are known are left as they are: they may have some.
     """
     buffer, start_ns, (first_ns, last_ns) = lidars[0].buffer, lidars[0].recorded.start_ns or 0, lidars[0].known_ns
     if not fixed or buffer is None:
         return
-    tolerance_ns = round(TOLERANCE * 1e9)
-    lost: list[list[tuple[int, int]]] = [[], []]
-    kept: list[list[int]] = [[], []]
+    # Whether a cloud is lost, its log time after the begin, and how long it lacks transforms.
+    first, last = list[tuple[bool, int, int]](), list[tuple[bool, int, int]]()
     for lidar in lidars:
         links = buffer.moving_links(fixed, lidar.mounting.frame)
-        before_ns, after_ns = (round(seconds * 1e9) for seconds in lidar.reach)
+        before_ns, after_ns, tolerance_ns = (round(seconds * 1e9) for seconds in (*lidar.reach, TOLERANCE))
         if not links:
             return
         begin_ns, stop_ns = max(link.first_ns for link in links), min(link.last_ns for link in links)
         for header in lidar.facts.headers:
-            if header.stamp_ns + tolerance_ns < begin_ns or header.stamp_ns + after_ns < begin_ns:
-                lost[0].append((header.log_time_ns, begin_ns - header.stamp_ns - min(before_ns, 0)))
-            else:
-                kept[0].append(header.log_time_ns)
+            is_lost = header.stamp_ns + min(tolerance_ns, after_ns) < begin_ns
+            first.append((is_lost, header.log_time_ns - start_ns, begin_ns - header.stamp_ns - min(before_ns, 0)))
         for header in lidar.facts.last_headers:
-            if header.stamp_ns - tolerance_ns > stop_ns or header.stamp_ns + before_ns > stop_ns:
-                lost[1].append((header.log_time_ns, header.stamp_ns + max(after_ns, 0) - stop_ns))
-            else:
-                kept[1].append(header.log_time_ns)
-    if lost[0]:
-        (after_ns, lacks_ns), by_ns = max(lost[0]), max(by for _, by in lost[0])
-        later = [time_ns for time_ns in kept[0] if time_ns > after_ns]
+            is_lost = header.stamp_ns + max(-tolerance_ns, before_ns) > stop_ns
+            last.append((is_lost, header.log_time_ns - start_ns, header.stamp_ns + max(after_ns, 0) - stop_ns))
+    if lost := [each for each in first if each[0]]:
+        (_, after_ns, lacks_ns), by_ns = max(lost), max(each[2] for each in lost)
+        later = [time_ns for is_lost, time_ns, _ in first if not is_lost and time_ns > after_ns]
         if not later:  # all of these packets came too early
             after_ns += lacks_ns
-        if after_ns < first_ns:
-            seconds = _between(after_ns - start_ns, min(later, default=after_ns + _SOON_NS) - start_ns)
+        if after_ns + start_ns < first_ns:
+            seconds = min((after_ns // _CUT_NS + 1) * _CUT_NS, min(later, default=after_ns + _SOON_NS)) / 1e9
             yield Choice("start", seconds, f"transforms to {fixed} begin {by_ns / 1e9:.2g} s after the first cloud")
-    if lost[1]:
-        until_ns, by_ns = min(lost[1])[0], max(by for _, by in lost[1])
-        earlier = [time_ns for time_ns in kept[1] if time_ns < until_ns]
-        if earlier and until_ns > last_ns:
-            seconds = _between(max(earlier) - start_ns, until_ns - start_ns)
+    if lost := [each for each in last if each[0]]:
+        until_ns, by_ns = min(each[1] for each in lost), max(each[2] for each in lost)
+        earlier = [time_ns for is_lost, time_ns, _ in last if not is_lost and time_ns < until_ns]
+        if earlier and until_ns + start_ns > last_ns:
+            seconds = min((max(earlier) // _CUT_NS + 1) * _CUT_NS, until_ns) / 1e9
             yield Choice("end", seconds, f"transforms to {fixed} end {by_ns / 1e9:.2g} s before the last cloud")
-
-
-def _between(after_ns: int, until_ns: int) -> float:
-    """Return a time with few digits that is later than one time, and no later than another, seconds."""
-    for digits in range(_DIGITS, 9):
-        step_ns: int = 10 ** (9 - digits)
-        found_ns = (after_ns // step_ns + 1) * step_ns
-        if found_ns <= until_ns:
-            return found_ns / 1e9
-    return until_ns / 1e9
 
 
 def _moves(motion: SensorMotion | None, metres: float = _METRES) -> bool:
@@ -431,8 +426,7 @@ def _exclusions(group: Sequence[Lidar]) -> Iterator[Choice]:
     lidar = group[0]
     boxes: dict[str, str] = {}
     if (heights := lidar.mounting.heights) is not None:
-        long = [each for each in group if (each.recorded.end_ns or 0) - (each.recorded.start_ns or 0) >= _LONG_NS]
-        for body in filter(None, (body_of(each.placed, heights.low, heights.high) for each in long)):
+        for body in filter(None, (body_of(each.placed, each.sensor, heights.low, heights.high) for each in group)):
             box = " ".join((lidar.target or lidar.mounting.frame, *map("{:g}".format, body)))
             boxes[box] = "returns of the robot's own body"
     # The preset rejects points at the origin of the scans' own frame.

@@ -103,7 +103,12 @@ def _motion_in(buffer: TransformBuffer, fixed: str, frame: str, seconds: float) 
 
 
 def spread_of_up(ups: NDArray[np.float64]) -> float:
-    """Return how far directions of up, (N, 3) of unit length, are from their mean, radians, in nine of ten at most."""
+    """Return how far directions of up, (N, 3) of unit length, are from their mean, radians, in nine of ten at most.
+
+    0 without any.
+    """
+    if not len(ups):
+        return 0.0
     middle = ups.mean(axis=0)
     length = float(np.linalg.norm(middle))
     if not length:

@@ -226,7 +226,7 @@ def test_a_scan_waits_a_second_for_a_silent_topic() -> None:
     silent = [*range(0, 2000, 100), *range(7000, 10_000, 100)]
     run = Run(Nearest(windows_ns=(0, 50 * MS))).all(of_stamps(range(0, 10_000, 100), silent))
     assert (run.most <= 13, max(run.waits)) == (True, 1_200 * MS)
-    assert run.counts[1].scans_without == 50
+    assert (run.counts[1].scans_without, run.counts[1].edges) == (50, [False, False])
 
 
 @pytest.mark.parametrize(

@@ -60,8 +60,8 @@ class SourceCounts:
     ----------
     messages, used, unmatched
         All messages, those in a scan, and those in no scan.
-    scans_without
-        Scans without a message of this topic.
+    scans_without, edges
+        Scans without a message of this topic, and whether the first and the last one are.
     longest_unmatched
         The longest run of messages in no scan; None without any.
     jumped
@@ -81,6 +81,7 @@ class SourceCounts:
     longest_unmatched: Run | None = None
     jumped: int = 0
     first_jump: tuple[int, int] = (0, 0)
+    edges: Sequence[bool] = ()
     _unmatched: Run | None = field(default=None, repr=False, compare=False)
 
     def let_go(self, stamp_ns: int, *, used: bool) -> None:
@@ -290,6 +291,7 @@ class Grouper:
         sources = {entry.source for entry in members}
         for source, counts in enumerate(self.counts):
             counts.scans_without += source not in sources
+            counts.edges = [*counts.edges[:1], source not in sources]
         for entry in members:
             self.counts[entry.source].used += not entry.used
             entry.used = True
