@@ -62,9 +62,8 @@ def test_a_table_that_is_too_wide_loses_no_text() -> None:
     assert "lost" in wide[0]
     assert narrow == NARROW.splitlines()
     # Numbers are shown, even if they do not fit.
-    assert (
-        "".join(Table(["on", *"abcdefgh"], [["/scan", *["1,000,000"] * 8]], ("on",)).lines(50)).count("1,000,000") == 8
-    )
+    numbers = list(Table(["on", *"abcdefgh"], [["/scan", *["1,000,000"] * 8]], ("on",)).lines(50))
+    assert numbers[-1].count("1,000,000") == 8
 
 
 @pytest.mark.parametrize(("places", "declared", "recovered"), rows(TABLES, "recovered"))
