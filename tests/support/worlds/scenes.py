@@ -384,11 +384,6 @@ def random_world(seed: int) -> tuple[str, World]:
     )  # fmt: skip
     if not odometry:
         world = replace(world, drive="stands")
-    marks = {
-        "no mount": not has_mount,
-        "in odom": bool(world.placed_in),
-        "two": world.second,
-        "topic": odometry == "topic",
-    }
+    marks = {"no mount": not has_mount, "in odom": world.placed_in, "two": world.second, "topic": odometry == "topic"}
     name = f"{seed} {kind} {sensor} {world.mount[1]:.2f} m {world.drive}"
     return ", ".join([name, *(mark for mark, is_so in marks.items() if is_so)]), world
