@@ -84,8 +84,10 @@ _FARTHEST = 12.0
 _STEEPEST_RISE, _UNEVEN = 0.25, 0.05
 _WIDE, _FIRST_RING, _WIDER = 2.0, 5.0, 0.01
 
-#: How many steps of elevation there are, and how many are compared; what is higher than this, metres, is not low.
-_ELEVATIONS, _STEPS, _LOW_THING = 360, 12, 0.8
+#: Ground is no steeper, radians; a plane with more of a cloud is more than the tops of things.
+_DRIVABLE, _MOST = math.atan(0.2), 0.1
+#: What is lower than this above the floor, metres, is low if the sensor sees what is farther away by so much.
+_LOW_THING, _FARTHER = 0.3, 0.2
 
 #: A floor is farther from the sensor than so many times the tolerance: a ring that is tilted a little is none.
 _CLEAR = 2.5
@@ -521,12 +523,10 @@ def outermost(cells: _Points, side: int) -> Plane | None:
     return None
 
 
-def are_upright(points: _Points, floor: float, wide: float = 0.0) -> NDArray[np.bool_]:
-    """Return which points are on no ground: they are too high for it, or others are far above or below them.
+def are_rising(points: _Points, floor: float, height: float, low: float, wide: float = 0.0) -> NDArray[np.bool_]:
+    """Return which points are on ground that rises: on planes that go down to the floor, or have much of it.
 
-    Points are compared with those in their direction that are about as far away, and with lower ones nearer and farther
-    away, from which no ground rises so much. What only one ring of a lidar sees, and the top of what is low, may stand
-    or be the ground.
+    Other level planes above the floor are the tops of things, and what is seen in single places is small.
 
     Parameters
     ----------
@@ -534,17 +534,59 @@ def are_upright(points: _Points, floor: float, wide: float = 0.0) -> NDArray[np.
         Finite ones of a cloud, (N, 3), in a frame whose z axis points up.
     floor
         The height of the ground at the origin of this frame.
+    height
+        How high the sensor is above it, 0 if it is not seen: one ring of a lidar is on a plane as high as it.
+    low
+        The height from which on points matter.
     wide
         How wide directions are at least, degrees.
     """
-    wide = max(wide, _WIDE)
+    rising: NDArray[np.bool_] = (points[:, 2] > low) & ~_are_upright(points, floor, max(wide, _WIDE))
+    chosen, on_plane = points[rising], np.zeros(np.count_nonzero(rising), np.bool_)
+    for plane in planes_of(cells_of(chosen)) if len(chosen) else ():
+        on_it = np.abs(chosen @ plane.up + plane.height) < tolerances(chosen)
+        beneath, is_large = -plane.height / plane.up[2], (on_it & ~on_plane).sum() > _MOST * len(points)
+        is_beneath = beneath < (max(low, floor + height / 2) if is_large else low)
+        if is_beneath and abs(plane.up[2]) > math.cos(_DRIVABLE):
+            on_plane |= on_it
+    rising[rising] = on_plane
+    return rising
+
+
+def are_low(points: _Points, floor: float, height: float) -> NDArray[np.bool_]:
+    """Return which points are on something low, such as grass, over which the sensor sees what is farther away.
+
+    Parameters
+    ----------
+    points, floor
+        See `are_rising`.
+    height
+        How high the sensor is above the floor: it looks over what is half as high.
+    """
+    ranges, sector = np.hypot(points[:, 0], points[:, 1]), _sectors(points, _WIDE)
+    farthest = np.zeros(math.ceil(360 / _WIDE))
+    np.maximum.at(farthest, sector, ranges)
+    return (points[:, 2] < floor + min(_LOW_THING, height / 2)) & (farthest[sector] > ranges + _FARTHER)
+
+
+def _sectors(points: _Points, wide: float) -> NDArray[np.intp]:
+    """Return the number of each point's direction, which is so many degrees wide."""
+    turns = np.arctan2(points[:, 1], points[:, 0]) / math.tau + 0.5
+    return (turns * math.ceil(360 / wide)).astype(np.intp) % math.ceil(360 / wide)
+
+
+def _are_upright(points: _Points, floor: float, wide: float) -> NDArray[np.bool_]:
+    """Return which points are on no ground: they are too high for it, or others are far above or below them.
+
+    Points are compared with those in their direction that are about as far away, and with lower ones nearer and farther
+    away, from which no ground rises so much. What only one ring of a lidar sees, and the top of what is low, may stand
+    or be the ground.
+    """
     sectors, wider = math.ceil(360 / wide), _WIDER * wide / _WIDE
-    x, y, z = points.T
-    ranges = np.hypot(x, y)
-    sector = ((np.arctan2(y, x) / math.tau + 0.5) * sectors).astype(np.intp) % sectors
+    z, ranges = points[:, 2], np.hypot(points[:, 0], points[:, 1])
     ring = (np.log1p(ranges / _FIRST_RING) / math.log1p(wider)).astype(np.intp) + 1
     # Numbers of cells: to index by two arrays takes several times as long.
-    cell = ring * sectors + sector
+    cell = ring * sectors + _sectors(points, wide)
     low, high = (np.full((ring.max(initial=0) + 2) * sectors, limit) for limit in (np.inf, -np.inf))
     np.minimum.at(low, cell, z)
     np.maximum.at(high, cell, z)
@@ -560,35 +602,6 @@ def are_upright(points: _Points, floor: float, wide: float = 0.0) -> NDArray[np.
         near = cell + beyond * sectors
         stands |= np.maximum(high[near] - z, z - low[near]) > _UNEVEN + (1 + abs(beyond)) * rise
     return np.asarray(stands)
-
-
-def are_seen_through(points: _Points) -> NDArray[np.bool_]:
-    """Return which points are on something low: just above them, the sensor sees what is farther away, or nothing.
-
-    What is on a wall has more of the wall above it, and of the highest ring of a lidar nothing is known.
-
-    Parameters
-    ----------
-    points
-        Finite ones of a cloud, (N, 3), relative to the sensor, along axes of which z points up.
-    """
-    x, y, z = points.T
-    ranges = np.hypot(x, y)
-    sectors = math.ceil(360 / _WIDE)
-    sector = ((np.arctan2(y, x) / math.tau + 0.5) * sectors).astype(np.intp) % sectors
-    step = ((np.arctan2(z, ranges) / math.pi + 0.5) * _ELEVATIONS).astype(np.intp)
-    cell = sector * (_ELEVATIONS + _STEPS) + step
-    nearest, above = (np.full(sectors * (_ELEVATIONS + _STEPS), np.inf) for _ in range(2))
-    np.minimum.at(nearest, cell, ranges)
-    last = (_LOW_THING * _ELEVATIONS / math.pi / np.maximum(ranges, _LOW_THING)).astype(np.intp).clip(max=_STEPS - 1)
-    through = np.zeros(len(points), np.bool_)
-    # The nearest in more and more steps above each; the first one may be of the same ring.
-    for away in range(2, _STEPS):
-        np.minimum(above[:-away], nearest[away:], out=above[:-away])
-        at = np.flatnonzero(last == away)
-        in_view = np.isfinite(above).reshape(sectors, -1).any(axis=0)[step[at]]
-        through[at] = in_view & (above[cell[at]] > ranges[at] + _UNEVEN / _STEEPEST_RISE)
-    return through
 
 
 def planes_of(cells: _Points) -> list[Plane]:

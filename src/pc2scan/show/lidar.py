@@ -23,7 +23,7 @@ from pc2scan.conversion.steps import CloudToScan, PlaceStage
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import median, percentiles
 from pc2scan.core.points import Points
-from pc2scan.core.scene import are_seen_through, are_upright
+from pc2scan.core.scene import are_low, are_rising
 from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import Pc2ScanError, TransformError
 from pc2scan.options.call import Options
@@ -397,11 +397,11 @@ def _filled_beams(points: NDArray[np.float64], low: float, high: float) -> NDArr
 #: A beam that ends on the ground, or misses what stands on it, is off by more than this, metres.
 _OFF = 0.2
 
-#: Slopes are measured from this distance on, metres; nearly all that does not stand rises less, percent.
-_NEAR, _NEARLY = 2.0, 97.0
+#: Slopes are measured from this distance on, metres; nearly all rising ground rises less, percent.
+_NEAR, _NEARLY = 2.0, 99.0
 
-#: The fields of points that stand, and that may stand.
-_STANDS, _MAY_STAND = "<stands>", "<may stand>"
+#: The field of points that stand.
+_STANDS = "<stands>"
 
 
 class Trial(NamedTuple):
@@ -410,31 +410,30 @@ class Trial(NamedTuple):
     Attributes
     ----------
     ranges
-        The ranges of the beams of each scan, (scans, 3, N), infinite without a return: by all points, by those that
-        stand, and by those that may.
+        The ranges of the beams of each scan, (scans, 2, N), infinite without a return: by all points, and by those that
+        stand.
     findings
         What a conversion would say.
     """
 
-    ranges: NDArray[np.float64] = np.empty((1, 3, 0))
+    ranges: NDArray[np.float64] = np.empty((1, 2, 0))
     findings: tuple[str, ...] = ()
 
     @property
-    def lying(self) -> NDArray[np.float64]:
-        """The shares of the returns that nothing shows to stand, and of the beams that are seen to end on ground.
+    def lying(self) -> float:
+        """The share of the returns that are on rising ground, or on what is low, of the scan with most.
 
-        They are those of the scan with most: a robot that pitches sees the ground only now and then.
+        A robot that pitches sees the ground only now and then.
         """
-        every, marked = self.ranges[:, :1], self.ranges[:, 1:]
+        every, stands = self.ranges[:, 0], self.ranges[:, 1]
         returns = np.isfinite(every)
-        lies = np.logical_and.accumulate(returns & ~(every > marked - _OFF), axis=1).sum(axis=2)
-        counts = np.insert(returns.sum(axis=2), 1, returns.shape[2], axis=1)
-        return np.asarray((lies / np.maximum(counts, 1)).max(axis=0))
+        lies = returns & ~(every > stands - _OFF)
+        return float((lies.sum(axis=1) / np.maximum(returns.sum(axis=1), 1)).max())
 
-    def missed_in(self, other: Trial) -> NDArray[np.float64]:
-        """Return which shares of the returns are on what stands, and on what may, and pass by it in other scans."""
-        passes = np.isfinite(self.ranges[:, 1:]) & (other.ranges[:, :1] >= self.ranges[:, 1:] + _OFF)
-        return np.asarray(passes.sum(axis=(0, 2)) / max(np.isfinite(self.ranges[:, 0]).sum(), 1))
+    def missed_in(self, other: Trial) -> float:
+        """Return which share of the returns is on what stands, and passes by it in other scans."""
+        passes = np.isfinite(self.ranges[:, 1]) & (other.ranges[:, 0] >= self.ranges[:, 1] + _OFF)
+        return float(passes.sum() / max(np.isfinite(self.ranges[:, 0]).sum(), 1))
 
 
 class Scene(NamedTuple):
@@ -443,13 +442,13 @@ class Scene(NamedTuple):
     Attributes
     ----------
     clouds
-        They have fields of what stands, and of what may stand.
+        They have a field of what stands.
     placer
         Places them in the frame of the scans.
     samples
         The first clouds, for their checks; empty if clouds are placed by other means than in a conversion.
-    slope
-        How steeply nearly all that does not stand rises above the lower limit, metres a metre.
+    slopes
+        How steeply nearly all rising ground rises above the lower limit in each of them, metres a metre.
     merges
         Whether they are parts of one scan.
     """
@@ -457,7 +456,7 @@ class Scene(NamedTuple):
     clouds: Sequence[PlacedCloud]
     placer: Placer
     samples: list[CloudSample]
-    slope: float
+    slopes: Sequence[float]
     merges: bool
 
 
@@ -492,11 +491,9 @@ def _scene(spec: ScanSpec, lidar: Lidar) -> Scene:
         with suppress(*left_out):
             clouds.append(PlaceStage(placer)(points))
     if not clouds:
-        return Scene((), placer, [], 0.0, merges)
+        return Scene((), placer, [], (), merges)
     samples = [] if is_placed or spec.level else lidar.facts.samples(placer)
     placed = [_coordinates(cloud) for cloud in clouds]
-    # Of registered clouds it is not known from where they were seen.
-    possible = [~are_seen_through(xyz - lidar.sensor) | lidar.is_placed for xyz in placed]
     if spec.level and spec.fixed_frame:
         # What a robot that tilts sees of a place, from all of them.
         ways = [placer.from_fixed(spec.fixed_frame, each.points.frame_id, each.stamp_ns)[1] for each in clouds]
@@ -504,15 +501,15 @@ def _scene(spec: ScanSpec, lidar: Lidar) -> Scene:
     params, heights = spec.params, lidar.mounting.heights
     floor = params.min_height if heights is None or heights.floor is None else heights.floor
     seen = [np.concatenate(placed)] if merges or (spec.level and spec.fixed_frame) else placed
-    every = np.concatenate([are_upright(xyz, floor, lidar.pattern.degrees) for xyz in seen])
-    stands = np.split(every, np.cumsum([len(each) for each in placed])[:-1])
-    lying = (xyz[~upright] for xyz, upright in zip(placed, stands, strict=True))
-    slope = max(_slope(xyz, params.min_height, params.max_height) for xyz in lying)
+    height, wide = lidar.mounting.ground.height, lidar.pattern.degrees
+    rising = [are_rising(xyz, floor, height, params.min_height, wide) for xyz in seen]
+    slopes = [_slope(xyz[up], params.min_height, params.max_height) for xyz, up in zip(seen, rising, strict=True)]
+    lies = [up | are_low(xyz, floor, height) for xyz, up in zip(seen, rising, strict=True)]
+    parts = np.split(~np.concatenate(lies), np.cumsum([len(each) for each in placed])[:-1])
     marked = []
-    for cloud, stand, may in zip(clouds, stands, possible, strict=True):
-        fields = {_STANDS: stand, _MAY_STAND: may}
-        marked.append(replace(cloud, points=cloud.points.replace(fields, cloud.points.frame_id)))
-    return Scene(marked, placer, samples, slope, merges)
+    for cloud, stands in zip(clouds, parts, strict=True):
+        marked.append(replace(cloud, points=cloud.points.replace({_STANDS: stands}, cloud.points.frame_id)))
+    return Scene(marked, placer, samples, slopes, merges)
 
 
 def _placer(spec: ScanSpec, lidar: Lidar, target: str) -> Placer:
@@ -531,9 +528,9 @@ def _coordinates(cloud: PlacedCloud) -> NDArray[np.float64]:
     return points if transform is None else np.asarray(transform.apply(points))
 
 
-def _slope(lying: NDArray[np.float64], low: float, high: float) -> float:
+def _slope(ground: NDArray[np.float64], low: float, high: float) -> float:
     """Return how steeply points rise above the lower limit: those up to the upper one, which then rises with them."""
-    z, ranges, slope = lying[:, 2], np.hypot(lying[:, 0], lying[:, 1]), 0.0
+    z, ranges, slope = ground[:, 2], np.hypot(ground[:, 0], ground[:, 1]), 0.0
     for _ in range(2):
         rising = (z > low) & (z < high + slope * ranges) & (ranges > _NEAR)
         slope = percentiles((z - low)[rising] / ranges[rising], _NEARLY)[0] if rising.any() else 0.0
@@ -552,8 +549,8 @@ def _scans(spec: ScanSpec, lidar: Lidar, scene: Scene) -> tuple[Trial, list[Poin
     counts: list[PointCounts] = []
     for cloud in scene.clouds:
         chosen = steps.select(cloud)
-        marked = [chosen.points.select(chosen.points.field(each)) for each in (_STANDS, _MAY_STAND)]
-        scans = [steps.project(replace(chosen, points=each)) for each in (chosen.points, *marked)]
+        stands = chosen.points.select(chosen.points.field(_STANDS))
+        scans = [steps.project(replace(chosen, points=each)) for each in (chosen.points, stands)]
         ranges.append([each.message.ranges for each in scans])
         counts.append(scans[0].counts)
     read = np.array(ranges, np.float64)

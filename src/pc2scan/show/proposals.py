@@ -51,12 +51,14 @@ _FAR = 0.1
 #: A robot whose roll and pitch vary by more than this tilts, radians.
 _TILTS = math.radians(1.0)
 
-#: From the first share of returns that may be on rising ground on, a command removes it, or it is said: less of it is
-#: furniture, whose tops are all that is seen; and only where the second share of beams is seen to end on it. A limit
-#: that rises leaves at most the third share, and passes by at most the last one of what stands.
-_TOLD, _SEEN, _LYING, _MISSED = 0.1, 0.05, 0.05, 0.1
-#: No robot drives on steeper ground, metres a metre.
-_STEEPEST = 0.17
+#: From the first share of returns that may be on rising ground on, a command removes it, or it is said. A limit that
+#: rises leaves at most the second share, and passes by at most the last one of what stands.
+_TOLD, _LYING, _MISSED = 0.1, 0.05, 0.1
+#: Lower limits that are so much higher are tried, metres, if so much is left above them.
+_HIGHER, _THIN = (0.05, 0.1, 0.15, 0.2), 0.3
+#: What rises less is no slope, no robot drives on steeper ground, and slopes of a robot that does not tilt differ less,
+#: metres a metre.
+_SLOPED, _STEEPEST, _STEADY = 0.01, 0.17, 0.02
 #: Scans above rising ground reach so far, metres, and end so far below what is overhead.
 _REACHES, _BELOW = 20.0, 0.2
 
@@ -186,38 +188,43 @@ def proposals(
 def _tried(options: Mapping[str, Any], group: Sequence[Lidar]) -> tuple[list[Choice], Sequence[str]]:
     """Return options that a command lacks by a trial of it, and what it would be told with them."""
     trials = [tried(options, each) for each in group]
-    worst, seen = np.max([trial.lying for trial in trials], axis=0).tolist()
-    ways: list[list[Choice]] = [[]]
-    # Of clouds that are placed already it is not known what their sensor sees above a point.
-    is_known = not any(each.is_placed for each in group)
-    if rises := worst > _TOLD and (seen > _SEEN or not is_known):
-        why = f"the ground rises: {worst:.0%} of a cloud's returns may be on it"
-        slope = math.ceil(100 * max(each.scene.slope for each in group if each.scene) + 0.5) / 100
+    worst = max(trial.lying for trial in trials)
+    slopes = [slope for each in group if each.scene for slope in each.scene.slopes]
+    on_what = "rising ground" if max(slopes, default=0.0) > _SLOPED else "grass, or on other things that are low"
+    why = f"{worst:.0%} of a cloud's returns may be on {on_what}"
+    outcomes = [(worst, worst, list[Choice](), trials)]
+    for way in _ways(options, group, slopes, why) if worst > _TOLD else ():
+        added = {each.name: each.value for each in way}
+        after = [tried({**options, **added}, lidar) for lidar in group]
+        lying, missed = max(each.lying for each in after), max(map(Trial.missed_in, trials, after))
+        # Limits may be above what stands.
+        if "ground" in added or (lying <= _LYING and missed <= _MISSED):
+            # What is missed may be ground that is on no plane.
+            outcomes.append((lying + missed / 2, lying, way, after))
+        if lying + missed <= _LYING:
+            break
+    _, lying, way, after = min(outcomes, key=itemgetter(0))
+    said = f"{lying:.0%} of a cloud's returns may be on {on_what}; `pc2scan view` shows them"
+    findings = dict.fromkeys(text for trial in after for text in trial.findings)
+    return way, (*findings, *([said] if lying > _TOLD else ()))
+
+
+def _ways(options: Mapping[str, Any], group: Sequence[Lidar], slopes: list[float], why: str) -> Iterator[list[Choice]]:
+    """Yield options of which one may end the returns on the ground, which rises so much, or on what is low."""
+    low, high = options["min_height"], options["max_height"]
+    # Of the ground, a part of a turn shows too little.
+    if not any(each.turn for each in group):
+        yield [Choice("ground", "remove", why)]
+    if max(slopes) <= _SLOPED:
+        yield from ([Choice("min_height", float(f"{low + by:.2f}"), why)] for by in _HIGHER if low + by + _THIN <= high)
+    # If the robot tilts, other clouds have steeper ground.
+    elif max(slopes) - min(slopes) < _STEADY and max(slopes) < _STEEPEST:
+        slope = math.ceil(100 * max(slopes) + 0.5) / 100
         ceilings = [each.mounting.heights.ceiling for each in group if each.mounting.heights is not None]
         most = min((each - _BELOW for each in ceilings if each is not None), default=math.inf)
-        top = max(options["max_height"], min(options["max_height"] + slope * _REACHES, most))
-        above = Choice("max_height", float(f"{top:.2f}"), f"of what stands on it, up to {_REACHES:.0f} m away")
-        if is_known and slope <= _STEEPEST:
-            ways.append([Choice("min_height_slope", slope, why), above])
-        # Of the ground, a part of a turn shows too little.
-        if not any(each.turn for each in group):
-            ways.append([Choice("ground", "remove", why)])
-    outcomes = []
-    for way in ways:
-        more = {each.name: each.value for each in way}
-        after = [tried({**options, **more}, lidar) for lidar in group] if way else trials
-        lying = float(max(each.lying[0] for each in after))
-        standing, possible = np.max([*map(Trial.missed_in, trials, after)], axis=0).tolist()
-        # A limit that rises with the range may be above what stands.
-        if "min_height_slope" not in more or (lying <= _LYING and standing <= _MISSED):
-            outcomes.append((lying + possible, lying, way, after))
-    _, lying, way, after = min(outcomes, key=itemgetter(0))
-    said = (
-        f"{lying:.0%} of a cloud's returns may be on rising ground: nothing is seen above or below them; "
-        "`pc2scan view` shows them"
-    )
-    findings = dict.fromkeys(text for trial in after for text in trial.findings)
-    return way, (*findings, *([said] if rises and lying > _TOLD else ()))
+        top = max(high, min(high + slope * _REACHES, most))
+        stands = Choice("max_height", float(f"{top:.2f}"), f"of what stands on it, up to {_REACHES:.0f} m away")
+        yield [Choice("min_height_slope", slope, why), stands]
 
 
 def _with_common_heights(lidar: Lidar, lidars: Sequence[Lidar]) -> Lidar:
