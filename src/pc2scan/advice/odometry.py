@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pc2scan.core.percentiles import median
-from pc2scan.core.scene import GOLDEN, find_ground, thin_points
+from pc2scan.core.scene import GOLDEN, find_ground
 from pc2scan.core.sharpness import Window, busiest, spread
 from pc2scan.errors import DecodeError, TransformError
 from pc2scan.request.point_time import PointTime
@@ -416,7 +416,7 @@ def turned_over(topic: str, clouds: Sequence[tuple[Rigid, NDArray[np.floating[An
     clouds
         The transform to a frame that does not move of each cloud, and its points, (N, 3), in the frame of the lidar.
     """
-    some = [points[:: 1 + len(points) // _OF_CLOUD] for _, points in clouds]
+    some = [points[:: 1 + len(points) // _OF_WINDOW] for _, points in clouds]
     if len(clouds) < 2:
         return ""
     times = np.arange(float(len(clouds)))
@@ -432,9 +432,9 @@ def floor_tilt(clouds: Iterable[NDArray[np.float64]]) -> float:
     Parameters
     ----------
     clouds
-        Points relative to the sensor, (N, 3), along axes of which z points up.
+        The results of `thin_points`, relative to the sensor, along axes of which z points up.
     """
-    grounds = [find_ground(thin_points(*points.T)) for points in clouds]
+    grounds = [find_ground(points) for points in clouds]
     return spread_of_up(np.array([ground.up for ground in grounds if ground.kind == "level" and ground.up]))
 
 

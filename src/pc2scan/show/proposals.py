@@ -16,7 +16,7 @@ from pc2scan.advice.odometry import floor_tilt, odometry_of, turned_over
 from pc2scan.bags.destinations import default_destination
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import median_low
-from pc2scan.core.scene import ONE_FLOOR
+from pc2scan.core.scene import ONE_FLOOR, thin_points
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.result import Call
 from pc2scan.text import height_text
@@ -363,8 +363,8 @@ def _times(group: Sequence[Lidar]) -> Iterator[Choice]:
     if not tilts:
         yield from _level_by_imu(lidar)
         # An IMU levels a cloud as a whole, and says nothing of a part of a turn.
-        seen = (points - lidar.sensor for _, points in lidar.placed)
-        if lidar.mounting.ground.height and not turn and (tilt := floor_tilt(seen)) > _TILTS:
+        few = (lidar.in_target(thin_points(*xyz).T, stamp_ns=at_ns) - lidar.sensor for at_ns, xyz in lidar.clouds[::2])
+        if lidar.mounting.ground.height and not turn and (tilt := floor_tilt(few)) > _TILTS:
             yield Choice("ground", "remove", f"the floor tilts by {math.degrees(tilt):.1f} deg from cloud to cloud")
 
 
