@@ -80,6 +80,9 @@ _SEVERAL = 3
 #: The step between neighbouring directions of clouds, radians.
 _STEP = math.tau / DIRECTIONS
 
+#: No lidar takes longer for a turn, seconds.
+_LONGEST_TURN = 1.5
+
 #: A pattern is sparse if a quarter of its clouds fill less than this share of the beams that all fill. Clouds are
 #: enough for a scan if they fill this share; at most so many become one.
 _FILLED = 0.6
@@ -115,9 +118,9 @@ def stamp_faults(facts: TopicFacts) -> list[str]:
 
 
 def _sparse_points(points: Points, _: RawMessage) -> NDArray[np.float32] | None:
-    """Return copies of the coordinates of a small cloud, (3, N)."""
+    """Return copies of the coordinates of a small cloud, (3, N); None for a large one, and for the grid of a camera."""
     xyz = points.xyz()
-    if xyz[0].size > _SPARSE:
+    if xyz[0].size > _SPARSE or xyz[0].ndim > 1:
         return None
     with np.errstate(over="ignore", invalid="ignore"):
         return np.stack([np.ravel(axis).astype(np.float32) for axis in xyz])
@@ -207,6 +210,11 @@ class Lidar:
         return bool(self.target) and self.mounting.frame.removeprefix("/") in WORLDS
 
     @property
+    def moving_frame(self) -> str:
+        """A frame that moves with the sensor."""
+        return self.target if self.is_registered else self.mounting.frame
+
+    @property
     def is_placed(self) -> bool:
         """Whether its clouds are in a frame of the robot or of a world: from where they were seen is not known."""
         return self.is_registered or self.mounting.frame.removeprefix("/") in BODIES
@@ -262,24 +270,23 @@ class Lidar:
     def turn(self) -> float:
         """The time of a turn, seconds, of clouds that are parts of one; 0 if they are not, or it is not regular."""
         masks = self.facts.values(_DIRECTIONS)
-        union = reduce(or_, masks, 0)
-        if len(masks) < _SEVERAL or self.covered >= _PART * union.bit_count() / DIRECTIONS:
+        if len(masks) < _SEVERAL or self.covered >= _PART * reduce(or_, masks).bit_count() / DIRECTIONS:
             return 0.0
-        middles = [_middle(each) for each in masks]
-        steps = np.remainder(np.diff(middles) + math.pi, math.tau) - math.pi
+        steps = np.remainder(np.diff([_middle(each) for each in masks]) + math.pi, math.tau) - math.pi
         # Directions are known by sectors, so single steps are off by one.
         alike = steps[np.abs(steps - median(steps)) < 1.5 * _STEP]
         step = float(alike.mean()) if alike.size else 0.0
         # Packets follow each other; a pattern jumps.
         if not abs(step) > _STEP / 4 or (np.abs(steps - step) < max(0.5 * abs(step), _STEP)).mean() < _ENOUGH:
             return 0.0
-        return round(math.tau / abs(step)) * self.period
+        turn = round(math.tau / abs(step)) * self.period
+        # Directions that go round more slowly are those of a robot that turns.
+        return turn if turn < _LONGEST_TURN else 0.0
 
     @property
     def world(self) -> str:
         """The frame that does not move with the robot; empty if there is none."""
-        names = () if self.buffer is None else [name for name in WORLDS if name in self.buffer.frames]
-        return next((name for name in names if self.transform(name, self.mounting.frame) is not None), "")
+        return next((name for name in WORLDS if self.transform(name, self.mounting.frame) is not None), "")
 
     def transform(self, target: str, source: str, stamp_ns: int = 0) -> Rigid | None:
         """Return a recorded transform, by default the latest; None if there is none."""
@@ -287,8 +294,7 @@ class Lidar:
 
     def motion(self, seconds: float) -> SensorMotion | None:
         """Return how it moves within some time; None if it stands still, or no transforms say how it moves."""
-        frame = self.target if self.is_registered else self.mounting.frame
-        return None if self.buffer is None else sensor_motion(self.buffer, frame, seconds)
+        return None if self.buffer is None else sensor_motion(self.buffer, self.moving_frame, seconds)
 
     @cached_property
     def pattern(self) -> Pattern:
@@ -328,8 +334,7 @@ class Lidar:
     @property
     def sensor(self) -> NDArray[np.float64]:
         """The position of the sensor in the frame of the scans, or of the robot if clouds are registered."""
-        own = self.target if self.is_registered else self.mounting.frame
-        return np.asarray(self.in_target(np.zeros((3, 1)), own)[0])
+        return np.asarray(self.in_target(np.zeros((3, 1)), self.moving_frame)[0])
 
     def tried_clouds(self, *, is_placed: bool, is_level: bool) -> tuple[list[Points], bool]:
         """Return clouds to try a command on, and whether they are parts of one scan.

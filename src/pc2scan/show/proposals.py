@@ -295,7 +295,8 @@ def _choices(group: Sequence[Lidar], given: Mapping[str, Any]) -> Iterator[Choic
     times = list(_times(group))
     yield from times
     if clock is None:
-        fixed = next((each.value for each in times if each.name == "fixed_frame"), "")
+        own = lidar.mounting.frame if lidar.is_registered else ""
+        fixed = next((each.value for each in times if each.name == "fixed_frame"), own)
         yield from _edge_cuts(group, fixed)
     yield from _exclusions(group)
     yield from _beams(group, is_level=any(each.name == "level" for each in times))
@@ -335,7 +336,7 @@ def _heights(group: Sequence[Lidar]) -> Iterator[Choice]:
 def _times(group: Sequence[Lidar]) -> Iterator[Choice]:
     """Yield the options about motion, packets and patterns."""
     lidar = group[0]
-    turn, clouds = (0.0, 0) if group[1:] else (lidar.turn, lidar.pattern.clouds)
+    turn, clouds = max(each.turn for each in group), 0 if group[1:] else lidar.pattern.clouds
     within_cloud = lidar.motion(lidar.duration or lidar.period or 0.1)
     gathered = turn or clouds * lidar.period or (lidar.period if group[1:] else 0.0)
     within_scan = lidar.motion(gathered) if gathered else within_cloud
@@ -387,7 +388,7 @@ def _edge_cuts(lidars: Sequence[Lidar], fixed: str) -> Iterator[Choice]:
     # Whether a cloud is lost, its log time after the begin, and how long it lacks transforms.
     first, last = list[tuple[bool, int, int]](), list[tuple[bool, int, int]]()
     for lidar in lidars:
-        links = buffer.moving_links(fixed, lidar.mounting.frame)
+        links = buffer.moving_links(fixed, lidar.moving_frame)
         before_ns, after_ns, tolerance_ns = (round(seconds * 1e9) for seconds in (*lidar.reach, TOLERANCE))
         if not links:
             return
@@ -401,8 +402,8 @@ def _edge_cuts(lidars: Sequence[Lidar], fixed: str) -> Iterator[Choice]:
     if lost := [each for each in first if each[0]]:
         (_, after_ns, lacks_ns), by_ns = max(lost), max(each[2] for each in lost)
         later = [time_ns for is_lost, time_ns, _ in first if not is_lost and time_ns > after_ns]
-        if not later:  # all of these packets came too early
-            after_ns += lacks_ns
+        # If all of these packets came too early, later ones are known by their own times.
+        after_ns += 0 if later else lacks_ns
         if after_ns + start_ns < first_ns:
             seconds = min((after_ns // _CUT_NS + 1) * _CUT_NS, min(later, default=after_ns + _SOON_NS)) / 1e9
             yield Choice("start", seconds, f"transforms to {fixed} begin {by_ns / 1e9:.2g} s after the first cloud")
@@ -462,11 +463,11 @@ def odometry_doubts(lidars: Iterable[Lidar]) -> list[str]:
 def _motion_that_stays(lidars: Iterable[Lidar]) -> Iterator[str]:
     """Yield a warning for each lidar that moves much within a cloud whose points have no times."""
     for lidar in lidars:
-        motion = lidar.motion(lidar.period or 0.1)
-        if motion is not None and _moves(motion, _FAR) and not (lidar.time_field or lidar.is_registered):
+        motion, turns = lidar.motion(lidar.period or 0.1), lidar.turn or lidar.step
+        if motion and turns and _moves(motion, _FAR) and not (lidar.time_field or lidar.is_registered):
             yield (
                 f"{lidar.topic}: its points have no times, so scans are distorted by the motion within a cloud, "
-                f"{motion.metres:.2f} m and {math.degrees(motion.radians):.1f} deg; of a lidar that turns, "
+                f"{motion.metres:.2f} m and {math.degrees(motion.radians):.1f} deg; "
                 "`point_time=azimuth` computes them for `deskew`"
             )
 
