@@ -402,8 +402,9 @@ def _filled_beams(points: NDArray[np.float64], low: float, high: float) -> NDArr
 #: A beam that ends on the ground, or misses what stands on it, is off by more than this, metres.
 _OFF = 0.2
 
-#: Slopes are measured from this distance on, metres; nearly all rising ground rises less, percent.
-_NEAR, _NEARLY = 2.0, 99.0
+#: Slopes are measured from this distance on, metres; nearly all rising ground rises less, percent. Of scans with a
+#: return in less than this share of their beams, what lies is a share of so many beams.
+_NEAR, _NEARLY, _FEWEST = 2.0, 99.0, 0.2
 
 #: The field of points that stand.
 _STANDS = "<stands>"
@@ -433,7 +434,7 @@ class Trial(NamedTuple):
         every, stands = self.ranges[:, 0], self.ranges[:, 1]
         returns = np.isfinite(every)
         lies = returns & ~(every > stands - _OFF)
-        return float((lies.sum(axis=1) / np.maximum(returns.sum(axis=1), 1)).max())
+        return float((lies.sum(axis=1) / np.maximum(returns.sum(axis=1), 1 + _FEWEST * returns.shape[1])).max())
 
     def missed_in(self, other: Trial) -> float:
         """Return which share of the returns is on what stands, and passes by it in other scans."""
