@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pc2scan.core.percentiles import median
-from pc2scan.core.scene import GOLDEN, find_ground
+from pc2scan.core.scene import GOLDEN, JUDGED_CLOUDS, find_ground
 from pc2scan.core.sharpness import Window, busiest, spread
 from pc2scan.errors import DecodeError, TransformError
 from pc2scan.request.point_time import PointTime
@@ -426,16 +426,16 @@ def turned_over(topic: str, clouds: Sequence[tuple[Rigid, NDArray[np.floating[An
     return f"{topic}: surroundings are {gain:.2g} {_IF_TURNED_OVER}" if gain > _SHARPER else ""
 
 
-def floor_tilt(clouds: Iterable[NDArray[np.float64]]) -> float:
-    """Return how far the floor is tilted from its mean, radians, in nine of ten clouds at most; 0 if it is not seen.
+def floor_tilt(clouds: Iterable[NDArray[np.float64]]) -> float | None:
+    """Return how far the floor is tilted from its mean, radians, in nine of ten clouds at most; None if few show it.
 
     Parameters
     ----------
     clouds
         The results of `thin_points`, relative to the sensor, along axes of which z points up.
     """
-    grounds = [find_ground(points) for points in clouds]
-    return spread_of_up(np.array([ground.up for ground in grounds if ground.kind == "level" and ground.up]))
+    ups = [ground.up for ground in map(find_ground, clouds) if ground.kind == "level" and ground.up]
+    return spread_of_up(np.array(ups)) if len(ups) >= JUDGED_CLOUDS else None
 
 
 def _are_walls(points: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -340,7 +340,11 @@ def _times(group: Sequence[Lidar]) -> Iterator[Choice]:
     within_cloud = lidar.motion(lidar.duration or lidar.period or 0.1)
     gathered = turn or clouds * lidar.period or (lidar.period if group[1:] else 0.0)
     within_scan = lidar.motion(gathered) if gathered else within_cloud
-    tilts = within_scan is not None and within_scan.tilt > _TILTS
+    few = (lidar.in_target(thin_points(*xyz).T, stamp_ns=at_ns) - lidar.sensor for at_ns, xyz in lidar.clouds[::2])
+    tilt = floor_tilt(few) if lidar.mounting.ground.height and not turn else None
+    # Neither does a robot tilt that drives on a slope, nor one whose IMU feels curves.
+    stays = tilt is not None and tilt < _TILTS / 2
+    tilts = within_scan is not None and within_scan.tilt > _TILTS and not stays
     deskews = (tilts or _moves(within_cloud) or _moves(within_scan)) and all(each.duration for each in group)
     if turn:
         yield Choice("every", float(f"{turn:.4g}"), f"a cloud is a part of a turn, which takes {turn:.3g} s")
@@ -350,22 +354,18 @@ def _times(group: Sequence[Lidar]) -> Iterator[Choice]:
         yield Choice("accumulate", f"{seconds:g}s", f"the pattern is sparse: {clouds} clouds fill a scan{stands}")
         yield Choice("reduce", "surface", "the nearest of so many returns would be too near by the noise")
     if deskews and within_scan is not None:
-        yield Choice(
-            "deskew",
-            True,
-            f"points have times ({lidar.time_field}), and the lidar moves by {within_scan.metres:.2f} m and "
-            f"{math.degrees(within_scan.radians):.1f} deg within a {'scan' if gathered else 'cloud'}",
-        )
+        within = f"{math.degrees(within_scan.radians):.1f} deg within a {'scan' if gathered else 'cloud'}"
+        moved = f"the lidar moves by {within_scan.metres:.2f} m and {within}"
+        yield Choice("deskew", True, f"points have times ({lidar.time_field}), and {moved}")
     if tilts and within_scan is not None:
         yield Choice("level", True, f"roll and pitch vary by {math.degrees(within_scan.tilt):.1f} deg")
     fixed = within_scan.fixed if within_scan is not None else lidar.world
     if (deskews or tilts or turn or clouds or (gathered and _moves(within_scan))) and fixed:
         yield Choice("fixed_frame", fixed, "the frame that does not move with the robot")
-    if not tilts:
+    if not tilts and not stays:
         yield from _level_by_imu(lidar)
         # An IMU levels a cloud as a whole, and says nothing of a part of a turn.
-        few = (lidar.in_target(thin_points(*xyz).T, stamp_ns=at_ns) - lidar.sensor for at_ns, xyz in lidar.clouds[::2])
-        if lidar.mounting.ground.height and not turn and (tilt := floor_tilt(few)) > _TILTS:
+        if tilt is not None and tilt > _TILTS:
             yield Choice("ground", "remove", f"the floor tilts by {math.degrees(tilt):.1f} deg from cloud to cloud")
 
 
