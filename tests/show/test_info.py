@@ -52,7 +52,9 @@ def test_what_is_measured(tmp_path: Path) -> None:
 def test_clouds_that_are_empty_or_cannot_be_decoded(tmp_path: Path) -> None:
     (empty,) = info(write(tmp_path / "a.mcap", np.zeros((0, 3)))).clouds
     assert (empty.points_max, empty.limits) == (0, {})
-    (odd,) = info(write(tmp_path / "b.mcap", [[1, 2]], names="xy")).clouds
+    found = info(write(tmp_path / "b.mcap", [[1, 2]], names="xy"))
+    assert found.warnings == ("/points: no command is proposed: none of its first clouds can be placed",)
+    (odd,) = found.clouds
     assert "no field 'z'" in odd.problems[0]
     assert odd.fields == ()
 

@@ -280,6 +280,7 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
             cloud, placed = describe_clouds(topic, own, surveyed.places, mounting)
             clouds.append(cloud)
             if cloud.mounting is None or mounting is None:
+                warnings.append(f"{topic}: no command is proposed: none of its first clouds can be placed")
                 continue
             # Where the robot moves in the frame of these points, its own body is not at one place.
             parts, has_zeros = [(cloud.stamp_ns, cloud.points) for cloud in placed if is_own], bool(cloud.zero_share)
