@@ -310,7 +310,7 @@ class Surroundings:
             Returns the times of the points. None: those that a cloud has in one of the fields `TIME_FIELDS`; a cloud
             without is not sampled.
         """
-        window = next((each for each in self._windows if each.begin_ns <= points.stamp_ns < each.end_ns), None)
+        window = next((window for window in self._windows if window.begin_ns <= points.stamp_ns < window.end_ns), None)
         x, y, z = points.xyz()
         if window is None or not x.size:
             return
@@ -342,13 +342,13 @@ class Surroundings:
                 yield from self._doubts(topic, list(windows.values()))
         for other in self._together[1:]:
             lead = self._together[0]
-            pairs = [(seen[lead][window], each) for window, each in seen[other].items() if window in seen[lead]]
+            pairs = [(seen[lead][window], mine) for window, mine in seen[other].items() if window in seen[lead]]
             yield from _clock_doubts(lead, other, pairs)
 
     def _seen_in(self, topic: str, window: Window) -> _Seen | None:
         """Return what a topic shows of walls in a window; None if that is too little."""
         clouds = sorted(self._clouds.get((topic, window), ()), key=lambda cloud: cloud.stamp_ns)
-        own = [each for each in clouds if each.frame_id == clouds[0].frame_id]
+        own = [cloud for cloud in clouds if cloud.frame_id == clouds[0].frame_id]
         reach_ns = round((_SHIFTS[-1] + 0.2) * 1e9)
         begin_ns, end_ns = window.begin_ns - reach_ns, window.end_ns + reach_ns
         if not own:
@@ -359,7 +359,7 @@ class Surroundings:
             )
         except TransformError:
             return None
-        points, seconds = np.concatenate([each.points for each in own]), np.concatenate([each.seconds for each in own])
+        points, seconds = np.concatenate([part.points for part in own]), np.concatenate([part.seconds for part in own])
         some = slice(None, None, 1 + len(points) // _OF_WINDOW)
         seen = _Seen((stamps_ns - window.begin_ns) / 1e9, rows[::2], points[some], seconds[some]).of_walls()
         return seen if len(seen.points) >= _FEWEST else None
@@ -368,9 +368,9 @@ class Surroundings:
         """Yield a warning if other times, or other poses, of the points of a topic fit better."""
 
         def gain(changed: Callable[[_Seen], NDArray[np.float64]]) -> float:
-            return _gain((each.here, changed(each)) for each in windows)
+            return _gain((window.here, changed(window)) for window in windows)
 
-        sharper, shift = _best_shift(lambda seconds: gain(lambda each: each.moved(seconds)))
+        sharper, shift = _best_shift(lambda seconds: gain(lambda window: window.moved(seconds)))
         seen = f"{topic}: in {counted(len(windows), 'second')} of the strongest motion, surroundings are"
         turned = gain(_Seen.turned_over)
         if turned > max(sharper, _SHARPER):
@@ -382,7 +382,7 @@ class Surroundings:
                 f"{'lags' if shift > 0 else 'is ahead'}, or its clock is another one; `time_offset={shift:.2f}s` "
                 "corrects the clouds' stamps"
             )
-        elif self._spec.deskew and (smooth := gain(lambda each: each.smoothed().placed())) >= _SHARPER:
+        elif self._spec.deskew and (smooth := gain(lambda window: window.smoothed().placed())) >= _SHARPER:
             yield (
                 f"{seen} {smooth:.2g} times as sharp by poses that are smoothed over {_SMOOTH} s: the "
                 f"transforms to {self._spec.fixed_frame} jitter; a smoother `fixed_frame` deskews better, or none"
@@ -393,7 +393,7 @@ def _clock_doubts(lead: str, other: str, pairs: Sequence[tuple[_Seen, _Seen]]) -
     """Yield a warning if two topics fit each other better with a difference of their clocks."""
 
     def gain(seconds: float) -> float:
-        ways = ((first.here, each.here, each.placed(seconds)) for first, each in pairs)
+        ways = ((first.here, second.here, second.placed(seconds)) for first, second in pairs)
         return _gain((np.concatenate([both, here]), np.concatenate([both, shifted])) for both, here, shifted in ways)
 
     sharper, shift = _best_shift(gain)

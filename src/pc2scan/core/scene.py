@@ -235,8 +235,8 @@ def gathered(samples: Sequence[CloudSample]) -> list[CloudSample]:
     """Return the first clouds, with messages that are a part of a turn or of a pattern together as one."""
     if not samples or len(samples[0].points) >= WHOLE_POINTS:
         return list(samples)
-    points = np.concatenate([each.points for each in samples])
-    return [replace(samples[0], points=points, zeros=sum(each.zeros for each in samples))]
+    points = np.concatenate([sample.points for sample in samples])
+    return [replace(samples[0], points=points, zeros=sum(sample.zeros for sample in samples))]
 
 
 def are_enough(samples: Sequence[CloudSample]) -> bool:

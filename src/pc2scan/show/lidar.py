@@ -128,7 +128,7 @@ def _sparse_points(points: Points, _: RawMessage) -> NDArray[np.float32] | None:
 
 def _are_whole(masks: Sequence[int]) -> bool:
     """Whether the first clouds are no packets, whatever directions further ones have."""
-    return len(masks) >= _SEVERAL and all(each.bit_count() >= _PART * DIRECTIONS for each in masks[:_SEVERAL])
+    return len(masks) >= _SEVERAL and all(mask.bit_count() >= _PART * DIRECTIONS for mask in masks[:_SEVERAL])
 
 
 _DIRECTIONS = Fact(lambda points, _: directions_of(points), HEADERS, are_enough=_are_whole)
@@ -222,7 +222,7 @@ class Lidar:
     @cached_property
     def period(self) -> float:
         """The time from cloud to cloud, seconds; 0 if it is not known."""
-        return (median_interval_ns(each.stamp_ns for each in self.facts.headers) or 0) / 1e9
+        return (median_interval_ns(header.stamp_ns for header in self.facts.headers) or 0) / 1e9
 
     @cached_property
     def duration(self) -> float:
@@ -230,7 +230,7 @@ class Lidar:
         times = self.facts.values(_TIMES)
         if not times or self.is_registered or any(time_warnings(self.facts, PointTime())):
             return 0.0
-        return median([each.high - each.low for each in times])
+        return median([timing.high - timing.low for timing in times])
 
     @property
     def reach(self) -> tuple[float, float]:
@@ -238,18 +238,18 @@ class Lidar:
         if not self.duration:
             return -TOLERANCE, TOLERANCE
         times = self.facts.values(_TIMES)
-        return min(each.low for each in times), max(each.high for each in times)
+        return min(timing.low for timing in times), max(timing.high for timing in times)
 
     @property
     def time_field(self) -> str:
         """The field with the times of points, plausible or not; empty without any."""
-        return next((each.field for each in self.facts.values(_TIMES)), "")
+        return next((timing.field for timing in self.facts.values(_TIMES)), "")
 
     @cached_property
     def step(self) -> float:
         """How finely a turning lidar samples azimuth, radians; 0 for others."""
         shapes = self.facts.values(_SHAPE)
-        turns = any(each.sweep is not None for each in shapes) or self.covered > 0.5
+        turns = any(shape.sweep is not None for shape in shapes) or self.covered > 0.5
         return (regular_step(shapes) if turns else None) or 0.0
 
     @property
@@ -264,7 +264,7 @@ class Lidar:
     def covered(self) -> float:
         """The share of all directions that a cloud has."""
         masks = self.facts.values(_DIRECTIONS)
-        return median([each.bit_count() / DIRECTIONS for each in masks]) if masks else 0.0
+        return median([mask.bit_count() / DIRECTIONS for mask in masks]) if masks else 0.0
 
     @cached_property
     def turn(self) -> float:
@@ -272,7 +272,7 @@ class Lidar:
         masks = self.facts.values(_DIRECTIONS)
         if len(masks) < _SEVERAL or self.covered >= _PART * reduce(or_, masks).bit_count() / DIRECTIONS:
             return 0.0
-        steps = np.remainder(np.diff([_middle(each) for each in masks]) + math.pi, math.tau) - math.pi
+        steps = np.remainder(np.diff([_middle(mask) for mask in masks]) + math.pi, math.tau) - math.pi
         # Directions are known by sectors, so single steps are off by one.
         alike = steps[np.abs(steps - median(steps)) < 1.5 * _STEP]
         step = float(alike.mean()) if alike.size else 0.0
@@ -302,17 +302,17 @@ class Lidar:
         heights = self.mounting.heights
         if self.step or self.turn or heights is None:
             return Pattern()
-        placed = (self.in_target(each, self.mounting.frame) for each in self.facts.values(_PATTERN))
+        placed = (self.in_target(points, self.mounting.frame) for points in self.facts.values(_PATTERN))
         filled = [_filled_beams(points, heights.low, heights.high) for points in placed]
-        clouds = [each for each in filled if each.any()]
+        clouds = [beams for beams in filled if beams.any()]
         if len(clouds) < _MOST_CLOUDS:
             return Pattern()
         every = np.logical_or.reduce(clouds)
-        quarter = sorted(each.sum() for each in clouds)[len(clouds) // 4]
+        quarter = sorted(cloud.sum() for cloud in clouds)[len(clouds) // 4]
         if every.sum() < 20 or quarter >= _FILLED * every.sum():
             return Pattern()
         for width in _WIDTHS:
-            wide = [each.reshape(-1, width).any(axis=1) for each in clouds]
+            wide = [cloud.reshape(-1, width).any(axis=1) for cloud in clouds]
             most = np.logical_or.reduce(wide).sum()
             for count in range(2, _MOST_CLOUDS + 1):
                 groups = (wide[n : n + count] for n in range(0, len(wide) - count + 1, count))
@@ -349,11 +349,11 @@ class Lidar:
         merges = bool(self.turn or self.pattern.clouds)
         if merges:
             is_own = self.mounting.judged_in == self.mounting.frame
-            stamps_ns = (each.stamp_ns for each in self.facts.headers)
+            stamps_ns = (header.stamp_ns for header in self.facts.headers)
             stamped = list(zip(stamps_ns, self.facts.values(_PATTERN) if is_own else [], strict=False))
         else:
             chosen = self.clouds[:: max(1, len(self.clouds) // _CLOUDS)][:_CLOUDS]
-            stamped = [(stamp_ns, each[:, :: -(-each.shape[1] // _POINTS) or 1]) for stamp_ns, each in chosen]
+            stamped = [(stamp_ns, xyz[:, :: -(-xyz.shape[1] // _POINTS) or 1]) for stamp_ns, xyz in chosen]
         clouds = []
         for stamp_ns, recorded in stamped:
             xyz = recorded[:, np.isfinite(recorded).all(axis=0)]
@@ -361,7 +361,7 @@ class Lidar:
             at_ns = stamp_ns + round(sum(self.reach) / 2 * 1e9) if is_level else 0
             frame = self.target if is_placed else self.mounting.judged_in
             clouds.append(Points(0, at_ns, frame, dict(zip("xyz", axes, strict=True))))
-        return [each for each in clouds if each.fields["x"].size], merges
+        return [cloud for cloud in clouds if cloud.fields["x"].size], merges
 
     def clouds_in(self, fixed: str) -> list[tuple[Rigid, NDArray[np.floating[Any]]]]:
         """Return the transforms of the spread clouds to a frame that does not move, and their finite points, (N, 3)."""
@@ -502,7 +502,7 @@ def _scene(spec: ScanSpec, lidar: Lidar) -> Scene:
     placed = [_coordinates(cloud) for cloud in clouds]
     if spec.level and spec.fixed_frame:
         # What a robot that tilts sees of a place, from all of them.
-        ways = [placer.from_fixed(spec.fixed_frame, each.points.frame_id, each.stamp_ns)[1] for each in clouds]
+        ways = [placer.from_fixed(spec.fixed_frame, cloud.points.frame_id, cloud.stamp_ns)[1] for cloud in clouds]
         placed = [ways[0].compose(way.inverse()).apply(xyz) for way, xyz in zip(ways, placed, strict=True)]
     params, heights = spec.params, lidar.mounting.heights
     floor = params.min_height if heights is None or heights.floor is None else heights.floor
@@ -511,7 +511,7 @@ def _scene(spec: ScanSpec, lidar: Lidar) -> Scene:
     rising = [are_rising(xyz, floor, height, params.min_height, wide) for xyz in seen]
     slopes = [_slope(xyz[up], params.min_height, params.max_height) for xyz, up in zip(seen, rising, strict=True)]
     lies = [up | are_low(xyz, floor, height) for xyz, up in zip(seen, rising, strict=True)]
-    parts = np.split(~np.concatenate(lies), np.cumsum([len(each) for each in placed])[:-1])
+    parts = np.split(~np.concatenate(lies), np.cumsum([len(xyz) for xyz in placed])[:-1])
     marked = []
     for cloud, stands in zip(clouds, parts, strict=True):
         marked.append(replace(cloud, points=cloud.points.replace({_STANDS: stands}, cloud.points.frame_id)))
@@ -548,7 +548,7 @@ def _scans(spec: ScanSpec, lidar: Lidar, scene: Scene) -> tuple[Trial, list[Poin
     params, placer = spec.params, scene.placer
     # Placed clouds have no other frame.
     is_placed = placer.target_frame != params.target_frame
-    filters = [each for each in spec.filters if not is_placed or each.frame is Frame.TARGET]
+    filters = [point_filter for point_filter in spec.filters if not is_placed or point_filter.frame is Frame.TARGET]
     measured = {lidar.topic: Measurements(0.0, azimuth_step=lidar.step)}
     steps = CloudToScan(replace(spec, filters=tuple(filters)), placer, measured).steps(lidar.topic)
     ranges: list[list[NDArray[np.float32]]] = []
@@ -556,8 +556,8 @@ def _scans(spec: ScanSpec, lidar: Lidar, scene: Scene) -> tuple[Trial, list[Poin
     for cloud in scene.clouds:
         chosen = steps.select(cloud)
         stands = chosen.points.select(chosen.points.field(_STANDS))
-        scans = [steps.project(replace(chosen, points=each)) for each in (chosen.points, stands)]
-        ranges.append([each.message.ranges for each in scans])
+        scans = [steps.project(replace(chosen, points=points)) for points in (chosen.points, stands)]
+        ranges.append([scan.message.ranges for scan in scans])
         counts.append(scans[0].counts)
     read = np.array(ranges, np.float64)
     read[~((read >= params.range_min) & (read <= params.range_max))] = np.inf

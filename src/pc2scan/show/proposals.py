@@ -168,35 +168,35 @@ def proposals(
     warnings
         What the commands would be told is added.
     """
-    lidars = [each for each in lidars if each.mounting.heights is not None and each.mounting.heights.suit]
+    lidars = [lidar for lidar in lidars if lidar.mounting.heights is not None and lidar.mounting.heights.suit]
     warnings += _motion_that_stays(lidars)
-    groups = list(_groups([_with_common_heights(each, lidars) for each in lidars]))
+    groups = list(_groups([_with_common_heights(lidar, lidars) for lidar in lidars]))
     for group in groups:
         choices = [*_topics(group, sources, types), *_choices(group, given)]
-        added, findings = _tried({each.name: each.value for each in choices}, group)
+        added, findings = _tried({choice.name: choice.value for choice in choices}, group)
         warnings += (f"the proposed command: {text}" for text in findings if text not in warnings)
         choices += added
         options: dict[str, Any] = {}
         if len(groups) > 1:
             mark = "_" + re.sub(r"\W+", "_", group[0].topic.strip("/")) + "_scan"
             options["destination"] = str(default_destination(sources[0].path, sources[0].summary.container, mark))
-        options |= {each.name: each.value for each in choices}
-        reasons = {each.name: each.reason for each in choices if each.reason}
-        yield Call("convert", tuple(str(each.path) for each in sources), options, reasons)
+        options |= {choice.name: choice.value for choice in choices}
+        reasons = {choice.name: choice.reason for choice in choices if choice.reason}
+        yield Call("convert", tuple(str(reader.path) for reader in sources), options, reasons)
 
 
 def _tried(options: Mapping[str, Any], group: Sequence[Lidar]) -> tuple[list[Choice], Sequence[str]]:
     """Return options that a command lacks by a trial of it, and what it would be told with them."""
-    trials = [tried(options, each) for each in group]
+    trials = [tried(options, lidar) for lidar in group]
     worst = max(trial.lying for trial in trials)
-    slopes = [slope for each in group if each.scene for slope in each.scene.slopes]
+    slopes = [slope for lidar in group if lidar.scene for slope in lidar.scene.slopes]
     on_what = "rising ground" if max(slopes, default=0.0) > _SLOPED else "grass, or on other things that are low"
     why = f"{worst:.0%} of a cloud's returns may be on {on_what}"
     outcomes = [(worst, worst, list[Choice](), trials)]
     for way in _ways(options, group, slopes, why) if worst > _TOLD else ():
-        added = {each.name: each.value for each in way}
+        added = {choice.name: choice.value for choice in way}
         after = [tried({**options, **added}, lidar) for lidar in group]
-        lying, missed = max(each.lying for each in after), max(map(Trial.missed_in, trials, after))
+        lying, missed = max(trial.lying for trial in after), max(map(Trial.missed_in, trials, after))
         # Limits may be above what stands.
         if "ground" in added or (lying <= _LYING and missed <= _MISSED):
             # What is missed may be ground that is on no plane.
@@ -213,15 +213,15 @@ def _ways(options: Mapping[str, Any], group: Sequence[Lidar], slopes: list[float
     """Yield options of which one may end the returns on the ground, which rises so much, or on what is low."""
     low, high = options["min_height"], options["max_height"]
     # Of the ground, a part of a turn shows too little.
-    if not any(each.turn for each in group):
+    if not any(lidar.turn for lidar in group):
         yield [Choice("ground", "remove", why)]
     if max(slopes) <= _SLOPED:
         yield from ([Choice("min_height", float(f"{low + by:.2f}"), why)] for by in _HIGHER if low + by + _THIN <= high)
     # If the robot tilts, other clouds have steeper ground.
     elif max(slopes) - min(slopes) < _STEADY and max(slopes) < _STEEPEST:
         slope = math.ceil(100 * max(slopes) + 0.5) / 100
-        ceilings = [each.mounting.heights.ceiling for each in group if each.mounting.heights is not None]
-        most = min((each - _BELOW for each in ceilings if each is not None), default=math.inf)
+        ceilings = [lidar.mounting.heights.ceiling for lidar in group if lidar.mounting.heights is not None]
+        most = min((ceiling - _BELOW for ceiling in ceilings if ceiling is not None), default=math.inf)
         top = max(high, min(high + slope * _REACHES, most))
         stands = Choice("max_height", float(f"{top:.2f}"), f"of what stands on it, up to {_REACHES:.0f} m away")
         yield [Choice("min_height_slope", slope, why), stands]
@@ -232,9 +232,9 @@ def _with_common_heights(lidar: Lidar, lidars: Sequence[Lidar]) -> Lidar:
     own = lidar.mounting.heights
     if own is None or own.floor is None or not lidar.target:
         return lidar
-    heights = [each.mounting.heights for each in lidars if each.target == lidar.target and each.mounting.heights]
-    same = [each for each in heights if each.floor is not None and abs(each.floor - own.floor) < ONE_FLOOR]
-    common = own._replace(low=max(each.low for each in same), high=max(each.high for each in same))
+    heights = [other.mounting.heights for other in lidars if other.target == lidar.target and other.mounting.heights]
+    same = [limits for limits in heights if limits.floor is not None and abs(limits.floor - own.floor) < ONE_FLOOR]
+    common = own._replace(low=max(limits.low for limits in same), high=max(limits.high for limits in same))
     return replace(lidar, mounting=lidar.mounting._replace(heights=common))
 
 
@@ -244,7 +244,7 @@ def _groups(lidars: Sequence[Lidar]) -> Iterator[list[Lidar]]:
     while rest:
         group = [rest.pop(0)]
         for other in list(rest):
-            frames = {each.mounting.frame.removeprefix("/") for each in group}
+            frames = {lidar.mounting.frame.removeprefix("/") for lidar in group}
             is_beside = other.target == group[0].target and other.mounting.frame.removeprefix("/") not in frames
             if other.target and is_beside and _measure_together(group[0].facts, other.facts):
                 group.append(other)
@@ -254,18 +254,18 @@ def _groups(lidars: Sequence[Lidar]) -> Iterator[list[Lidar]]:
 
 def _measure_together(one: TopicFacts, other: TopicFacts) -> bool:
     """Whether the first clouds of two topics were recorded at about the same time, with stamps of one clock."""
-    begin_ns = max(each.headers[0].log_time_ns for each in (one, other))
-    end_ns = min(each.headers[-1].log_time_ns for each in (one, other))
-    delays = [median_low([each.delay_ns for each in facts.headers]) for facts in (one, other)]
+    begin_ns = max(facts.headers[0].log_time_ns for facts in (one, other))
+    end_ns = min(facts.headers[-1].log_time_ns for facts in (one, other))
+    delays = [median_low([header.delay_ns for header in facts.headers]) for facts in (one, other)]
     return begin_ns <= end_ns and not are_doubtful(*delays)
 
 
 def _topics(group: Sequence[Lidar], sources: Sequence[Reader], types: Mapping[str, Sequence[str]]) -> Iterator[Choice]:
     """Yield what a command converts, and the name of its scans, if they are not those of the only topic with clouds."""
     topic = group[0].topic
-    has_scans = any(each.topic == "/scan" for reader in sources for each in reader.connections)
+    has_scans = any(connection.topic == "/scan" for reader in sources for connection in reader.connections)
     if len(group) > 1:
-        named = tuple(f"{each.topic}:={'/scan_all' if has_scans else '/scan'}" for each in group)
+        named = tuple(f"{lidar.topic}:={'/scan_all' if has_scans else '/scan'}" for lidar in group)
         yield Choice("topics", named, f"{len(group)} lidars measure at the same time, so they make one scan")
     elif has_scans:
         yield Choice("topics", f"{topic}:={topic.rstrip('/')}/scan", "the recording has a topic /scan")
@@ -277,7 +277,7 @@ def _choices(group: Sequence[Lidar], given: Mapping[str, Any]) -> Iterator[Choic
     lidar = group[0]
     yield Choice("preset", _PRESET, "beams, limits and times that SLAM and navigation accept")
     given = dict(given)
-    static = [each.mounting.static_tf for each in group if each.mounting.static_tf]
+    static = [lidar.mounting.static_tf for lidar in group if lidar.mounting.static_tf]
     if static:
         given["static_tf"] = (*given.get("static_tf", ()), *static)
     reasons = {"odom_topic": "says how the robot moves"} | ({"static_tf": "makes the clouds level"} if static else {})
@@ -289,26 +289,26 @@ def _choices(group: Sequence[Lidar], given: Mapping[str, Any]) -> Iterator[Choic
         yield Choice("target_frame", lidar.target, "the robot's frame" if is_robot else "its z points up")
     if (clock := lidar.clock) is not None:
         yield Choice("time_offset", clock.time_offset, clock.text)
-    elif any(stamp_faults(each.facts) for each in group):
+    elif any(stamp_faults(lidar.facts) for lidar in group):
         yield Choice("stamps", "log", "its stamps go back, or are 0")
     yield from _heights(group)
     times = list(_times(group))
     yield from times
     if clock is None:
         own = lidar.mounting.frame if lidar.is_registered else ""
-        fixed = next((each.value for each in times if each.name == "fixed_frame"), own)
+        fixed = next((choice.value for choice in times if choice.name == "fixed_frame"), own)
         yield from _edge_cuts(group, fixed)
     yield from _exclusions(group)
-    yield from _beams(group, is_level=any(each.name == "level" for each in times))
+    yield from _beams(group, is_level=any(choice.name == "level" for choice in times))
 
 
 def _beams(group: Sequence[Lidar], *, is_level: bool) -> Iterator[Choice]:
     """Yield the width of the beams, if the lidars turn and the default one suits none of them, or for a pattern."""
     if len(group) == 1 and (degrees := group[0].pattern.degrees):
         yield Choice("angle_increment", f"{degrees}deg", "the pattern is too sparse for the default beams")
-    if not all(each.step for each in group):
+    if not all(lidar.step for lidar in group):
         return
-    step = max(each.step for each in group)
+    step = max(lidar.step for lidar in group)
     measured = f"the lidar measures every {math.degrees(step):.3g} deg"
     if step <= _FINE:
         yield Choice("angle_increment", "0.5deg", f"{measured}, finer than the default beams")
@@ -320,10 +320,10 @@ def _beams(group: Sequence[Lidar], *, is_level: bool) -> Iterator[Choice]:
 
 
 def _heights(group: Sequence[Lidar]) -> Iterator[Choice]:
-    heights = [each.mounting.heights for each in group if each.mounting.heights is not None]
-    low, high = max(each.low for each in heights), max(each.high for each in heights)
-    floors = [each.floor for each in heights if each.floor is not None]
-    ceilings = [each.ceiling for each in heights if each.ceiling is not None]
+    heights = [lidar.mounting.heights for lidar in group if lidar.mounting.heights is not None]
+    low, high = max(limits.low for limits in heights), max(limits.high for limits in heights)
+    floors = [limits.floor for limits in heights if limits.floor is not None]
+    ceilings = [limits.ceiling for limits in heights if limits.ceiling is not None]
     above, below = "no floor is visible: the heights of most points", ""
     if floors:
         above, below = f"above the floor at z = {height_text(max(floors))} m", "of objects that stand on it"
@@ -336,7 +336,7 @@ def _heights(group: Sequence[Lidar]) -> Iterator[Choice]:
 def _times(group: Sequence[Lidar]) -> Iterator[Choice]:
     """Yield the options about motion, packets and patterns."""
     lidar = group[0]
-    turn, clouds = max(each.turn for each in group), 0 if group[1:] else lidar.pattern.clouds
+    turn, clouds = max(lidar.turn for lidar in group), 0 if group[1:] else lidar.pattern.clouds
     within_cloud = lidar.motion(lidar.duration or lidar.period or 0.1)
     gathered = turn or clouds * lidar.period or (lidar.period if group[1:] else 0.0)
     within_scan = lidar.motion(gathered) if gathered else within_cloud
@@ -345,7 +345,7 @@ def _times(group: Sequence[Lidar]) -> Iterator[Choice]:
     # Neither does a robot tilt that drives on a slope, nor one whose IMU feels curves.
     stays = tilt is not None and tilt < _TILTS / 2
     tilts = within_scan is not None and within_scan.tilt > _TILTS and not stays
-    deskews = (tilts or _moves(within_cloud) or _moves(within_scan)) and all(each.duration for each in group)
+    deskews = (tilts or _moves(within_cloud) or _moves(within_scan)) and all(lidar.duration for lidar in group)
     if turn:
         yield Choice("every", float(f"{turn:.4g}"), f"a cloud is a part of a turn, which takes {turn:.3g} s")
     if clouds:
@@ -399,16 +399,16 @@ def _edge_cuts(lidars: Sequence[Lidar], fixed: str) -> Iterator[Choice]:
         for header in lidar.facts.last_headers:
             is_lost = header.stamp_ns + max(-tolerance_ns, before_ns) > stop_ns
             last.append((is_lost, header.log_time_ns - start_ns, header.stamp_ns + max(after_ns, 0) - stop_ns))
-    if lost := [each for each in first if each[0]]:
-        (_, after_ns, lacks_ns), by_ns = max(lost), max(each[2] for each in lost)
+    if lost := [entry for entry in first if entry[0]]:
+        (_, after_ns, lacks_ns), by_ns = max(lost), max(entry[2] for entry in lost)
         later = [time_ns for is_lost, time_ns, _ in first if not is_lost and time_ns > after_ns]
         # If all of these packets came too early, later ones are known by their own times.
         after_ns += 0 if later else lacks_ns
         if after_ns + start_ns < first_ns:
             seconds = min((after_ns // _CUT_NS + 1) * _CUT_NS, min(later, default=after_ns + _SOON_NS)) / 1e9
             yield Choice("start", seconds, f"transforms to {fixed} begin {by_ns / 1e9:.2g} s after the first cloud")
-    if lost := [each for each in last if each[0]]:
-        until_ns, by_ns = min(each[1] for each in lost), max(each[2] for each in lost)
+    if lost := [entry for entry in last if entry[0]]:
+        until_ns, by_ns = min(entry[1] for entry in lost), max(entry[2] for entry in lost)
         earlier = [time_ns for is_lost, time_ns, _ in last if not is_lost and time_ns < until_ns]
         if earlier and until_ns + start_ns > last_ns:
             seconds = min((max(earlier) // _CUT_NS + 1) * _CUT_NS, until_ns) / 1e9
@@ -434,11 +434,11 @@ def _exclusions(group: Sequence[Lidar]) -> Iterator[Choice]:
     lidar = group[0]
     boxes: dict[str, str] = {}
     if (heights := lidar.mounting.heights) is not None:
-        for body in filter(None, (body_of(each.placed, each.sensor, heights.low, heights.high) for each in group)):
+        for body in filter(None, (body_of(lidar.placed, lidar.sensor, heights.low, heights.high) for lidar in group)):
             box = " ".join((lidar.target or lidar.mounting.frame, *map("{:g}".format, body)))
             boxes[box] = "returns of the robot's own body"
     # The preset rejects points at the origin of the scans' own frame.
-    origins = (sensor_exclusion(each.mounting.frame, lidar.target) for each in group if each.has_zeros)
+    origins = (sensor_exclusion(member.mounting.frame, lidar.target) for member in group if member.has_zeros)
     boxes |= {value: "(0, 0, 0) is no return" for option, value in origins if option == "exclude_box"}
     if boxes:
         value = tuple(boxes)

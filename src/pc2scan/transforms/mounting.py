@@ -308,7 +308,7 @@ def _on_its_side(seen: Mounting, target: str, target_from_frame: Rigid, turn: Ri
     if height <= 0 or _tilt(target_from_frame) > LEVEL:
         return None
     planes = [floor_at_side(turn.apply(points)) for points in seen.samples if len(points) >= FEWEST_POINTS]
-    floors = [each for each in planes if each is not None and abs(each.height - height) < NEAR_MOUNT * height]
+    floors = [plane for plane in planes if plane is not None and abs(plane.height - height) < NEAR_MOUNT * height]
     if 2 * len(floors) < max(len(planes), 2):
         return None
     up, beside = floors[0].up, floors[0].height
