@@ -563,13 +563,13 @@ def are_low(points: _Points, floor: float, height: float) -> NDArray[np.bool_]:
     height
         How high the sensor is above the floor: it looks over what is half as high.
     """
-    ranges, sector = np.hypot(points[:, 0], points[:, 1]), _sectors(points, _WIDE)
+    ranges, sector = np.hypot(points[:, 0], points[:, 1]), sectors_of(points, _WIDE)
     farthest = np.zeros(math.ceil(360 / _WIDE))
     np.maximum.at(farthest, sector, ranges)
     return (points[:, 2] < floor + min(_LOW_THING, height / 2)) & (farthest[sector] > ranges + _FARTHER)
 
 
-def _sectors(points: _Points, wide: float) -> NDArray[np.intp]:
+def sectors_of(points: _Points, wide: float) -> NDArray[np.intp]:
     """Return the number of each point's direction, which is so many degrees wide."""
     turns = np.arctan2(points[:, 1], points[:, 0]) / math.tau + 0.5
     return (turns * math.ceil(360 / wide)).astype(np.intp) % math.ceil(360 / wide)
@@ -586,7 +586,7 @@ def _are_upright(points: _Points, floor: float, wide: float) -> NDArray[np.bool_
     z, ranges = points[:, 2], np.hypot(points[:, 0], points[:, 1])
     ring = (np.log1p(ranges / _FIRST_RING) / math.log1p(wider)).astype(np.intp) + 1
     # Numbers of cells: to index by two arrays takes several times as long.
-    cell = ring * sectors + _sectors(points, wide)
+    cell = ring * sectors + sectors_of(points, wide)
     low, high = (np.full((ring.max(initial=0) + 2) * sectors, limit) for limit in (np.inf, -np.inf))
     np.minimum.at(low, cell, z)
     np.maximum.at(high, cell, z)

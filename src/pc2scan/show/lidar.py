@@ -23,14 +23,14 @@ from pc2scan.conversion.steps import CloudToScan, PlaceStage
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import median, percentiles
 from pc2scan.core.points import Points
-from pc2scan.core.scene import are_low, are_rising
+from pc2scan.core.scene import are_low, are_rising, sectors_of
 from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import Pc2ScanError, TransformError
 from pc2scan.options.call import Options
 from pc2scan.parsing import conversion_of
 from pc2scan.request.filters import Frame
 from pc2scan.request.point_time import DIRECTIONS, PointTime, directions_of
-from pc2scan.transforms.frames import BODIES, WORLDS
+from pc2scan.transforms.frames import WORLDS
 from pc2scan.transforms.motion import sensor_motion
 from pc2scan.transforms.placing import Placer, UpByFrame, UpByImu
 from pc2scan.transforms.static import StaticTransform
@@ -214,11 +214,6 @@ class Lidar:
         """A frame that moves with the sensor."""
         return self.target if self.is_registered else self.mounting.frame
 
-    @property
-    def is_placed(self) -> bool:
-        """Whether its clouds are in a frame of the robot or of a world: from where they were seen is not known."""
-        return self.is_registered or self.mounting.frame.removeprefix("/") in BODIES
-
     @cached_property
     def period(self) -> float:
         """The time from cloud to cloud, seconds; 0 if it is not known."""
@@ -393,8 +388,7 @@ def _filled_beams(points: NDArray[np.float64], low: float, high: float) -> NDArr
     """Return which beams of half a degree have points between two heights."""
     x, y, z = points.T
     good = (z >= low) & (z <= high) & ((x != 0) | (y != 0)) & np.isfinite(x) & np.isfinite(y)
-    places = ((np.arctan2(y[good], x[good]) / math.tau + 0.5) * 720).astype(np.intp) % 720
-    return np.bincount(places, minlength=720) > 0
+    return np.bincount(sectors_of(points[good], 0.5), minlength=720) > 0
 
 
 # --- Trial ---

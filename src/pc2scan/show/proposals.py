@@ -16,7 +16,7 @@ from pc2scan.advice.odometry import floor_tilt, odometry_of, turned_over
 from pc2scan.bags.destinations import default_destination
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import median_low
-from pc2scan.core.scene import ONE_FLOOR, thin_points
+from pc2scan.core.scene import ONE_FLOOR, sectors_of, thin_points
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.result import Call
 from pc2scan.text import height_text
@@ -109,8 +109,11 @@ def body_of(
         del points, good
     stays, beyond = (counts >= _PERSIST * len(views) for counts in (small, large))
     standing = beyond.sum() / max(np.count_nonzero(large), 1)
+    if len(views) < _FEWEST_CLOUDS or standing > _STANDS:
+        return ()
     cells = np.argwhere(stays) - _CELLS
     body = np.insert((cells + 0.5) * _CELL, 2, low, axis=1)
+    own_ranges, _ = _polar(body - sensor)
     near = np.logical_or.reduce([np.roll(stays, step, (0, 1)) for step in product(range(-_AWAY, _AWAY + 1), repeat=2)])
     free, farther, again = np.zeros((3, len(cells)), np.intp)
     for (now, _), (then, view) in product(views, views):
@@ -121,12 +124,12 @@ def body_of(
             behind = view[direction] - ranges
             is_free = is_off & (behind > _LEFT) & np.isfinite(behind)
             # What is nearer may be too high or too low for the sensor.
-            free, farther = free + is_free, farther + (is_free & (ranges >= _polar(body - sensor)[0]))
+            free, farther = free + is_free, farther + (is_free & (ranges >= own_ranges))
             again += is_off & (np.abs(behind) <= _LEFT)
     if standing > _MOVES or any(place is not None for place, _ in views):
         is_left, is_certain = (counts * (1 - _PERSIST) > again * _PERSIST for counts in (free, farther))
         cells = cells[is_left & is_certain.any()]
-    if len(views) < _FEWEST_CLOUDS or standing > _STANDS or not cells.size:
+    if not cells.size:
         return ()
     (x0, y0), (x1, y1) = cells.min(axis=0) * _CELL - 0.05, (cells.max(axis=0) + 1) * _CELL + 0.05
     return [round(float(limit), 2) for limit in (x0, x1, y0, y1, low - 0.1, high + 0.1)]
@@ -134,8 +137,7 @@ def body_of(
 
 def _polar(places: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
     """Return how far away places are, and in which direction."""
-    x, y = places[:, 0], places[:, 1]
-    return np.hypot(x, y), ((np.arctan2(y, x) / math.tau + 0.5) * _DIRECTIONS).astype(np.intp) % _DIRECTIONS
+    return np.hypot(places[:, 0], places[:, 1]), sectors_of(places, 360 / _DIRECTIONS)
 
 
 class Choice(NamedTuple):
