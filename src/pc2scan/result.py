@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from abc import abstractmethod
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
@@ -119,7 +119,7 @@ class Result:
     kind
         Its name in JSON.
     json_names
-        The attributes that JSON has after the common ones; empty means all fields.
+        The attributes that JSON has after the common ones; empty means all fields but those with ``repr=False``.
     errors
         Why it failed; empty if it did not.
     warnings
@@ -157,7 +157,7 @@ class Result:
     def body(self, *, verbose: bool = False) -> Iterator[Part]:
         """Yield the result, part by part; ``verbose`` for everything."""
 
-    def remarks(self, *, verbose: bool = False, total: int | None = None, recovered: str = "") -> Iterator[Remark]:
+    def remarks(self, *, verbose: bool = False, total: int | None = None) -> Iterator[Remark]:
         """Yield what is not as it should be: skipped messages, damaged places, warnings.
 
         Parameters
@@ -166,8 +166,6 @@ class Result:
             Whether to yield every reason and every damaged place.
         total
             How many messages were skipped, listed or not; None for all.
-        recovered
-            What was recovered of damaged recordings.
         """
         limit = None if verbose else SHOWN
         reasons: dict[tuple[str, str], list[Skipped]] = {}
@@ -187,14 +185,12 @@ class Result:
         yield from (Remark("damaged", str(place)) for place in self.damage[:limit])
         if more := len(self.damage) - len(self.damage[:limit]):
             yield Remark("damaged", f"{more:,} more")
-        if recovered:
-            yield Remark("recovered", recovered)
         yield from (Remark("warning", warning) for warning in self.warnings)
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as JSON's types; infinities and NaNs are text."""
-        common = ("exit_status", "errors", "warnings", "notes", "damage")
-        names = [name for name in self.json_names or _names(self) if name not in common]
+        common = ("exit_status", "errors", "warnings", "notes", "damage", "skipped_count")
+        names = [name for name in _names(self) if name not in common]
         values = {name: json_value(getattr(self, name)) for name in (*common, *names)}
         return {"pc2scan": __version__, "kind": self.kind, **values}
 
@@ -205,34 +201,6 @@ class Result:
     def __repr__(self) -> str:
         notes = (Remark("note", note) for note in self.notes)
         return "\n".join(map(visible, lines_of((*self.body(), *notes, *self.remarks()))))
-
-
-@dataclass(slots=True, repr=False)
-class Failure(Result):
-    """A command that failed before there was a result.
-
-    Attributes
-    ----------
-    errors
-        The error.
-    sources, destination
-        Paths as they were given; None for no destination.
-    """
-
-    kind: ClassVar[str] = "failure"
-
-    errors: list[Pc2ScanError] = field(default_factory=list)
-    sources: list[str] = field(default_factory=list)
-    destination: str | None = None
-
-    @property
-    def exit_status(self) -> int:
-        """The exit status of the error."""
-        return self.errors[0].exit_status
-
-    def body(self, *, verbose: bool = False) -> Iterator[Part]:
-        """Yield the errors."""
-        yield from (Remark("error", str(error)) for error in self.errors)
 
 
 def lines_of(
@@ -283,8 +251,7 @@ def _names(value: Any) -> tuple[str, ...]:
     """Return the names that an object has in JSON: those that its class lists, or its fields."""
     if listed_names := getattr(value, "json_names", ()):
         return tuple(listed_names)
-    named = value._fields if hasattr(value, "_fields") else (attribute.name for attribute in fields(value))
-    return tuple(name for name in named if not name.startswith("_"))
+    return tuple(value._fields if hasattr(value, "_fields") else (part.name for part in fields(value) if part.repr))
 
 
 def tell_early(warnings: list[str], warn: Callable[[str], None] | None, *texts: str) -> None:

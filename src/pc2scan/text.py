@@ -171,9 +171,7 @@ class Table(NamedTuple):
             widths[max(wide, key=widths.__getitem__)] -= 1
         for number, cells in enumerate(zip(*columns, strict=True)):
             # Text that is too wide continues on the next line.
-            pieces = [
-                [cell] if len(cell) <= room else _wrapped(cell, room) for cell, room in zip(cells, widths, strict=True)
-            ]
+            pieces = [wrap(cell, room or 1) for cell, room in zip(cells, widths, strict=True)]
             for parts in zip_longest(*pieces, fillvalue=""):
                 aligned = (
                     part.ljust(widths[i]) if i in texts else part.rjust(widths[i]) for i, part in enumerate(parts)
@@ -181,10 +179,3 @@ class Table(NamedTuple):
                 yield (" " * _GAP).join(aligned).rstrip()
             if number == 0:
                 yield "-" * needed()
-
-
-def _wrapped(text: str, width: int) -> list[str]:
-    """Return a text as lines; names of topics and types may be broken after a slash."""
-    spaced = text if " " in text else text.replace("/", "/ ")
-    lines = wrap(spaced, width, break_on_hyphens=False)
-    return lines if " " in text else [line.replace(" ", "") for line in lines]

@@ -46,10 +46,10 @@ CELLS = (
 NARROW = """\
 topic            type              messages  what
 -------------------------------------------------------------
-/front/lidar/    sensor_msgs/        12,000  converted with a
-velodyne_points  msg/PointCloud2             remark of words
-/imu             sensor_msgs/             7
-                 msg/Imu
+/front/lidar/ve  sensor_msgs/msg/    12,000  converted with a
+lodyne_points    PointCloud2                 remark of words
+/imu             sensor_msgs/msg/         7
+                 Imu
 """
 
 

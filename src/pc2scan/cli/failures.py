@@ -12,8 +12,8 @@ from pc2scan.errors import DamageError, Pc2ScanError, UsageError
 from pc2scan.files.system import is_full
 from pc2scan.options.keywords import meant_by
 from pc2scan.options.table import GROUPS, instead_of, options_of
-from pc2scan.result import Failure
 from pc2scan.text import did_you_mean, shell_word
+from pc2scan.version import __version__
 
 from .render import as_typed, print_json, say, show_error
 
@@ -47,7 +47,8 @@ def show_failure(err: Pc2ScanError, words: Sequence[str]) -> int:
     show_error(err)
     if "--json" in (words[: words.index("--")] if "--" in words else words):
         err.message, err.hint = as_typed(err.message), None if err.hint is None else as_typed(err.hint)
-        print_json(Failure([err]).as_dict() | {"exit_status": status})
+        errors = [err.as_dict()]
+        print_json({"pc2scan": __version__, "kind": "failure", "exit_status": status, "errors": errors})
     return status
 
 

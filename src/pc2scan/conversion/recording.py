@@ -105,7 +105,8 @@ def equip_routes(
                 note = f"the points that the beams of {', '.join(on)} read"
                 output.report = shared(TopicReport(topic, msgtype, output.target, "added", note))
             else:
-                entry = TopicReport(topic, msgtype, output.target, "converted" if leads else "joined", spec=output.spec)
+                entry = TopicReport(topic, msgtype, output.target, "converted" if leads else "joined")
+                entry.spec, entry.scan = output.spec, output.spec.name
                 entry.clouds_kept = route.handle >= 0
                 if passing is not None and passing.lost:
                     entry.note, entry.lost = passing.note, True

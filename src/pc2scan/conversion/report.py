@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from pc2scan.bags.formats import FORMATS
-from pc2scan.core.percentiles import median_low
 from pc2scan.core.rule import REJECTIONS, PointCounts, Rejection
 from pc2scan.errors import leading
 from pc2scan.options.table import PARAMETERS
@@ -84,8 +82,6 @@ class TopicReport:
         Scans without a single return.
     longest_gap_s
         The longest time over which transforms were interpolated to deskew a cloud, seconds.
-    tilts
-        One for each level scan: the angle between the z axis of the target frame and up, radians.
     joined
         Counts of a topic whose messages become scans together with others; None for all other topics.
     removed_beams
@@ -97,6 +93,10 @@ class TopicReport:
         Whether the topic should have been written but cannot be; ``note`` has the reason.
     advice
         Options with heights that suit the clouds, in a level frame; empty if none are needed.
+    scan
+        The name of its output in a scans file; empty without one.
+    tilts
+        One for each level scan: the angle between the z axis of the target frame and up, radians.
     no_returns
         The share of points that are outside the heights, and at (0, 0, 0), as drivers write for no return; of the first
         clouds.
@@ -105,11 +105,6 @@ class TopicReport:
     spec
         The request that the output was made by; None if the topic is not converted.
     """
-
-    json_names: ClassVar[tuple[str, ...]] = (
-        *("topic", "msgtype", "target", "action", "note", "messages_in", "messages_out", "skipped", "empty_scans"),
-        *("removed_beams", "clouds_kept", "lost", "advice", "scan", "longest_gap_s", "tilt", "joined", "points"),
-    )
 
     topic: str
     msgtype: str
@@ -122,27 +117,16 @@ class TopicReport:
     points: PointCounts = field(default_factory=PointCounts)
     empty_scans: int = 0
     longest_gap_s: float = 0.0
-    tilts: list[float] = field(default_factory=list)
     joined: SourceCounts | None = None
     removed_beams: dict[str, int] = field(default_factory=dict)
     clouds_kept: bool = False
     lost: bool = False
     advice: str = ""
+    scan: str = ""
+    tilts: list[float] = field(default_factory=list, repr=False)
     no_returns: float = field(default=0.0, compare=False, repr=False)
     stamps: StampCounts = field(default_factory=StampCounts, compare=False, repr=False)
     spec: ScanSpec | None = field(default=None, compare=False, repr=False)
-
-    @property
-    def scan(self) -> str:
-        """The name of its output in a scans file; empty without one."""
-        return self.spec.name if self.spec else ""
-
-    @property
-    def tilt(self) -> dict[str, float] | None:
-        """The largest and the median of the tilts, degrees; None if nothing was made level."""
-        if not self.tilts:
-            return None
-        return {"largest_deg": math.degrees(max(self.tilts)), "median_deg": math.degrees(median_low(self.tilts))}
 
     def count(self, result: ConvertedMessage) -> None:
         """Count what a message became: its points, its frame, and its beams."""
@@ -200,10 +184,6 @@ class Report(Result):
     """
 
     kind: ClassVar[str] = "report"
-    json_names: ClassVar[tuple[str, ...]] = (
-        *("sources", "destination", "dry_run", "container", "ros_version", "scans", "topics", "skipped"),
-        *("skipped_count", "messages_read", "messages_declared", "bytes_read", "bytes_written", "seconds"),
-    )
 
     sources: list[str]
     destination: str
@@ -216,7 +196,7 @@ class Report(Result):
     damage: list[Damage] = field(default_factory=list)
     messages_read: int = 0
     messages_declared: int | None = None
-    undelivered: bool = False
+    undelivered: bool = field(default=False, repr=False)
     errors: list[Pc2ScanError] = field(default_factory=list)
     dry_run: bool = False
     container: str = ""
@@ -334,11 +314,11 @@ class Report(Result):
         """Yield skipped messages, damage and what was recovered, and warnings."""
         # Topics that are skipped completely have their own warning.
         total = sum(topic.skipped for topic in self.topics if topic.action != "skipped")
-        recovered = ""
+        yield from Result.remarks(self, verbose=verbose, total=total)
         if self.damage:
             declared, recovered = self.messages_declared, counted(self.messages_read, "message")
             if declared is not None and declared > self.messages_read:
                 recovered = f"{self.messages_read:,} of the {declared:,} messages that the source declares"
             if not any(place.loses for place in self.damage):
                 recovered += "; nothing is known to be lost"
-        yield from Result.remarks(self, verbose=verbose, total=total, recovered=recovered)
+            yield Remark("recovered", recovered)

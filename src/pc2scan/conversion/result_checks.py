@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from functools import partial
 from operator import attrgetter
@@ -12,6 +13,7 @@ import numpy as np
 from pc2scan.advice.checks.first_clouds import notable_share
 from pc2scan.bags.damage import RECOVER, Damage, count_details
 from pc2scan.core.consumers import judge
+from pc2scan.core.percentiles import median_low
 from pc2scan.errors import DamageError, ResultError, name_list, stamp_text
 from pc2scan.messages.laserscan import decode_laserscan, scan_for_consumers
 from pc2scan.request.precedence import preset_of
@@ -283,9 +285,10 @@ def missing_transforms(topic: TopicReport, *_: object) -> Iterator[Remark]:
 
 def tilt_of_frame(topic: TopicReport, spec: ScanSpec, _: Report) -> Iterator[Remark]:
     """Yield a note about the tilt of the target frame; a warning if a robot is never tilted so, or always."""
-    if (tilt := topic.tilt) is None:
+    if not topic.tilts:
         return
-    by, median, largest = spec.imu.topic if spec.imu else spec.fixed_frame, tilt["median_deg"], tilt["largest_deg"]
+    median, largest = math.degrees(median_low(topic.tilts)), math.degrees(max(topic.tilts))
+    by = spec.imu.topic if spec.imu else spec.fixed_frame
     frame = spec.params.target_frame or "the clouds' frame"
     if median > _NOTABLE_TILT:
         yield warning(

@@ -47,7 +47,7 @@ from pc2scan.model import SERIALIZATIONS
 from pc2scan.parsing import conversion_of, destination_of, named_files
 from pc2scan.progress import Meter
 from pc2scan.request.spec import Request
-from pc2scan.result import BEGINNING, Failure, Result, tell_early
+from pc2scan.result import BEGINNING, tell_early
 from pc2scan.threads import Threads, cores
 
 from .corrections import scaled
@@ -133,7 +133,7 @@ def convert(
     try:
         conversion = conversion_of(options, warn)
     except Pc2ScanError as err:
-        failure = Failure([err], [str(source) for source in sources], str(path or folder or "") or None)
+        failure = Report([str(source) for source in sources], str(path or folder or ""), (), errors=[err])
         _deliver(failure, inputs_of(sources, (), named_files(options)), output)
         raise
     return run(sources, path, conversion, output, progress=progress, warn=warn)
@@ -244,7 +244,7 @@ def _reporting(report: Report, inputs: Sequence[InputPath], output: OutputOption
         report.warnings.append(f"{refusal.path}: {why}{refusal.hint or ''}")
 
 
-def _deliver(report: Result, inputs: Sequence[InputPath], output: OutputOptions) -> Pc2ScanError | None:
+def _deliver(report: Report, inputs: Sequence[InputPath], output: OutputOptions) -> Pc2ScanError | None:
     """Write the report; return the error if that fails. Nothing is written over an input."""
     path = output.report
     # The error of a failed run may be that this file cannot be written.

@@ -88,7 +88,6 @@ class ExportReport(Result):
     """
 
     kind: ClassVar[str] = "export"
-    json_names: ClassVar[tuple[str, ...]] = ("sources", "destination", "format", "topics", "skipped", "skipped_count")
 
     sources: list[str]
     destination: str

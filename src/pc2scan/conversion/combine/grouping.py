@@ -70,18 +70,14 @@ class SourceCounts:
         The first of these stamps, and how much further the stamps went than the log times, nanoseconds; negative: back.
     """
 
-    json_names: ClassVar[tuple[str, ...]] = (
-        *("messages", "used", "unmatched", "scans_without", "jumped", "longest_unmatched"),
-    )
-
     messages: int = 0
     used: int = 0
     unmatched: int = 0
     scans_without: int = 0
     longest_unmatched: Run | None = None
     jumped: int = 0
-    first_jump: tuple[int, int] = (0, 0)
-    edges: Sequence[bool] = ()
+    first_jump: tuple[int, int] = field(default=(0, 0), repr=False)
+    edges: Sequence[bool] = field(default=(), repr=False)
     _unmatched: Run | None = field(default=None, repr=False, compare=False)
 
     def let_go(self, stamp_ns: int, *, used: bool) -> None:
