@@ -10,7 +10,14 @@ import lz4.frame
 import pytest
 import zstandard
 
-from pc2scan.files.compression import SIZE_LIMIT, CompressionError, compress, decompress, decompressed_prefix
+from pc2scan.files.compression import (
+    MAX_UNPACKED,
+    CompressionError,
+    allowed_bytes,
+    compress,
+    decompress,
+    decompressed_prefix,
+)
 from pc2scan.options.table import options_of
 
 DATA = bytes(range(256)) * 400 + bytes(50_000)
@@ -82,6 +89,7 @@ def test_of_cut_data_the_front_comes_out(name: str) -> None:
 
 @pytest.mark.parametrize("compression", ["lz4", "bz2", "zstd"])
 def test_what_comes_out_is_bounded(compression: str) -> None:
-    zeros = bytes(4 * SIZE_LIMIT)
+    zeros = bytes(4 * MAX_UNPACKED)
     pack = {"lz4": lz4.frame.compress, "bz2": bz2.compress, "zstd": zstandard.compress}[compression]
-    assert len(decompressed_prefix(pack(zeros), compression, 10)) == SIZE_LIMIT
+    packed = pack(zeros)
+    assert len(decompressed_prefix(packed, compression, 10)) == allowed_bytes(len(packed))

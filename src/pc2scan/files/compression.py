@@ -8,7 +8,6 @@ from __future__ import annotations
 import bz2
 import zlib
 from contextlib import suppress
-from functools import partial
 from importlib import import_module
 from io import BytesIO
 from typing import IO, TYPE_CHECKING, Any
@@ -95,10 +94,23 @@ def decompress_within(compression: str, data: Buffer, limit: int) -> Buffer:
     CompressionError
         If the data have another format, are damaged or cut off, or the result is larger.
     """
-    content = _zlib_within(data, limit) if compression == "zlib" else _zstd_within(data, limit)
-    if len(content) > limit:
-        raise CompressionError(f"the data are larger than {limit:,} bytes, which is the limit for {len(data):,} bytes")
-    return content
+    larger = CompressionError(f"the data are larger than {limit:,} bytes, which is the limit for {len(data):,} bytes")
+    try:
+        if compression == "zlib":
+            # With a header of gzip or of zlib.
+            inflate = _zlib.decompressobj(47)
+            content: bytes = inflate.decompress(data, limit + 1)
+            if len(content) > limit:
+                raise larger
+            if not inflate.eof:
+                raise CompressionError("the data are cut off")
+            return content
+        if zstandard.frame_content_size(data) > limit:
+            raise larger
+        # Streaming compressors write frames without their size: memory is used as far as it is filled.
+        return zstandard.ZstdDecompressor().decompress(data, max_output_size=limit)
+    except (zlib.error, _zlib.error, zstandard.ZstdError) as err:
+        raise CompressionError(str(err)) from err
 
 
 def compress(compression: str, data: Buffer, level: int = 3) -> Buffer:
@@ -149,28 +161,6 @@ def _from_zstd(data: Buffer, out: memoryview) -> int:
         raise CompressionError(str(err)) from err
 
 
-def _zlib_within(data: Buffer, limit: int) -> Buffer:
-    # With a header of gzip or of zlib.
-    inflate = _zlib.decompressobj(47)
-    try:
-        content: bytes = inflate.decompress(data, limit + 1)
-    except (zlib.error, _zlib.error) as err:
-        raise CompressionError(str(err)) from err
-    if not inflate.eof and len(content) <= limit:
-        raise CompressionError("the data are cut off")
-    return content
-
-
-def _zstd_within(data: Buffer, limit: int) -> Buffer:
-    try:
-        if (size := zstandard.frame_content_size(data)) > limit:
-            raise CompressionError(f"the compressed data declare {size:,} bytes, at most {limit:,} are allowed")
-        # Streaming compressors write frames without their size: memory is used as far as it is filled.
-        return zstandard.ZstdDecompressor().decompress(data, max_output_size=limit)
-    except zstandard.ZstdError as err:
-        raise CompressionError(str(err)) from err
-
-
 # --- CRC-32 ---
 
 
@@ -179,9 +169,6 @@ def _zstd_within(data: Buffer, limit: int) -> Buffer:
 crc32: Callable[..., int] = _zlib.crc32
 
 # --- The part of damaged data that can be decompressed ---
-
-#: A damaged chunk is decompressed up to this size even if it declares less: its declared size may be damaged too.
-SIZE_LIMIT = 16 << 20
 
 #: A decompressor that fails drops the piece of its output that it was to return, so pieces are small.
 _PIECE = 64
@@ -197,28 +184,25 @@ def decompressed_prefix(data: Buffer, compression: str, declared: int) -> bytes:
     compression
         ``none``, ``bz2``, ``lz4`` or ``zstd``; any other gives no bytes.
     declared
-        The size that the chunk declares, bytes. It may be wrong: the result may have up to `SIZE_LIMIT`.
+        The size that the chunk declares, bytes. It may be wrong: the result may have up to `allowed_bytes`.
     """
-    limit, data, out = min(max(declared, SIZE_LIMIT), allowed_bytes(len(data))), bytes(data), bytearray()
+    limit, data, out = allowed_bytes(len(data)), bytes(data), bytearray()
     if compression == "none":
         return data
-    if compression == "lz4":
-        # Most chunks are sound, even if the file is damaged, and the library takes a fiftieth of the time.
-        with suppress(CompressionError, MemoryError):
-            whole = bytearray(min(declared, limit))
-            decompress(compression, data, memoryview(whole))
-            return bytes(whole)
-        # Behind the end, there is no byte.
-        with suppress(IndexError):
+    # Most chunks are sound, even if the file is damaged, and the libraries take a fiftieth of the time.
+    with suppress(CompressionError, MemoryError):
+        whole = bytearray(min(declared, limit))
+        decompress(compression, data, memoryview(whole))
+        return bytes(whole)
+    # In an lz4 block, there is no byte behind the end.
+    with suppress(OSError, EOFError, zstandard.ZstdError, MemoryError, IndexError):
+        if compression == "lz4":
             _decode_lz4(data, out, limit)
-    elif compression in {"bz2", "zstd"}:
-        read_bz2 = partial(bz2.BZ2File(BytesIO(data)).read1, _PIECE)
-        pieces = iter(read_bz2, b"") if compression == "bz2" else zstd_pieces(BytesIO(data), _PIECE)
-        with suppress(OSError, EOFError, CompressionError, MemoryError):
-            for piece in pieces:
+        else:
+            library: Any = bz2 if compression == "bz2" else zstandard
+            file = library.open(BytesIO(data))
+            while len(out) < limit and (piece := file.read1(_PIECE)):
                 out += piece
-                if len(out) >= limit:
-                    break
     return bytes(out[:limit])
 
 
