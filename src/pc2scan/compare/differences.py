@@ -265,7 +265,8 @@ def _lines(topic: TopicDifference, names: tuple[str, str]) -> Iterator[tuple[str
     for change in topic.changes.values():
         first = f", first {_times_text(change.times)}" if change.messages > 1 else f", {_times_text(change.times)}"
         where = "" if change.name == "type" else f"in {counted(change.messages, message)}{first}: "
-        sides = f"{_shortened(change.a)} in {names[0]}, {_shortened(change.b)} in {names[1]}" if change.a else change.b
+        a, b = visible(change.a, _LONGEST), visible(change.b, _LONGEST)
+        sides = f"{a} in {names[0]}, {b} in {names[1]}" if change.a else change.b
         yield change.name, f"{where}{sides}"
     for values in topic.values.values():
         yield values.name, _values(values, topic, element, message)
@@ -333,7 +334,3 @@ def _times_text(times: MessageTimes) -> str:
     if times.stamp_ns is None:
         return f"log time {stamp_text(times.log_time_ns)}"
     return f"stamp {stamp_text(times.stamp_ns)}"
-
-
-def _shortened(text: str) -> str:
-    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."

@@ -8,11 +8,11 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.errors import ParameterError, UsageError
+from pc2scan.errors import ParameterError, UsageError, visible
 from pc2scan.options.table import PARAMETERS
 from pc2scan.transforms.text_files import xml_tree
 
-from .launch_python import python_tree, shortened
+from .launch_python import python_tree
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
 #: What gives the parameters of a node that is not read.
 ELSEWHERE = "give its parameters without the launch file: `params_file=FILE` of YAML, or `param=NAME:=VALUE`"
+
+#: How many characters of an expression errors show.
+_SHOWN = 60
 
 #: Maximum number of characters of a text with its substitutions.
 _MAX_TEXT = 10_000
@@ -151,7 +154,7 @@ class LaunchFile:
                 case "param" | "rosparam" if get("name", "").rpartition("/")[2] in {"", *PARAMETERS}:
                     self.ignored.append(f"{place}> outside of a node")
                 case tag if tag in _CHANGING and get("name") != "use_sim_time":
-                    self.unread.append(UnreadError(get("problem", f"<{tag}> is not read"), element.line))
+                    self.unread.append(_unread(get("source", f"<{tag}>"), element.line))
                 case _:
                     self._read(element, namespace, unsure, remaps)
 
@@ -250,7 +253,7 @@ class LaunchFile:
 
 
 def _unread(source: str, line: int) -> UnreadError:
-    return UnreadError(f"`{shortened(source)}` is not read", line)
+    return UnreadError(f"`{visible(source, _SHOWN)}` is not read", line)
 
 
 def qualified(above: str, name: str) -> str:

@@ -38,12 +38,6 @@ _CHANGING = {"PushRosNamespace", "PushROSNamespace", "SetRemap", "SetParameter",
 _CHANGING |= {"SetLaunchConfiguration", "UnsetLaunchConfiguration", "launch_configurations", "forwarding"}
 
 
-def shortened(source: str) -> str:
-    """Return the beginning of an expression, for errors."""
-    first = source.partition("\n")[0]
-    return first if len(first) <= 60 else f"{first[:57]}..."
-
-
 def python_tree(text: str) -> Element:
     """Return the XML that says the same as a Python launch file; what is not read, is `_unread` there.
 
@@ -72,14 +66,12 @@ class _PythonFile:
         self._tree = list(ast.walk(tree))
         self._parents = {child: node for node in self._tree for child in ast.iter_child_nodes(node)}
         self._bound = Counter(name for node in self._tree for name in _bound(node))
-        imported = (node.asname or node.name for node in self._tree if isinstance(node, ast.alias))
-        bound = self._bound + Counter(imported)
         # What names are assigned that count.
         self._values: dict[str, ast.expr] = {}
         for statement in (*tree.body, *entry.body):
             match statement:
                 case ast.Assign([ast.Name(name)], value) | ast.AnnAssign(ast.Name(name), _, value):
-                    if value and bound[name] == 1 and not isinstance(value, ast.List | ast.Tuple | ast.Dict):
+                    if value and self._bound[name] == 1 and not isinstance(value, ast.List | ast.Tuple | ast.Dict):
                         self._values[name] = value
         # What is launched once, and under no condition.
         self._launched: set[ast.AST] = set()
@@ -114,14 +106,14 @@ class _PythonFile:
                         yield Element("arg", attributes, call.lineno)
                         declared.append(attributes)
                 case "IncludeLaunchDescription":
-                    yield Element("include", {"file": shortened(ast.unparse(call))}, call.lineno)
+                    yield Element("include", {"file": "IncludeLaunchDescription(...)"}, call.lineno)
                 case function if function in _NODES:
                     yield self._node(call, _keywords(call))
         for node in self._tree:
             match node:
                 case ast.Name(word) | ast.Attribute(_, word) | ast.keyword(str() as word) | ast.alias(word, str()):
                     if word in _CHANGING and "'use_sim_time'" not in (code := ast.unparse(self._parents[node])):
-                        yield Element("set_parameter", {"problem": f"`{shortened(code)}` is not read"}, node.lineno)
+                        yield Element("set_parameter", {"source": code}, node.lineno)
 
     def _argument(self, call: ast.Call) -> dict[str, str]:
         """Return the attributes of an argument."""
