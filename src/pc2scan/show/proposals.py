@@ -343,10 +343,8 @@ def _times(group: Sequence[Lidar]) -> Iterator[Choice]:
     gathered = turn or clouds * lidar.period or (lidar.period if group[1:] else 0.0)
     within_scan = lidar.motion(gathered) if gathered else within_cloud
     few = (lidar.in_target(thin_points(*xyz).T, stamp_ns=at_ns) - lidar.sensor for at_ns, xyz in lidar.clouds[::2])
-    tilt = floor_tilt(few) if lidar.mounting.ground.height and not turn else None
-    # Neither does a robot tilt that drives on a slope, nor one whose IMU feels curves.
-    stays = tilt is not None and tilt < _TILTS / 2
-    tilts = within_scan is not None and within_scan.tilt > _TILTS and not stays
+    tilt = None if turn else floor_tilt(few)
+    tilts = within_scan is not None and _tilts(within_scan.tilt, tilt)
     deskews = (tilts or _moves(within_cloud) or _moves(within_scan)) and all(lidar.duration for lidar in group)
     if turn:
         yield Choice("every", float(f"{turn:.4g}"), f"a cloud is a part of a turn, which takes {turn:.3g} s")
@@ -364,8 +362,8 @@ def _times(group: Sequence[Lidar]) -> Iterator[Choice]:
     fixed = within_scan.fixed if within_scan is not None else lidar.world
     if (deskews or tilts or turn or clouds or (gathered and _moves(within_scan))) and fixed:
         yield Choice("fixed_frame", fixed, "the frame that does not move with the robot")
-    if not tilts and not stays:
-        yield from _level_by_imu(lidar)
+    if not tilts:
+        yield from _level_by_imu(lidar, tilt)
         # An IMU levels a cloud as a whole, and says nothing of a part of a turn.
         if tilt is not None and tilt > _TILTS:
             yield Choice("ground", "remove", f"the floor tilts by {math.degrees(tilt):.1f} deg from cloud to cloud")
@@ -422,10 +420,18 @@ def _moves(motion: SensorMotion | None, metres: float = _METRES) -> bool:
     return motion is not None and (motion.metres > metres or motion.radians > ProjectionParams().angle_increment)
 
 
-def _level_by_imu(lidar: Lidar) -> Iterator[Choice]:
+def _tilts(radians: float, of_floor: float | None) -> bool:
+    """Whether a robot tilts by odometry or an IMU, and the floor, where it is seen, by at least half as much.
+
+    A robot that drives on a slope does not tilt against it, nor does one whose IMU feels curves.
+    """
+    return radians > _TILTS and (of_floor is None or of_floor >= radians / 2)
+
+
+def _level_by_imu(lidar: Lidar, of_floor: float | None) -> Iterator[Choice]:
     for topic, up in lidar.ups.items():
         angle = spread_of_up(up.directions)
-        if angle > _TILTS and up.z_of(lidar.target or lidar.mounting.frame, lidar.buffer):
+        if _tilts(angle, of_floor) and up.z_of(lidar.target or lidar.mounting.frame, lidar.buffer):
             yield Choice("level", True, f"roll and pitch vary by {math.degrees(angle):.1f} deg, by the IMU")
             yield Choice("imu", topic, "no transforms say how the robot tilts")
             return
