@@ -60,6 +60,10 @@ WORLDS = {
     "rising ground, Mid-360": (World(None, RISING, "mid-360", at(1.8), slope=0.13), ""),
     "rising ground, packets": (World(None, RISING, "packets", at(1.5), "pitches", slope=0.06), ""),
     "odometry as a topic": (World(ROOM, DESKS, "16 rings", at(0.6), "drives", odometry="topic"), ""),
+    "mounts on /tf": (World(ROOM, DESKS, "16 rings", at(0.6), "drives", odometry="topic", mounted_by="/tf"), ""),
+    "another clock": (World(ROOM, DESKS, "16 rings", at(0.6), "drives", clock=37.0, late=0.31), "--time-offset -37s"),
+    "another, in odom": (World(ROOM, DESKS, "32 rings", at(0.6), "drives", placed_in="odom", clock=-99.0), "auto"),
+    "before odometry": (World(ROOM, DESKS, "32 rings", at(0.6), "drives", placed_in="odom", late=0.4), ""),
     "two lidars": (World(ROOM, DESKS, "32 rings", at(0.5), "drives", second=True), ""),
     "street, no mount": (World(None, YARD[:2], "32 rings", at(1.8), has_mount=False, odometry=""), ""),
     "car park, no mount": (

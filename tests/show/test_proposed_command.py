@@ -19,6 +19,7 @@ from pc2scan.show.proposals import body_of
 from support import RECORDINGS, ROOT, needs_shared, sampled
 from support.command import run
 from support.situations import hall
+from support.worlds import scenes
 from support.worlds.moving import Drive, Lidar, off_the_walls, returns_in_odom, write_imu, write_world
 
 if TYPE_CHECKING:
@@ -172,6 +173,19 @@ def test_clouds_without_transforms_are_left_out(
     )
     assert sum(topic.skipped for topic in whole.topics) > 0 or not reasons
     assert kept == every > 5
+
+
+@pytest.mark.parametrize("pitch", [0.0, 20.0])
+@pytest.mark.parametrize("drive", ["stands", "pitches"])
+def test_an_imu_levels_what_tilts_against_its_floor(drive: str, pitch: float, tmp_path: Path) -> None:
+    room = (-4.0, 5.0, -3.5, 3.5, 2.6)
+    place = scenes.World(room, (), "32 rings", (0.2, 0.6, 0.0, pitch, 0.0), drive, odometry="").write(
+        tmp_path / "0.mcap"
+    )
+    feels = write_imu(tmp_path / "imu.mcap", TILTING, Rigid.identity(), orientation=True, first=0.0)
+    (call,) = pc2scan.info([place, feels], static_tf="base_link imu_link 0 0 0 0 0 0").proposals
+    # On a slope, and in curves, an IMU feels what the floor does not show.
+    assert call.options.get("imu") == ("/imu" if drive == "pitches" else None)
 
 
 @pytest.mark.parametrize("degrees", [0.5, 2.0, 8.0])

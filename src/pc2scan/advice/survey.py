@@ -70,9 +70,14 @@ class Fact(Generic[_Value]):
     are_enough: Callable[[Sequence[_Value]], bool] | None = None
 
 
-#: Samples of points, if they are moved into another frame, which the first clouds may lack a transform to; and if not.
+def _are_enough(samples: Sequence[CloudSample]) -> bool:
+    """Whether the first clouds show how a sensor is mounted, without transforms, which they may lack."""
+    return bool(samples) and samples[0].frame_id.removeprefix("/") not in WORLDS and are_enough(samples)
+
+
+#: Samples of points, if they are moved into another frame, and if not.
 _SAMPLES = {
-    moved: Fact(lambda points, _: CloudSample.of(points), PARTS, are_enough=None if moved else are_enough)
+    moved: Fact(lambda points, _: CloudSample.of(points), PARTS, are_enough=None if moved else _are_enough)
     for moved in (True, False)
 }
 
@@ -289,10 +294,17 @@ class Survey:
         self._needed, self._use = tuple(needed), use
         return self.transforms
 
-    def ask_robot(self, moments: Sequence[int] = ()) -> RobotTransforms:
-        """Ask for the transforms between the robot's frames, and for how it moves at some further log times."""
-        self.robot = RobotTransforms(self.reader, self.frames, [self.span.first_ns, *moments])
-        return self.robot
+    def ask_robot(self, moments: Sequence[int], poses: Sequence[Connection]) -> None:
+        """Ask for the transforms between the robot's frames, and for how it moves at some further log times.
+
+        Parameters
+        ----------
+        moments
+            These times.
+        poses
+            See `RobotTransforms`.
+        """
+        self.robot = RobotTransforms(self.reader, self.frames, [self.span.first_ns, *moments], poses)
 
     def facts(self, connections: Sequence[Connection]) -> TopicFacts:
         """Return the facts about the messages of some connections of one topic."""

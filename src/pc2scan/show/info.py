@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from collections import Counter
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
@@ -15,8 +15,8 @@ from pc2scan.advice.measurements import increment_warning, time_warnings
 from pc2scan.advice.survey import Span, Survey
 from pc2scan.bags.observers import Observer, Spread
 from pc2scan.bags.opening import as_one, open_recordings
-from pc2scan.bags.topics import find_topics, types_by_topic
-from pc2scan.conversion.corrections import scaled
+from pc2scan.bags.topics import by_topic, find_topics, types_by_topic
+from pc2scan.conversion.corrections import corrected, scaled
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError, leading
 from pc2scan.messages.clouds import CLOUDS, SCANS, usual_topics
@@ -26,13 +26,13 @@ from pc2scan.messages.tfmessage import TF_TYPES
 from pc2scan.model import copied_message, declared_counts, of_types
 from pc2scan.parsing import OF_FRAMES, frames_of
 from pc2scan.request.point_time import PointTime
+from pc2scan.request.spec import StampOptions
 from pc2scan.result import Call, Part, Result
 from pc2scan.text import Table, count, counted, height_text, size, stamp
 from pc2scan.transforms.buffer import ADDS_ODOMETRY
 from pc2scan.transforms.frames import BODIES, WORLDS
 from pc2scan.transforms.motion import body_in, find_body_motion
 from pc2scan.transforms.placing import FrameOptions, Placer
-from pc2scan.transforms.sources import PoseTopic
 
 from .lidar import EDGE_NS, HEADERS, Lidar, ask_facts, stamp_faults
 from .proposals import missing_mounts, odometry_doubts, proposals
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from pc2scan.advice.survey import TopicFacts
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
-    from pc2scan.model import Connection
+    from pc2scan.model import Connection, Summary
     from pc2scan.options.call import Options
     from pc2scan.transforms.attitude import UpEstimate
     from pc2scan.transforms.buffer import TransformBuffer
@@ -267,15 +267,21 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
         counts, start_ns, end_ns = _message_counts(reader)
         recorded = reader.summary._replace(start_ns=start_ns, end_ns=end_ns)
         topics = _topic_infos(reader.connections, counts, start_ns, end_ns)
-        frames, given = _with_odometry(reader, counts, frames, options.among({*OF_FRAMES, "cloud_scale"}))
-        survey = Survey(reader, open_recordings(frames.tf_from, stack), frames, Span(None, None, start_ns or 0))
+        given: Mapping[str, Any] = options.among({*OF_FRAMES, "cloud_scale"})
         shown = _described(topics, options.topics, types_by_topic(reader.connections))
-        sampled, of_scans = _sampled(survey, shown, samples, start_ns, end_ns)
-        surveyed = _SurveyResult(survey, shown, end_ns, options.target_frame)
-        warnings = [*log_times_of_centuries(reader.summary), *surveyed.warnings]
+        surveyed_by = partial(_SurveyResult, shown, samples, recorded, options.target_frame)
+        others, span = open_recordings(frames.tf_from, stack), Span(None, None, start_ns or 0)
+        surveyed = surveyed_by(Survey(reader, others, frames, span))
+        if clocks := surveyed.clocks:
+            # Only by corrected stamps is it known where the robot was.
+            offsets = StampOptions.of("header", [f"{topic}={clock.time_offset}" for topic, clock in clocks.items()])
+            reader, _ = corrected(reader, [], offsets, frames.tf_topics)
+            surveyed = surveyed_by(Survey(reader, others, frames, span))
+        warnings = [*log_times_of_centuries(reader.summary), *(clock.warning for clock in clocks.values())]
+        warnings += surveyed.warnings
         clouds: list[CloudInfo] = []
         lidars: list[Lidar] = []
-        for topic, own in sampled.items():
+        for topic, own in surveyed.clouds.items():
             mounting, is_own = surveyed.mounting(topic)
             cloud, placed = describe_clouds(topic, own, surveyed.places, mounting)
             clouds.append(cloud)
@@ -284,7 +290,7 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
                 continue
             # Where the robot moves in the frame of these points, its own body is not at one place.
             parts, has_zeros = [(cloud.stamp_ns, cloud.points) for cloud in placed if is_own], bool(cloud.zero_share)
-            of_robot = recorded, reader.connections, surveyed.known_ns, surveyed.clocks.get(topic), surveyed.ups
+            of_robot = recorded, reader.connections, surveyed.known_ns, clocks.get(topic), surveyed.ups
             lidars.append(Lidar(surveyed.facts[topic], mounting, surveyed.buffer, parts, has_zeros, *of_robot))
         if not any(topic.msgtype in {*CLOUDS, *SCANS} for topic in topics) and (
             instead := instead_of_clouds(reader.connections)
@@ -299,6 +305,7 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
         warnings += (text for lidar in lidars for text in time_warnings(lidar.facts, PointTime()))
         warnings += (*missing_mounts(lidars), *odometry_doubts(lidars), *reader.remarks)
         # Landmarks and the like are no lidar's, if there is one.
+        given = {**given, "odom_topic": surveyed.odometry} if surveyed.odometry else given
         types = {topic.topic: [topic.msgtype] for topic in topics if topic.messages}
         usual = {lidar.topic for lidar in lidars} if options.topics else set(usual_topics(types, (*CLOUDS, *SCANS)))
         calls = proposals([lidar for lidar in lidars if lidar.topic in usual], readers, types, given, warnings)
@@ -310,27 +317,12 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
             sum(counts.values()),
             tuple(topics),
             tuple(clouds),
-            tuple(scan.result(topic, periods[topic], scan.undecodable()) for topic, scan in of_scans.items()),
+            tuple(scan.result(topic, periods[topic], scan.undecodable()) for topic, scan in surveyed.scans.items()),
             tuple(calls),
             tuple(reader.damage),
             tuple(warnings),
-            "" if frames.adds_poses or frames.tf_from else _lacking(reader, counts),
+            "" if frames.adds_poses or frames.tf_from or surveyed.odometry else _lacking(reader, counts),
         )
-
-
-def _with_odometry(
-    reader: Reader, counts: Counter[int], frames: FrameOptions, given: Mapping[str, Any]
-) -> tuple[FrameOptions, Mapping[str, Any]]:
-    """Return options with the only topic that has odometry, if transforms mount the lidar and none move it."""
-    recorded = [connection for connection in reader.connections if counts[connection.id]]
-    transforms = of_types(recorded, TF_TYPES)
-    moves = not transforms or not all(connection.is_static for connection in transforms)
-    topics = {connection.topic for connection in of_types(recorded, {"nav_msgs/msg/Odometry"})}
-    has_clouds = bool(of_types(recorded, CLOUDS))
-    if moves or len(topics) != 1 or not has_clouds or frames.adds_poses or frames.tf_from:
-        return frames, given
-    (topic,) = topics
-    return replace(frames, odometry=(PoseTopic.parse(topic),)), {**given, "odom_topic": topic}
 
 
 def _lacking(reader: Reader, counts: Counter[int]) -> str:
@@ -347,23 +339,29 @@ class _SurveyResult:
 
     Parameters
     ----------
-    survey
-        The survey, which is read here.
     shown
         The topics to describe.
-    end_ns
-        The end of the recording; None without messages.
+    samples
+        How many clouds and scans of each to read.
+    recorded
+        The recording's extent.
     target_frame
         The frame in which clouds are described; empty for their own.
+    survey
+        The survey, which is read here.
 
     Attributes
     ----------
+    clouds, scans
+        The samples of each topic.
     facts
         The facts of each topic with clouds or scans.
     places
         The frames in which clouds are described.
     buffer
         The transforms; None if there are none.
+    odometry
+        The topic with poses that says how the robot moves; empty if transforms do, or none does.
     ups
         The direction of up by each IMU that knows it.
     clocks
@@ -374,8 +372,11 @@ class _SurveyResult:
         All transforms are known up to the first of these log times, and from the second one on.
     """
 
-    def __init__(self, survey: Survey, shown: Sequence[TopicInfo], end_ns: int | None, target_frame: str) -> None:
-        moved = bool(target_frame)
+    def __init__(
+        self, shown: Sequence[TopicInfo], samples: int, recorded: Summary, target_frame: str, survey: Survey
+    ) -> None:
+        moved, end_ns = bool(target_frame), recorded.end_ns
+        self.clouds, self.scans = _sampled(survey, shown, samples, recorded.start_ns, end_ns)
         names = {topic.topic for topic in shown}
         connections = [connection for connection in survey.reader.connections if connection.topic in names]
         clouds = survey.topics(of_types(connections, CLOUDS))
@@ -389,22 +390,27 @@ class _SurveyResult:
         clocks = Clocks(survey, clouds.values())
         imus = {imu.topic for imu in of_types(survey.reader.connections, {IMU}) if clouds}
         readings = {topic: survey.imu(topic, _MAX_IMU) for topic in sorted(imus)}
-        if moved or survey.others or survey.frames.adds_poses:
+        is_added = survey.others or survey.frames.adds_poses
+        if moved or is_added:
             survey.ask_transforms((target_frame,))
-        elif of_types(survey.reader.connections, CLOUDS):
-            survey.ask_robot(_moments(survey.span.first_ns, end_ns) if clouds and end_ns else ())
+        if of_types(survey.reader.connections, CLOUDS) and not is_added:
+            odometry = by_topic(of_types(survey.reader.connections, {"nav_msgs/msg/Odometry"}))
+            poses = next(iter(odometry.values())) if len(odometry) == 1 else ()
+            survey.ask_robot(_moments(survey.span.first_ns, end_ns) if clouds and end_ns else (), poses)
         survey.read()
         self.buffer: TransformBuffer | None = None
         self.warnings: list[str] = []
+        self.odometry = ""
         self.known_ns = end_ns or 0, survey.span.first_ns
         if survey.transforms is not None:
             transforms = survey.transforms.finish()
             self.buffer, self.warnings = transforms.buffer, [*transforms.warnings, *transforms.notes]
-        elif survey.robot is not None:
-            self.buffer, until_ns = survey.robot.finish(), (end_ns or 0) - (0 if survey.robot.is_cut else EDGE_NS)
-            self.known_ns = survey.span.first_ns + _FIRST * EDGE_NS, until_ns
+        if survey.robot is not None:
+            buffer, self.odometry = survey.robot.finish(), survey.robot.odometry
+            if survey.transforms is None or self.odometry:
+                until_ns = (end_ns or 0) - (0 if survey.robot.is_cut else EDGE_NS)
+                self.buffer, self.known_ns = buffer, (survey.span.first_ns + _FIRST * EDGE_NS, until_ns)
         self.clocks = clocks.findings()
-        self.warnings += (clock.warning for clock in self.clocks.values())
         self.warnings += filter(None, (cloud.unit_warning() for cloud in clouds.values()))
         self.warnings += filter(None, (increment_warning(scan) for scan in flat.values()))
         self.warnings += (text for topic_facts in self.facts.values() for text in stamp_faults(topic_facts))

@@ -248,7 +248,8 @@ def _groups(lidars: Sequence[Lidar]) -> Iterator[list[Lidar]]:
         for other in list(rest):
             frames = {lidar.mounting.frame.removeprefix("/") for lidar in group}
             is_beside = other.target == group[0].target and other.mounting.frame.removeprefix("/") not in frames
-            if other.target and is_beside and _measure_together(group[0].facts, other.facts):
+            offsets = {lidar.clock and lidar.clock.time_offset for lidar in (group[0], other)}
+            if other.target and is_beside and len(offsets) == 1 and _measure_together(group[0].facts, other.facts):
                 group.append(other)
                 rest.remove(other)
         yield group
@@ -296,10 +297,8 @@ def _choices(group: Sequence[Lidar], given: Mapping[str, Any]) -> Iterator[Choic
     yield from _heights(group)
     times = list(_times(group))
     yield from times
-    if clock is None:
-        own = lidar.mounting.frame if lidar.is_registered else ""
-        fixed = next((choice.value for choice in times if choice.name == "fixed_frame"), own)
-        yield from _edge_cuts(group, fixed)
+    own = lidar.mounting.frame if lidar.is_registered else ""
+    yield from _edge_cuts(group, next((choice.value for choice in times if choice.name == "fixed_frame"), own))
     yield from _exclusions(group)
     yield from _beams(group, is_level=any(choice.name == "level" for choice in times))
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from itertools import zip_longest
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -38,6 +37,7 @@ if TYPE_CHECKING:
 #: Duration, and number of messages, of moving transforms that are read to find the transforms between a robot's frames.
 _SOME_NS = 1_000_000_000
 _SOME_MESSAGES = 1_000
+_END_NS = 2**63
 
 #: A frame moves if its translations differ by this much, metres.
 _MOVES = 0.05
@@ -114,6 +114,11 @@ class TransformReading:
     ----------
     options
         Their topics, and the transforms to add.
+
+    Attributes
+    ----------
+    poses
+        Those of topics, while they are read.
     """
 
     def __init__(self, options: FrameOptions) -> None:
@@ -121,7 +126,7 @@ class TransformReading:
         self._builder = TransformBuilder()
         self._warnings: dict[str, int] = {}
         self._notes: list[str] = []
-        self._poses: list[PoseReading] = []
+        self.poses: list[PoseReading] = []
         self._models: list[RobotModel] = [] if options.model is None else [options.model]
         # Added first, so that they replace the recording's: users add transforms because those are wrong or missing.
         self._builder.add((static.row(0) for static in options.static), static=True)
@@ -156,7 +161,7 @@ class TransformReading:
     def _pose_observer(self, request: PoseTopic, reader: Reader) -> Observer[Any]:
         connections = request.connections(reader.connections)
         reading = PoseReading(request, connections)
-        self._poses.append(reading)
+        self.poses.append(reading)
         return Observer(connections, copied_message, keep=reading.add)
 
     def supply(self, reader: Reader, needed: Collection[str], *, use: bool = True) -> None:
@@ -209,7 +214,7 @@ class TransformReading:
         trajectory = self._options.trajectory
         if trajectory is not None:
             yield trajectory.parent, trajectory.child
-        for reading in self._poses:
+        for reading in self.poses:
             yield from ((transform.parent, transform.child) for transform in reading.finish()[0])
 
     def add(self, reader: Reader, first: dict[str, TransformRow], message: RawMessage) -> None:
@@ -259,7 +264,7 @@ class TransformReading:
                 are = "is" if len(joints) == 1 else "are"
                 notes.append(f"{counted(len(joints), 'fixed joint')} of {names} {are} used: {shown}")
         poses: tuple[AddedPoses, ...] = ()
-        if self._poses or self._options.trajectory is not None:
+        if self.poses or self._options.trajectory is not None:
             poses, further = self._add_poses(notes)
             texts += further
         buffer = builder.build()
@@ -273,7 +278,7 @@ class TransformReading:
         """Add poses as transforms; return them and warnings, and append notes."""
         sources: list[tuple[str, PoseReading | None, Sequence[Trajectory]]] = []
         texts: list[str] = []
-        for reading in self._poses:
+        for reading in self.poses:
             own_poses, further = reading.finish()
             if not own_poses:
                 raise RecordingError("has no poses", topic=reading.topic)
@@ -357,36 +362,37 @@ class RobotTransforms:
         The topics, and the transforms to add.
     times_ns
         The log times at which the seconds begin.
+    poses
+        The only topic with odometry, if there is one: it is used if no transform moves the frame that has the poses.
 
     Attributes
     ----------
     observers
         Take them from the recording; none if it is not clear which topics to use.
+    odometry
+        The topic with poses that is used; empty if none is.
     """
 
-    def __init__(self, reader: Reader, options: FrameOptions, times_ns: Sequence[int]) -> None:
+    def __init__(
+        self, reader: Reader, options: FrameOptions, times_ns: Sequence[int], poses: Sequence[Connection] = ()
+    ) -> None:
         self._reader = reader
-        self._options = options
-        self._is_known = True
-        # Poses are about where the robot is, not about its frames.
-        options = replace(options, odometry=(), trajectory=None)
-        self.observers: list[Observer[RawMessage]] = []
-        try:
+        self._reading = TransformReading(options)
+        self._poses = PoseReading(PoseTopic(""), poses)
+        self.odometry = ""
+        connections: list[Connection] = []
+        with suppress(UsageError):
             connections = tf_connections(reader.connections, options.tf_topics)
-        except UsageError:
-            self._is_known = False
-            return
         static, moving = (
             [connection for connection in connections if connection.is_static is kind] for kind in (True, False)
         )
-        if static:
-            self.observers.append(Observer(static, copied_message, _SOME_MESSAGES))
+        firsts = (static, _SOME_MESSAGES), (_model_connections(reader.connections, options), 1)
+        self.observers = [Observer(own, copied_message, most) for own, most in firsts if own]
+        moving += poses if connections else ()
         times_ns = sorted(set(times_ns)) if moving else []
-        for begin_ns, next_ns in zip_longest(times_ns, times_ns[1:]):
-            end_ns = begin_ns + _SOME_NS if next_ns is None else min(begin_ns + _SOME_NS, next_ns)
+        for begin_ns, next_ns in zip_longest(times_ns, times_ns[1:], fillvalue=_END_NS):
+            end_ns = min(begin_ns + _SOME_NS, next_ns)
             self.observers.append(Observer(moving, copied_message, _SOME_MESSAGES, begin_ns, end_ns))
-        if models := _model_connections(reader.connections, options):
-            self.observers.append(Observer(models, copied_message, 1))
 
     @property
     def is_cut(self) -> bool:
@@ -395,17 +401,21 @@ class RobotTransforms:
 
     def finish(self) -> TransformBuffer | None:
         """Return the transforms; None if there are none, or it is not clear which ones to use."""
-        options = self._options
-        if not self._is_known or not (self.observers or options.static or options.model):
-            return None
-        reading = TransformReading(options)
+        reading = self._reading
         for message in (value for observer in self.observers for value in observer.values):
             with suppress(RecordingError):
                 if message.connection.ros_type in TF_TYPES:
                     reading.add(self._reader, {}, message)
+                elif message.connection.ros_type in POSES:
+                    self._poses.add(message)
                 else:
                     reading.add_model(message)
         buffer = reading.finish().buffer
+        children = {trajectory.child for trajectory in self._poses.finish()[0]}.intersection(buffer.frames)
+        if children and all(buffer.is_rigid(above, child) for child in children for above in buffer.above(child)):
+            self.odometry = self._poses.topic
+            reading.poses.append(self._poses)
+            buffer = reading.finish().buffer
         return buffer if len(buffer) else None
 
 

@@ -276,14 +276,15 @@ def write_imu(
     clock_ns: int = 0,
     gap: float = 0.0,
     vibration: float = 0.0,
+    first: float = -20.0,
 ) -> Path:
-    """Write an MCAP file of what an IMU measures, at 100 Hz from 20 s before on, with a bias.
+    """Write an MCAP file of what an IMU measures, at 100 Hz from the ``first`` second on, with a bias.
 
     ``mount`` is base_link_from_imu_link. For ``gap`` seconds in the middle it is silent. Its gyroscope is off by
     ``vibration`` (standard deviation, radians a second).
     """
     rows = []
-    times = np.arange(-20.0, seconds + 0.4, 0.01)
+    times = np.arange(first, seconds + 0.4, 0.01)
     times = times[np.abs(times - seconds / 2) >= gap / 2]
     ends = [drive.rotations(times + off) for off in (-5e-5, 5e-5)]
     rates = mount.matrix.T @ (np.einsum("nji,njk->nik", ends[0], ends[1]) - np.eye(3)) @ mount.matrix / 1e-4

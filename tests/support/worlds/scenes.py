@@ -96,6 +96,10 @@ class World:
         The roll of the recorded mount, if it is not the true one, degrees.
     pair
         The frames of the odometry.
+    clock, late
+        Seconds by which the clock of its lidars is ahead, and after which odometry begins.
+    mounted_by
+        The topic with mounts.
     """
 
     room: tuple[float, float, float, float, float] | None
@@ -111,6 +115,9 @@ class World:
     axle: float = 0.0
     claim: float | None = None
     pair: tuple[str, str] = ("odom", "base_link")
+    clock: float = 0.0
+    late: float = -0.4
+    mounted_by: str = "/tf_static"
 
     @property
     def lidars(self) -> dict[str, Rigid]:
@@ -182,18 +189,20 @@ class World:
         rows: list[tuple[int, str, bytes]] = []
         types = {f"/{name}": CLOUD for name in self.lidars}
         if self.has_mount:
-            types["/tf_static"] = TF
+            types[self.mounted_by] = TF
             mounts = [("base_link", name, lift.inverse().compose(each)) for name, each in self.lidars.items()]
             if self.claim is not None:
                 x, z, _, pitch, yaw = self.mount
                 claimed = Rigid.from_rpy(math.radians(self.claim), math.radians(pitch), math.radians(yaw), (x, 0.0, z))
                 mounts = [("base_link", "points", claimed)]
-            static = [(parent, child, BEGIN_NS, *rigid.pose) for parent, child, rigid in mounts]
-            rows.append((BEGIN_NS - 500_000_000, "/tf_static", encode_transforms(static, "cdr")))
+            for at_ns in range(-500, 3_000 if self.mounted_by == "/tf" else -400, 100):
+                stamp_ns = BEGIN_NS + at_ns * 1_000_000
+                static = [(parent, child, stamp_ns, *rigid.pose) for parent, child, rigid in mounts]
+                rows.append((stamp_ns, self.mounted_by, encode_transforms(static, "cdr")))
         if self.odometry:
             topic = "/tf" if self.odometry == "tf" else "/odom"
             types[topic] = TF if self.odometry == "tf" else KINDS["odometry"]
-        for number in range(-20, round(_SECONDS * 50) + 20) if self.odometry else ():
+        for number in range(round(self.late * 50), round(_SECONDS * 50) + 20) if self.odometry else ():
             pose = drive.pose(number / 50).compose(lift).pose
             stamp_ns = BEGIN_NS + number * 20_000_000
             if self.odometry == "tf":
@@ -204,7 +213,7 @@ class World:
         for turn in self.turns:
             parts = SENSORS[self.sensor][1]
             for times, points in zip(np.split(turn.times, parts), np.split(turn.points, parts), strict=True):
-                stamp_ns = BEGIN_NS + round(times[0] * 1e9)
+                stamp_ns = BEGIN_NS + round((times[0] + self.clock) * 1e9)
                 data = _cloud(self.placed_in or turn.name, stamp_ns, times - times[0], points)
                 rows.append((BEGIN_NS + round(times[-1] * 1e9) + 2_000_000, f"/{turn.name}", data))
         return write_rows(path, types, sorted(rows))
