@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 STANDING = Drive(speed=0.0, turn=0.0)
 TILTING = Drive(speed=0.5, turn=0.2, tilt=math.radians(3.0))
-ROCKING = replace(TILTING, speed=0.0, turn=0.0, tilt_hz=0.1)
+ROOM = (-4.0, 5.0, -3.5, 3.5, 2.6)
 FRONT = Lidar("/front", "front", columns=900)
 REAR = Lidar("/rear", "rear", columns=900, mount=Rigid.from_rpy(0.0, 0.0, math.pi, (-0.2, 0.0, 0.5)), phase=0.03)
 
@@ -46,18 +46,12 @@ class World:
     off
         How far returns are from the walls at most, metres: of all but one in twenty, whose beam meets a wall at a
         small angle.
-    drop
-        Topics that the recording lacks.
-    imu
-        Whether it has an IMU.
     """
 
     lidars: tuple[Lidar, ...]
     drive: Drive
     options: dict[str, Any]
     off: float = 0.05
-    drop: tuple[str, ...] = ()
-    imu: bool = False
 
 
 WORLDS = {
@@ -65,9 +59,6 @@ WORLDS = {
     "drives": World((FRONT,), Drive(), {"deskew": True, "fixed_frame": "odom"}),
     "creeps": World((FRONT,), Drive(speed=0.05, turn=0.0), {}),
     "tilts": World((FRONT,), TILTING, {"deskew": True, "level": True, "fixed_frame": "odom"}),
-    "rocks, and only the IMU says so": World(
-        (FRONT,), ROCKING, {"level": True, "imu": "/imu"}, drop=("/tf",), imu=True
-    ),
     "two lidars": World(
         (FRONT, REAR),
         Drive(),
@@ -90,31 +81,10 @@ HALL: dict[str, Any] = {
 }  # fmt: skip
 
 
-def write(world: World, folder: Path) -> Path:
-    path = write_world(folder / "drive.mcap", world.lidars, world.drive, seconds=3.0)
-    sources = [path]
-    if world.imu:
-        sources.append(write_imu(folder / "imu.mcap", world.drive, Rigid.identity(), 3.0, orientation=True))
-    if not (world.drop or world.imu):
-        return path
-    whole = folder / "whole.mcap"
-    pc2scan.convert(
-        sources,
-        whole,
-        topics="/front:=/unused",
-        keep_clouds=True,
-        min_height=0.1,
-        drop=(*world.drop, "/unused"),
-        static_tf="base_link imu_link 0 0 0 0 0 0",
-        write_static_tf=True,
-    )
-    return whole
-
-
 @pytest.mark.parametrize("name", sampled(WORLDS, 3))
 def test_in_a_simulated_world_the_returns_are_on_the_walls(name: str, tmp_path: Path) -> None:
     world = WORLDS[name]
-    path = write(world, tmp_path)
+    path = write_world(tmp_path / "drive.mcap", world.lidars, world.drive, seconds=3.0)
     found = pc2scan.info(path)
     (call,) = found.proposals
     special = {key: value for key, value in call.options.items() if key not in COMMON}
@@ -126,11 +96,10 @@ def test_in_a_simulated_world_the_returns_are_on_the_walls(name: str, tmp_path: 
     off = np.concatenate([off_the_walls(returns_in_odom(scan, flat)) for scan in scans_of(scans)])
     assert len(off) > 3_000
     assert np.quantile(off, 0.95) < world.off
-    if "/tf" not in world.drop:
-        (checked,) = pc2scan.check(scans).topics
-        # gmapping refuses robots that tilt.
-        assert {each.outcome for each in checked.consumers if each.consumer != "gmapping"} <= {"accepted", "shifted"}
-        assert checked.consumers[0].outcome == "accepted"
+    (checked,) = pc2scan.check(scans).topics
+    # gmapping refuses robots that tilt.
+    assert {each.outcome for each in checked.consumers if each.consumer != "gmapping"} <= {"accepted", "shifted"}
+    assert checked.consumers[0].outcome == "accepted"
 
 
 def scans_of(path: Path) -> list[LaserScan]:
@@ -178,12 +147,10 @@ def test_clouds_without_transforms_are_left_out(
 @pytest.mark.parametrize("pitch", [0.0, 20.0])
 @pytest.mark.parametrize("drive", ["stands", "pitches"])
 def test_an_imu_levels_what_tilts_against_its_floor(drive: str, pitch: float, tmp_path: Path) -> None:
-    room = (-4.0, 5.0, -3.5, 3.5, 2.6)
-    place = scenes.World(room, (), "32 rings", (0.2, 0.6, 0.0, pitch, 0.0), drive, odometry="").write(
-        tmp_path / "0.mcap"
-    )
-    feels = write_imu(tmp_path / "imu.mcap", TILTING, Rigid.identity(), orientation=True, first=0.0)
-    (call,) = pc2scan.info([place, feels], static_tf="base_link imu_link 0 0 0 0 0 0").proposals
+    place = scenes.World(ROOM, (), "32 rings", (0.2, 0.6, 0.0, pitch, 0.0), drive, odometry="")
+    clouds = place.write(tmp_path / "drive.mcap")
+    felt = write_imu(tmp_path / "imu.mcap", TILTING, Rigid.identity(), orientation=True, first=0.0)
+    (call,) = pc2scan.info([clouds, felt], static_tf="base_link imu_link 0 0 0 0 0 0").proposals
     # On a slope, and in curves, an IMU feels what the floor does not show.
     assert call.options.get("imu") == ("/imu" if drive == "pitches" else None)
 
@@ -253,10 +220,10 @@ def pasted(path: Path) -> list[Path]:
 
 
 def test_a_missing_mount_is_named_with_the_line_to_complete(tmp_path: Path) -> None:
-    path = write(replace(WORLDS["stands"], drop=("/tf_static",)), tmp_path)
+    path = scenes.World(ROOM, (), "32 rings", has_mount=False).write(tmp_path / "drive.mcap")
     found = pc2scan.info(path)
     (text,) = (each for each in found.warnings if "no transform connects" in each)
-    assert "`static_tf='base_link front X Y Z ROLL PITCH YAW'`" in text
+    assert "`static_tf='base_link points X Y Z ROLL PITCH YAW'`" in text
     (call,) = found.proposals
     assert "target_frame" not in call.options
     assert "source_frame" not in str(call)

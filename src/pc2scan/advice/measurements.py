@@ -357,19 +357,22 @@ def ask_times(facts: TopicFacts, point_time: PointTime) -> None:
 
 
 def time_warnings(facts: TopicFacts, point_time: PointTime) -> Iterator[str]:
-    """Yield warnings about times of points that are probably wrong, and would deskew a cloud wrongly.
+    """Yield warnings about times of points, or of beams, that are probably wrong, and would deskew a cloud wrongly.
 
     Times that are impossible are not among them: those are errors when their cloud is converted.
     """
+    if any(header.turn for header in facts.headers):
+        yield from filter(None, [increment_warning(facts)])
     topic, clouds = facts.topic, [] if point_time.turn is not None else facts.values(times_of(point_time))
-    if doubt := duration_warning(facts, point_time):
-        yield doubt
-        return
     period = (median_interval_ns(cloud.stamp_ns for cloud in clouds) or 0) / 1e9
     if len(clouds) < _FEWEST or not period:
         return
     low, high = median([cloud.low for cloud in clouds]), median([cloud.high for cloud in clouds])
-    if max(low, -high) > max(_PERIODS * period, _SECONDS):
+    whole = median([cloud.high - cloud.low for cloud in clouds])
+    is_off = whole > 0 and not 1 / _OFF < whole / period < _OFF
+    if is_off and (doubt := _unit_warning(topic, clouds[0], whole, period)):
+        yield doubt
+    elif max(low, -high) > max(_PERIODS * period, _SECONDS):
         first, last = sorted((abs(low), abs(high)))
         yield (
             f"{topic}: the points are measured {first:.3g} to {last:.3g} s {'after' if low > 0 else 'before'} the "
@@ -378,16 +381,9 @@ def time_warnings(facts: TopicFacts, point_time: PointTime) -> Iterator[str]:
         )
 
 
-def duration_warning(facts: TopicFacts, point_time: PointTime) -> str:
-    """Return the warning that clouds or scans take far too long or too short by their own times; empty if not."""
-    if any(header.turn for header in facts.headers):
-        return increment_warning(facts)
-    topic, clouds = facts.topic, [] if point_time.turn is not None else facts.values(times_of(point_time))
-    period = (median_interval_ns(cloud.stamp_ns for cloud in clouds) or 0) / 1e9
-    whole = median([cloud.high - cloud.low for cloud in clouds]) if len(clouds) >= _FEWEST else 0.0
-    if not (period and whole > 0) or 1 / _OFF < whole / period < _OFF:
-        return ""
-    name, unit = clouds[0].field, clouds[0].unit
+def _unit_warning(topic: str, times: PointTimes, whole: float, period: float) -> str:
+    """Return the warning that clouds take far too long or too short by their times; empty if packets may be brief."""
+    name, unit = times.field, times.unit
     takes = f"a cloud takes {whole:.3g} s, but clouds come every {period:.3g} s"
     likely = [other for other, size in TIME_UNITS.items() if _ABOUT[0] < whole / unit * size / period < _ABOUT[1]]
     used = next(other for other, size in TIME_UNITS.items() if size == unit)

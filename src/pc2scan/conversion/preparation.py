@@ -17,7 +17,6 @@ from pc2scan.advice.clocks import CLOCK_HEADERS, Clocks, moving, refuse_other_cl
 from pc2scan.advice.measurements import (
     ask_measurements,
     ask_times,
-    duration_warning,
     measure,
     measure_turns,
     time_warnings,
@@ -389,8 +388,9 @@ class _OutputFacts:
         if where is None:
             return {}
         turns, notes = measure_turns(facts, where)
-        prepared.add(spec, (text for topic_facts in facts for text in time_warnings(topic_facts, where)), notes)
-        if any(duration_warning(topic_facts, where) for topic_facts in facts):
+        doubts = [text for topic_facts in facts for text in time_warnings(topic_facts, where)]
+        prepared.add(spec, doubts, notes)
+        if doubts:
             # Points at wrong times are where odometry that lags would put them.
             surroundings = None
         deskews = {}
