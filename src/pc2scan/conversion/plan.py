@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True, eq=False)
 class Output:
-    """A topic that what becomes of the messages of a connection goes to.
+    """A topic of the destination, which the results of a connection's messages go to.
 
     Attributes
     ----------
@@ -33,9 +33,9 @@ class Output:
         The request, a `ScanSpec`; None if its messages are only decoded, or are transforms.
     target
         The topic.
-    scan, sources
-        The topic of scans that are made of several messages, and the topics of these; the first one leads, whose stamps
-        the scans have. Empty: each message becomes a scan by itself.
+    joined, sources
+        The topic of scans that are made of several messages, and the topics of these messages; scans have the stamps of
+        the first one, which leads. Empty: each message becomes a scan by itself.
     used
         Whether it has the points that give scans their ranges.
     index
@@ -52,7 +52,7 @@ class Output:
 
     spec: Any
     target: str
-    scan: str = ""
+    joined: str = ""
     sources: tuple[str, ...] = ()
     used: bool = False
     index: int = 0
@@ -131,7 +131,7 @@ class Plan(NamedTuple):
     specs: tuple[ScanSpec, ...]
     warnings: Sequence[str]
 
-    def sources_of(self, spec: ScanSpec, scan: str | None = None) -> list[Connection]:
+    def sources_of(self, spec: ScanSpec, joined: str | None = None) -> list[Connection]:
         """Return the connections that an output converts.
 
         With the topic of scans that are made of several messages, only their connections; if it is empty, those whose
@@ -140,7 +140,7 @@ class Plan(NamedTuple):
         return [
             route.connection
             for route in self.routes
-            if any(taker.spec is spec and scan in (None, taker.scan) for taker in route.outputs)
+            if any(taker.spec is spec and joined in (None, taker.joined) for taker in route.outputs)
         ]
 
 
@@ -325,7 +325,7 @@ def _refuse_collisions(routes: Sequence[Route]) -> None:
         if first.spec is not own.spec:
             one, other = first.spec, own.spec
             raise TopicError(f"{one.name} ({one.place}) and {other.name} ({other.place}) would both become {target}")
-        if source != topic and not first.scan:
+        if source != topic and not first.joined:
             raise TopicError(
                 f"{source} and {topic} would both become {target}; several scans are not merged into one cloud",
                 hint=f"give one of them another topic: `topics={topic}:={target}_2`",

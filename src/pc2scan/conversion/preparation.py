@@ -324,8 +324,8 @@ class _OutputFacts:
             references.append([connection for observer in observers for connection in observer.connections])
         self._clocks = [Clocks(survey, self._topics, reference) for reference in references]
         self._alone = survey.topics(plan.sources_of(spec, ""))
-        joined = {out.scan: out for route in plan.routes for out in route.outputs if out.scan and out.spec is spec}
-        self._sources = [SourceFacts(out, survey.topics(plan.sources_of(spec, out.scan))) for out in joined.values()]
+        joined = {out.joined: out for route in plan.routes for out in route.outputs if out.joined and out.spec is spec}
+        self._sources = [SourceFacts(out, survey.topics(plan.sources_of(spec, out.joined))) for out in joined.values()]
         for topics in (self._alone, *(sources.facts for sources in self._sources)):
             for facts in topics.values():
                 if spec.needs_measuring:
@@ -359,7 +359,7 @@ class _OutputFacts:
             surroundings = self._surroundings(placer, odometry, prepared, topics)
             deskews = self._deskews(placer, prepared, sources.facts, surroundings)
             scan = MessagesToScan(spec, topics, placer, timing, grouper, deskews, surroundings)
-            prepared.conversions[spec, sources.output.scan] = scan
+            prepared.conversions[spec, sources.output.joined] = scan
         if self._alone or not self._sources:
             measurements, notes = measure(self._alone.values(), spec, placer) if spec.needs_measuring else ({}, [])
             prepared.add(spec, (), notes)
@@ -481,7 +481,7 @@ def _samples(
     if isinstance(points, Points):
         sample = CloudSample.of(points)
         for spec, (output, scan) in scans.items():
-            placer = prepared.conversions[spec, output.scan].placer
+            placer = prepared.conversions[spec, output.joined].placer
             place = placer.place(points.frame_id, scan.stamp_ns or points.stamp_ns)
             yield spec, sample.placed_in(place.frame_id, place.target_from_source), scan.counts
 

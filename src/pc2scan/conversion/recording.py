@@ -90,7 +90,7 @@ def equip_routes(
         if not route.outputs:
             route.report = shared(passing or TopicReport(topic, msgtype, None, "skipped"))
             continue
-        chosen = {output.index: conversions[output.spec, output.scan] for output in route.outputs}
+        chosen = {output.index: conversions[output.spec, output.joined] for output in route.outputs}
         spec = route.outputs[0].spec
         own = connection.serialization
         route.decode = SCANS[msgtype](own, spec.echo) if msgtype in SCANS else CLOUDS[msgtype](own)
@@ -112,7 +112,7 @@ def equip_routes(
                     entry.note, entry.lost = passing.note, True
                 output.report = shared(entry)
                 if isinstance(conversion, MessagesToScan) and conversion.grouper is not None:
-                    key = output.spec, output.scan
+                    key = output.spec, output.joined
                     if key not in combiners:
                         combiners[key] = Combiner(conversion, conversion.grouper(), route.encode)
                     output.combiner = combiners[key]

@@ -343,7 +343,7 @@ class CloudToScan:
         The measured values of each source topic. Other topics use the parameters; a parameter that is ``auto`` is then
         0.
     deskews
-        The stages that place points at their own times, by topic. Other topics are placed at the cloud's stamp.
+        What places points at their own times, by topic. Other topics are placed at the cloud's stamp.
 
     Attributes
     ----------

@@ -27,7 +27,7 @@ class Columns(Protocol):
 
 _AXES = ("x", "y", "z")
 
-#: A field that stages add and no message has: the time of each point, float64 seconds after the stamp, NaN if unknown.
+#: A field that steps add and no message has: the time of each point, float64 seconds after the stamp, NaN if unknown.
 TIME = "<time>"
 
 #: A field that is added on request: the index of each point in its cloud.
@@ -37,7 +37,7 @@ NUMBER = "<number>"
 # Instances are never changed. They are not frozen, because creating a frozen one takes three times as long.
 @dataclass(slots=True, eq=False)
 class Points:
-    """The points of one message: the result of decoding, and the input and output of stages.
+    """The points of one message: the result of decoding, and the input and output of steps.
 
     Attributes
     ----------

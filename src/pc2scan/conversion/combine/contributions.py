@@ -121,7 +121,7 @@ class MessagesToScan:
     grouper
         Makes the grouper of messages; None: each message becomes a scan by itself.
     deskews
-        The stages that place points at their own times, by topic. Other topics are placed at the message's stamp.
+        What places points at their own times, by topic. Other topics are placed at the message's stamp.
     surroundings
         Samples some clouds that are not deskewed; None: nothing does.
     """
