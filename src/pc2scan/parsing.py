@@ -1,4 +1,4 @@
-"""Reads the options of a call into those of a conversion: parameters, frames, filters, the destination."""
+"""Makes a `Request` of the options of a call: parameters, frames, filters; and reads the destination."""
 
 from __future__ import annotations
 

@@ -255,7 +255,7 @@ def _names(value: Any) -> tuple[str, ...]:
 
 
 def tell_early(warnings: list[str], warn: Callable[[str], None] | None, *texts: str) -> None:
-    """Add warnings to those of a result, and pass them on at once: a user may stop a run, or it fails, because of them.
+    """Add warnings to a result's, and pass them on at once, because a user may stop the run, or the run may fail.
 
     ``warn`` is called with each of them that is new; None: nobody waits for them.
     """

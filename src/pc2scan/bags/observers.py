@@ -28,7 +28,7 @@ _Value = TypeVar("_Value")
 
 
 class Spread(NamedTuple):
-    """Equal parts of a time, of each of which the first message is wanted.
+    """Equal parts of an interval; the first message of each part is wanted.
 
     Attributes
     ----------
@@ -232,7 +232,7 @@ def _observe_together(reader: Reader, observers: Sequence[Observer[Any]], meter:
     lone: dict[int, Callable[[RawMessage], object]] = {}
 
     def sort_out() -> None:
-        """Find those that still want messages of each connection, and what one that wants all of them does."""
+        """Find the observers that still want messages of each connection; a lone one gets all of them at once."""
         by_connection.update({key: [] for key in connections})
         for observer in observers:
             if not observer.is_done:
@@ -289,7 +289,7 @@ def _observe_together(reader: Reader, observers: Sequence[Observer[Any]], meter:
 
 
 def _chunks_of_parts(reader: Reader, observer: Observer[Any]) -> Iterator[Chunk]:
-    """Yield the chunks of the parts of a recording with rows, up to the first message of each."""
+    """Yield, for each part of a recording that has rows, its chunks up to its first message."""
     spread = observer.spread
     assert spread is not None
     for part in range(spread.parts):

@@ -170,7 +170,7 @@ def latches(qos: str) -> bool:
 
 
 def unheard(connections: Iterable[Connection]) -> list[tuple[str, str]]:
-    """Return for each topic of static transforms that ROS 2 plays to nobody what is wrong with it, and what to do.
+    """Return what is wrong with topics of static transforms that nobody receives in ROS 2, and what to do.
 
     tf2 asks for the durability transient local.
     """

@@ -42,7 +42,7 @@ class Argument(NamedTuple):
 
 
 class Command:
-    """What does a command, and what its help says: a text whose first line is in the list of commands, and examples.
+    """A command: its function, its help (a text, whose first line is in the list of commands), and examples.
 
     The door is ``module:function``: one of the library, whose result is shown, or one of the command line, which
     returns the exit status.

@@ -125,7 +125,7 @@ def cloud_changes(a: PointCloud2, b: PointCloud2) -> Iterator[Change]:
 
 
 def cloud_values(a: PointCloud2, b: PointCloud2, rules: Rules) -> Iterator[ValueChange]:
-    """Yield fields whose values differ, of fields that both clouds have, if they have as many points."""
+    """Yield the common fields of two clouds that differ in their values; none if the numbers of points differ."""
     if a.points != b.points or (_layout_text(a) == _layout_text(b) and np.array_equal(_byte_array(a), _byte_array(b))):
         return
     others = {field.name: field for field in _readable_fields(b)}

@@ -114,7 +114,7 @@ def as_transform(
 
 
 def without(children: Collection[str], source: str, target: str, data: Buffer) -> Buffer:
-    """Return a message with transforms without those of some frames."""
+    """Return a message of transforms without the transforms of some frames."""
     rows = decode_transforms(data, source)
     return encode_transforms([row for row in rows if row[1].removeprefix("/") not in children], target)
 

@@ -171,7 +171,7 @@ _TYPES = (
 
 
 def scaled(reader: Reader, factor: float) -> Reader:
-    """Return a recording with multiplied coordinates of clouds; by 1, as it is.
+    """Return a recording whose clouds have multiplied coordinates; the recording itself for a factor of 1.
 
     Raises
     ------

@@ -274,7 +274,7 @@ def _raise_why(buffer: TransformBuffer, fixed: str, source: str, time_ns: int, s
 
 
 def _step_ns(stamps_ns: NDArray[np.int64], rows: NDArray[np.float64]) -> int:
-    """Return how far nodes may be apart, given some nodes, and their rows with those of the middles."""
+    """Return how far nodes may be apart, given some nodes, and the rows at these and at the middles between them."""
     differences = rows[2::2, :9] - rows[:-2:2, :9]
     squares = np.einsum("ni,ni->n", differences, differences)
     # np.fmax ignores NaN.

@@ -77,7 +77,7 @@ def median_interval_ns(stamps_ns: Iterable[int]) -> int | None:
 
 
 def is_brief(seconds: float, period: float) -> bool:
-    """Whether a lidar takes an implausibly short time for what it measures once in a period, both in seconds.
+    """Whether a lidar measures for an implausibly short part of its period; both times in seconds.
 
     Packets are brief, too, but follow each other; and points of a flash lidar have one time.
     """

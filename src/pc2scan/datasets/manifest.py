@@ -355,7 +355,7 @@ class BatchFolder:
 
     @contextmanager
     def writing(self, begun: Iterable[ManifestRecord]) -> Iterator[None]:
-        """Write lines of what is begun, and make its folders; at the end, folders that stay empty are removed.
+        """Write the lines of recordings that are begun, and make their folders; at the end, empty folders are removed.
 
         After a run was killed, these lines show which files belong to the batch. After one that was interrupted, there
         is a line for each output that is as it was.

@@ -234,7 +234,7 @@ def _outputs(requests: Mapping[Recording, JobRequest]) -> dict[str, str]:
 
 
 def _clashes(outputs: Mapping[str, str]) -> dict[str, list[str]]:
-    """Return the recordings whose results have the name of another one, or would contain it; by that one's key."""
+    """Return the recordings whose results have the name of another result, or would contain it, by its key."""
     # File systems may ignore case, or the form of Unicode.
     owners: dict[str, list[str]] = {}
     for key, output in outputs.items():

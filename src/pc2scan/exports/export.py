@@ -313,7 +313,7 @@ def _write(
     report: ExportReport,
     poses: RobotPoses | None,
 ) -> None:
-    """Write the messages of all topics, and remove the files of those of which none can be written."""
+    """Write the messages of all topics, and remove the files of topics without a single one that can be written."""
     entries = {entry.topic: entry for entry in report.topics}
     writers: dict[str, Write] = {}
     with ExitStack() as stack:

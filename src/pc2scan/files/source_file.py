@@ -83,7 +83,7 @@ def open_bytes(path: Path) -> BufferedReader:
 
 
 def open_text(path: Path) -> TextIOWrapper:
-    """Open a file of UTF-8 text as `open_bytes` does; an error for what Git LFS has in place of it."""
+    """Open a text file in UTF-8 as `open_bytes` does; a pointer of Git LFS in its place is an error."""
     file = open_bytes(path)
     if file.peek(len(LFS_POINTER)).startswith(LFS_POINTER):
         file.close()

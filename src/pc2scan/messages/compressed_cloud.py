@@ -158,7 +158,7 @@ def _read_draco_head(data: Buffer) -> tuple[int, list[int]]:
 
 
 def _field_bytes(field: PointField, values: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return the bytes of a field of each point, of the values of its attribute."""
+    """Return the bytes of a field for each point, made of the values of its attribute."""
     if field.datatype not in DATATYPES:
         raise CompressionError(f"field {field.name!r} has datatype {field.datatype}, known are 1 to 8")
     kind, elements = np.dtype("<" + DATATYPES[field.datatype]), max(field.count, 1)

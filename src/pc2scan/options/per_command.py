@@ -88,7 +88,7 @@ class BatchRun(TypedDict, total=False):
 
 @group(Section.BATCH, Scope.CALL_ONLY)
 class BatchScreen(TypedDict, total=False):
-    """What a batch shows on the screen; only the command has it."""
+    """What a batch shows on the screen; an option of the command line only."""
 
     quiet: Annotated[
         bool, "Show warnings and errors only, no line for each recording.", How(short="-q", command_only=True)
@@ -128,7 +128,7 @@ class PageClouds(FirstClouds, total=False):
 
 
 class ShownFiles(TypedDict, total=False):
-    """A page or a map on the disk; only the command has it."""
+    """A page or a map on the disk; options of the command line only."""
 
     overwrite: Annotated[bool, "Replace files of these names.", How(command_only=True)]
 
@@ -233,7 +233,7 @@ class ComparisonRules(TypedDict, total=False):
 
 
 class CompareScreen(TypedDict, total=False):
-    """What a comparison shows on the screen; only the command has it."""
+    """What a comparison shows on the screen; an option of the command line only."""
 
     quiet: Annotated[bool, "Print nothing; only set the exit status.", How(short="-q", command_only=True)]
 
@@ -256,6 +256,6 @@ class GoldenCases(TypedDict, total=False):
 
 
 class GoldenScreen(TypedDict, total=False):
-    """What golden cases show on the screen; only the command has it."""
+    """What golden cases show on the screen; an option of the command line only."""
 
     quiet: Annotated[bool, "Do not show cases that passed.", How(short="-q", command_only=True)]

@@ -358,7 +358,7 @@ def _matching_nodes(sections: _Sections, node: str | None) -> list[str]:
 
 
 def _reverses(full: str) -> bool | None:
-    """Return whether a node makes clouds of scans; None if its name does not have the name of one of upstream's."""
+    """Return whether a node makes clouds of scans; None if its name contains the name of neither node."""
     names = {"pointcloud_to_laserscan": False, "laserscan_to_pointcloud": True}
     return next((reverse for name, reverse in names.items() if name in full.rpartition("/")[2]), None)
 

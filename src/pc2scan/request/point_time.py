@@ -254,7 +254,7 @@ class FieldTimes(NamedTuple):
 
 
 def _mask_zero_times(points: Points, name: str, unit: str) -> Points:
-    """Return points whose times that are 0 are NaN, if the others are absolute.
+    """Return points with NaN in place of times of 0, if the other times are absolute.
 
     Drivers write 0 for points without a return. Among times after the stamp, 0 is a time.
     """

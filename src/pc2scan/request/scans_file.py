@@ -160,7 +160,7 @@ def _remaps_of(texts: Sequence[str]) -> dict[str, str]:
 
 
 def _moved(remaps: Mapping[str, str], *, reverse: bool) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the topics to convert, and those of transforms, of remapped ones.
+    """Return the topics to convert and the topics of transforms that remappings name.
 
     A remapping of ``scan`` alone is for the only PointCloud2 topic. If only one of the two topics of transforms is
     remapped, the other one keeps its name.

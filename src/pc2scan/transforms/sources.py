@@ -219,7 +219,7 @@ class AddedPoses(NamedTuple):
 
 
 def attach(buffer: TransformBuffer, parent: str, child: str) -> PoseAttachment:
-    """Return the frame that poses of a frame belong to: the one at the top of those that it is fixed to.
+    """Return the frame that the poses of a frame move: the topmost one that it is fixed to.
 
     Parameters
     ----------

@@ -249,7 +249,7 @@ def summary_of(index: McapIndex, file: RecordFile) -> Summary:
 
 
 def compare_content(index: McapIndex, file: RecordFile, log: DamageLog) -> None:
-    """Note what a sound file lacks of what its summary counts, and a data section that fails its CRC.
+    """Report what the summary counts and a sound file lacks, and a data section that fails its CRC.
 
     Messages are counted by chunk; chunks have CRCs of their own, and are not read for that of the data section.
     """

@@ -347,7 +347,7 @@ def indexed_entries(file: BagFile, segment: Segment) -> Iterator[tuple[int, list
 def _compare_connections(
     file: BagFile, segments: Segments, missing: set[int], doubtful: set[int], connections: Connections
 ) -> None:
-    """Add connections that only chunks describe, and compare those of whose topic the index says two things.
+    """Add connections that only chunks describe, and compare those to which the index gives two topics.
 
     Chunks are right: where they differ, the index is not used.
     """
