@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from pc2scan.core.scene import LEVEL, are_rising, cells_of, find_ground, outermost
+from pc2scan.core.scene import LEVEL, are_ground, cells_of, find_ground, outermost
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -62,8 +62,9 @@ def test_what_is_overhead_is_not_just_above_the_sensor_and_not_far_away(height: 
     assert outermost(cells_of(patch(height, near, near + 8)), 1) is None
 
 
-def test_a_ramp_rises_and_neither_a_wall_nor_a_table_does() -> None:
-    ramp, others = patch(-0.5, 2, 8, slope=0.15), [patch(9.0, 0, 2)[:, [2, 1, 0]], patch(0.3, -6, -4)[:200]]
-    rising = are_rising(np.concatenate([ramp, *others]), -0.5, 1.0, -0.4)
-    assert rising[: len(ramp)][ramp[:, 2] > -0.4].mean() > 0.98
-    assert rising[len(ramp) :].mean() < 0.02
+def test_a_ramp_is_ground_as_far_as_it_is_seen_and_neither_a_wall_nor_a_table_is() -> None:
+    flat, far = patch(-0.5, -4, 2), patch(-0.5, 2, 60, slope=0.12)
+    others = [patch(-9.0, 0, 2)[:, [2, 1, 0]], patch(0.3, -6, -4)[:200]]
+    lies = are_ground(np.concatenate([flat, far, *others]), -0.4)
+    on_ramp, on_others = (part.mean() for part in np.split(lies[len(flat) :], [len(far)]))
+    assert (on_ramp > 0.97, on_others < 0.02) == (True, True)

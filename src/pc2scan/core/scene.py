@@ -30,6 +30,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 import numpy as np
 
 from .percentiles import median, percentiles
+from .terrain import on_ground
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -78,16 +79,11 @@ _OVERHEAD, _ONE_RING = 0.3, 0.9
 #: A floor, or a ceiling, is seen from nearer than so many times its distance; another plane may be a ring on walls.
 _FARTHEST = 12.0
 
-#: The steepest ground that is no obstacle, metres a metre, and how uneven it is, metres. It is compared in
-#: directions that are so wide, degrees, and in rings of which the first is this share of so many metres wide, and each
-#: next one wider by it.
-_STEEPEST_RISE, _UNEVEN = 0.25, 0.05
-_WIDE, _FIRST_RING, _WIDER = 2.0, 5.0, 0.01
-
-#: Ground is no steeper, radians; a plane with more of a cloud is more than the tops of things.
-_DRIVABLE, _MOST = math.atan(0.2), 0.1
-#: What is lower than this above the floor, metres, is low if the sensor sees what is farther away by so much.
-_LOW_THING, _FARTHER = 0.3, 0.2
+#: Ground that rises does so by so much, metres a metre.
+_LEAST_RISE, _STEEPEST_RISE = 0.02, 0.2
+#: Grass is at most so high above the height that matters, and what is seen over it farther away by so much, metres, in
+#: more than this share of the directions.
+_GRASS, _FARTHER, _GRASSY = 0.2, 0.2, 0.1
 
 #: A floor is farther from the sensor than so many times the tolerance: a ring that is tilted a little is none.
 _CLEAR = 2.5
@@ -523,85 +519,41 @@ def outermost(cells: _Points, side: int) -> Plane | None:
     return None
 
 
-def are_rising(points: _Points, floor: float, height: float, low: float, wide: float = 0.0) -> NDArray[np.bool_]:
-    """Return which points are on ground that rises: on planes that go down to the floor, or have much of it.
-
-    Other level planes above the floor are the tops of things, and what is seen in single places is small.
+def are_ground(points: _Points, low: float) -> NDArray[np.bool_]:
+    """Return which points are on ground that rises, also beyond its part that is found.
 
     Parameters
     ----------
     points
         Finite ones of a cloud, (N, 3), in a frame whose z axis points up.
-    floor
-        The height of the ground at the origin of this frame.
-    height
-        How high the sensor is above it, 0 if it is not seen: one ring of a lidar is on a plane as high as it.
     low
-        The height from which on points matter.
-    wide
-        How wide directions are at least, degrees.
+        The height from which on ground rises.
     """
-    rising: NDArray[np.bool_] = (points[:, 2] > low) & ~_are_upright(points, floor, max(wide, _WIDE))
-    chosen, on_plane = points[rising], np.zeros(np.count_nonzero(rising), np.bool_)
-    for plane in planes_of(cells_of(chosen)) if len(chosen) else ():
-        on_it = np.abs(chosen @ plane.up + plane.height) < tolerances(chosen)
-        beneath, is_large = -plane.height / plane.up[2], (on_it & ~on_plane).sum() > _MOST * len(points)
-        is_beneath = beneath < (max(low, floor + height / 2) if is_large else low)
-        if is_beneath and abs(plane.up[2]) > math.cos(_DRIVABLE):
-            on_plane |= on_it
-    rising[rising] = on_plane
-    return rising
+    is_above = points[:, 2] > low
+    ground = on_ground(*points.T) & is_above
+    for plane in planes_of(cells_of(points[ground]))[:1] if ground.any() else ():
+        if _LEAST_RISE < abs(math.tan(plane.tilt)) < _STEEPEST_RISE:
+            ground |= is_above & (np.abs(points @ plane.up + plane.height) < tolerances(points))
+    return ground
 
 
-def are_low(points: _Points, floor: float, height: float) -> NDArray[np.bool_]:
-    """Return which points are on something low, such as grass, over which the sensor sees what is farther away.
+def are_grass(points: _Points, low: float, height: float) -> NDArray[np.bool_]:
+    """Return which points are just above ``low`` in many directions, and the sensor, which is so high, sees over them.
 
-    Parameters
-    ----------
-    points, floor
-        See `are_rising`.
-    height
-        How high the sensor is above the floor: it looks over what is half as high.
+    In few directions they would be of a thing.
     """
-    ranges, sector = np.hypot(points[:, 0], points[:, 1]), sectors_of(points, _WIDE)
-    farthest = np.zeros(math.ceil(360 / _WIDE))
+    ranges, sector = np.hypot(points[:, 0], points[:, 1]), sectors_of(points, 1.0)
+    farthest = np.zeros(360)
     np.maximum.at(farthest, sector, ranges)
-    return (points[:, 2] < floor + min(_LOW_THING, height / 2)) & (farthest[sector] > ranges + _FARTHER)
+    is_low = (points[:, 2] > low) & (points[:, 2] < low + min(_GRASS, height / 3))
+    is_low &= farthest[sector] > ranges + _FARTHER
+    return is_low & (np.unique(sector[is_low]).size > _GRASSY * np.count_nonzero(farthest))
 
 
 def sectors_of(points: _Points, wide: float) -> NDArray[np.intp]:
     """Return the number of each point's direction, which is so many degrees wide."""
     turns = np.arctan2(points[:, 1], points[:, 0]) / math.tau + 0.5
     return (turns * math.ceil(360 / wide)).astype(np.intp) % math.ceil(360 / wide)
-
-
-def _are_upright(points: _Points, floor: float, wide: float) -> NDArray[np.bool_]:
-    """Return which points are on no ground: they are too high for it, or others are far above or below them.
-
-    Points are compared with those in their direction that are about as far away, and with lower ones nearer and farther
-    away, from which no ground rises so much. What only one ring of a lidar sees, and the top of what is low, may stand
-    or be the ground.
-    """
-    sectors, wider = math.ceil(360 / wide), _WIDER * wide / _WIDE
-    z, ranges = points[:, 2], np.hypot(points[:, 0], points[:, 1])
-    ring = (np.log1p(ranges / _FIRST_RING) / math.log1p(wider)).astype(np.intp) + 1
-    # Numbers of cells: to index by two arrays takes several times as long.
-    cell = ring * sectors + sectors_of(points, wide)
-    low, high = (np.full((ring.max(initial=0) + 2) * sectors, limit) for limit in (np.inf, -np.inf))
-    np.minimum.at(low, cell, z)
-    np.maximum.at(high, cell, z)
-    rise = _STEEPEST_RISE * wider * (_FIRST_RING + ranges)
-    # The highest ground that goes on from the lowest point of each cell, or begins at the floor.
-    lowest = np.maximum(low, floor).reshape(-1, sectors)
-    slope = _STEEPEST_RISE * _FIRST_RING * np.expm1(np.arange(len(lowest)) * math.log1p(wider))[:, None]
-    behind = np.minimum.accumulate(lowest - slope) + slope
-    before = np.minimum.accumulate((lowest + slope)[::-1])[::-1] - slope
-    ground = np.minimum(behind, before).ravel()
-    stands = (z > ground[cell] + _UNEVEN + 2 * rise) | (z - floor > _STEEPEST_RISE * ranges)
-    for beyond in (-1, 0, 1):
-        near = cell + beyond * sectors
-        stands |= np.maximum(high[near] - z, z - low[near]) > _UNEVEN + (1 + abs(beyond)) * rise
-    return np.asarray(stands)
 
 
 def planes_of(cells: _Points) -> list[Plane]:

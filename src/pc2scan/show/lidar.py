@@ -23,7 +23,7 @@ from pc2scan.conversion.steps import CloudToScan, PlaceStage
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import median, percentiles
 from pc2scan.core.points import Points
-from pc2scan.core.scene import are_low, are_rising, sectors_of
+from pc2scan.core.scene import are_grass, are_ground, sectors_of
 from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import Pc2ScanError, TransformError
 from pc2scan.options.call import Options
@@ -499,12 +499,13 @@ def _scene(spec: ScanSpec, lidar: Lidar) -> Scene:
         ways = [placer.from_fixed(spec.fixed_frame, cloud.points.frame_id, cloud.stamp_ns)[1] for cloud in clouds]
         placed = [ways[0].compose(way.inverse()).apply(xyz) for way, xyz in zip(ways, placed, strict=True)]
     params, heights = spec.params, lidar.mounting.heights
-    floor = params.min_height if heights is None or heights.floor is None else heights.floor
     seen = [np.concatenate(placed)] if merges or (spec.level and spec.fixed_frame) else placed
-    height, wide = lidar.mounting.ground.height, lidar.pattern.degrees
-    rising = [are_rising(xyz, floor, height, params.min_height, wide) for xyz in seen]
-    slopes = [_slope(xyz[up], params.min_height, params.max_height) for xyz, up in zip(seen, rising, strict=True)]
-    lies = [up | are_low(xyz, floor, height) for xyz, up in zip(seen, rising, strict=True)]
+    # From a floor that is not known, nothing rises.
+    low = math.inf if heights is None or heights.floor is None else params.min_height
+    rising = [are_ground(xyz, low) for xyz in seen]
+    slopes = [_slope(xyz[up], low, params.max_height) for xyz, up in zip(seen, rising, strict=True)]
+    height = lidar.mounting.ground.height
+    lies = [up | are_grass(xyz, low, height) for xyz, up in zip(seen, rising, strict=True)]
     parts = np.split(~np.concatenate(lies), np.cumsum([len(xyz) for xyz in placed])[:-1])
     marked = []
     for cloud, stands in zip(clouds, parts, strict=True):

@@ -51,14 +51,14 @@ _FAR = 0.1
 #: A robot whose roll and pitch vary by more than this tilts, radians.
 _TILTS = math.radians(1.0)
 
-#: From the first share of returns that may be on rising ground on, a command removes it, or it is said. A limit that
-#: rises leaves at most the second share, and passes by at most the last one of what stands.
+#: From the first share of returns that may be on the ground on, it is said, and from the second one on, options that
+#: end them are tried. Limits leave at most the second share, and pass by at most the last one of what stands.
 _TOLD, _LYING, _MISSED = 0.1, 0.05, 0.1
 #: Lower limits that are so much higher are tried, metres, if so much is left above them.
 _HIGHER, _THIN = (0.05, 0.1, 0.15, 0.2), 0.3
 #: What rises less is no slope, no robot drives on steeper ground, and slopes of a robot that does not tilt differ less,
 #: metres a metre.
-_SLOPED, _STEEPEST, _STEADY = 0.01, 0.17, 0.02
+_SLOPED, _STEEPEST, _STEADY = 0.03, 0.17, 0.02
 #: Scans above rising ground reach so far, metres, and end so far below what is overhead.
 _REACHES, _BELOW = 20.0, 0.2
 
@@ -195,12 +195,12 @@ def _tried(options: Mapping[str, Any], group: Sequence[Lidar]) -> tuple[list[Cho
     on_what = "rising ground" if max(slopes, default=0.0) > _SLOPED else "grass, or on other things that are low"
     why = f"{worst:.0%} of a cloud's returns may be on {on_what}"
     outcomes = [(worst, worst, list[Choice](), trials)]
-    for way in _ways(options, group, slopes, why) if worst > _TOLD else ():
+    for way in _ways(options, group, slopes, why) if worst > _LYING else ():
         added = {choice.name: choice.value for choice in way}
         after = [tried({**options, **added}, lidar) for lidar in group]
         lying, missed = max(trial.lying for trial in after), max(map(Trial.missed_in, trials, after))
-        # Limits may be above what stands.
-        if "ground" in added or (lying <= _LYING and missed <= _MISSED):
+        # Limits may be above what stands, so they are for much that lies.
+        if lying <= worst / 2 if "ground" in added else worst > _TOLD and lying <= _LYING and missed <= _MISSED:
             # What is missed may be ground that is on no plane.
             outcomes.append((lying + missed / 2, lying, way, after))
         if lying + missed <= _LYING:
@@ -214,9 +214,7 @@ def _tried(options: Mapping[str, Any], group: Sequence[Lidar]) -> tuple[list[Cho
 def _ways(options: Mapping[str, Any], group: Sequence[Lidar], slopes: list[float], why: str) -> Iterator[list[Choice]]:
     """Yield options of which one may end the returns on the ground, which rises so much, or on what is low."""
     low, high = options["min_height"], options["max_height"]
-    # Of the ground, a part of a turn shows too little.
-    if not any(lidar.turn for lidar in group):
-        yield [Choice("ground", "remove", why)]
+    yield [Choice("ground", "remove", why)]
     if max(slopes) <= _SLOPED:
         yield from ([Choice("min_height", float(f"{low + by:.2f}"), why)] for by in _HIGHER if low + by + _THIN <= high)
     # If the robot tilts, other clouds have steeper ground.
