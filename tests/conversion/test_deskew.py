@@ -150,7 +150,7 @@ def test_a_unit_that_cannot_be_has_the_one_that_fits(asked: str, times: list[int
 
 def test_what_is_fixed_to_the_robot_stays_where_it_is() -> None:
     """A box around a point of the robot rejects it whenever it was measured."""
-    from pc2scan.conversion.steps import SelectStage
+    from pc2scan.conversion.steps import SelectStep
 
     known = frames("base_link")
     assert known.buffer is not None
@@ -158,5 +158,5 @@ def test_what_is_fixed_to_the_robot_stays_where_it_is() -> None:
     cloud = points(np.repeat(inside, 3, axis=0), [0, 50_000_000, 100_000_000])
     moving = moving_of(Deskew(known, "odom", PointTime()), cloud)
     box = ExcludeBox("base_link", (0.49, 0.51), (0.19, 0.21), (0.09, 0.11))
-    selected = SelectStage((box,), known).apply(moving.points, known.place("lidar", T0), moving)
+    selected = SelectStep((box,), known).apply(moving.points, known.place("lidar", T0), moving)
     assert selected[2]["exclude_box"] == 3

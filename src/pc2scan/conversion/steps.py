@@ -154,7 +154,7 @@ class PlacedCloud:
 
 
 @dataclass(frozen=True, slots=True)
-class PlaceStage:
+class PlaceStep:
     """Places clouds: looks up the frame and the transform of each. Instances with equal attributes are equal.
 
     Attributes
@@ -191,7 +191,7 @@ Selected: TypeAlias = "tuple[Points, Rigid | MovingTransform | None, dict[str, i
 
 
 @dataclass(frozen=True, slots=True)
-class SelectStage:
+class SelectStep:
     """Applies filters one after the other. Each sees the points that those before it have kept.
 
     Instances with equal attributes are equal.
@@ -365,13 +365,13 @@ class CloudToScan:
             0.0 if params.scan_time == "auto" else params.scan_time,
             0.0 if params.time_increment == "auto" else params.time_increment,
         )
-        self._select = SelectStage(spec.filters, placer, bool(spec.keep_used)) if spec.filters else as_it_is
+        self._select = SelectStep(spec.filters, placer, bool(spec.keep_used)) if spec.filters else as_it_is
 
     def steps(self, topic: str) -> Steps:
         """Return what is done with the clouds of one topic; see `Conversion`."""
         measured = self.measurements.get(topic, self._default)
         project = partial(self._make_scan, measured.first_beam_ns, Beams(self.spec, measured))
-        place = PlaceStage(self.placer, self.deskews.get(topic))
+        place = PlaceStep(self.placer, self.deskews.get(topic))
         return Steps(place, self._select, project)
 
     def _make_scan(self, first_beam_ns: int, beams: Beams, placed: PlacedCloud) -> ConvertedMessage:

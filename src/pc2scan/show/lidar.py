@@ -19,7 +19,7 @@ from pc2scan.advice.checks.first_clouds import CloudFacts, KnownTransforms
 from pc2scan.advice.measurements import Measurements, regular_step, shapes_of, time_warnings, times_of
 from pc2scan.advice.survey import Fact
 from pc2scan.conversion.report import StampCounts
-from pc2scan.conversion.steps import CloudToScan, PlaceStage
+from pc2scan.conversion.steps import CloudToScan, PlaceStep
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import median, percentiles
 from pc2scan.core.points import Points
@@ -489,7 +489,7 @@ def _scene(spec: ScanSpec, lidar: Lidar) -> Scene:
     left_out = (TransformError,) if spec.level else ()
     for points in recorded:
         with suppress(*left_out):
-            clouds.append(PlaceStage(placer)(points))
+            clouds.append(PlaceStep(placer)(points))
     if not clouds:
         return Scene((), placer, [], (), merges)
     samples = [] if is_placed or spec.level else lidar.facts.samples(placer)

@@ -23,7 +23,7 @@ from pc2scan.bags.topics import by_topic
 from pc2scan.conversion.corrections import scaled
 from pc2scan.conversion.plan import make_plan
 from pc2scan.conversion.preparation import prepare, refuse_outside, span_of
-from pc2scan.conversion.steps import CloudToScan, PlaceStage, SelectStage
+from pc2scan.conversion.steps import CloudToScan, PlaceStep, SelectStep
 from pc2scan.core.points import NUMBER
 from pc2scan.core.rule import PointCounts
 from pc2scan.core.scene import CloudSample, are_enough
@@ -330,7 +330,7 @@ def _shot(message: RawMessage, conversion: CloudToScan, placer: Placer, samples:
     deskew, filters = conversion.deskews.get(connection.topic), conversion.spec.filters
     # Points at their own times, in the frame of the cloud; and, for filters, in that of the scans.
     place_own, place = (
-        PlaceStage(frames, None if deskew is None else replace(deskew, placer=frames, sample=None))
+        PlaceStep(frames, None if deskew is None else replace(deskew, placer=frames, sample=None))
         for frames in (placer._replace(target_frame="", up=None), placer)
     )
     recorded = place_own(points)
@@ -343,7 +343,7 @@ def _shot(message: RawMessage, conversion: CloudToScan, placer: Placer, samples:
     if filters:
         # Those that cannot be deskewed are rejected, too.
         filtered = np.ones(columns["x"].size, np.uint8)
-        filtered[SelectStage(filters, placer, numbered=True)(place(points)).points.field(NUMBER).reshape(-1)] = 0
+        filtered[SelectStep(filters, placer, numbered=True)(place(points)).points.field(NUMBER).reshape(-1)] = 0
     moment, frame = moment_text(stamp_ns or message.log_time_ns), placer.source_frame or points.frame_id
     return Shot(connection.topic, moment, stamp_ns, frame, placement, columns, filtered)
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from pc2scan.advice.clocks import MEASURES, are_doubtful
 from pc2scan.advice.measurements import Measurements, measure, require_fields, unknown_step
-from pc2scan.conversion.steps import Beams, ConvertedMessage, SelectStage, Steps
+from pc2scan.conversion.steps import Beams, ConvertedMessage, SelectStep, Steps
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import median_low
 from pc2scan.core.points import Points
@@ -149,14 +149,14 @@ class MessagesToScan:
         self._rigid = not spec.fixed_frame and placer.up is None
         #: Whether a message is in at most one scan. A leading message is in the scan of its own time.
         self._once = not spec.combining.accumulates
-        self._early: SelectStage | None = None
-        self._late: SelectStage | None = None
+        self._early: SelectStep | None = None
+        self._late: SelectStep | None = None
         late: Sequence[Filter] = ()
         if spec.filters:
             late = tuple(chosen for chosen in spec.filters if chosen.frame is Frame.TARGET and not self._rigid)
             early = tuple(chosen for chosen in spec.filters if chosen not in late)
-            self._early = SelectStage(early, placer) if early else None
-            self._late = SelectStage(late, placer) if late else None
+            self._early = SelectStep(early, placer) if early else None
+            self._late = SelectStep(late, placer) if late else None
         self._intensity = params.intensity_field or ("intensity" if spec.combining.rebin else "")
         self._kept = {"x", "y", "z", self._intensity, *(field for chosen in late for field in chosen.fields)}
         #: Upstream's default minimum, the smallest positive number, is meant for clouds: it rejects all beams of scans.
