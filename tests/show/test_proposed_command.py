@@ -71,13 +71,13 @@ WORLDS = {
         {"accumulate": None, "reduce": "surface", "deskew": True, "fixed_frame": "odom"},
     ),
     # Half a beam is 0.75 degrees.
-    "coarse": World((replace(FRONT, columns=240),), STANDING, {"beams": "auto"}, off=0.07),
+    "coarse": World((replace(FRONT, columns=240),), STANDING, {}, off=0.07),
 }
 
 
 #: Its first cloud ends, by its stamp, where transforms begin.
 HALL: dict[str, Any] = {
-    "target_frame": "base_link", "deskew": True, "fixed_frame": "odom", "beams": "auto", "start": 0.01,
+    "target_frame": "base_link", "deskew": True, "fixed_frame": "odom", "angle_increment": "1.5deg", "start": 0.01,
 }  # fmt: skip
 
 
@@ -171,7 +171,7 @@ def test_a_recorded_mount_that_is_off_is_said_and_corrected(degrees: float, tmp_
 #: What `info` proposes for recordings that other people made, and for the fixtures, besides preset and heights.
 RECORDED: dict[str, dict[str, Any]] = {
     # Its odometry is simulated, from the year 1970.
-    "luminar_highway.bag": {"time_offset": "auto", "ground": "remove"},
+    "luminar_highway.bag": {"time_offset": "auto"},
     "velodyne_vlp32.bag": {"angle_increment": "0.5deg"},
     "ouster_os1_32.mcap": {"angle_increment": "0.5deg", "ground": "remove"},
     # A camera's clock counts from its start.

@@ -115,6 +115,7 @@ MISTAKES: dict[str, Callable[[Path], object]] = {
     "weaving.mcap": once(drive),
     "lidar_front.mcap": once(hall, frame="lidar_front"),
     "millimetres.mcap": once(hall, scale=1000),
+    "mounted_in_millimetres.mcap": once(hall, scale=1000, mount=(0.2, 0, 0.6)),
     "microseconds.mcap": once(drive, lidar=replace(RINGS, time_scale=1e-3)),
     "points_clock.mcap": once(drive, lidar=replace(RINGS, points_clock=37.0)),
     "points_timed.mcap": once(drive, lidar=replace(RINGS, points_clock=0.0)),

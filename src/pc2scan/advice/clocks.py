@@ -79,6 +79,14 @@ def are_doubtful(one_ns: int, other_ns: int, window_ns: int = 0) -> bool:
     return abs(one_ns - other_ns) > max(limit_ns, window_ns)
 
 
+def measure_together(one: TopicFacts, other: TopicFacts) -> bool:
+    """Whether the first clouds of two topics were recorded at about the same time, with stamps of one clock."""
+    begin_ns = max(facts.headers[0].log_time_ns for facts in (one, other))
+    end_ns = min(facts.headers[-1].log_time_ns for facts in (one, other))
+    delays = [median_low([header.delay_ns for header in facts.headers]) for facts in (one, other)]
+    return begin_ns <= end_ns and not are_doubtful(*delays)
+
+
 class ClockFinding(NamedTuple):
     """A topic with another clock than the rest of its recording.
 

@@ -118,8 +118,8 @@ _FARTHEST_MEDIAN = 400.0
 GOLDEN = 0.6180339887498949
 
 #: A level plane of this share of the cells is the floor, whatever else there is; floors are so far below the sensor,
-#: metres, with at most so much of a cloud below them.
-_LEAST_SHARE, _LEAST_HEIGHT, _MOST_BELOW = 0.15, 0.03, 0.05
+#: metres, with at most so much of a cloud below them, or such a part of their own share, as beside a road.
+_LEAST_SHARE, _LEAST_HEIGHT, _MOST_BELOW, _BESIDE = 0.15, 0.03, 0.05, 0.2
 
 
 @dataclass(frozen=True)
@@ -322,7 +322,7 @@ class Plane(NamedTuple):
     width
         Twice the standard deviation of its cells along the shorter of its two directions, metres.
     nearest
-        Distance of its nearer cells (tenth percentile) from the sensor, metres.
+        Distance of its nearer cells (fifth percentile) from the sensor, metres.
     """
 
     up: _Direction
@@ -640,7 +640,7 @@ def _refine(
         len(members) / len(cells),
         float((cells @ normal - offset < -2.5 * tolerance).mean()),
         2 * math.sqrt(max(float(variances[1]), 0.0)),
-        percentiles(np.linalg.norm(members, axis=1), 10)[0],
+        percentiles(np.linalg.norm(members, axis=1), 5)[0],
     )
 
 
@@ -692,11 +692,12 @@ def _choose_ground(points: _Points, *, level_needs_proof: bool = False) -> Groun
         and plane.beyond < (0.35 if plane.height > 0.3 else 0.05)
     ]
     if level:
-        floor = max(level, key=lambda plane: plane.share * (plane.beyond < _MOST_BELOW))
+        lowest = [plane for plane in level if plane.beyond < max(_MOST_BELOW, _BESIDE * plane.share)]
+        floor = max(lowest or level, key=lambda plane: plane.share)
         if level_needs_proof and _is_doubtful(floor, planes, view, upside_down=False):
             return Ground("unknown")
         # Something level with much behind it shows how the frame is mounted, but is no floor.
-        return _ground_of("level", floor, planes) if floor.beyond < _MOST_BELOW else Ground("level")
+        return _ground_of("level", floor, planes) if lowest else Ground("level")
     for plane in planes:
         upside_down = plane.tilt >= math.pi - _STEEPEST
         if (upside_down or plane.tilt <= _STEEPEST) and not _is_doubtful(plane, planes, view, upside_down=upside_down):

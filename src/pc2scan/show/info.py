@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 from pc2scan.advice.checks.plausibility import log_times_of_centuries
 from pc2scan.advice.clocks import Clocks
 from pc2scan.advice.measurements import increment_warning, time_warnings
-from pc2scan.advice.survey import Span, Survey
+from pc2scan.advice.survey import MILLIMETRE, Span, Survey, are_millimetres
 from pc2scan.bags.observers import Observer, Spread
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import by_topic, find_topics, types_by_topic
@@ -32,6 +32,7 @@ from pc2scan.text import Table, count, counted, height_text, size, stamp
 from pc2scan.transforms.buffer import ADDS_ODOMETRY
 from pc2scan.transforms.frames import BODIES, WORLDS
 from pc2scan.transforms.motion import body_in, find_body_motion
+from pc2scan.transforms.mounting import unit_warning
 from pc2scan.transforms.placing import FrameOptions, Placer
 
 from .lidar import EDGE_NS, HEADERS, Lidar, ask_facts, stamp_faults
@@ -98,8 +99,7 @@ class TopicInfo(NamedTuple):
         """What the table has of it."""
         kind = self.msgtype + ("" if self.serialization in ("ros1", "cdr") else f" ({self.serialization})")
         rate = "-" if self.rate_hz is None else f"{self.rate_hz:.2f}"
-        latched = "latched" if self.latched else ""
-        return (self.topic, kind, count(self.messages), rate, str(self.connections), latched)
+        return self.topic, kind, count(self.messages), rate, str(self.connections), "latched" if self.latched else ""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -271,14 +271,17 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
         shown = _described(topics, options.topics, types_by_topic(reader.connections))
         surveyed_by = partial(_SurveyResult, shown, samples, recorded, options.target_frame)
         others, span = open_recordings(frames.tf_from, stack), Span(None, None, start_ns or 0)
-        surveyed = surveyed_by(Survey(reader, others, frames, span))
-        if clocks := surveyed.clocks:
+        first = surveyed = surveyed_by(Survey(reader, others, frames, span))
+        if clocks := first.clocks:
             # Only by corrected stamps is it known where the robot was.
             offsets = StampOptions.of("header", [f"{topic}={clock.time_offset}" for topic, clock in clocks.items()])
             reader, _ = corrected(reader, [], offsets, frames.tf_topics)
+        if is_scaled := options.cloud_scale == 1 and first.are_millimetres:
+            reader, given = scaled(reader, MILLIMETRE), {**given, "cloud_scale": MILLIMETRE}
+        if (clocks and first.buffer is not None) or is_scaled:
             surveyed = surveyed_by(Survey(reader, others, frames, span))
         warnings = [*log_times_of_centuries(reader.summary), *(clock.warning for clock in clocks.values())]
-        warnings += surveyed.warnings
+        warnings += (*first.unit_warnings, *surveyed.warnings)
         clouds: list[CloudInfo] = []
         lidars: list[Lidar] = []
         for topic, own in surveyed.clouds.items():
@@ -288,6 +291,8 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
             if cloud.mounting is None or mounting is None:
                 warnings.append(f"{topic}: no command is proposed: none of its first clouds can be placed")
                 continue
+            if mounting.heights is None and cloud.limits and not first.unit_warnings:
+                warnings.append(unit_warning(topic))
             # Where the robot moves in the frame of these points, its own body is not at one place.
             parts, has_zeros = [(cloud.stamp_ns, cloud.points) for cloud in placed if is_own], bool(cloud.zero_share)
             of_robot = recorded, reader.connections, surveyed.known_ns, clocks.get(topic), surveyed.ups
@@ -296,9 +301,9 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
             instead := instead_of_clouds(reader.connections)
         ):
             warnings.append(f"the recording has no clouds, but {instead[0]}; {instead[1]}")
-        mountings = [lidar.mounting for lidar in lidars]
         # The proposed command has the frame in which recorded transforms make clouds level.
-        warnings += (own.warning for own in mountings if own.warning and (own.static_tf or not own.target_frame))
+        faults = (lidar.mounting for lidar in lidars if lidar.mounting.warning and lidar.mounting.heights)
+        warnings += (own.warning for own in faults if own.static_tf or not own.target_frame)
         heights = ((lidar.topic, lidar.mounting.heights) for lidar in lidars)
         warnings += (f"{topic}: {own.doubt}" for topic, own in heights if own and own.doubt)
         warnings += dict.fromkeys(text for cloud in clouds for text in surveyed.moving_frames(cloud.topic))
@@ -366,8 +371,8 @@ class _SurveyResult:
         The direction of up by each IMU that knows it.
     clocks
         What is wrong with the clocks of topics.
-    warnings
-        About transforms, clocks and units.
+    warnings, unit_warnings
+        About transforms and stamps, and about units.
     known_ns
         All transforms are known up to the first of these log times, and from the second one on.
     """
@@ -411,7 +416,7 @@ class _SurveyResult:
                 until_ns = (end_ns or 0) - (0 if survey.robot.is_cut else EDGE_NS)
                 self.buffer, self.known_ns = buffer, (survey.span.first_ns + _FIRST * EDGE_NS, until_ns)
         self.clocks = clocks.findings()
-        self.warnings += filter(None, (cloud.unit_warning() for cloud in clouds.values()))
+        self.unit_warnings = [warning for cloud in clouds.values() if (warning := cloud.unit_warning())]
         self.warnings += filter(None, (increment_warning(scan) for scan in flat.values()))
         self.warnings += (text for topic_facts in self.facts.values() for text in stamp_faults(topic_facts))
         self.ups: dict[str, UpEstimate] = {}
@@ -421,6 +426,12 @@ class _SurveyResult:
         tolerance_ns = ProjectionParams().tolerance_ns
         buffer = self.buffer if moved else None
         self.places = Placer(target_frame, survey.frames.source_frame, buffer, tolerance_ns)
+
+    @property
+    def are_millimetres(self) -> bool:
+        """Whether all clouds are in millimetres."""
+        own = [self.mounting(topic)[0] for topic in self.facts if self.unit_warnings]
+        return bool(own) and all(are_millimetres(mounting, self.buffer) for mounting in own)
 
     def mounting(self, topic: str) -> tuple[Mounting | None, bool]:
         """Return how the clouds of a topic are mounted on the robot, and whether in the frame of their description.

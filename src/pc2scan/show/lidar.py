@@ -17,13 +17,14 @@ import numpy as np
 from pc2scan.advice.checks import judge, request_warnings
 from pc2scan.advice.checks.first_clouds import CloudFacts, KnownTransforms
 from pc2scan.advice.measurements import Measurements, regular_step, shapes_of, time_warnings, times_of
+from pc2scan.advice.odometry import floor_tilt
 from pc2scan.advice.survey import Fact
 from pc2scan.conversion.report import StampCounts
 from pc2scan.conversion.steps import CloudToScan, PlaceStep
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import median, percentiles
 from pc2scan.core.points import Points
-from pc2scan.core.scene import are_grass, are_ground, sectors_of
+from pc2scan.core.scene import are_grass, are_ground, sectors_of, thin_points
 from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import Pc2ScanError, TransformError
 from pc2scan.options.call import Options
@@ -71,9 +72,6 @@ _SPARSE = 60_000
 _CLOUDS = 3
 _POINTS = 60_000
 
-#: Rings are level if the cosine between the z axes of lidar and scans is larger: half a degree.
-_UPRIGHT = math.cos(math.radians(0.5))
-
 #: Clouds are packets if one has less than this share of the directions that several have: so many at least.
 _PART = 0.6
 _SEVERAL = 3
@@ -91,6 +89,8 @@ _MOST_CLOUDS = 10
 #: Beams of a pattern are so wide, half degrees; wider ones are nearly all filled.
 _NEARLY_ALL = 0.97
 _WIDTHS = (1, 4, 6, 8, 10)
+#: So many points show the rows, or the columns, of a camera, which have so many points.
+_PIXELS, _A_ROW = 2_000, 4
 
 
 def ask_facts(facts: TopicFacts, end_ns: int | None) -> None:
@@ -247,14 +247,6 @@ class Lidar:
         turns = any(shape.sweep is not None for shape in shapes) or self.covered > 0.5
         return (regular_step(shapes) if turns else None) or 0.0
 
-    @property
-    def is_upright(self) -> bool:
-        """Whether the z axes of its frame and of the scans are the same, so that its rings are level there."""
-        if self.mounting.static_tf or not self.target:
-            return not self.mounting.static_tf
-        turned = self.transform(self.target, self.mounting.frame)
-        return turned is not None and float(turned.matrix[2, 2]) > _UPRIGHT
-
     @cached_property
     def covered(self) -> float:
         """The share of all directions that a cloud has."""
@@ -297,7 +289,10 @@ class Lidar:
         heights = self.mounting.heights
         if self.step or self.turn or heights is None:
             return Pattern()
-        placed = (self.in_target(points, self.mounting.frame) for points in self.facts.values(_PATTERN))
+        recorded = self.facts.values(_PATTERN)
+        if not recorded or _are_of_camera(recorded[0]):
+            return Pattern()
+        placed = (self.in_target(points, self.mounting.frame) for points in recorded)
         filled = [_filled_beams(points, heights.low, heights.high) for points in placed]
         clouds = [beams for beams in filled if beams.any()]
         if len(clouds) < _MOST_CLOUDS:
@@ -316,6 +311,12 @@ class Lidar:
                     return Pattern(count, width // 2)
         return Pattern(_MOST_CLOUDS, _WIDTHS[-1] // 2)
 
+    @cached_property
+    def floor_tilt(self) -> float | None:
+        """How far the floor that clouds show tilts in the frame of the scans, radians; None if too few show it."""
+        few = (self.in_target(thin_points(*xyz).T, stamp_ns=at_ns) - self.sensor for at_ns, xyz in self.clouds[::2])
+        return None if self.turn else floor_tilt(few)
+
     @property
     def placed(self) -> Iterator[tuple[Rigid | None, NDArray[np.float64]]]:
         """The transform from the frame of the scans to one that does not move, and the points of the spread clouds."""
@@ -331,15 +332,13 @@ class Lidar:
         """The position of the sensor in the frame of the scans, or of the robot if clouds are registered."""
         return np.asarray(self.in_target(np.zeros((3, 1)), self.moving_frame)[0])
 
-    def tried_clouds(self, *, is_placed: bool, is_level: bool) -> tuple[list[Points], bool]:
-        """Return clouds to try a command on, and whether they are parts of one scan.
+    def tried_clouds(self, *, is_placed: bool) -> tuple[list[Points], bool]:
+        """Return clouds to try a command on, with stamps of their middles, and whether they are parts of one scan.
 
         Parameters
         ----------
         is_placed
             Whether they are placed in the frame of the scans, not in their own.
-        is_level
-            Whether they are made level: then they have stamps, those of their middles.
         """
         merges = bool(self.turn or self.pattern.clouds)
         if merges:
@@ -353,7 +352,7 @@ class Lidar:
         for stamp_ns, recorded in stamped:
             xyz = recorded[:, np.isfinite(recorded).all(axis=0)]
             axes = self.in_target(xyz, stamp_ns=stamp_ns).T if is_placed else xyz
-            at_ns = stamp_ns + round(sum(self.reach) / 2 * 1e9) if is_level else 0
+            at_ns = stamp_ns + round(sum(self.reach) / 2 * 1e9)
             frame = self.target if is_placed else self.mounting.judged_in
             clouds.append(Points(0, at_ns, frame, dict(zip("xyz", axes, strict=True))))
         return [cloud for cloud in clouds if cloud.fields["x"].size], merges
@@ -382,6 +381,14 @@ def _middle(directions: int) -> float:
     """Return the middle of directions, radians."""
     angles = np.array([place for place in range(DIRECTIONS) if directions >> place & 1]) * _STEP
     return float(np.arctan2(np.sin(angles).mean(), np.cos(angles).mean())) if angles.size else 0.0
+
+
+def _are_of_camera(points: NDArray[np.floating[Any]]) -> bool:
+    """Whether points, (3, N), are the pixels of a camera, which has the same few rows and columns in each cloud."""
+    x, y, z = points[:, np.isfinite(points).all(axis=0)][:, :_PIXELS]
+    with np.errstate(all="ignore"):
+        of_axes = (np.round(one / other, 4) for one, other in ((x, z), (y, z), (y, x), (z, x)))
+        return any(_A_ROW * np.unique(places).size < places.size for places in of_axes)
 
 
 def _filled_beams(points: NDArray[np.float64], low: float, high: float) -> NDArray[np.bool_]:
@@ -482,30 +489,31 @@ def tried(options: Mapping[str, Any], lidar: Lidar) -> Trial:
 def _scene(spec: ScanSpec, lidar: Lidar) -> Scene:
     """Return what commands like this one are tried on."""
     is_placed = bool(lidar.mounting.static_tf) or lidar.is_registered
-    recorded, merges = lidar.tried_clouds(is_placed=is_placed, is_level=spec.level)
+    recorded, merges = lidar.tried_clouds(is_placed=is_placed)
     placer = _placer(spec, lidar, "" if is_placed else spec.params.target_frame)
     clouds: list[PlacedCloud] = []
-    # Those of a robot that tilts are level only where transforms, or an IMU, show it.
-    left_out = (TransformError,) if spec.level else ()
+    ways: list[Rigid] = []
     for points in recorded:
-        with suppress(*left_out):
-            clouds.append(PlaceStep(placer)(points))
+        # A cut leaves out those that cannot be placed.
+        with suppress(TransformError):
+            cloud = PlaceStep(placer)(points)
+            if spec.level and spec.fixed_frame:
+                ways.append(placer.from_fixed(spec.fixed_frame, cloud.points.frame_id, cloud.stamp_ns)[1])
+            clouds.append(cloud)
     if not clouds:
         return Scene((), placer, [], (), merges)
     samples = [] if is_placed or spec.level else lidar.facts.samples(placer)
     placed = [_coordinates(cloud) for cloud in clouds]
-    if spec.level and spec.fixed_frame:
+    if ways:
         # What a robot that tilts sees of a place, from all of them.
-        ways = [placer.from_fixed(spec.fixed_frame, cloud.points.frame_id, cloud.stamp_ns)[1] for cloud in clouds]
         placed = [ways[0].compose(way.inverse()).apply(xyz) for way, xyz in zip(ways, placed, strict=True)]
     params, heights = spec.params, lidar.mounting.heights
-    seen = [np.concatenate(placed)] if merges or (spec.level and spec.fixed_frame) else placed
+    seen = [np.concatenate(placed)] if merges or ways else placed
     # From a floor that is not known, nothing rises.
     low = math.inf if heights is None or heights.floor is None else params.min_height
     rising = [are_ground(xyz, low) for xyz in seen]
     slopes = [_slope(xyz[up], low, params.max_height) for xyz, up in zip(seen, rising, strict=True)]
-    height = lidar.mounting.ground.height
-    lies = [up | are_grass(xyz, low, height) for xyz, up in zip(seen, rising, strict=True)]
+    lies = [up | are_grass(xyz, low, lidar.mounting.ground.height) for xyz, up in zip(seen, rising, strict=True)]
     parts = np.split(~np.concatenate(lies), np.cumsum([len(xyz) for xyz in placed])[:-1])
     marked = []
     for cloud, stands in zip(clouds, parts, strict=True):

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import replace
 from itertools import product
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from pc2scan.advice.clocks import are_doubtful
-from pc2scan.advice.odometry import floor_tilt, odometry_of, turned_over
+from pc2scan.advice.clocks import measure_together
+from pc2scan.advice.odometry import odometry_of, turned_over
 from pc2scan.bags.destinations import default_destination
 from pc2scan.core.params import ProjectionParams
-from pc2scan.core.percentiles import median_low
-from pc2scan.core.scene import ONE_FLOOR, sectors_of, thin_points
+from pc2scan.core.scene import ONE_FLOOR, sectors_of
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.result import Call
 from pc2scan.text import height_text
@@ -31,7 +29,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pc2scan.advice.survey import TopicFacts
     from pc2scan.bags.reader import Reader
     from pc2scan.core.rigid import Rigid
     from pc2scan.transforms.motion import SensorMotion
@@ -59,7 +56,7 @@ _HIGHER, _THIN = (0.05, 0.1, 0.15, 0.2), 0.3
 #: What rises less is no slope, no robot drives on steeper ground, and slopes of a robot that does not tilt differ less,
 #: metres a metre.
 _SLOPED, _STEEPEST, _STEADY = 0.03, 0.17, 0.02
-#: Scans above rising ground reach so far, metres, and end so far below what is overhead.
+#: If nothing lower does, scans above rising ground reach so far, metres, and end so far below what is overhead.
 _REACHES, _BELOW = 20.0, 0.2
 
 #: Cells of the robot's own body, metres; in how many clouds, and what share of them, the same cells have returns.
@@ -172,12 +169,10 @@ def proposals(
     """
     lidars = [lidar for lidar in lidars if lidar.mounting.heights is not None and lidar.mounting.heights.suit]
     warnings += _motion_that_stays(lidars)
-    groups = list(_groups([_with_common_heights(lidar, lidars) for lidar in lidars]))
+    groups = list(_groups(lidars))
     for group in groups:
-        choices = [*_topics(group, sources, types), *_choices(group, given)]
-        added, findings = _tried({choice.name: choice.value for choice in choices}, group)
+        choices, findings = _tried([*_topics(group, sources, types), *_choices(group, lidars, given)], group)
         warnings += (f"the proposed command: {text}" for text in findings if text not in warnings)
-        choices += added
         options: dict[str, Any] = {}
         if len(groups) > 1:
             mark = "_" + re.sub(r"\W+", "_", group[0].topic.strip("/")) + "_scan"
@@ -187,8 +182,9 @@ def proposals(
         yield Call("convert", tuple(str(reader.path) for reader in sources), options, reasons)
 
 
-def _tried(options: Mapping[str, Any], group: Sequence[Lidar]) -> tuple[list[Choice], Sequence[str]]:
-    """Return options that a command lacks by a trial of it, and what it would be told with them."""
+def _tried(choices: list[Choice], group: Sequence[Lidar]) -> tuple[list[Choice], Sequence[str]]:
+    """Return the options of a command, changed where a trial of it shows it, and what it would be told with them."""
+    options = {choice.name: choice.value for choice in choices}
     trials = [tried(options, lidar) for lidar in group]
     worst = max(trial.lying for trial in trials)
     slopes = [slope for lidar in group if lidar.scene for slope in lidar.scene.slopes]
@@ -197,6 +193,9 @@ def _tried(options: Mapping[str, Any], group: Sequence[Lidar]) -> tuple[list[Cho
     outcomes = [(worst, worst, list[Choice](), trials)]
     for way in _ways(options, group, slopes, why) if worst > _LYING else ():
         added = {choice.name: choice.value for choice in way}
+        # A higher limit lets in more of what is overhead.
+        if "max_height" in added and min(outcomes, key=itemgetter(0))[1] <= _TOLD:
+            break
         after = [tried({**options, **added}, lidar) for lidar in group]
         lying, missed = max(trial.lying for trial in after), max(map(Trial.missed_in, trials, after))
         # Limits may be above what stands, so they are for much that lies.
@@ -208,7 +207,7 @@ def _tried(options: Mapping[str, Any], group: Sequence[Lidar]) -> tuple[list[Cho
     _, lying, way, after = min(outcomes, key=itemgetter(0))
     said = f"{lying:.0%} of a cloud's returns may be on {on_what}; `pc2scan view` shows them"
     findings = dict.fromkeys(text for trial in after for text in trial.findings)
-    return way, (*findings, *([said] if lying > _TOLD else ()))
+    return [*choices, *way], (*findings, *([said] if lying > _TOLD else ()))
 
 
 def _ways(options: Mapping[str, Any], group: Sequence[Lidar], slopes: list[float], why: str) -> Iterator[list[Choice]]:
@@ -220,22 +219,12 @@ def _ways(options: Mapping[str, Any], group: Sequence[Lidar], slopes: list[float
     # If the robot tilts, other clouds have steeper ground.
     elif max(slopes) - min(slopes) < _STEADY and max(slopes) < _STEEPEST:
         slope = math.ceil(100 * max(slopes) + 0.5) / 100
-        ceilings = [lidar.mounting.heights.ceiling for lidar in group if lidar.mounting.heights is not None]
+        rises = Choice("min_height_slope", slope, why)
+        yield [rises]
+        ceilings = (lidar.mounting.heights.ceiling for lidar in group if lidar.mounting.heights is not None)
         most = min((ceiling - _BELOW for ceiling in ceilings if ceiling is not None), default=math.inf)
         top = max(high, min(high + slope * _REACHES, most))
-        stands = Choice("max_height", float(f"{top:.2f}"), f"of what stands on it, up to {_REACHES:.0f} m away")
-        yield [Choice("min_height_slope", slope, why), stands]
-
-
-def _with_common_heights(lidar: Lidar, lidars: Sequence[Lidar]) -> Lidar:
-    """Return a lidar with the heights of all that see the same floor in the same frame."""
-    own = lidar.mounting.heights
-    if own is None or own.floor is None or not lidar.target:
-        return lidar
-    heights = [other.mounting.heights for other in lidars if other.target == lidar.target and other.mounting.heights]
-    same = [limits for limits in heights if limits.floor is not None and abs(limits.floor - own.floor) < ONE_FLOOR]
-    common = own._replace(low=max(limits.low for limits in same), high=max(limits.high for limits in same))
-    return replace(lidar, mounting=lidar.mounting._replace(heights=common))
+        yield [rises, Choice("max_height", float(f"{top:.2f}"), f"of what stands on it, up to {_REACHES:.0f} m away")]
 
 
 def _groups(lidars: Sequence[Lidar]) -> Iterator[list[Lidar]]:
@@ -247,18 +236,10 @@ def _groups(lidars: Sequence[Lidar]) -> Iterator[list[Lidar]]:
             frames = {lidar.mounting.frame.removeprefix("/") for lidar in group}
             is_beside = other.target == group[0].target and other.mounting.frame.removeprefix("/") not in frames
             offsets = {lidar.clock and lidar.clock.time_offset for lidar in (group[0], other)}
-            if other.target and is_beside and len(offsets) == 1 and _measure_together(group[0].facts, other.facts):
+            if other.target and is_beside and len(offsets) == 1 and measure_together(group[0].facts, other.facts):
                 group.append(other)
                 rest.remove(other)
         yield group
-
-
-def _measure_together(one: TopicFacts, other: TopicFacts) -> bool:
-    """Whether the first clouds of two topics were recorded at about the same time, with stamps of one clock."""
-    begin_ns = max(facts.headers[0].log_time_ns for facts in (one, other))
-    end_ns = min(facts.headers[-1].log_time_ns for facts in (one, other))
-    delays = [median_low([header.delay_ns for header in facts.headers]) for facts in (one, other)]
-    return begin_ns <= end_ns and not are_doubtful(*delays)
 
 
 def _topics(group: Sequence[Lidar], sources: Sequence[Reader], types: Mapping[str, Sequence[str]]) -> Iterator[Choice]:
@@ -274,14 +255,15 @@ def _topics(group: Sequence[Lidar], sources: Sequence[Reader], types: Mapping[st
         yield Choice("topics", topic, "each topic has a command of its own")
 
 
-def _choices(group: Sequence[Lidar], given: Mapping[str, Any]) -> Iterator[Choice]:
+def _choices(group: Sequence[Lidar], lidars: Sequence[Lidar], given: Mapping[str, Any]) -> Iterator[Choice]:
     lidar = group[0]
     yield Choice("preset", _PRESET, "beams, limits and times that SLAM and navigation accept")
     given = dict(given)
     static = [lidar.mounting.static_tf for lidar in group if lidar.mounting.static_tf]
     if static:
         given["static_tf"] = (*given.get("static_tf", ()), *static)
-    reasons = {"odom_topic": "says how the robot moves"} | ({"static_tf": "makes the clouds level"} if static else {})
+    reasons = {"odom_topic": "says how the robot moves", "cloud_scale": "makes metres of the clouds' unit"}
+    reasons["static_tf"] = "makes the clouds level" if static else "as given"
     for option, value in given.items():
         alone = value[0] if isinstance(value, tuple) and len(value) == 1 else value
         yield Choice(option, alone, reasons.get(option, "as given"))
@@ -292,16 +274,16 @@ def _choices(group: Sequence[Lidar], given: Mapping[str, Any]) -> Iterator[Choic
         yield Choice("time_offset", clock.time_offset, clock.text)
     elif any(stamp_faults(lidar.facts) for lidar in group):
         yield Choice("stamps", "log", "its stamps go back, or are 0")
-    yield from _heights(group)
+    yield from _heights(group, lidars)
     times = list(_times(group))
     yield from times
     own = lidar.mounting.frame if lidar.is_registered else ""
     yield from _edge_cuts(group, next((choice.value for choice in times if choice.name == "fixed_frame"), own))
     yield from _exclusions(group)
-    yield from _beams(group, is_level=any(choice.name == "level" for choice in times))
+    yield from _beams(group)
 
 
-def _beams(group: Sequence[Lidar], *, is_level: bool) -> Iterator[Choice]:
+def _beams(group: Sequence[Lidar]) -> Iterator[Choice]:
     """Yield the width of the beams, if the lidars turn and the default one suits none of them, or for a pattern."""
     if len(group) == 1 and (degrees := group[0].pattern.degrees):
         yield Choice("angle_increment", f"{degrees}deg", "the pattern is too sparse for the default beams")
@@ -313,23 +295,24 @@ def _beams(group: Sequence[Lidar], *, is_level: bool) -> Iterator[Choice]:
         yield Choice("angle_increment", "0.5deg", f"{measured}, finer than the default beams")
     elif step > 1.2 * ProjectionParams().angle_increment:
         wide = math.ceil(2 * math.degrees(step) - 0.1) / 2
-        is_regular = len(group) == 1 and group[0].is_upright and not is_level
-        name, value = ("beams", "auto") if is_regular else ("angle_increment", f"{wide:g}deg")
-        yield Choice(name, value, f"{measured}, coarser than the default beams")
+        yield Choice("angle_increment", f"{wide:g}deg", f"{measured}, coarser than the default beams")
 
 
-def _heights(group: Sequence[Lidar]) -> Iterator[Choice]:
-    heights = [lidar.mounting.heights for lidar in group if lidar.mounting.heights is not None]
-    low, high = max(limits.low for limits in heights), max(limits.high for limits in heights)
-    floors = [limits.floor for limits in heights if limits.floor is not None]
-    ceilings = [limits.ceiling for limits in heights if limits.ceiling is not None]
+def _heights(group: Sequence[Lidar], lidars: Sequence[Lidar]) -> Iterator[Choice]:
+    """Yield the limits of z, which are those of all lidars that see the same floor in the same frame."""
+    lidar, own = group[0], group[0].mounting.heights
+    floor = None if own is None else own.floor
+    heights = [
+        limits
+        for other in (lidars if lidar.target else group)
+        if (limits := other.mounting.heights) is not None and other.target == lidar.target
+        if floor is None or limits.floor is None or abs(limits.floor - floor) < ONE_FLOOR
+    ]
     above, below = "no floor is visible: the heights of most points", ""
-    if floors:
-        above, below = f"above the floor at z = {height_text(max(floors))} m", "of objects that stand on it"
-        if ceilings:
-            below = f"below the ceiling at z = {height_text(min(ceilings))} m"
-    yield Choice("min_height", float(f"{low:g}"), above)
-    yield Choice("max_height", float(f"{high:g}"), below)
+    if floor is not None:
+        above, below = f"above the floor at z = {height_text(floor)} m", "of objects that stand on it"
+    yield Choice("min_height", float(f"{max(limits.low for limits in heights):g}"), above)
+    yield Choice("max_height", float(f"{max(limits.high for limits in heights):g}"), below)
 
 
 def _times(group: Sequence[Lidar]) -> Iterator[Choice]:
@@ -339,9 +322,7 @@ def _times(group: Sequence[Lidar]) -> Iterator[Choice]:
     within_cloud = lidar.motion(lidar.duration or lidar.period or 0.1)
     gathered = turn or clouds * lidar.period or (lidar.period if group[1:] else 0.0)
     within_scan = lidar.motion(gathered) if gathered else within_cloud
-    few = (lidar.in_target(thin_points(*xyz).T, stamp_ns=at_ns) - lidar.sensor for at_ns, xyz in lidar.clouds[::2])
-    tilt = None if turn else floor_tilt(few)
-    tilts = within_scan is not None and _tilts(within_scan.tilt, tilt)
+    tilts = within_scan is not None and _tilts(lidar, within_scan.tilt)
     deskews = (tilts or _moves(within_cloud) or _moves(within_scan)) and all(lidar.duration for lidar in group)
     if turn:
         yield Choice("every", float(f"{turn:.4g}"), f"a cloud is a part of a turn, which takes {turn:.3g} s")
@@ -360,10 +341,7 @@ def _times(group: Sequence[Lidar]) -> Iterator[Choice]:
     if (deskews or tilts or turn or clouds or (gathered and _moves(within_scan))) and fixed:
         yield Choice("fixed_frame", fixed, "the frame that does not move with the robot")
     if not tilts:
-        yield from _level_by_imu(lidar, tilt)
-        # An IMU levels a cloud as a whole, and says nothing of a part of a turn.
-        if tilt is not None and tilt > _TILTS:
-            yield Choice("ground", "remove", f"the floor tilts by {math.degrees(tilt):.1f} deg from cloud to cloud")
+        yield from _level_by_imu(lidar)
 
 
 def _edge_cuts(lidars: Sequence[Lidar], fixed: str) -> Iterator[Choice]:
@@ -417,18 +395,18 @@ def _moves(motion: SensorMotion | None, metres: float = _METRES) -> bool:
     return motion is not None and (motion.metres > metres or motion.radians > ProjectionParams().angle_increment)
 
 
-def _tilts(radians: float, of_floor: float | None) -> bool:
+def _tilts(lidar: Lidar, radians: float) -> bool:
     """Whether a robot tilts by odometry or an IMU, and the floor, where it is seen, by at least half as much.
 
     A robot that drives on a slope does not tilt against it, nor does one whose IMU feels curves.
     """
-    return radians > _TILTS and (of_floor is None or of_floor >= radians / 2)
+    return radians > _TILTS and (lidar.floor_tilt is None or lidar.floor_tilt >= radians / 2)
 
 
-def _level_by_imu(lidar: Lidar, of_floor: float | None) -> Iterator[Choice]:
+def _level_by_imu(lidar: Lidar) -> Iterator[Choice]:
     for topic, up in lidar.ups.items():
         angle = spread_of_up(up.directions)
-        if _tilts(angle, of_floor) and up.z_of(lidar.target or lidar.mounting.frame, lidar.buffer):
+        if _tilts(lidar, angle) and up.z_of(lidar.target or lidar.mounting.frame, lidar.buffer):
             yield Choice("level", True, f"roll and pitch vary by {math.degrees(angle):.1f} deg, by the IMU")
             yield Choice("imu", topic, "no transforms say how the robot tilts")
             return

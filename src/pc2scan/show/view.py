@@ -343,6 +343,7 @@ def _as_proposed(recording: PictureSource) -> Request:
         topics = [topic.source for topic in request.scan.topics]
         given = Options("info", {"topics": topics, "target_frame": params.target_frame})
         calls = [call.options for call in info_of([recording.reader], given, request.frames, samples=1).proposals]
+        calls = [call for call in calls if "cloud_scale" not in call]
         first = next((call for call in calls if params.target_frame in ("", call.get("target_frame", ""))), {})
         if "min_height" not in first:
             return request

@@ -52,8 +52,8 @@ _LOW, _ROUGHEST, _HIGH, _BELOW_CEILING, _THINNEST = 0.1, 0.3, 1.5, 0.2, 0.3
 #: Without a floor: so far from the sensor's height, metres.
 _AROUND = 0.4
 
-#: The fewest points and their least share that heights are judged by.
-_FEW, _FEWEST_SHARE = 20, 0.001
+#: The least share of the points that heights are judged by.
+_FEWEST_SHARE = 0.001
 
 #: What is nearer than this share of the farthest in one of so many directions is before a wall. So many cells of it may
 #: be noise. Lidars of robots are at most so high, metres.
@@ -151,8 +151,16 @@ class Mounting(NamedTuple):
         return f"{self.topic}: frame {self.judged_in!r} is {self.fault}" + (f". {self.cure}" if self.cure else "")
 
 
-def unit_warning(topic: str, distance: float) -> str:
-    """Return the warning that a cloud is in another unit than metres, because its points are so far away."""
+def unit_warning(topic: str, distance: float = 0.0) -> str:
+    """Return the warning that a cloud is in another unit than metres, by the median distance of its points.
+
+    0: nearly all of them are so near that they are in no sample.
+    """
+    if not distance:
+        return (
+            f"{topic}: nearly all points are within 5 cm of the sensor, so they are in another unit than metres; "
+            "`cloud_scale` is the factor that makes metres of them"
+        )
     return (
         f"{topic}: the points are {distance:,.0f} m away (median), so they are in another unit: in millimetres "
         f"that is {distance / 1000:.3g} m (`cloud_scale=0.001` corrects it), in centimetres "
@@ -441,9 +449,8 @@ def suitable_heights(
 
     Notes
     -----
-    0.1 to 1.5 m above the floor, or more where the ground is rough, and 0.2 m below what is overhead. If there are no
-    points, the upper limit is raised until there are some. Without a floor, around the sensor: what is visible there
-    is no floor.
+    0.1 to 1.5 m above the floor, or more where the ground is rough, and 0.2 m below what is overhead. Without a floor,
+    around the sensor: what is visible there is no floor.
     """
     points = [points for points in samples if len(points)]
     if not points or far_away(points[0]):
@@ -477,13 +484,8 @@ def suitable_heights(
         high, doubt = low, f"only {between} are between the floor and what is overhead: {shown}"
     elif ((z >= low) & (z <= high)).mean() < _FEWEST_SHARE:
         # There is no object on the ground, or the sensor is above all of them.
-        higher = np.sort(z[(z > high) & (z < top)])
-        above = f"{high:.2f} m, above the floor at z = {floor:.2f} m"
-        if len(higher) < _FEW:
-            high, doubt = low, f"no point is between {low:.2f} and {above}: {shown}"
-        else:
-            doubt = f"no point is up to {above}: scans show what is above that"
-            high = min(top, float(higher[len(higher) // 4]) + _THINNEST)
+        doubt = f"no point is between {low:.2f} and {high:.2f} m, above the floor at z = {floor:.2f} m: {shown}"
+        high = low
     return Heights(_round_down(low + 0.005), _round_down(high + 0.005), floor, ceiling, question, doubt)
 
 

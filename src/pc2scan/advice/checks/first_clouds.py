@@ -326,10 +326,7 @@ def clouds_in_another_unit(clouds: CloudFacts) -> Iterator[str]:
         yield unit_warning(clouds.topic, distance)
     # Points within 5 cm are in no sample.
     elif len(sample.points) * counts.total < _FEW_FAR * counts.used * min(counts.total, MOST_POINTS):
-        yield (
-            f"{clouds.topic}: nearly all points are within 5 cm of the sensor, so they are in another unit than "
-            "metres; `cloud_scale` is the factor that makes metres of them"
-        )
+        yield unit_warning(clouds.topic)
 
 
 def nearly_empty_scans(clouds: CloudFacts) -> Iterator[str]:
