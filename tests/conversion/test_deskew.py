@@ -126,8 +126,11 @@ def test_a_cloud_before_all_transforms_is_an_error() -> None:
 
 @pytest.mark.parametrize(("times", "name", "what"), rows(TABLES, "times that cannot be"))
 def test_times_that_cannot_be_are_errors(times: Any, name: str, what: str) -> None:
+    around = math.tau * np.arange(len(times)) / len(times)
     with pytest.raises(DecodeError) as caught:
-        Deskew(frames(), "odom", PointTime())(points(np.ones((3, 3)), times, name))
+        Deskew(frames(), "odom", PointTime())(
+            points(np.stack([np.cos(around), np.sin(around), around], 1), times, name)
+        )
     assert what in caught.value.message
     assert caught.value.hint
     assert caught.value.stamp_ns == T0

@@ -19,7 +19,7 @@ from pc2scan.core.rigid import MovingTransform
 from pc2scan.core.rule import NO_TIME, NO_TRANSFORM
 from pc2scan.core.timing import AZIMUTH, IN_SECONDS, LONGEST, TIME_FIELDS, TIME_UNITS
 from pc2scan.errors import DecodeError, TransformError
-from pc2scan.request.point_time import BY_AZIMUTH, PointTime
+from pc2scan.request.point_time import BY_AZIMUTH, PointTime, directions_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -37,8 +37,9 @@ _ANOTHER_FIELD = "if another field has the times, name it: `point_time=FIELD`"
 _USUAL = 2.0
 #: Points that are measured this long before or after their stamp, nanoseconds, probably have another clock.
 _OTHER_CLOCK_NS = 1_000_000_000
-#: If the times of all points span less than this, they count as equal, seconds.
-_SHORTEST = 1e-9
+#: If the times of all points span less than this, they count as equal, seconds. A lidar that turns measures a column at
+#: once, in so many directions of `directions_of` at most.
+_SHORTEST, _COLUMN = 1e-9, 4
 
 #: The maximum distance of two nodes between which transforms are interpolated, nanoseconds and radians. Transforms are
 #: also looked up in the middle between two nodes, so at least every millisecond. The error of the rotation is 0.008
@@ -207,7 +208,8 @@ class Deskew:
             hint = None if of_scan else _ANOTHER_FIELD
             raise DecodeError(message, stamp_ns=points.stamp_ns, hint=hint)
         label = AZIMUTH if turn is not None else "time_increment" if given else name
-        self._check(label, low, high, unit, several=measured > 1 and not given, stamp_ns=points.stamp_ns)
+        is_still = not given and high - low < _SHORTEST and directions_of(points).bit_count() > _COLUMN
+        self._check(label, low, high, unit, is_still=is_still, stamp_ns=points.stamp_ns)
         stamp_ns = points.stamp_ns
         begin_ns = stamp_ns + math.floor(low * 1e9)
         end_ns = max(stamp_ns + math.ceil(high * 1e9), begin_ns + 1)
@@ -235,7 +237,7 @@ class Deskew:
         all_timed = not unknown and bool(times[0] <= low and high <= times[-1])
         return Track(points, reference_ns, name, offset, unit, times, rows, gap_ns, all_timed)
 
-    def _check(self, name: str, low: float, high: float, unit: float, *, several: bool, stamp_ns: int) -> None:
+    def _check(self, name: str, low: float, high: float, unit: float, *, is_still: bool, stamp_ns: int) -> None:
         """Raise an error for impossible times."""
         of, hint = f"by their field {name}", _ANOTHER_FIELD
         if high - low > LONGEST:
@@ -247,7 +249,7 @@ class Deskew:
             message = f"its points are {low:.6g} to {high:.6g} s after its stamp {of}"
             hint = "the times of the points and the stamps come from different clocks, or have another unit"
             hint += f": `point_time={name}:us`; {BY_AZIMUTH}"
-        elif several and high - low < _SHORTEST:
+        elif is_still:
             message = f"its points all have the same time in their field {name}, {low:.6g} s after its stamp"
             hint = "name the field with the times: `point_time=FIELD`; clouds measured at once need no `deskew`"
         else:
