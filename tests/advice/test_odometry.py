@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import pc2scan
-from pc2scan.advice.odometry import Odometry, odometry_of
+from pc2scan.advice.odometry import Odometry, odometry_of, tilts
 from pc2scan.core.rigid import Rigid
 from pc2scan.transforms.builder import TransformBuilder
 from support import sampled
@@ -122,6 +122,11 @@ def test_the_way_of_a_robot_tells_which_way_round_its_odometry_is() -> None:
         assert all("sideways" in each.doubt for each in found[1:3])
         told += 1
     assert told >= 6
+
+
+def test_a_robot_tilts_by_what_its_floor_shows_or_curves_do_not_explain() -> None:
+    said = [(0.01, None, 0.0), (0.05, None, 0.0), (0.05, None, 0.04), (0.05, 0.01, 0.0), (0.05, 0.03, 0.04)]
+    assert [tilts(*each) for each in said] == [False, True, False, False, True]
 
 
 @pytest.mark.parametrize(("clock", "deskew"), [(-0.06, True), (0.03, False)])

@@ -41,6 +41,9 @@ _STEP_NS = 200_000_000
 #: Poses that are farther apart than this many steps are not compared.
 _LONGEST_STEP = 3
 
+#: A robot whose roll and pitch vary by more than this tilts, radians.
+_TILTS = math.radians(1.0)
+
 #: The windows in which surroundings are sampled, and the points of each cloud, of each topic in a window, and in all
 #: windows that are needed.
 _WINDOW_NS = 1_000_000_000
@@ -436,6 +439,21 @@ def floor_tilt(clouds: Iterable[NDArray[np.float64]]) -> float | None:
     """
     ups = [ground.up for ground in map(find_ground, clouds) if ground.kind == "level" and ground.up]
     return spread_of_up(np.array(ups)) if len(ups) >= JUDGED_CLOUDS else None
+
+
+def tilts(radians: float, of_floor: float | None, felt: float = 0.0) -> bool:
+    """Return whether a robot tilts by as much as odometry, or an IMU, says.
+
+    Parameters
+    ----------
+    radians
+        How much that is.
+    of_floor
+        See `floor_tilt`: a robot that drives on a slope does not tilt against it.
+    felt
+        What an IMU feels in curves, radians, which is no tilt.
+    """
+    return radians > _TILTS and (radians > _TILTS + felt if of_floor is None else of_floor >= radians / 2)
 
 
 def _are_walls(points: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pc2scan.advice.clocks import measure_together
-from pc2scan.advice.odometry import odometry_of, turned_over
+from pc2scan.advice.odometry import odometry_of, tilts, turned_over
 from pc2scan.bags.destinations import default_destination
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.scene import ONE_FLOOR, sectors_of
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.result import Call
 from pc2scan.text import height_text
+from pc2scan.transforms.attitude import GRAVITY
 from pc2scan.transforms.frames import BODIES, WORLDS
 from pc2scan.transforms.motion import spread_of_up
 from pc2scan.transforms.mounting import sensor_exclusion
@@ -44,9 +45,6 @@ _FINE = math.radians(0.41)
 _METRES = 0.02
 #: ... and by more than this, worth a warning if nothing corrects it.
 _FAR = 0.1
-
-#: A robot whose roll and pitch vary by more than this tilts, radians.
-_TILTS = math.radians(1.0)
 
 #: From the first share of returns that may be on the ground on, it is said, and from the second one on, options that
 #: end them are tried. Limits leave at most the second share, and pass by at most the last one of what stands.
@@ -322,8 +320,8 @@ def _times(group: Sequence[Lidar]) -> Iterator[Choice]:
     within_cloud = lidar.motion(lidar.duration or lidar.period or 0.1)
     gathered = turn or clouds * lidar.period or (lidar.period if group[1:] else 0.0)
     within_scan = lidar.motion(gathered) if gathered else within_cloud
-    tilts = within_scan is not None and _tilts(lidar, within_scan.tilt)
-    deskews = (tilts or _moves(within_cloud) or _moves(within_scan)) and all(lidar.duration for lidar in group)
+    is_level = within_scan is None or not tilts(within_scan.tilt, lidar.floor_tilt)
+    deskews = (not is_level or _moves(within_cloud) or _moves(within_scan)) and all(lidar.duration for lidar in group)
     if turn:
         yield Choice("every", float(f"{turn:.4g}"), f"a cloud is a part of a turn, which takes {turn:.3g} s")
     if clouds:
@@ -335,12 +333,12 @@ def _times(group: Sequence[Lidar]) -> Iterator[Choice]:
         within = f"{math.degrees(within_scan.radians):.1f} deg within a {'scan' if gathered else 'cloud'}"
         moved = f"the lidar moves by {within_scan.metres:.2f} m and {within}"
         yield Choice("deskew", True, f"points have times ({lidar.time_field}), and {moved}")
-    if tilts and within_scan is not None:
+    if within_scan is not None and not is_level:
         yield Choice("level", True, f"roll and pitch vary by {math.degrees(within_scan.tilt):.1f} deg")
     fixed = within_scan.fixed if within_scan is not None else lidar.world
-    if (deskews or tilts or turn or clouds or (gathered and _moves(within_scan))) and fixed:
+    if (deskews or not is_level or turn or clouds or (gathered and _moves(within_scan))) and fixed:
         yield Choice("fixed_frame", fixed, "the frame that does not move with the robot")
-    if not tilts:
+    if is_level:
         yield from _level_by_imu(lidar)
 
 
@@ -395,18 +393,12 @@ def _moves(motion: SensorMotion | None, metres: float = _METRES) -> bool:
     return motion is not None and (motion.metres > metres or motion.radians > ProjectionParams().angle_increment)
 
 
-def _tilts(lidar: Lidar, radians: float) -> bool:
-    """Whether a robot tilts by odometry or an IMU, and the floor, where it is seen, by at least half as much.
-
-    A robot that drives on a slope does not tilt against it, nor does one whose IMU feels curves.
-    """
-    return radians > _TILTS and (lidar.floor_tilt is None or lidar.floor_tilt >= radians / 2)
-
-
 def _level_by_imu(lidar: Lidar) -> Iterator[Choice]:
+    motion = lidar.motion(0.1)
+    curves = 0.0 if motion is None else 100 * motion.metres * motion.radians / GRAVITY
     for topic, up in lidar.ups.items():
-        angle = spread_of_up(up.directions)
-        if _tilts(lidar, angle) and up.z_of(lidar.target or lidar.mounting.frame, lidar.buffer):
+        angle, of_floor = spread_of_up(up.directions), lidar.floor_tilt
+        if tilts(angle, of_floor, curves * up.is_felt) and up.z_of(lidar.target or lidar.mounting.frame, lidar.buffer):
             yield Choice("level", True, f"roll and pitch vary by {math.degrees(angle):.1f} deg, by the IMU")
             yield Choice("imu", topic, "no transforms say how the robot tilts")
             return

@@ -43,8 +43,7 @@ _LARGEST_JITTER = 0.5
 #: The largest values of an IMU: radians per second, m/s^2, or thousandths of g.
 _MAX_VALUE = 1e5
 
-_NAN = float("nan")
-_UNKNOWN = (_NAN, _NAN, _NAN)
+_UNKNOWN = (math.nan, math.nan, math.nan)
 
 
 class ImuRequest(NamedTuple):
@@ -85,6 +84,8 @@ class UpEstimate:
         (N, 3) directions of unit length in its frame.
     notes, warnings
         Texts for the user.
+    is_felt
+        Whether it is estimated by the accelerometer, which also feels curves.
     """
 
     topic: str
@@ -93,6 +94,7 @@ class UpEstimate:
     directions: NDArray[np.float64]
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    is_felt: bool = False
 
     def z_of(self, frame: str, buffer: TransformBuffer | None) -> float:
         """Return how much the z axis of a frame points up, -1 to 1; 0 if none is known to turn with the IMU."""
@@ -176,7 +178,8 @@ class ImuReading:
         stamps, order = np.unique(np.array(self._stamps_ns, np.int64), return_index=True)
         values = np.array(self._values, np.float64).reshape(-1, 9)[order]
         known, ups, note, further = _estimate_up(topic, stamps, values[:, :3], values[:, 3:6], values[:, 6:])
-        return UpEstimate(topic, frame, stamps[known], ups, (note,), (*warnings, *further))
+        is_felt = not np.array_equal(ups, values[known, :3])
+        return UpEstimate(topic, frame, stamps[known], ups, (note,), (*warnings, *further), is_felt)
 
 
 def _plausible(values: tuple[float, ...] | None) -> tuple[float, ...]:

@@ -401,21 +401,20 @@ class RobotTransforms:
 
     def finish(self) -> TransformBuffer | None:
         """Return the transforms; None if there are none, or it is not clear which ones to use."""
-        reading = self._reading
         for message in (value for observer in self.observers for value in observer.values):
             with suppress(RecordingError):
                 if message.connection.ros_type in TF_TYPES:
-                    reading.add(self._reader, {}, message)
+                    self._reading.add(self._reader, {}, message)
                 elif message.connection.ros_type in POSES:
                     self._poses.add(message)
                 else:
-                    reading.add_model(message)
-        buffer = reading.finish().buffer
+                    self._reading.add_model(message)
+        buffer = self._reading.finish().buffer
         children = {trajectory.child for trajectory in self._poses.finish()[0]}.intersection(buffer.frames)
         if children and all(buffer.is_rigid(above, child) for child in children for above in buffer.above(child)):
             self.odometry = self._poses.topic
-            reading.poses.append(self._poses)
-            buffer = reading.finish().buffer
+            self._reading.poses.append(self._poses)
+            buffer = self._reading.finish().buffer
         return buffer if len(buffer) else None
 
 
