@@ -24,7 +24,7 @@ fsspec = pytest.importorskip("fsspec")
 
 FIXTURES, CASES = ROOT / "fixtures", Path(__file__).with_name("urls.txt")
 NAMES = ["hall.bag", "hall.mcap", "hall"]
-HEIGHTS: dict[str, Any] = {"min_height": 0.1}
+HEIGHTS: dict[str, Any] = {"min_height": -0.3}
 HALL = "memory://bucket/hall.bag"
 
 

@@ -15,7 +15,7 @@ from pc2scan.core.percentiles import percentiles
 from pc2scan.core.rule import PointCounts
 from pc2scan.core.scene import FEWEST_POINTS, MOST_POINTS, WHOLE_POINTS, CloudSample, far_away, gathered, tolerances
 from pc2scan.text import agreeing, counted, height_text
-from pc2scan.transforms.frames import WORLDS
+from pc2scan.transforms.frames import BODIES, WORLDS
 from pc2scan.transforms.motion import body_in, find_body_motion
 from pc2scan.transforms.mounting import is_upside_down, mounting, sensor_exclusion, unit_warning
 from pc2scan.transforms.static import static_text
@@ -43,13 +43,14 @@ NOTABLE_SHARE = 0.25
 _NOTABLE_ABOVE_GROUND = 0.05
 
 #: From this share of beams that end on the floor, or on what is overhead, a warning gives other heights.
-_MOST_FLOOR = 0.3
-_FEWEST_BEAMS = 20
+_MOST_FLOOR, _FEWEST_BEAMS = 0.3, 20
 
 #: A transform is taken for swapped if the sensor is at least this far below the robot's frame, metres, and as far as it
 #: is above the floor, but for this share.
-_BELOW = 0.1
-_NEAR_FLOOR = 0.3
+_BELOW, _NEAR_FLOOR = 0.1, 0.3
+
+#: Things on the floor that are higher than this, metres, are obstacles that no scan should miss.
+_OVERLOOKED = 0.4
 
 #: Half of a floor this far below the lower limit of z, metres, is above it, because ranges are noisy.
 _NOISE = 0.02
@@ -374,6 +375,18 @@ def floor_within_heights(clouds: CloudFacts) -> Iterator[str]:
         f"{share:.0%} of the beams with a return end on it"
         + (f"; without it: {clouds.advice}" if clouds.advice else "")
     )
+
+
+def heights_above_sensor(clouds: CloudFacts) -> Iterator[str]:
+    """Yield a warning if heights seem meant above the floor, but are above a sensor whose mount is recorded."""
+    low, floor = clouds.spec.params.min_height, clouds.samples[0].floor
+    if clouds.spec.params.target_frame or clouds.spec.is_default("min_height") or low <= 0 or floor is None:
+        return
+    if low + floor.height > _OVERLOOKED and clouds.mounting.target_frame in BODIES:
+        yield (
+            f"{clouds.topic}: min_height is {low:g} m above {clouds.source!r}, and {low + floor.height:.2f} m above "
+            f"the floor; heights above the floor: {clouds.advice}"
+        )
 
 
 def ceiling_within_heights(clouds: CloudFacts) -> Iterator[str]:
