@@ -79,6 +79,7 @@ WORLDS = {
         World(HALL, DESKS, "16 rings", (0.2, 0.6, 180.0, 0.0, 0.0), claim=0.0),
         "is upside down",
     ),
+    "upright, and upside down by tf": (World(ROOM, DESKS, "32 rings", at(1.7), claim=180.0), "probably upside down"),
 }
 
 

@@ -162,8 +162,7 @@ def test_a_recorded_mount_that_is_off_is_said_and_corrected(degrees: float, tmp_
     found = pc2scan.info(path)
     (call,) = found.proposals
     is_off = degrees > 1.0
-    said = f"/points: frame 'base_link' is tilted by {degrees:.1f} deg by the transform of 'lidar'"
-    assert [text.startswith(said) for text in found.warnings] == [True] * is_off
+    assert [f" tilted by {degrees:.1f} deg" in text for text in found.warnings] == [True] * is_off
     assert (call.options["target_frame"], "static_tf" in call.options) == ("base_link", is_off)
     assert not pc2scan.convert(path, tmp_path / "scans.mcap", **call.options).warnings
 

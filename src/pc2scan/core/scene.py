@@ -705,14 +705,22 @@ def _choose_ground(points: _Points, *, level_needs_proof: bool = False) -> Groun
     return Ground("slanted" if _are_slanted(planes) else "unknown")
 
 
-def floor_at_side(points: _Points) -> Plane | None:
-    """Return the plane that is the ground if the sensor lies on its side; None if there is none.
+def floor_elsewhere(points: _Points, height: float) -> Plane | None:
+    """Return the plane that is the ground if the transform of a sensor, which is so high, turns it wrongly.
 
-    It may also be a wall beside a level sensor that sees no floor: only a transform can distinguish them.
+    None if there is none: it is as far away, and not level. What is at the side may also be a wall beside a level
+    sensor that sees no floor.
     """
+    if len(points) < FEWEST_POINTS:
+        return None
     planes, view = planes_of(cells_of(points)), _FieldOfView(points)
-    steep = (plane for plane in planes if _STEEPEST < plane.tilt < math.pi - _STEEPEST)
-    return next((plane for plane in steep if not _is_doubtful(plane, planes, view, upside_down=False)), None)
+    for plane in planes:
+        is_large = plane.tilt > LEVEL and plane.share > _LARGE and plane.beyond < _FEW_BEHIND
+        is_steep = _STEEPEST < plane.tilt < math.pi - _STEEPEST
+        doubtful = is_steep and _is_doubtful(plane, planes, view, upside_down=False)
+        if is_large and abs(plane.height - height) < 0.01 + 0.03 * height and not doubtful:
+            return plane
+    return None
 
 
 def _are_slanted(planes: Sequence[Plane]) -> bool:

@@ -15,7 +15,6 @@ import numpy as np
 from pc2scan.core.percentiles import percentiles
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.scene import (
-    FEWEST_POINTS,
     JUDGED_CLOUDS,
     LEVEL,
     NEAR_MOUNT,
@@ -26,7 +25,7 @@ from pc2scan.core.scene import (
     common_ground,
     far_away,
     find_ground,
-    floor_at_side,
+    floor_elsewhere,
     gathered,
     tolerances,
 )
@@ -202,10 +201,9 @@ def mounting(
             )
         if buffer and fault and ground.kind != "slanted" and (moved := _lookup(buffer, judged_in, frame, stamp_ns)):
             return _corrected(seen, judged_in, moved, ground, Rigid.identity())._replace(fault=fault)
-        is_unknown = seen.ground.kind == "unknown"
-        if is_unknown and (lying := _on_its_side(seen, judged_in, transform, Rigid.identity())):
-            return lying
         recorded = _recorded_floor(buffer, judged_in, stamp_ns)
+        if not fault and (turned := _turned(seen, judged_in, transform, Rigid.identity(), recorded)):
+            return turned
         heights = suitable_heights(seen.ground, samples, frame=judged_in, origin_z=origin_z, recorded=recorded)
         return seen._replace(fault=fault, heights=heights)
     if buffer is not None and (by_transforms := _by_transforms(seen, buffer, stamp_ns)):
@@ -244,17 +242,20 @@ def _mounted_on(seen: Mounting, parent: str, parent_from_frame: Rigid, heights: 
     return seen._replace(fault=_fault(seen.ground), target_frame=target, static_tf=static, heights=heights)
 
 
-def _corrected(seen: Mounting, target: str, target_from_frame: Rigid, ground: Ground, turn: Rigid) -> Mounting:
+def _corrected(
+    seen: Mounting, target: str, target_from_frame: Rigid, ground: Ground, turn: Rigid, recorded: float = 0.0
+) -> Mounting:
     """Return the mounting with the recorded transform rotated until the ground is level.
 
-    ``ground`` is the ground by the recorded transform; ``turn`` rotates the samples to its axes.
+    ``ground`` is the ground by the recorded transform; ``turn`` rotates the samples to its axes; for ``recorded``, see
+    `suitable_heights`.
     """
     level = Rigid.from_rpy(*ground.level_from_frame)
     turned = level.compose(target_from_frame).quaternion
     right = Rigid(turned / np.linalg.norm(turned), target_from_frame.translation)
     moved = [level.apply(turn.apply(points)) for points in seen.samples]
-    corrected = common_ground([find_ground(points).believed(points, _height(right)) for points in moved])
-    heights = suitable_heights(corrected, moved, frame=target, origin_z=_height(right))
+    corrected = common_ground([find_ground(points).believed(points, _height(right) - recorded) for points in moved])
+    heights = suitable_heights(corrected, moved, frame=target, origin_z=_height(right), recorded=recorded)
     return _mounted_on(seen, target, right, heights)
 
 
@@ -284,9 +285,9 @@ def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int) -> Mo
     # A transform that tilts the frame says why it is slanted.
     if body_ground.kind == "unknown" and ground.kind == "slanted" and tilt <= LEVEL:
         return None
-    if body_ground.kind == ground.kind == "unknown" and (lying := _on_its_side(seen, name, body_from_frame, turn)):
-        return lying
     recorded = _recorded_floor(buffer, name, stamp_ns)
+    if turned := _turned(seen._replace(ground=body_ground), name, body_from_frame, turn, recorded):
+        return turned
     heights = suitable_heights(body_ground, samples, frame=name, origin_z=height, recorded=recorded)
     # The transform says which of the slanted planes is the floor.
     fault = "" if ground.kind == "slanted" and tilt > LEVEL else _fault(ground)
@@ -306,26 +307,26 @@ def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int) -> Mo
     return seen._replace(fault=fault, target_frame=name, heights=heights)
 
 
-def _on_its_side(seen: Mounting, target: str, target_from_frame: Rigid, turn: Rigid) -> Mounting | None:
-    """Return the mounting of a sensor that lies on its side, and is level by its transform; None if it does not.
+def _turned(seen: Mounting, target: str, target_from_frame: Rigid, turn: Rigid, recorded: float) -> Mounting | None:
+    """Return the mounting of a sensor that its transform turns wrongly; None if it does not.
 
-    What would be the floor then is as far away as the transform says that the sensor is high. For ``turn``, see
-    `_corrected`.
+    No floor is where the transform says, and what would be the floor otherwise is as far away. For ``turn`` and
+    ``recorded``, see `_corrected`.
     """
-    height = _height(target_from_frame)
-    if height <= 0 or _tilt(target_from_frame) > LEVEL:
+    height = _height(target_from_frame) - recorded
+    if height <= ONE_FLOOR or seen.ground.off or abs(seen.ground.height - height) < NEAR_MOUNT * height:
         return None
-    planes = [floor_at_side(turn.apply(points)) for points in seen.samples if len(points) >= FEWEST_POINTS]
-    floors = [plane for plane in planes if plane is not None and abs(plane.height - height) < NEAR_MOUNT * height]
-    if 2 * len(floors) < max(len(planes), 2):
+    floors = [plane for points in seen.samples if (plane := floor_elsewhere(turn.apply(points), height))]
+    if not floors or 2 * len(floors) < len(seen.samples):
         return None
-    up, beside = floors[0].up, floors[0].height
+    up, beside, tilt = floors[0].up, floors[0].height, math.degrees(floors[0].tilt)
+    how = "on its side" if abs(up[2]) < 0.5 else "upside down" if up[2] < 0 else f"tilted by {tilt:.1f} deg"
     fault = (
-        f"probably on its side, with {_direction(up)} up: no floor is visible below the sensor, and at its side there "
-        f"is a plane as far away ({beside:.2f} m) as its transform says that it is high; expected z up"
+        f"probably {how}, with {_direction(up)} up: no floor is visible where its transform says, and there is a plane "
+        f"as far away ({beside:.2f} m) as it says that the sensor is high; expected z up"
     )
-    lying = Ground("tilted", up, beside)
-    return _corrected(seen, target, target_from_frame, lying, turn)._replace(fault=fault)
+    ground = Ground("tilted", up, beside)
+    return _corrected(seen, target, target_from_frame, ground, turn, recorded)._replace(fault=fault)
 
 
 def _height(rigid: Rigid) -> float:
