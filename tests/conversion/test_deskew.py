@@ -123,6 +123,8 @@ def test_a_cloud_before_all_transforms_is_an_error() -> None:
     with pytest.raises(TransformError) as caught:
         Deskew(near, "odom", PointTime())(points([[1, 1, 1]] * 2, [-2_000_000, -1_000_000]))
     assert "`time_offset=auto`" in str(caught.value.hint)
+    # A column is measured at once.
+    assert Deskew(near, "odom", PointTime())(points([[1, 1, 1]] * 2, [5, 5])) is not None
 
 
 @pytest.mark.parametrize(("times", "name", "what"), rows(TABLES, "times that cannot be"))

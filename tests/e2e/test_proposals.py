@@ -42,7 +42,6 @@ WORLDS = {
     "Mid-360 in a corridor, no mount": (World(CORRIDOR, (), "mid-360", at(0.5), has_mount=False, odometry=""), ""),
     "packets": (World(ROOM, DESKS, "packets", at(0.6), "drives"), ""),
     "sparse pattern": (World(ROOM, DESKS, "sparse", at(0.7)), ""),
-    "clouds in odom": (World(ROOM, DESKS, "32 rings", at(0.6), "drives", placed_in="odom"), ""),
     "clouds in base_link": (World(ROOM, DESKS, "mid-360", at(0.3), "drives", placed_in="base_link"), ""),
     "FAST-LIO": (
         World(HALL, DESKS, "mid-360", at(0.6, 0), "drives", 0, False, placed_in=LIO[0], axle=0.6, pair=LIO),
@@ -63,7 +62,7 @@ WORLDS = {
     "mounts on /tf": (World(ROOM, DESKS, "16 rings", at(0.6), "drives", odometry="topic", mounted_by="/tf"), ""),
     "another clock": (World(ROOM, DESKS, "16 rings", at(0.6), "drives", clock=37.0, late=0.31), "--time-offset -37s"),
     "another, in odom": (World(ROOM, DESKS, "32 rings", at(0.6), "drives", placed_in="odom", clock=-99.0), "auto"),
-    "before odometry": (World(ROOM, DESKS, "32 rings", at(0.6), "drives", placed_in="odom", late=0.4), ""),
+    "clouds in odom": (World(ROOM, DESKS, "32 rings", at(0.6), "drives", placed_in="odom", late=0.4), ""),
     "two lidars": (World(ROOM, DESKS, "32 rings", at(0.5), "drives", second=True), ""),
     "street, no mount": (World(None, YARD[:2], "32 rings", at(1.8), has_mount=False, odometry=""), ""),
     "car park, no mount": (

@@ -64,7 +64,6 @@ WORLDS = {
         Drive(),
         {"topics": ("/front:=/scan", "/rear:=/scan"), "deskew": True, "fixed_frame": "odom"},
     ),
-    "packets": World((replace(FRONT, kind="packets"),), Drive(), {"every": 0.1, "deskew": True, "fixed_frame": "odom"}),
     "rosette": World(
         (replace(FRONT, kind="rosette", columns=800),),
         Drive(speed=0.3, turn=0.1),

@@ -74,7 +74,7 @@ def test_valid_orientations_are_up(ros_version: int) -> None:
     assert found.stamps_ns.tolist() == (EPOCH + world.stamps_ns).tolist()
     np.testing.assert_allclose(found.directions, world.ups, atol=1e-12)
     assert found.notes == ("/imu: up is computed from the orientations of 200 messages",)
-    assert not found.warnings
+    assert (found.warnings, found.is_felt) == ((), False)
 
 
 @pytest.mark.parametrize(
@@ -89,7 +89,8 @@ def test_without_them_gyroscope_and_accelerometer_are(further: dict[str, Any], w
     world = simulated(20)
     found = read(recording(*of(world, **further)))
     assert errors(found.directions, world.ups).max() < 0.8
-    assert found.notes == (f"/imu: up is estimated from gyroscope and accelerometer of 2,000 messages: {why}",)
+    note = f"/imu: up is estimated from gyroscope and accelerometer of 2,000 messages: {why}"
+    assert (found.notes, found.is_felt) == ((note,), True)
 
 
 def test_messages_out_of_order_repeated_and_damaged() -> None:
