@@ -196,11 +196,11 @@ def _tried(choices: list[Choice], group: Sequence[Lidar]) -> tuple[list[Choice],
             break
         after = [tried({**options, **added}, lidar) for lidar in group]
         lying, missed = max(trial.lying for trial in after), max(map(Trial.missed_in, trials, after))
-        # Limits may be above what stands, so they are for much that lies.
-        if lying <= worst / 2 if "ground" in added else worst > _TOLD and lying <= _LYING and missed <= _MISSED:
+        if lying <= worst / 2 if "ground" in added else lying <= _LYING and missed <= _MISSED:
             # What is missed may be ground that is on no plane.
             outcomes.append((lying + missed / 2, lying, way, after))
-        if lying + missed <= _LYING:
+        # Limits may be above what stands, so they are for much that lies.
+        if lying + missed <= _LYING or worst <= _TOLD:
             break
     _, lying, way, after = min(outcomes, key=itemgetter(0))
     said = f"{lying:.0%} of a cloud's returns may be on {on_what}; `pc2scan view` shows them"
