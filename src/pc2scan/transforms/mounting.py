@@ -27,6 +27,7 @@ from pc2scan.core.scene import (
     find_ground,
     floor_elsewhere,
     gathered,
+    sectors_of,
     tolerances,
 )
 
@@ -54,9 +55,9 @@ _AROUND = 0.4
 #: The least share of the points that heights are judged by.
 _FEWEST_SHARE = 0.001
 
-#: What is nearer than this share of the farthest in one of so many directions is before a wall. So many cells of it may
-#: be noise. Lidars of robots are at most so high, metres.
-_BEFORE, _DIRECTIONS, _STRAY, _HIGHEST = 0.8, 72, 5, 2.2
+#: What is nearer than this share of the farthest in a direction, so many degrees wide, is before a wall. So many cells
+#: of it may be noise. Lidars of robots are at most so high, metres.
+_BEFORE, _WIDE, _STRAY, _HIGHEST = 0.8, 5.0, 5, 2.2
 
 #: Names that `static_tf` can have: without blanks and commas, which separate its parts.
 _WORD = re.compile(r"[^\s,]+")
@@ -227,8 +228,7 @@ def _may_be_ceiling(ground: Ground, samples: Sequence[NDArray[np.float64]]) -> b
     top = percentiles(height, 99)[0] if ground.ceiling is None else ground.height + ground.ceiling
     between = np.minimum(height, top - height) > 3 * tolerances(cells)
     # Walls are what is farthest away in a direction.
-    direction = (np.arctan2(cells[:, 1], cells[:, 0]) * _DIRECTIONS / math.tau).astype(np.intp)
-    wall = np.zeros(_DIRECTIONS)
+    direction, wall = sectors_of(cells, _WIDE), np.zeros(math.ceil(360 / _WIDE))
     np.maximum.at(wall, direction[between], ranges[between])
     before = between & (ranges < _BEFORE * wall[direction])
     stands, hangs = (np.count_nonzero(before & part) for part in (height < top / 2, height >= top / 2))
