@@ -104,10 +104,9 @@ def _refuse_loop(static: StaticTransform, buffer: TransformBuffer) -> None:
     if child not in above:
         return
     way = " in ".join(above[: above.index(child) + 1])
-    swapped = static_text(child, parent, static)
     raise UsageError(
         f"`static_tf` makes {parent} the parent of {child}, which is above {parent} already: {way}",
-        hint=f"the parent comes first; `static_tf='{swapped}'` replaces the recorded transform",
+        hint=f"the parent comes first: `static_tf='{child} {parent} X Y Z ROLL PITCH YAW'` replaces what is recorded",
     )
 
 

@@ -418,6 +418,9 @@ def _robot_transforms(reader: Reader, request: Request, span: Span) -> Transform
 _MOST_READ = 30
 _UNCONNECTED = 10
 
+#: How many topics are judged, each of which is read by itself: more than any robot has, fewer than a file can declare.
+_MOST_TOPICS = 30
+
 
 def judge_first(prepared: Preparation, report: Report, tally: Tally | None = None) -> None:
     """Add to the report what the first clouds of each topic show.
@@ -429,7 +432,7 @@ def judge_first(prepared: Preparation, report: Report, tally: Tally | None = Non
     """
     reader, tell, routes = prepared.reader, prepared.tell, prepared.routes
     converted = [route.connection for route in routes.values() if any(output.spec for output in route.outputs)]
-    for topic, connections in by_topic(converted).items():
+    for topic, connections in list(by_topic(converted).items())[:_MOST_TOPICS]:
         specs = {output.spec for own in connections for output in routes[own.id].outputs}
         specs = {spec for spec in specs if spec and not spec.reverse}
         clouds: dict[ScanSpec, CloudFacts] = {}

@@ -319,6 +319,6 @@ class Report(Result):
             declared, recovered = self.messages_declared, counted(self.messages_read, "message")
             if declared is not None and declared > self.messages_read:
                 recovered = f"{self.messages_read:,} of the {declared:,} messages that the source declares"
-            if not any(place.loses for place in self.damage):
+            if not (self.skipped_count or any(place.loses for place in self.damage)):
                 recovered += "; nothing is known to be lost"
             yield Remark("recovered", recovered)
