@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 
     from .buffer import TransformBuffer
 
+    _Samples = Sequence[NDArray[np.float64]]
+
 #: Transforms that tilt a sensor by more than this, radians, are reported even if no ground is visible.
 _NOTABLE_TILT = math.radians(10.0)
 
@@ -201,9 +203,9 @@ def mounting(
                 "level; expected a mount that leaves it level"
             )
         if buffer and fault and ground.kind != "slanted" and (moved := _lookup(buffer, judged_in, frame, stamp_ns)):
-            return _corrected(seen, judged_in, moved, ground, Rigid.identity())._replace(fault=fault)
+            return _corrected(seen, judged_in, moved, ground, samples)._replace(fault=fault)
         recorded = _recorded_floor(buffer, judged_in, stamp_ns)
-        if not fault and (turned := _turned(seen, judged_in, transform, Rigid.identity(), recorded)):
+        if not fault and (turned := _turned(seen, judged_in, transform, samples, recorded)):
             return turned
         heights = suitable_heights(seen.ground, samples, frame=judged_in, origin_z=origin_z, recorded=recorded)
         return seen._replace(fault=fault, heights=heights)
@@ -221,7 +223,7 @@ def mounting(
     return _mounted_on(seen, name, level, suitable_heights(seen.ground, samples, level))
 
 
-def _may_be_ceiling(ground: Ground, samples: Sequence[NDArray[np.float64]]) -> bool:
+def _may_be_ceiling(ground: Ground, samples: _Samples) -> bool:
     """Return whether what seems the floor may be the ceiling: more hangs than stands, or it is far away and bare."""
     cells = cells_of(np.concatenate(samples))
     ranges, height = np.hypot(cells[:, 0], cells[:, 1]), cells @ np.array(ground.normal) + ground.height
@@ -243,19 +245,20 @@ def _mounted_on(seen: Mounting, parent: str, parent_from_frame: Rigid, heights: 
 
 
 def _corrected(
-    seen: Mounting, target: str, target_from_frame: Rigid, ground: Ground, turn: Rigid, recorded: float = 0.0
+    seen: Mounting, target: str, target_from_frame: Rigid, ground: Ground, samples: _Samples, recorded: float = 0.0
 ) -> Mounting:
     """Return the mounting with the recorded transform rotated until the ground is level.
 
-    ``ground`` is the ground by the recorded transform; ``turn`` rotates the samples to its axes; for ``recorded``, see
+    ``ground`` is the ground by the recorded transform; ``samples`` are in its axes; for ``recorded``, see
     `suitable_heights`.
     """
     level = Rigid.from_rpy(*ground.level_from_frame)
     turned = level.compose(target_from_frame).quaternion
     right = Rigid(turned / np.linalg.norm(turned), target_from_frame.translation)
-    moved = [level.apply(turn.apply(points)) for points in seen.samples]
-    corrected = common_ground([find_ground(points).believed(points, _height(right) - recorded) for points in moved])
-    heights = suitable_heights(corrected, moved, frame=target, origin_z=_height(right), recorded=recorded)
+    moved = [level.apply(points) for points in samples]
+    height = float(right.translation[2])
+    corrected = common_ground([find_ground(points).believed(points, height - recorded) for points in moved])
+    heights = suitable_heights(corrected, moved, frame=target, origin_z=height, recorded=recorded)
     return _mounted_on(seen, target, right, heights)
 
 
@@ -273,20 +276,20 @@ def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int) -> Mo
     name, body_from_frame = body
     turn = body_from_frame.rotation
     samples = [turn.apply(points) for points in seen.samples]
-    height = _height(body_from_frame)
+    height = float(body_from_frame.translation[2])
     body_ground = common_ground([find_ground(points).believed(points, height) for points in samples])
     ground = ground.believed(seen.samples[0], height) if ground.off and body_ground.kind != "level" else ground
     if body_ground.off and "slanted" in {body_ground.kind, ground.kind}:
         return None
     if body_ground.off:
         # The frame itself is level and its transform tilts it, so the transform is wrong.
-        return _corrected(seen, name, body_from_frame, body_ground, turn) if ground.off else None
+        return _corrected(seen, name, body_from_frame, body_ground, samples) if ground.off else None
     tilt = _tilt(body_from_frame)
     # A transform that tilts the frame says why it is slanted.
     if body_ground.kind == "unknown" and ground.kind == "slanted" and tilt <= LEVEL:
         return None
     recorded = _recorded_floor(buffer, name, stamp_ns)
-    if turned := _turned(seen._replace(ground=body_ground), name, body_from_frame, turn, recorded):
+    if turned := _turned(seen._replace(ground=body_ground), name, body_from_frame, samples, recorded):
         return turned
     heights = suitable_heights(body_ground, samples, frame=name, origin_z=height, recorded=recorded)
     # The transform says which of the slanted planes is the floor.
@@ -307,17 +310,17 @@ def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int) -> Mo
     return seen._replace(fault=fault, target_frame=name, heights=heights)
 
 
-def _turned(seen: Mounting, target: str, target_from_frame: Rigid, turn: Rigid, recorded: float) -> Mounting | None:
+def _turned(seen: Mounting, target: str, moved: Rigid, samples: _Samples, recorded: float) -> Mounting | None:
     """Return the mounting of a sensor that its transform turns wrongly; None if it does not.
 
-    No floor is where the transform says, and what would be the floor otherwise is as far away. For ``turn`` and
-    ``recorded``, see `_corrected`.
+    No floor is where the transform to the target says, and what would be the floor otherwise is as far away. For
+    ``samples`` and ``recorded``, see `_corrected`.
     """
-    height = _height(target_from_frame) - recorded
+    height = float(moved.translation[2]) - recorded
     if height <= ONE_FLOOR or seen.ground.off or abs(seen.ground.height - height) < NEAR_MOUNT * height:
         return None
-    floors = [plane for points in seen.samples if (plane := floor_elsewhere(turn.apply(points), height))]
-    if not floors or 2 * len(floors) < len(seen.samples):
+    floors = [plane for points in samples if (plane := floor_elsewhere(points, height))]
+    if not floors or 2 * len(floors) < len(samples):
         return None
     up, beside, tilt = floors[0].up, floors[0].height, math.degrees(floors[0].tilt)
     how = "on its side" if abs(up[2]) < 0.5 else "upside down" if up[2] < 0 else f"tilted by {tilt:.1f} deg"
@@ -325,12 +328,7 @@ def _turned(seen: Mounting, target: str, target_from_frame: Rigid, turn: Rigid, 
         f"probably {how}, with {_direction(up)} up: no floor is visible where its transform says, and there is a plane "
         f"as far away ({beside:.2f} m) as it says that the sensor is high; expected z up"
     )
-    ground = Ground("tilted", up, beside)
-    return _corrected(seen, target, target_from_frame, ground, turn, recorded)._replace(fault=fault)
-
-
-def _height(rigid: Rigid) -> float:
-    return float(rigid.translation[2])
+    return _corrected(seen, target, moved, Ground("tilted", up, beside), samples, recorded)._replace(fault=fault)
 
 
 def _static(parent: str, child: str, rigid: Rigid) -> str:
@@ -369,7 +367,7 @@ def _recorded_floor(buffer: TransformBuffer | None, frame: str, stamp_ns: int) -
     if buffer is None or "base_footprint" not in buffer.frames:
         return 0.0
     moved = _lookup(buffer, frame, "base_footprint", stamp_ns)
-    return 0.0 if moved is None else _height(moved)
+    return 0.0 if moved is None else float(moved.translation[2])
 
 
 def _tilt(rigid: Rigid) -> float:
