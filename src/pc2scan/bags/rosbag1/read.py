@@ -263,7 +263,7 @@ def scan_messages(
     # The class's constructor takes twice as long, which matters for small messages.
     new: Callable[[type[RawMessage], tuple[object, ...]], RawMessage] = tuple.__new__
     append = messages.append
-    layout, front, middle = current = USUAL_LAYOUT
+    layout, front, middle, last_part, middle_at, conn_at, time_at = current = USUAL_LAYOUT
     prefix, end = layout.size, len(data)
     position = count = 0
     while position < end:
@@ -271,11 +271,11 @@ def scan_messages(
         while position < pause:
             origin = position
             values = layout.unpack_from(data, position) if position + prefix <= end else None
-            if values and values[0] == front and values[2] == middle:
-                identity = values[1]
-                stamp = values[3] * SECOND_NS + values[4]
+            if values and values[0] == front and values[middle_at] == middle and values[5] == last_part:
+                identity = values[conn_at]
+                stamp = values[time_at] * SECOND_NS + values[time_at + 1]
                 start = position + prefix
-                position = start + values[5]
+                position = start + values[6]
                 if position > end:
                     raise FormatError(f"a message reaches to byte {position} of a chunk of {end} bytes")
             else:
@@ -283,7 +283,7 @@ def scan_messages(
                 # Writers use one order of fields: use it from now on, and read this record again.
                 other = LAYOUTS.get(tuple(fields), current)
                 if other is not current and kind == MESSAGE:
-                    layout, front, middle = current = other
+                    layout, front, middle, last_part, middle_at, conn_at, time_at = current = other
                     continue
                 position = following
                 if position > end:

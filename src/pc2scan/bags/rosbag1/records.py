@@ -219,12 +219,16 @@ def records_of(file: BagFile, segment: Segment) -> Iterator[tuple[BagRecord, mem
 
 
 _CONN, _OP, _TIME = b"\x09\0\0\0conn=", b"\x04\0\0\0op=\x02", b"\x0d\0\0\0time="
+_LENGTH = b"\x26\0\0\0"
 
-#: A message record up to its body, and its literals before and behind the connection, by the order of its fields: that
-#: of ROS 1's recorder, and that of its Python library and of rosbags. Other orders are read field by field.
-LAYOUTS: Mapping[tuple[bytes, ...], tuple[struct.Struct, bytes, bytes]] = {
-    (b"conn", b"op", b"time"): (struct.Struct("<13sI17sIII"), b"\x26\0\0\0" + _CONN, _OP + _TIME),
-    (b"op", b"conn", b"time"): (struct.Struct("<21sI9sIII"), b"\x26\0\0\0" + _OP + _CONN, _TIME),
+#: A message record up to its body, by the order of its fields: that of ROS 1's recorder, of its Python library and
+#: rosbags, and of that library in Python 2. Other orders are read field by field. Of the record's seven values, the
+#: first and the sixth are literals, and the last is the length of the body. Behind the three literals are the places of
+#: the second one, of the connection, and of the seconds, which nanoseconds follow.
+LAYOUTS: Mapping[tuple[bytes, ...], tuple[struct.Struct, bytes, bytes, bytes, int, int, int]] = {
+    (b"conn", b"op", b"time"): (struct.Struct("<13sI17sII0sI"), _LENGTH + _CONN, _OP + _TIME, b"", 2, 1, 3),
+    (b"op", b"conn", b"time"): (struct.Struct("<21sI9sII0sI"), _LENGTH + _OP + _CONN, _TIME, b"", 2, 1, 3),
+    (b"time", b"conn", b"op"): (struct.Struct("<13sII9sI8sI"), _LENGTH + _TIME, _CONN, _OP, 3, 4, 1),
 }
 USUAL_LAYOUT = LAYOUTS[b"conn", b"op", b"time"]
 

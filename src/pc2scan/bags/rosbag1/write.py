@@ -103,7 +103,7 @@ class Rosbag1Writer(Writer):
         """
         handle = self._ids.take(connection.id)
         self._connections[handle] = _pack_connection(handle, connection)
-        self._prefixes[handle] = UINT32.pack(handle).join(USUAL_LAYOUT[1:])
+        self._prefixes[handle] = UINT32.pack(handle).join(USUAL_LAYOUT[1:3])
         return handle
 
     def write(self, handle: int, log_time_ns: int, data: Buffer, publish_time_ns: int, sequence: int = 0) -> None:
