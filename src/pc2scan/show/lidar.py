@@ -70,7 +70,7 @@ _SPARSE = 60_000
 
 #: How many clouds of a topic are tried, and how many points of each.
 _CLOUDS = 3
-_POINTS = 60_000
+_POINTS = 30_000
 
 #: Clouds are packets if one has less than this share of the directions that several have: so many at least.
 _PART = 0.6
