@@ -113,6 +113,17 @@ def interpolate_poses(first: Pose, last: Pose, ratio: float) -> Pose:
     )
 
 
+def difference(one: TransformRow, other: TransformRow) -> tuple[float, float]:
+    """Return how far two transforms are apart, metres and radians; 0 if their parents differ, NaN for no rotation."""
+    if one[0] != other[0]:
+        return 0.0, 0.0
+    try:
+        turned = 2 * _half_angle(one[6:], other[6:])[0]
+    except ZeroDivisionError:
+        turned = math.nan
+    return math.dist(one[3:6], other[3:6]), turned
+
+
 def _half_angle(first: Sequence[float], last: Sequence[float]) -> tuple[float, float]:
     """Return half the angle between two rotations on the shorter way, and the sign of the second one for it."""
     i0, j0, k0, r0 = first
@@ -253,6 +264,11 @@ class Rigid:
                     given = scaled / np.sqrt(scaled @ scaled)
             given.flags.writeable = False
             object.__setattr__(self, name, given)
+
+    @property
+    def tilt(self) -> float:
+        """The angle between the z axes of the two frames, radians."""
+        return math.acos(max(-1.0, min(1.0, float(self.matrix[2, 2]))))
 
     @classmethod
     def identity(cls) -> Rigid:

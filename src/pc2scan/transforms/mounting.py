@@ -284,7 +284,7 @@ def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int) -> Mo
     if body_ground.off:
         # The frame itself is level and its transform tilts it, so the transform is wrong.
         return _corrected(seen, name, body_from_frame, body_ground, samples) if ground.off else None
-    tilt = _tilt(body_from_frame)
+    tilt = body_from_frame.tilt
     # A transform that tilts the frame says why it is slanted.
     if body_ground.kind == "unknown" and ground.kind == "slanted" and tilt <= LEVEL:
         return None
@@ -349,7 +349,7 @@ def _short(number: str) -> str:
 def is_upside_down(buffer: TransformBuffer, frame: str, stamp_ns: int) -> bool:
     """Return whether a frame is upside down by its transform to the robot's frame."""
     body = _body(buffer, frame, stamp_ns)
-    return body is not None and _tilt(body[1]) > math.pi - _NOTABLE_TILT
+    return body is not None and body[1].tilt > math.pi - _NOTABLE_TILT
 
 
 def _body(buffer: TransformBuffer, frame: str, stamp_ns: int) -> tuple[str, Rigid] | None:
@@ -368,11 +368,6 @@ def _recorded_floor(buffer: TransformBuffer | None, frame: str, stamp_ns: int) -
         return 0.0
     moved = _lookup(buffer, frame, "base_footprint", stamp_ns)
     return 0.0 if moved is None else float(moved.translation[2])
-
-
-def _tilt(rigid: Rigid) -> float:
-    """Return the angle between the z axes of two frames, radians."""
-    return math.acos(max(-1.0, min(1.0, float(rigid.matrix[2, 2]))))
 
 
 def _ancestors(buffer: TransformBuffer, frame: str, stamp_ns: int) -> list[tuple[str, Rigid]]:

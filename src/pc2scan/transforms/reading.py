@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.bags.observers import Observer, observe
 from pc2scan.bags.topics import by_topic
+from pc2scan.core.rigid import difference
 from pc2scan.errors import DecodeError, RecordingError, UsageError, name_list
 from pc2scan.messages.poses import POSES
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
@@ -39,7 +40,7 @@ _SOME_NS = 1_000_000_000
 _SOME_MESSAGES = 1_000
 _END_NS = 2**63
 
-#: A frame moves if its translations differ by this much, metres.
+#: A transform is another one if it differs by this much, metres or radians.
 _MOVES = 0.05
 
 
@@ -125,12 +126,12 @@ class TransformReading:
         self._options = options
         self._builder = TransformBuilder()
         self._warnings: dict[str, int] = {}
-        self._notes: list[str] = []
+        self._notes: dict[str, None] = {}
         self.poses: list[PoseReading] = []
         self._models: list[RobotModel] = [] if options.model is None else [options.model]
         # Added first, so that they replace the recording's: users add transforms because those are wrong or missing.
         self._builder.add((static.row(0) for static in options.static), static=True)
-        self._overridden = {static.child.removeprefix("/") for static in options.static}
+        self._overridden = {static.child.removeprefix("/"): static.row(0) for static in options.static}
 
     def observers(self, reader: Reader, *, own: bool = True) -> list[Observer[Any]]:
         """Return the observers of all transforms of a recording, anywhere in the files; none if it has none.
@@ -198,14 +199,13 @@ class TransformReading:
             is_named = all(POSES[connection.ros_type] for connection in candidates[topic])
             if use and is_named and len(fitting) == 1:
                 observe((reader, [self._pose_observer(PoseTopic(topic), reader)]))
-                self._notes.append(
-                    f"no transform has the frame {parent if parent in missing else child}: the poses of {topic} are "
-                    f"used ({child} in {parent}), as with `odom_topic={topic}`"
-                )
+                frame = parent if parent in missing else child
+                used = f"the poses of {topic} are used ({child} in {parent}), as with `odom_topic={topic}`"
+                self._notes[f"no transform has the frame {frame}: {used}"] = None
             else:
                 value = topic if is_named else f"{topic}:base_link"
                 poses = f"{topic} has poses of {child} in {parent}, which are in no transform"
-                self._notes.append(f"{poses}: `odom_topic={value}` uses them")
+                self._notes[f"{poses}: `odom_topic={value}` uses them"] = None
 
     def _pairs(self) -> Iterator[tuple[str, str]]:
         """Yield the pairs of frames of all sources."""
@@ -232,8 +232,12 @@ class TransformReading:
         if self._overridden:
             for row in rows:
                 parent, child, *_ = row
-                if child.removeprefix("/") in self._overridden and _differs(row, first.setdefault(child, row)):
+                given = self._overridden.get(child.removeprefix("/"))
+                if given and difference(row, first.setdefault(child, row))[0] > _MOVES:
                     warnings[f"`static_tf` replaces the transforms of {child} in {parent}, which move"] = 1
+                elif given and max(apart := difference(row, given)) > _MOVES:
+                    by = f"{apart[0]:.2f} m and {math.degrees(apart[1]):.0f} deg away"
+                    self._notes[f"`static_tf` replaces the recorded transform of {child} in {parent}, {by}"] = None
             rows = [row for row in rows if row[1].removeprefix("/") not in self._overridden]
         try:
             self._builder.add(rows, static=connection.is_static)
@@ -344,11 +348,6 @@ def read_transforms(
     if needed:
         reading.supply(readers[0], needed)
     return reading.finish()
-
-
-def _differs(row: TransformRow, first: TransformRow) -> bool:
-    """Whether the translations of two transforms with the same parent differ by more than measuring a mount does."""
-    return row[0] == first[0] and math.dist(row[3:6], first[3:6]) > _MOVES
 
 
 class RobotTransforms:
