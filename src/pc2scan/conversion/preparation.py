@@ -272,7 +272,7 @@ def _look_ahead(
     known.buffer = buffer = transforms.buffer if transforms is not None and placed_specs else None
     if transforms is not None:
         tell(*transforms.warnings)
-        prepared.notes += transforms.notes
+        prepared.notes += (*transforms.notes, *transforms.replaced)
     if frames.trajectory is not None:
         refuse_other_clock(frames.trajectory, placed, span, reader.summary.end_ns)
     if buffer is not None:

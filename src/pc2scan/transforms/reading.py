@@ -38,7 +38,6 @@ if TYPE_CHECKING:
 #: Duration, and number of messages, of moving transforms that are read to find the transforms between a robot's frames.
 _SOME_NS = 1_000_000_000
 _SOME_MESSAGES = 1_000
-_END_NS = 2**63
 
 #: A transform is another one if it differs by this much, metres or radians.
 _MOVES = 0.05
@@ -96,6 +95,8 @@ class RecordedTransforms(NamedTuple):
         Poses of topics and of a file that are among them.
     static
         Static transforms that were added: the user's, and joints of robots' models.
+    replaced
+        Which recorded transforms the user's replace, and how far they are apart.
     """
 
     buffer: TransformBuffer
@@ -103,6 +104,7 @@ class RecordedTransforms(NamedTuple):
     notes: list[str]
     poses: tuple[AddedPoses, ...] = ()
     static: tuple[StaticTransform, ...] = ()
+    replaced: tuple[str, ...] = ()
 
 
 class TransformReading:
@@ -126,7 +128,8 @@ class TransformReading:
         self._options = options
         self._builder = TransformBuilder()
         self._warnings: dict[str, int] = {}
-        self._notes: dict[str, None] = {}
+        self._notes: list[str] = []
+        self._replaced: dict[str, None] = {}
         self.poses: list[PoseReading] = []
         self._models: list[RobotModel] = [] if options.model is None else [options.model]
         # Added first, so that they replace the recording's: users add transforms because those are wrong or missing.
@@ -201,11 +204,11 @@ class TransformReading:
                 observe((reader, [self._pose_observer(PoseTopic(topic), reader)]))
                 frame = parent if parent in missing else child
                 used = f"the poses of {topic} are used ({child} in {parent}), as with `odom_topic={topic}`"
-                self._notes[f"no transform has the frame {frame}: {used}"] = None
+                self._notes.append(f"no transform has the frame {frame}: {used}")
             else:
                 value = topic if is_named else f"{topic}:base_link"
                 poses = f"{topic} has poses of {child} in {parent}, which are in no transform"
-                self._notes[f"{poses}: `odom_topic={value}` uses them"] = None
+                self._notes.append(f"{poses}: `odom_topic={value}` uses them")
 
     def _pairs(self) -> Iterator[tuple[str, str]]:
         """Yield the pairs of frames of all sources."""
@@ -237,7 +240,7 @@ class TransformReading:
                     warnings[f"`static_tf` replaces the transforms of {child} in {parent}, which move"] = 1
                 elif given and max(apart := difference(row, given)) > _MOVES:
                     by = f"{apart[0]:.2f} m and {math.degrees(apart[1]):.0f} deg away"
-                    self._notes[f"`static_tf` replaces the recorded transform of {child} in {parent}, {by}"] = None
+                    self._replaced[f"`static_tf` replaces the recorded transform of {child} in {parent}, {by}"] = None
             rows = [row for row in rows if row[1].removeprefix("/") not in self._overridden]
         try:
             self._builder.add(rows, static=connection.is_static)
@@ -276,7 +279,7 @@ class TransformReading:
             f"{counted(r.count, 'transform')} from {r.parent!r} to {r.child!r} not usable: {r.reason}"
             for r in buffer.rejections
         ]
-        return RecordedTransforms(buffer, texts, notes, poses, tuple(static))
+        return RecordedTransforms(buffer, texts, notes, poses, tuple(static), tuple(self._replaced))
 
     def _add_poses(self, notes: list[str]) -> tuple[tuple[AddedPoses, ...], list[str]]:
         """Add poses as transforms; return them and warnings, and append notes."""
@@ -389,7 +392,7 @@ class RobotTransforms:
         self.observers = [Observer(own, copied_message, most) for own, most in firsts if own]
         moving += poses if connections else ()
         times_ns = sorted(set(times_ns)) if moving else []
-        for begin_ns, next_ns in zip_longest(times_ns, times_ns[1:], fillvalue=_END_NS):
+        for begin_ns, next_ns in zip_longest(times_ns, times_ns[1:], fillvalue=2**63):
             end_ns = min(begin_ns + _SOME_NS, next_ns)
             self.observers.append(Observer(moving, copied_message, _SOME_MESSAGES, begin_ns, end_ns))
 
