@@ -126,7 +126,7 @@ def test_the_way_of_a_robot_tells_which_way_round_its_odometry_is() -> None:
 
 def test_a_robot_tilts_by_what_its_floor_shows_or_curves_do_not_explain() -> None:
     said = [(0.01, None, 0.0), (0.05, None, 0.0), (0.05, None, 0.04), (0.05, 0.01, 0.0), (0.05, 0.03, 0.04)]
-    assert [tilts(*each) for each in said] == [False, True, False, False, True]
+    assert [tilts(by, [floor].pop, felt) for by, floor, felt in said] == [False, True, False, False, True]
 
 
 @pytest.mark.parametrize(("clock", "deskew"), [(-0.06, True), (0.03, False)])

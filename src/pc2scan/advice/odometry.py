@@ -441,7 +441,7 @@ def floor_tilt(clouds: Iterable[NDArray[np.float64]]) -> float | None:
     return spread_of_up(np.array(ups)) if len(ups) >= JUDGED_CLOUDS else None
 
 
-def tilts(radians: float, of_floor: float | None, felt: float = 0.0) -> bool:
+def tilts(radians: float, of_floor: Callable[[], float | None], felt: float = 0.0) -> bool:
     """Return whether a robot tilts by as much as odometry, or an IMU, says.
 
     Parameters
@@ -449,11 +449,11 @@ def tilts(radians: float, of_floor: float | None, felt: float = 0.0) -> bool:
     radians
         How much that is.
     of_floor
-        See `floor_tilt`: a robot that drives on a slope does not tilt against it.
+        Returns `floor_tilt`, where it matters: a robot that drives on a slope does not tilt against it.
     felt
         What an IMU feels in curves, radians, which is no tilt.
     """
-    return radians > _TILTS and (radians > _TILTS + felt if of_floor is None else of_floor >= radians / 2)
+    return radians > _TILTS and (radians > _TILTS + felt if (floor := of_floor()) is None else floor >= radians / 2)
 
 
 def _are_walls(points: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -320,7 +320,7 @@ def _times(group: Sequence[Lidar]) -> Iterator[Choice]:
     within_cloud = lidar.motion(lidar.duration or lidar.period or 0.1)
     gathered = turn or clouds * lidar.period or (lidar.period if group[1:] else 0.0)
     within_scan = lidar.motion(gathered) if gathered else within_cloud
-    is_level = within_scan is None or not tilts(within_scan.tilt, lidar.floor_tilt)
+    is_level = within_scan is None or not tilts(within_scan.tilt, lambda: lidar.floor_tilt)
     deskews = (not is_level or _moves(within_cloud) or _moves(within_scan)) and all(lidar.duration for lidar in group)
     if turn:
         yield Choice("every", float(f"{turn:.4g}"), f"a cloud is a part of a turn, which takes {turn:.3g} s")
@@ -397,8 +397,8 @@ def _level_by_imu(lidar: Lidar) -> Iterator[Choice]:
     motion = lidar.motion(0.1)
     curves = 0.0 if motion is None else 100 * motion.metres * motion.radians / GRAVITY
     for topic, up in lidar.ups.items():
-        angle, of_floor = spread_of_up(up.directions), lidar.floor_tilt
-        if tilts(angle, of_floor, curves * up.is_felt) and up.z_of(lidar.target or lidar.mounting.frame, lidar.buffer):
+        angle, z = spread_of_up(up.directions), up.z_of(lidar.target or lidar.mounting.frame, lidar.buffer)
+        if z and tilts(angle, lambda: lidar.floor_tilt, curves * up.is_felt):
             yield Choice("level", True, f"roll and pitch vary by {math.degrees(angle):.1f} deg, by the IMU")
             yield Choice("imu", topic, "no transforms say how the robot tilts")
             return

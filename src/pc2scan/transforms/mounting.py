@@ -274,9 +274,8 @@ def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int) -> Mo
                 return seen._replace(fault=_fault(ground), target_frame=name, heights=heights)
         return None
     name, body_from_frame = body
-    turn = body_from_frame.rotation
-    samples = [turn.apply(points) for points in seen.samples]
     height = float(body_from_frame.translation[2])
+    samples = [body_from_frame.rotation.apply(points) for points in seen.samples]
     body_ground = common_ground([find_ground(points).believed(points, height) for points in samples])
     ground = ground.believed(seen.samples[0], height) if ground.off and body_ground.kind != "level" else ground
     if body_ground.off and "slanted" in {body_ground.kind, ground.kind}:
@@ -304,7 +303,7 @@ def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int) -> Mo
             how = "upside down"
             if body_ground.kind == "level" and body_ground.up is not None:
                 # What seems the floor in the frame itself is the ceiling.
-                x, y, z = (np.array(body_ground.up) @ turn.matrix).tolist()
+                x, y, z = (np.array(body_ground.up) @ body_from_frame.matrix).tolist()
                 seen = seen._replace(ground=body_ground._replace(kind="upside-down", up=(x, y, z)))
         fault = f"{how} according to its transform to {name!r}; expected z up"
     return seen._replace(fault=fault, target_frame=name, heights=heights)

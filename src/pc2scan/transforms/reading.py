@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from itertools import zip_longest
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -129,7 +130,7 @@ class TransformReading:
         self._builder = TransformBuilder()
         self._warnings: dict[str, int] = {}
         self._notes: list[str] = []
-        self._replaced: dict[str, None] = {}
+        self._replaced: dict[str, str] = {}
         self.poses: list[PoseReading] = []
         self._models: list[RobotModel] = [] if options.model is None else [options.model]
         # Added first, so that they replace the recording's: users add transforms because those are wrong or missing.
@@ -239,8 +240,8 @@ class TransformReading:
                 if given and difference(row, first.setdefault(child, row))[0] > _MOVES:
                     warnings[f"`static_tf` replaces the transforms of {child} in {parent}, which move"] = 1
                 elif given and max(apart := difference(row, given)) > _MOVES:
-                    by = f"{apart[0]:.2f} m and {math.degrees(apart[1]):.0f} deg away"
-                    self._replaced[f"`static_tf` replaces the recorded transform of {child} in {parent}, {by}"] = None
+                    one = f"of {child} in {parent}, {apart[0]:.2f} m and {math.degrees(apart[1]):.0f} deg away"
+                    self._replaced.setdefault(child, f"`static_tf` replaces the recorded transform {one}")
             rows = [row for row in rows if row[1].removeprefix("/") not in self._overridden]
         try:
             self._builder.add(rows, static=connection.is_static)
@@ -279,7 +280,7 @@ class TransformReading:
             f"{counted(r.count, 'transform')} from {r.parent!r} to {r.child!r} not usable: {r.reason}"
             for r in buffer.rejections
         ]
-        return RecordedTransforms(buffer, texts, notes, poses, tuple(static), tuple(self._replaced))
+        return RecordedTransforms(buffer, texts, notes, poses, tuple(static), tuple(self._replaced.values()))
 
     def _add_poses(self, notes: list[str]) -> tuple[tuple[AddedPoses, ...], list[str]]:
         """Add poses as transforms; return them and warnings, and append notes."""
@@ -379,7 +380,8 @@ class RobotTransforms:
         self, reader: Reader, options: FrameOptions, times_ns: Sequence[int], poses: Sequence[Connection] = ()
     ) -> None:
         self._reader = reader
-        self._reading = TransformReading(options)
+        # Poses are about where the robot is, not about its frames.
+        self._reading = TransformReading(replace(options, trajectory=None))
         self._poses = PoseReading(PoseTopic(""), poses)
         self.odometry = ""
         connections: list[Connection] = []
