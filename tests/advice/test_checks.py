@@ -39,7 +39,7 @@ TABLE = Path(__file__).with_name("checks.txt")
 ELSEWHERE = {
     "target_that_moves",
     "clouds_in_fixed_frame",
-    "heights_above_sensor",
+    "heights_above_floor",
     "returns_at_sensor",
     "clouds_in_another_unit",
     "ceiling_within_heights",

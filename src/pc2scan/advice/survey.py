@@ -36,8 +36,6 @@ if TYPE_CHECKING:
 #: Clouds that are registered in a world's frame are judged from so far above the robot's frame, metres.
 _ABOVE_ROBOT = 0.5
 
-#: The scale of clouds in millimetres.
-MILLIMETRE = 0.001
 
 _Value = TypeVar("_Value")
 
@@ -246,16 +244,6 @@ class TopicFacts:
         increment = abs(scan.angle_increment)
         turn = abs(scan.time_increment) * TURN / increment if increment else 0.0
         return Header(time_ns, scan.stamp_ns, time_ns - scan.stamp_ns, scan.frame_id, increment=increment, turn=turn)
-
-
-def are_millimetres(mounting: Mounting | None, buffer: TransformBuffer | None) -> bool:
-    """Return whether the floor is as far from a cloud's frame as this is high by its transform, in millimetres."""
-    body = "" if mounting is None else mounting.target_frame or mounting.judged_in
-    if mounting is None or buffer is None or body not in BODIES:
-        return False
-    place = buffer.known(body, mounting.frame, 0)
-    height = 0.0 if place is None else float(place.translation[2])
-    return height / 2 < MILLIMETRE * mounting.ground.height < 2 * height
 
 
 class Survey:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 from pc2scan.advice.checks.plausibility import log_times_of_centuries
 from pc2scan.advice.clocks import Clocks
 from pc2scan.advice.measurements import increment_warning, time_warnings
-from pc2scan.advice.survey import MILLIMETRE, Span, Survey, are_millimetres
+from pc2scan.advice.survey import Span, Survey
 from pc2scan.bags.observers import Observer, Spread
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import by_topic, find_topics, types_by_topic
@@ -276,8 +276,9 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
             # Only by corrected stamps is it known where the robot was.
             offsets = StampOptions.of("header", [f"{topic}={clock.time_offset}" for topic, clock in clocks.items()])
             reader, _ = corrected(reader, [], offsets, frames.tf_topics)
-        if is_scaled := options.cloud_scale == 1 and first.are_millimetres:
-            reader, given = scaled(reader, MILLIMETRE), {**given, "cloud_scale": MILLIMETRE}
+        if is_scaled := options.cloud_scale == 1 and first.are_far_away:
+            # Cameras and lidars count in millimetres; the warning has the other reading.
+            reader, given = scaled(reader, 0.001), {**given, "cloud_scale": 0.001}
         if (clocks and first.buffer is not None) or is_scaled:
             surveyed = surveyed_by(Survey(reader, others, frames, span))
         warnings = [*log_times_of_centuries(reader.summary), *(clock.warning for clock in clocks.values())]
@@ -428,10 +429,10 @@ class _SurveyResult:
         self.places = Placer(target_frame, survey.frames.source_frame, buffer, tolerance_ns)
 
     @property
-    def are_millimetres(self) -> bool:
-        """Whether all clouds are in millimetres."""
-        own = [self.mounting(topic)[0] for topic in self.facts if self.unit_warnings]
-        return bool(own) and all(are_millimetres(mounting, self.buffer) for mounting in own)
+    def are_far_away(self) -> bool:
+        """Whether all clouds are in another unit, and around their sensors."""
+        around = [topic for topic in self.clouds if self.facts[topic].frame.removeprefix("/") not in WORLDS]
+        return 0 < len(self.clouds) == len(self.unit_warnings) == len(around)
 
     def mounting(self, topic: str) -> tuple[Mounting | None, bool]:
         """Return how the clouds of a topic are mounted on the robot, and whether in the frame of their description.

@@ -52,7 +52,7 @@ FIRST_CLOUDS: Checks[CloudFacts] = (
     first_clouds.swapped_transform,
     first_clouds.clouds_in_another_unit,
     first_clouds.nearly_empty_scans,
-    first_clouds.heights_above_sensor,
+    first_clouds.heights_above_floor,
     first_clouds.floor_within_heights,
     first_clouds.ceiling_within_heights,
 )

@@ -49,8 +49,9 @@ _MOST_FLOOR, _FEWEST_BEAMS = 0.3, 20
 #: is above the floor, but for this share.
 _BELOW, _NEAR_FLOOR = 0.1, 0.3
 
-#: Things on the floor that are higher than this, metres, are obstacles that no scan should miss.
-_OVERLOOKED = 0.4
+#: Things on the floor that are higher than this, metres, are obstacles that no scan should miss, and scans that begin
+#: above this have none of them.
+_OVERLOOKED, _NOTHING_LOW = 0.4, 1.5
 
 #: Half of a floor this far below the lower limit of z, metres, is above it, because ranges are noisy.
 _NOISE = 0.02
@@ -377,16 +378,23 @@ def floor_within_heights(clouds: CloudFacts) -> Iterator[str]:
     )
 
 
-def heights_above_sensor(clouds: CloudFacts) -> Iterator[str]:
-    """Yield a warning if heights seem meant above the floor, but are above a sensor whose mount is recorded."""
-    low, floor = clouds.spec.params.min_height, clouds.samples[0].floor
-    if clouds.spec.params.target_frame or clouds.spec.is_default("min_height") or low <= 0 or floor is None:
+def heights_above_floor(clouds: CloudFacts) -> Iterator[str]:
+    """Yield a warning if the lowest height is far above the floor: of a sensor that is mounted, or by another unit."""
+    sample, spec, low = clouds.samples[0], clouds.spec, clouds.spec.params.min_height
+    target, floor = spec.params.target_frame, sample.floor
+    if spec.is_default("min_height") or floor is None:
         return
-    if low + floor.height > _OVERLOOKED and clouds.mounting.target_frame in BODIES:
-        yield (
-            f"{clouds.topic}: min_height is {low:g} m above {clouds.source!r}, and {low + floor.height:.2f} m above "
-            f"the floor; heights above the floor: {clouds.advice}"
-        )
+    above = low - sample.origin[2] + floor.height
+    if target and target.removeprefix("/") in BODIES and above > _NOTHING_LOW:
+        cure = "is another `cloud_scale` right, or another transform?"
+    elif not target and low > 0 and above > _OVERLOOKED and clouds.mounting.target_frame in BODIES:
+        cure = f"heights above the floor: {clouds.advice}"
+    else:
+        return
+    yield (
+        f"{clouds.topic}: min_height is {low:g} m above {target or clouds.source!r}, and {above:.2f} m above the "
+        f"floor; {cure}"
+    )
 
 
 def ceiling_within_heights(clouds: CloudFacts) -> Iterator[str]:
