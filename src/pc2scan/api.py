@@ -16,7 +16,7 @@ from .conversion.run import repair as repair_by
 from .datasets.batch import run_batch
 from .errors import UsageError
 from .exports.export import export as write
-from .files.urls import path_of, paths_in
+from .files.paths import path_of, paths_in
 from .options.call import Options
 from .options.effects import refuse_idle
 from .options.keywords import takes_options
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from .conversion.report import Report
     from .datasets.summary import BatchReport
     from .exports.export import ExportReport
-    from .files.urls import PathText
+    from .files.paths import PathText
     from .options import table
     from .show.check import Check
     from .show.info import Info

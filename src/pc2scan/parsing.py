@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from .arguments import refuse_unknown
 from .errors import UsageError, name_list
-from .files.urls import path_or_url, path_text
+from .files.paths import path_or_url, path_text
 from .options.call import Options
 from .options.effects import refuse_idle
 from .options.processing import ConversionFrames
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from typing import Any, TypeAlias
 
     from .core.params import ProjectionParams
-    from .files.urls import PathText
+    from .files.paths import PathText
 
     Warn: TypeAlias = Callable[[str], None]
 

@@ -98,7 +98,7 @@ def test_what_is_fetched_at_once_must_have_room(
 ) -> None:
     source, room = store.upload(drives), (drives / "a.bag").stat().st_size + 1
     monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=room))
-    with pytest.raises(RecordingError, match="no space for local copies"):
+    with pytest.raises(RecordingError, match="no space for temporary copies"):
         batch(source, tmp_path / "out", jobs=3)
     with pytest.raises(DestinationError, match="a batch writes into a folder of this machine"):
         batch(source, f"{store.url}/out")
@@ -108,7 +108,7 @@ def test_a_web_server_has_single_files(tmp_path: Path, drives: Path) -> None:
     with web_server(drives) as where:
         sources = [f"http://me:secret@{where}/{name}?token=geheim" for name in ("a.bag", "cuts/b.bag")]
         done = run_batch(*sources, "-o", tmp_path / "out", "-v")
-    assert (done.status, "failed: cuts/b.bag: the download " in done.stderr) == (1, True), done
+    assert (done.status, "failed: cuts/b.bag: the transfer " in done.stderr) == (1, True), done
     manifest = (tmp_path / "out" / "manifest.jsonl").read_text()
     assert f"http://{where}/a.bag" in manifest
     for secret in ("secret", "geheim"):

@@ -168,7 +168,7 @@ def test_a_web_server_is_read_only(web: str, tmp_path: Path) -> None:
 def test_a_web_server_that_fails_leaves_nothing(
     kind: str, status: int, message: str, web: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(urls, "SLOWEST_SECONDS", 2)
+    monkeypatch.setattr(urls, "MINUTE", 2)
     out, report = tmp_path / "x.bag", tmp_path / "report.json"
     done = run("convert", f"http://me:secret@{web}/{kind}/hall.bag?token=geheim", "-o", out, "--report", report)
     assert (done.status, json.loads(report.read_text())["exit_status"]) == (status, status), done
@@ -191,7 +191,7 @@ def test_an_s3_server(monkeypatch: pytest.MonkeyPatch) -> None:
             done = run(*words.split(), *("--min-height", "0.1") * words.startswith("convert"))
             assert (done.status, said in done.stdout + done.stderr) == (status, True), done
             assert "testing-secret" not in done.stdout + done.stderr
-    for endpoint, said in (("http://127.0.0.1:9", "the download failed"), ("", "NoCredentialsError")):
+    for endpoint, said in (("http://127.0.0.1:9", "the transfer failed"), ("", "NoCredentialsError")):
         monkeypatch.setenv("AWS_ENDPOINT_URL", endpoint or "http://127.0.0.1:9")
         if not endpoint:
             monkeypatch.setenv("AWS_EC2_METADATA_DISABLED", "true")

@@ -37,7 +37,7 @@ INNER = {
     "pc2scan.bags.damage": ["Damage"],
     "pc2scan.cli.render": ["as_typed"],
     "pc2scan.errors": ["ParameterError", "name_list", "stamp_text", "visible"],
-    "pc2scan.files.urls": ["path_of"],
+    "pc2scan.files.paths": ["path_of"],
     "pc2scan.options.moment": ["TimeBound"],
     "pc2scan.text": ["count", "did_you_mean", "duration", "nearest", "size", "stamp"],
 }

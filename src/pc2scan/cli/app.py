@@ -17,7 +17,7 @@ from typer.main import get_command
 
 from pc2scan.core.kernel import COMPILED
 from pc2scan.errors import OutputError, Pc2ScanError, UsageError
-from pc2scan.files.urls import local_path, path_or_url
+from pc2scan.files.paths import local_path, path_or_url
 from pc2scan.options.call import Options
 from pc2scan.options.option import Parameter
 from pc2scan.options.table import options_of

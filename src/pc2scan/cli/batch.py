@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pc2scan.datasets.batch import run_batch
-from pc2scan.files.urls import path_or_url
+from pc2scan.files.paths import path_or_url
 from pc2scan.options.call import Options
 from pc2scan.text import counted, size
 

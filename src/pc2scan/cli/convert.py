@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from pc2scan.bags.formats import FORMATS
 from pc2scan.conversion.run import convert as convert_by
 from pc2scan.conversion.run import repair as repair_by
-from pc2scan.files.urls import is_url
+from pc2scan.files.paths import is_url
 from pc2scan.options.call import Options
 from pc2scan.request.precedence import preset_of
 from pc2scan.text import shell_word

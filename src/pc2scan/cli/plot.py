@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from pc2scan.files.urls import path_or_url
+from pc2scan.files.paths import path_or_url
 from pc2scan.options.call import Options
 from pc2scan.show.plot import plot as draw
 

@@ -40,9 +40,9 @@ from pc2scan.files.outputs import (
     refuse_overlap,
     staged_output,
 )
+from pc2scan.files.paths import exists, is_url
 from pc2scan.files.source_file import changed_while_read, state_of
 from pc2scan.files.system import copying_to
-from pc2scan.files.urls import UrlPath, exists
 from pc2scan.model import SERIALIZATIONS
 from pc2scan.parsing import conversion_of, destination_of, named_files
 from pc2scan.progress import Meter
@@ -65,7 +65,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.destinations import Destination
     from pc2scan.bags.reader import Reader
     from pc2scan.files.outputs import InputPath
-    from pc2scan.files.urls import PathText
+    from pc2scan.files.paths import PathText
     from pc2scan.model import Writer
     from pc2scan.options.call import Options
     from pc2scan.parsing import Warn
@@ -264,7 +264,7 @@ def _open(
 ) -> Sequence[Reader]:
     """Open the sources, which ``stack`` closes; what forbids the destination is said before anything is fetched."""
     read = (*sources, *request.frames.tf_from)
-    if destination is not None and any(isinstance(path, UrlPath) for path in read):
+    if destination is not None and any(map(is_url, read)):
         check_destination(destination, overwrite=output.overwrite, record_in=recorded_in)
     *others, last = sources
     if others and destination is output.folder is None and not exists(last) and all(map(exists, others)):

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import DestinationError, DiskFullError, OutputError, UsageError
 from pc2scan.files.outputs import InputPath, check_destination, files_output, inputs_of
-from pc2scan.files.system import copying_to, is_full
-from pc2scan.files.urls import UrlPath, absolute, refuse_without_room
+from pc2scan.files.paths import absolute, is_url
+from pc2scan.files.system import copying_to, is_full, refuse_without_room
 from pc2scan.result import BEGINNING
 from pc2scan.threads import cores
 
@@ -136,7 +136,7 @@ def _plan(sources: Sequence[str], folder: BatchFolder, choices: Choices, options
         inputs.append(InputPath(options.dataset, "file of `dataset`"))
     for request in {id(request): request for request in requests.values() if request is not None}.values():
         inputs += inputs_of((), request.options.frames.tf_from, request.options.files)
-    if options.scratch is not None and not any(isinstance(path.path, UrlPath) for path in inputs):
+    if options.scratch is not None and not any(is_url(path.path) for path in inputs):
         raise UsageError("`scratch` has no effect: no source is a URL")
     return make_plan(recordings, requests, folder, inputs, again=options.again)
 
@@ -158,7 +158,7 @@ def _records(plan: BatchPlan, folder: BatchFolder, options: Options) -> Iterator
     jobs = sorted(plan.of("convert"), key=lambda job: -job.size_bytes)
     scratch = None if options.scratch is None else absolute(options.scratch)
     jobs = [replace(job, dry_run=options.dry_run, scratch=scratch) for job in jobs]
-    remote = [job for job in jobs if any(isinstance(path, UrlPath) for path in job.recording.paths)]
+    remote = [job for job in jobs if any(map(is_url, job.recording.paths))]
     if remote and not options.dask:
         at_once = remote[: _workers(plan, options)]
         with copying_to(options.scratch):

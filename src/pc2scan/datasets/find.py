@@ -18,8 +18,9 @@ from pc2scan.bags.opening import open_recordings, sniff
 from pc2scan.bags.zstd import without_suffix
 from pc2scan.errors import Pc2ScanError, RecordingError, UsageError
 from pc2scan.files.outputs import working_names
+from pc2scan.files.paths import absolute, exists, is_dir, local_path, path_or_url
 from pc2scan.files.source_file import open_bytes
-from pc2scan.files.urls import UrlPath, absolute, exists, fetched, is_dir, local_path, path_or_url
+from pc2scan.files.urls import UrlPath, fetched
 
 from .manifest import Identity, identity_of
 
@@ -261,7 +262,7 @@ def _is_rosbag2(folder: Path) -> bool:
 
 def _real(path: Path) -> Path:
     """Return a path with links resolved."""
-    return path.identity if isinstance(path, UrlPath) else Path(os.path.realpath(path))
+    return path if isinstance(path, UrlPath) else Path(os.path.realpath(path))
 
 
 def _key_of(path: Path, root: Path) -> str:

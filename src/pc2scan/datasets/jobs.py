@@ -21,8 +21,8 @@ from pc2scan.errors import DestinationError, NothingToConvertError, OutputError,
 from pc2scan.exports.export import ExportOptions, ExportReport
 from pc2scan.exports.export import run as export
 from pc2scan.exports.writers import FORMATS
+from pc2scan.files.paths import absolute
 from pc2scan.files.system import copying_to, is_full
-from pc2scan.files.urls import absolute
 from pc2scan.options.call import Options
 from pc2scan.options.table import conversion_options, options_of
 from pc2scan.parsing import conversion_of

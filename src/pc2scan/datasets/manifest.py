@@ -19,7 +19,7 @@ from pc2scan.errors import DestinationError, OutputError, UsageError
 from pc2scan.files.outputs import RECORD, check_new_folder, only_run, output_folder
 from pc2scan.files.source_file import file_beside
 from pc2scan.files.system import sync_directory
-from pc2scan.files.urls import UrlPath
+from pc2scan.files.urls import UrlPath, files_of
 from pc2scan.version import __version__
 
 if TYPE_CHECKING:
@@ -40,6 +40,9 @@ _BEGINNING = '{"pc2scan": "'
 
 #: Identities list up to this many files of a folder one by one; more are summed up.
 _MOST = 100
+
+#: What fsspec calls the version of a file at a URL, the best first. Stores differ in which of these they have.
+_VERSION = ("ETag", "etag", "generation", "Last-Modified", "created")
 
 #: Seconds that a run waits for the workers of a killed run.
 _WAIT_SECONDS = 5.0
@@ -94,9 +97,13 @@ def _file_and_logs(path: Path) -> list[tuple[str, int, int | str]]:
 
 
 def _stored_files(path: UrlPath) -> list[tuple[str, int, int | str]]:
-    """Return the entries of a file at a URL, or of the files in a folder; none if it does not exist."""
-    files = path.iterdir() if path.is_dir() else [path] * path.exists()
-    return sorted((file.name, file.size, file.version) for file in files if not file.is_dir())
+    """Return the entries of a file at a URL, with the logs beside a database, or of the files in a folder."""
+    return sorted((file.name, file.size, _version(file.details)) for file in files_of(path) if file.exists())
+
+
+def _version(details: Mapping[str, Any]) -> str:
+    """Return text that changes if a file at a URL does; empty if the store has none."""
+    return next((str(details[name]).strip('"') for name in _VERSION if details.get(name) is not None), "")
 
 
 def _files_in(folder: Path) -> list[tuple[str, int, int | str]]:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pc2scan.bags.destinations import default_destination
 from pc2scan.errors import DestinationError, UsageError, name_list
 from pc2scan.files.outputs import Inputs, name_key, working_names
-from pc2scan.files.urls import absolute
+from pc2scan.files.paths import absolute
 from pc2scan.options.table import dataset_options
 from pc2scan.options.values import FLAG, texts
 from pc2scan.parsing import NAMED_FILES

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.bags.damage import Damage
-    from pc2scan.files.urls import PathText
+    from pc2scan.files.paths import PathText
     from pc2scan.options.call import Options
     from pc2scan.parsing import Warn
     from pc2scan.progress import Progress

@@ -27,8 +27,9 @@ from typing import TYPE_CHECKING, NamedTuple
 from pc2scan.errors import DestinationError, OutputError, name_list
 
 from .compression import crc32
+from .paths import exists, is_dir
 from .system import files_below, lock_descriptor, private_folder, remove, sync_directory
-from .urls import UrlPath, exists, is_dir, upload
+from .urls import UrlPath, upload
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -100,7 +101,7 @@ def staged_output(
             local = Path(folder, dst.name)
             yield local
             if local.exists():
-                check(UrlPath(dst.url))
+                check(UrlPath(dst))
                 upload(local, dst)
         return
     unfinished = dst.with_name(dst.name + PARTIAL)
@@ -287,7 +288,7 @@ def check_place(dst: Path) -> None:
     if isinstance(dst, UrlPath):
         if dst.is_read_only:
             hint = f"give a destination: `destination={dst.name}`"
-            raise DestinationError(f"{dst.scheme}:// can only be read", path=dst, hint=hint)
+            raise DestinationError("a web server can only be read", path=dst, hint=hint)
         return
     if dst.name in {"", ".."}:
         raise DestinationError("is not a name that a recording can have", path=dst)
@@ -590,7 +591,7 @@ _MAX_LINKS = 40
 def path_identities(path: Path) -> Iterator[Path]:
     """Return a path without links in its folders, and if it is a symbolic link each path that it leads to."""
     if isinstance(path, UrlPath):
-        yield path.identity
+        yield path
         return
     for _ in range(_MAX_LINKS):
         has_name = path.name not in {"", ".."}
@@ -604,7 +605,7 @@ def path_identities(path: Path) -> Iterator[Path]:
 
 def file_ids(path: Path) -> set[FileId]:
     """Return a path, and device and inode if it exists; for a symbolic link, its own and its target's."""
-    ids: set[FileId] = {path.identity if isinstance(path, UrlPath) else path}
+    ids: set[FileId] = {path}
     with suppress(OSError):
         status = path.lstat()
         ids.add((status.st_dev, status.st_ino))

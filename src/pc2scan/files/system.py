@@ -12,6 +12,7 @@ from threading import Lock
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import RecordingError
+from pc2scan.text import size
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -124,6 +125,16 @@ def files_below(folder: Path, below: str = "") -> Iterator[str]:
 # --- Temporary copies ---
 
 TEMPORARY_HINT = "free space there, or set the environment variable TMPDIR to another folder"
+
+
+def refuse_without_room(needed: int, path: Path | None, hint: str = TEMPORARY_HINT) -> None:
+    """Raise if so many bytes have no room in the folder for temporary copies."""
+    folder = scratch.get() or tempfile.gettempdir()
+    # If there is no such folder, making the copy raises.
+    with suppress(OSError):
+        if needed > (free := shutil.disk_usage(folder).free):
+            message = f"no space for temporary copies: they take {size(needed)}, and {folder} has room for {size(free)}"
+            raise RecordingError(message, path=path, hint=hint)
 
 
 def private_folder(path: Path) -> TemporaryDirectory[str]:

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 from pc2scan.arguments import names_in, value_and_type
 from pc2scan.core.quantities import EXAMPLES, quantity
 from pc2scan.errors import UsageError
-from pc2scan.files.urls import path_of, paths_in
+from pc2scan.files.paths import path_of, paths_in
 from pc2scan.text import did_you_mean
 from pc2scan.transforms.static import number_in
 

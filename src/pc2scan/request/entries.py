@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pc2scan.arguments import value_text
 from pc2scan.core.quantities import written_angle
 from pc2scan.errors import ParameterError, UsageError
-from pc2scan.files.urls import is_url, local_path
+from pc2scan.files.paths import is_url, local_path
 from pc2scan.files.yaml import load_yaml
 from pc2scan.options.table import PARAMETERS
 from pc2scan.text import did_you_mean

@@ -33,7 +33,7 @@ from pc2scan.core.rigid import Rigid
 from pc2scan.core.unproject import beam_angles, last_beam_ns
 from pc2scan.errors import MessageError, ResultError, TransformError, UsageError, name_list
 from pc2scan.files.outputs import files_output, inputs_of, refuse_overlap
-from pc2scan.files.urls import path_of, path_or_url
+from pc2scan.files.paths import path_of, path_or_url
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.options.table import options_about_scans
@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
-    from pc2scan.files.urls import PathText
+    from pc2scan.files.paths import PathText
     from pc2scan.options.call import Options
     from pc2scan.parsing import Warn
     from pc2scan.progress import Progress

@@ -33,7 +33,7 @@ from pc2scan.core.presets import PRESETS
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import MessageError, Pc2ScanError, RecordingError, UsageError, stamp_text, visible
 from pc2scan.files.outputs import files_output, inputs_of, refuse_overlap
-from pc2scan.files.urls import path_of, path_or_url
+from pc2scan.files.paths import path_of, path_or_url
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.model import of_types
 from pc2scan.options.call import Options, call_words
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
-    from pc2scan.files.urls import PathText
+    from pc2scan.files.paths import PathText
     from pc2scan.messages.laserscan import LaserScan
     from pc2scan.model import RawMessage
     from pc2scan.parsing import Warn

@@ -34,8 +34,8 @@ from pc2scan.bags.opening import open_recording, sniff
 from pc2scan.bags.reader import ConnectionLimit
 from pc2scan.bags.topics import latches
 from pc2scan.errors import DamageError, RecordingError
+from pc2scan.files.paths import exists
 from pc2scan.files.source_file import open_text
-from pc2scan.files.urls import exists
 from pc2scan.files.yaml import MAX_CHARACTERS, dump_yaml, load_yaml
 from pc2scan.model import Connection
 

@@ -19,8 +19,8 @@ import apsw
 from pc2scan.bags.damage import RECOVER
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.files.source_file import file_beside, keep_open, open_bytes
-from pc2scan.files.system import TEMPORARY_HINT, copy_errors, private_folder
-from pc2scan.text import counted, size
+from pc2scan.files.system import TEMPORARY_HINT, copy_errors, private_folder, refuse_without_room
+from pc2scan.text import counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -270,16 +270,10 @@ class Database:
 
     def _copied(self, file: Path, name: str, needed: int) -> Path:
         """Copy a file to the private folder, if there is room for so many bytes."""
+        refuse_without_room(needed, self.path)
         self._copy = self._copy or private_folder(self.path)
         target = Path(self._copy.name, name).absolute()
         with copy_errors(self.path, target.parent):
-            free = shutil.disk_usage(target.parent).free
-            if free < needed:
-                raise RecordingError(
-                    f"cannot be copied to {target.parent.parent}: this takes {size(needed)}, {size(free)} are free",
-                    path=self.path,
-                    hint=TEMPORARY_HINT,
-                )
             shutil.copyfile(file, target)
         return target
 
