@@ -284,15 +284,18 @@ class Lidar:
         return None if self.buffer is None else sensor_motion(self.buffer, self.moving_frame, seconds)
 
     @cached_property
+    def parts(self) -> Sequence[NDArray[np.float32]]:
+        """The first clouds, each (3, N) in its own frame, if they are parts of a turn or of a pattern; else empty."""
+        recorded = () if self.step and not self.turn else self.facts.values(_PATTERN)
+        return () if recorded and not self.turn and _are_of_camera(recorded[0]) else recorded
+
+    @cached_property
     def pattern(self) -> Pattern:
         """How clouds of a sparse pattern fill a scan."""
         heights = self.mounting.heights
-        if self.step or self.turn or heights is None:
+        if self.turn or heights is None:
             return Pattern()
-        recorded = self.facts.values(_PATTERN)
-        if not recorded or _are_of_camera(recorded[0]):
-            return Pattern()
-        placed = (self.in_target(points, self.mounting.frame) for points in recorded)
+        placed = (self.in_target(points, self.mounting.frame) for points in self.parts)
         filled = [_filled_beams(points, heights.low, heights.high) for points in placed]
         clouds = [beams for beams in filled if beams.any()]
         if len(clouds) < _MOST_CLOUDS:
@@ -332,30 +335,33 @@ class Lidar:
         """The position of the sensor in the frame of the scans, or of the robot if clouds are registered."""
         return np.asarray(self.in_target(np.zeros((3, 1)), self.moving_frame)[0])
 
-    def tried_clouds(self, *, is_placed: bool) -> tuple[list[Points], bool]:
-        """Return clouds to try a command on, with stamps of their middles, and whether they are parts of one scan.
+    @property
+    def merges(self) -> bool:
+        """Whether several clouds become one scan."""
+        return bool(self.turn or self.pattern.clouds)
+
+    def tried_clouds(self, *, is_placed: bool) -> list[Points]:
+        """Return clouds to try a command on, with stamps of their middles: the first ones if they are parts.
 
         Parameters
         ----------
         is_placed
             Whether they are placed in the frame of the scans, not in their own.
         """
-        merges = bool(self.turn or self.pattern.clouds)
-        if merges:
-            is_own = self.mounting.judged_in == self.mounting.frame
-            stamps_ns = (header.stamp_ns for header in self.facts.headers)
-            stamped = list(zip(stamps_ns, self.facts.values(_PATTERN) if is_own else [], strict=False))
-        else:
-            chosen = self.clouds[:: max(1, len(self.clouds) // _CLOUDS)][:_CLOUDS]
-            stamped = [(stamp_ns, xyz[:, :: -(-xyz.shape[1] // _POINTS) or 1]) for stamp_ns, xyz in chosen]
+        stamped, most, own = self.clouds, _CLOUDS, self.mounting
+        frame = own.frame if self.parts or self.is_registered else own.judged_in
+        if self.parts:
+            stamped = list(zip((header.stamp_ns for header in self.facts.headers), self.parts, strict=False))
+            most = len(stamped) if self.merges else max(_CLOUDS, _CLOUDS * _POINTS // (self.parts[0].shape[1] + 1))
         clouds = []
-        for stamp_ns, recorded in stamped:
-            xyz = recorded[:, np.isfinite(recorded).all(axis=0)]
-            axes = self.in_target(xyz, stamp_ns=stamp_ns).T if is_placed else xyz
+        for stamp_ns, recorded in stamped[:: -(-len(stamped) // most) or 1]:
+            thinned = recorded[:, :: -(-recorded.shape[1] // _POINTS) or 1]
+            # Points at the sensor are no returns.
+            xyz = thinned[:, np.isfinite(thinned).all(axis=0) & thinned.any(axis=0)]
+            axes = self.in_target(xyz, frame, stamp_ns).T if is_placed else xyz
             at_ns = stamp_ns + round(sum(self.reach) / 2 * 1e9)
-            frame = self.target if is_placed else self.mounting.judged_in
-            clouds.append(Points(0, at_ns, frame, dict(zip("xyz", axes, strict=True))))
-        return [cloud for cloud in clouds if cloud.fields["x"].size], merges
+            clouds.append(Points(0, at_ns, self.target if is_placed else frame, dict(zip("xyz", axes, strict=True))))
+        return [cloud for cloud in clouds if cloud.fields["x"].size]
 
     def clouds_in(self, fixed: str) -> list[tuple[Rigid, NDArray[np.floating[Any]]]]:
         """Return the transforms of the spread clouds to a frame that does not move, and their finite points, (N, 3)."""
@@ -456,15 +462,12 @@ class Scene(NamedTuple):
         The first clouds, for their checks; empty if clouds are placed by other means than in a conversion.
     slopes
         How steeply nearly all rising ground rises above the lower limit in each of them, metres a metre.
-    merges
-        Whether they are parts of one scan.
     """
 
     clouds: Sequence[PlacedCloud]
     placer: Placer
     samples: list[CloudSample]
     slopes: Sequence[float]
-    merges: bool
 
 
 def tried(options: Mapping[str, Any], lidar: Lidar) -> Trial:
@@ -472,8 +475,7 @@ def tried(options: Mapping[str, Any], lidar: Lidar) -> Trial:
     try:
         request = conversion_of(Options("convert", options))
         spec, findings = request.scan, request_warnings(request, lidar.recorded, lidar.connections)
-        lidar.scene = lidar.scene or _scene(spec, lidar)
-        scene = lidar.scene
+        scene = lidar.scene = lidar.scene or _scene(spec, lidar)
         if not scene.clouds:
             return Trial(findings=tuple(findings))
         trial, counts = _scans(spec, lidar, scene)
@@ -489,36 +491,38 @@ def tried(options: Mapping[str, Any], lidar: Lidar) -> Trial:
 def _scene(spec: ScanSpec, lidar: Lidar) -> Scene:
     """Return what commands like this one are tried on."""
     is_placed = bool(lidar.mounting.static_tf) or lidar.is_registered
-    recorded, merges = lidar.tried_clouds(is_placed=is_placed)
     placer = _placer(spec, lidar, "" if is_placed else spec.params.target_frame)
+    # A part shows too little of the ground, so all of them are judged together.
+    fixed = spec.fixed_frame if spec.level else lidar.world if lidar.parts and not lidar.mounting.static_tf else ""
     clouds: list[PlacedCloud] = []
     ways: list[Rigid] = []
-    for points in recorded:
+    for points in lidar.tried_clouds(is_placed=is_placed):
         # A cut leaves out those that cannot be placed.
         with suppress(TransformError):
             cloud = PlaceStep(placer)(points)
-            if spec.level and spec.fixed_frame:
-                ways.append(placer.from_fixed(spec.fixed_frame, cloud.points.frame_id, cloud.stamp_ns)[1])
+            if fixed:
+                ways.append(placer.from_fixed(fixed, cloud.points.frame_id, cloud.stamp_ns)[1])
             clouds.append(cloud)
     if not clouds:
-        return Scene((), placer, [], (), merges)
+        return Scene((), placer, [], ())
     samples = [] if is_placed or spec.level else lidar.facts.samples(placer)
     placed = [_coordinates(cloud) for cloud in clouds]
     if ways:
-        # What a robot that tilts sees of a place, from all of them.
+        # What a robot that moves sees of a place, from all of them.
         placed = [ways[0].compose(way.inverse()).apply(xyz) for way, xyz in zip(ways, placed, strict=True)]
     params, heights = spec.params, lidar.mounting.heights
-    seen = [np.concatenate(placed)] if merges or ways else placed
+    seen = [np.concatenate(placed)] if lidar.parts or ways else placed
     # From a floor that is not known, nothing rises.
     low = math.inf if heights is None or heights.floor is None else params.min_height
     rising = [are_ground(xyz, low) for xyz in seen]
     slopes = [_slope(xyz[up], low, params.max_height) for xyz, up in zip(seen, rising, strict=True)]
     lies = [up | are_grass(xyz, low, lidar.mounting.ground.height) for xyz, up in zip(seen, rising, strict=True)]
     parts = np.split(~np.concatenate(lies), np.cumsum([len(xyz) for xyz in placed])[:-1])
+    every = 1 if lidar.merges else -(-len(clouds) // _CLOUDS)
     marked = []
-    for cloud, stands in zip(clouds, parts, strict=True):
+    for cloud, stands in list(zip(clouds, parts, strict=True))[::every]:
         marked.append(replace(cloud, points=cloud.points.replace({_STANDS: stands}, cloud.points.frame_id)))
-    return Scene(marked, placer, samples, slopes, merges)
+    return Scene(marked, placer, samples, slopes)
 
 
 def _placer(spec: ScanSpec, lidar: Lidar, target: str) -> Placer:
@@ -564,4 +568,4 @@ def _scans(spec: ScanSpec, lidar: Lidar, scene: Scene) -> tuple[Trial, list[Poin
         counts.append(scans[0].counts)
     read = np.array(ranges, np.float64)
     read[~((read >= params.range_min) & (read <= params.range_max))] = np.inf
-    return Trial(read.min(axis=0, keepdims=True) if scene.merges else read), counts
+    return Trial(read.min(axis=0, keepdims=True) if lidar.merges else read), counts
