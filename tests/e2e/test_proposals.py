@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 ROOM = (-4.0, 5.0, -3.5, 3.5, 2.6)
 HALL = (-9.0, 12.0, -8.0, 8.0, 5.0)
+GARAGE = (-30.0, 30.0, -20.0, 20.0, 3.2)
 CORRIDOR = (-8.0, 14.0, -1.0, 1.2, 2.5)
 DESKS = ((2.0, 3.2, 1.5, 2.3, 0.0, 0.75), (-2.5, -2.0, -2.0, -1.5, 0.0, 1.7), (2.2, 2.6, -2.0, -1.7, 0.0, 1.7))
 YARD = ((-13.0, 25.0, 8.0, 11.0, 0.0, 6.0), (-13.0, 25.0, -12.0, -9.0, 0.0, 8.0), (19.0, 22.0, -9.0, 8.0, 0.0, 5.0))
@@ -31,6 +32,7 @@ def at(height: float, x: float = 0.2) -> tuple[float, float, float, float, float
     return (x, height, 0.0, 0.0, 0.0)
 
 
+UPSIDE_DOWN = (0.2, 0.6, 180.0, 0.0, 0.0)
 LIO = ("camera_init", "body")
 
 
@@ -57,6 +59,7 @@ WORLDS = {
     "rising ground": (World(None, RISING, "16 rings", at(0.9), "drives", slope=0.12), ""),
     "rising ground, low, open at the sides": (World(None, RISING[-2:], "16 rings", at(0.5), slope=0.06), ""),
     "rising ground, Mid-360": (World(None, RISING, "mid-360", at(1.8), slope=0.13), ""),
+    "rising ground, 2,000 points": (World(None, RISING, "thin mid-360", at(0.5), "drives", slope=0.12), ""),
     "rising ground, packets": (World(None, RISING, "packets", at(1.5), "pitches", slope=0.06), ""),
     "odometry as a topic": (World(ROOM, DESKS, "16 rings", at(0.6), "drives", odometry="topic"), ""),
     "mounts on /tf": (World(ROOM, DESKS, "16 rings", at(0.6), "drives", odometry="topic", mounted_by="/tf"), ""),
@@ -65,19 +68,13 @@ WORLDS = {
     "clouds in odom": (World(ROOM, DESKS, "32 rings", at(0.6), "drives", placed_in="odom", late=0.4), ""),
     "two lidars": (World(ROOM, DESKS, "32 rings", at(0.5), "drives", second=True), ""),
     "street, no mount": (World(None, YARD[:2], "32 rings", at(1.8), has_mount=False, odometry=""), ""),
-    "car park, no mount": (
-        World((-30.0, 30.0, -20.0, 20.0, 3.2), PARKED, "16 rings", at(2.43), has_mount=False, odometry=""),
-        "",
-    ),
+    "car park, no mount": (World(GARAGE, PARKED, "16 rings", at(2.43), has_mount=False, odometry=""), ""),
     "base_link at the height of an axle": (World(HALL, DESKS, "32 rings", at(0.6), axle=0.2), ""),
     "no mount, and no floor in view": (
         World((-3.0, 3.0, -2.5, 2.5, 2.6), (), "16 rings", at(1.7), has_mount=False, odometry=""),
         "no floor is visible",
     ),
-    "upside down, which tf does not say": (
-        World(HALL, DESKS, "16 rings", (0.2, 0.6, 180.0, 0.0, 0.0), claim=0.0),
-        "is upside down",
-    ),
+    "upside down, which tf does not say": (World(HALL, DESKS, "16 rings", UPSIDE_DOWN, claim=0.0), "is upside down"),
     "upright, and upside down by tf": (World(ROOM, DESKS, "32 rings", at(1.7), claim=180.0), "probably upside down"),
 }
 
@@ -92,6 +89,5 @@ def test_a_proposed_command_sees_what_is_there(name: str, tmp_path: Path) -> Non
 
 
 def test_a_lidar_that_turns_the_wrong_way_is_said_before_it_is_converted(tmp_path: Path) -> None:
-    world = World(HALL, DESKS, "2 rings", (0.2, 0.6, 180.0, 0.0, 0.0), "drives", claim=0.0)
-    found = outcome(world, tmp_path)
+    found = outcome(World(HALL, DESKS, "2 rings", UPSIDE_DOWN, "drives", claim=0.0), tmp_path)
     assert (found.word, "info: warning: /points: surroundings are" in found.text) == ("told", True), found

@@ -492,7 +492,7 @@ def _scene(spec: ScanSpec, lidar: Lidar) -> Scene:
     """Return what commands like this one are tried on."""
     is_placed = bool(lidar.mounting.static_tf) or lidar.is_registered
     placer = _placer(spec, lidar, "" if is_placed else spec.params.target_frame)
-    # A part shows too little of the ground, so all of them are judged together.
+    # One part shows too little of the ground, so they are judged together, if it is known how the robot moves.
     fixed = spec.fixed_frame if spec.level else lidar.world if lidar.parts and not lidar.mounting.static_tf else ""
     clouds: list[PlacedCloud] = []
     ways: list[Rigid] = []
@@ -511,7 +511,7 @@ def _scene(spec: ScanSpec, lidar: Lidar) -> Scene:
         # What a robot that moves sees of a place, from all of them.
         placed = [ways[0].compose(way.inverse()).apply(xyz) for way, xyz in zip(ways, placed, strict=True)]
     params, heights = spec.params, lidar.mounting.heights
-    seen = [np.concatenate(placed)] if lidar.parts or ways else placed
+    seen = [np.concatenate(placed)] if lidar.merges or ways else placed
     # From a floor that is not known, nothing rises.
     low = math.inf if heights is None or heights.floor is None else params.min_height
     rising = [are_ground(xyz, low) for xyz in seen]

@@ -54,8 +54,8 @@ _LOW, _ROUGHEST, _HIGH, _BELOW_CEILING, _THINNEST = 0.1, 0.3, 1.5, 0.2, 0.3
 #: Without a floor: so far from the sensor's height, metres.
 _AROUND = 0.4
 
-#: The least share of the points that heights are judged by.
-_FEWEST_SHARE = 0.001
+#: The least share of the points that heights are judged by, and the largest below a floor that they do not show.
+_FEWEST_SHARE, _MOST_BELOW = 0.001, 0.05
 
 #: What is nearer than this share of the farthest in a direction, so many degrees wide, is before a wall. So many cells
 #: of it may be noise. Lidars of robots are at most so high, metres.
@@ -354,10 +354,9 @@ def is_upside_down(buffer: TransformBuffer, frame: str, stamp_ns: int) -> bool:
 def _body(buffer: TransformBuffer, frame: str, stamp_ns: int) -> tuple[str, Rigid] | None:
     """Return the robot's frame, and the transform of another one to it; None if they are the same, or not connected."""
     for name in BODIES:
-        if name in buffer.frames and name != frame.removeprefix("/"):
-            moved = _lookup(buffer, name, frame, stamp_ns)
-            if moved is not None:
-                return name, moved
+        is_other = name in buffer.frames and name != frame.removeprefix("/")
+        if is_other and (moved := _lookup(buffer, name, frame, stamp_ns)):
+            return name, moved
     return None
 
 
@@ -381,8 +380,7 @@ def _ancestors(buffer: TransformBuffer, frame: str, stamp_ns: int) -> list[tuple
 
 def _lookup(buffer: TransformBuffer, target: str, source: str, stamp_ns: int) -> Rigid | None:
     """Return a transform at a stamp, or the latest one: the mounting of a sensor does not change."""
-    rigid = buffer.known(target, source, stamp_ns)
-    return buffer.known(target, source, 0) if rigid is None else rigid
+    return buffer.known(target, source, stamp_ns) or buffer.known(target, source, 0)
 
 
 def _fault(ground: Ground) -> str:
@@ -451,13 +449,11 @@ def suitable_heights(
     moved = target_from_frame or Rigid.from_pose((0.0, 0.0, origin_z, 0.0, 0.0, 0.0, 1.0))
     z = moved.apply(np.concatenate(points))[:, 2]
     sensor = float(moved.translation[2])
-    floor = ceiling = None
-    question, least = "", _LOW
+    floor, question, least = None, "", _LOW
+    ceiling = None if ground.ceiling is None else sensor + ground.ceiling
     if ground.height:
         floor = float(moved.apply(np.array([ground.normal]) * -ground.height)[0, 2])
         least = min(_ROUGHEST, max(_LOW, 1.5 * ground.rough))
-    if ground.ceiling is not None:
-        ceiling = sensor + ground.ceiling
     if frame and sensor > recorded + ONE_FLOOR:
         off = 0.0 if floor is None else recorded - floor
         # A plane that is fitted over a floor and a ramp is as rough as it is off.
@@ -466,6 +462,9 @@ def suitable_heights(
             name, at = (frame, "its z = 0") if not recorded else ("base_footprint", "it")
             question = f"{name} is {abs(off):.2f} m {side} the floor that the clouds show: is {at} the floor?"
         else:
+            below = 0.0 if ground.height else float((z < recorded - _LOW - tolerances(np.concatenate(points))).mean())
+            if below > _MOST_BELOW:
+                question = f"{below:.0%} of the points are below it: does the sensor tilt as its transform says?"
             floor = recorded
     top = math.inf if ceiling is None else ceiling - _BELOW_CEILING
     if floor is None:

@@ -63,6 +63,7 @@ SENSORS: dict[str, tuple[Callable[[int], tuple[Floats, Floats]], int]] = {
     "32 rings": (lambda _: _rings(-25, 15, 32, 240), 1),
     "64 rings": (lambda _: _rings(-24.8, 2, 64, 180), 1),
     "mid-360": (lambda turn: _scatter(-7, 52, 20000, turn), 1),
+    "thin mid-360": (lambda turn: _scatter(-7, 52, 2000, turn), 1),
     "packets": (lambda _: _rings(-15, 15, 16, 360), 20),
     "sparse": (lambda turn: _scatter(-15, 15, 120, turn), 1),
 }
