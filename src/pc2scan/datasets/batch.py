@@ -12,9 +12,10 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import DestinationError, DiskFullError, OutputError, UsageError
-from pc2scan.files.outputs import InputPath, check_destination, files_output, inputs_of
+from pc2scan.files.outputs import InputPath, files_output, inputs_of
 from pc2scan.files.paths import absolute, is_url
 from pc2scan.files.system import copying_to, is_full, refuse_without_room
+from pc2scan.options.effects import refuse_idle
 from pc2scan.result import BEGINNING
 from pc2scan.threads import cores
 
@@ -64,6 +65,7 @@ def run_batch(
     began = time.monotonic()
     if not sources:
         raise UsageError("no source given")
+    refuse_idle(options.among(("dry_run", "report")))
     if isinstance(dask := options.dask, str) and "://" not in dask:
         raise UsageError(f"`dask={dask}`: the address of a scheduler is tcp://HOST:PORT")
     if isinstance(dask, str) and options.jobs:
@@ -116,9 +118,6 @@ def _open_report(
     if real.is_relative_to(folder.path) and (real.relative_to(folder.path).as_posix() in {MANIFEST, *folder.outputs}):
         raise DestinationError("the report cannot be written there: the batch writes this file itself", path=path)
     try:
-        if options.dry_run:
-            check_destination(path, beginning=BEGINNING, overwrite=False)
-            return None
         return stack.enter_context(files_output([path], beginning=BEGINNING, overwrite=False))
     except (DestinationError, OutputError) as err:
         err.message = f"the report cannot be written there: {err.message}"

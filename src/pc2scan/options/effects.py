@@ -52,6 +52,7 @@ IDLE = (
     ("accumulate", "window", "which uses all messages of an interval"),
     ("every", "window", "which uses all messages of an interval"),
     ("only_scans", "keep keep_clouds clouds_as", "which writes nothing else"),
+    ("dry_run", "report", "which writes nothing; `as_json` prints it"),
 )
 
 

@@ -386,8 +386,9 @@ def named_in_namespace(name: str, frames: Collection[str]) -> str:
 
 def other_odometry(buffer: TransformBuffer, odom: str) -> str:
     """Return the frame in which the robot probably drives, if none is named ``odom``; empty if nothing moves it."""
-    roots = (root for tree in buffer.trees for root in tree.roots if root not in BODIES)
-    return named_in_namespace(odom, buffer.frames) or next(roots, "")
+    roots = ((root, tree.frames) for tree in buffer.trees for root in tree.roots if root not in BODIES)
+    moved = (root for root, frames in roots if not all(buffer.is_rigid(root, frame) for frame in frames))
+    return named_in_namespace(odom, buffer.frames) or next(moved, "")
 
 
 def extrapolation_error(query: Query, link: FrameHistory, frames: Sequence[str], time_ns: int | None) -> TransformError:

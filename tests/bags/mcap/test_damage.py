@@ -51,14 +51,14 @@ DAMAGED = [
     (raw_chunk(BODY, compression="zstd", packed=UNSIZED, uncompressed_size=1 << 60), "at most [0-9]+ are possible"),
     (record(6, struct.pack("<QQQIIQ", 1, 1, 5, 0, 0, 6) + b"short"), "declares 6 bytes of records in 45 bytes"),
     (raw_chunk(BODY + raw_message(channel=7)), "channel 7 has messages"),
-    (raw_chunk(BODY + record(15, b"")), "has a record of kind 15 in it"),
+    (raw_chunk(BODY + record(15, b"")), "has a record with opcode 15 in it"),
     (raw_channel() + record(5, bytes(21)), "the message at byte .* has 30 bytes, at least 31 are needed"),
     (raw_channel()[:-1] + raw_message(), "record at byte"),
     (record(3, struct.pack("<HIII", 1, 0, 0, 4) + b"abc"), "the Schema record"),
     (record(7, bytes(6)), "the message index at byte .* follows no chunk"),
     (raw_chunk(BODY) + 2 * record(7, bytes(6)), "the message index at byte .* is of a chunk that is not there"),
     (record(0, b""), "has opcode 0, which no record may have"),
-    (record(11, b""), "is of kind 11, which no data may have"),
+    (record(11, b""), "has opcode 11, which the data may not have"),
     (struct.pack("<BQ", 5, 1 << 62), "the record at byte"),
 ]
 

@@ -169,13 +169,13 @@ KEPT: dict[str, Kept] = {
     "a message that is no record of MCAP": Kept(
         [raw_channel(), raw_message(1, 5), b"\x25" + raw_message(1, 6)[1:], raw_message(1, 7)],
         [5, 7],
-        "is of kind 37, which MCAP does not have",
+        "has opcode 37, which MCAP does not have",
         {"bytes_lost": len(raw_message(1, 6))},
     ),
     "a message in a chunk that is no record of MCAP": Kept(
         [raw_chunk(INNER + b"\x25" + INNER[-34:] + INNER[-35:], message_end_time=2, uncompressed_crc=0)],
         [1, 2, 2],
-        "has a record of kind 37 in it",
+        "has a record with opcode 37 in it",
         whole=False,
     ),
     # What follows the message is damaged. It holds the records of a file.

@@ -67,7 +67,7 @@ def test_a_damaged_index_is_refused(info: bytes, told: str, tmp_path: Path) -> N
         (message(1, identity=7), "a message of connection 7, which is not in the index"),
         (message(1, order=("conn", "op", "time"))[:-1], "a message reaches to byte 50 of a chunk of 49"),
         (message(1) + b"\0", "a record's length does not fit"),
-        (record(op=b"\x04"), "a record of kind 4"),
+        (record(op=b"\x04"), "a record with op 4"),
         (message(10), "a message of log time 0.000000010, and declares 0.000000001 to 0.000000009"),
     ],
 )

@@ -183,7 +183,7 @@ def read_summary(file: RecordFile, index: McapIndex) -> int:
         # Attachments and metadata are found by the walk, because it takes little time and the index that @mcap/core
         # 2.2.2 writes for files without chunks has wrong offsets.
         elif kind in _DATA:
-            raise file.damage(f"the summary at byte {start} has a record of kind {kind}, which only the data may have")
+            raise file.damage(f"the summary at byte {start} has a record with opcode {kind}, which only data may have")
         elif kind in DECLARATIONS:
             record = parse(DECLARATIONS[kind], content, start, file)
             index.listed.append((record, start))
@@ -346,9 +346,9 @@ class RecordWalk:
             elif opcode == Opcode.DATA_END:
                 index.data_end = offset, int.from_bytes(head[RECORD.size : RECORD.size + 4], "little")
             elif index.data_end is None:
-                raise self._file.damage(f"the record at byte {offset} is of kind {opcode}, which no data may have")
+                raise self._file.damage(f"the record at byte {offset} has opcode {opcode}, which the data may not have")
         elif opcode < OP_PRIVATE:
-            unknown = self._file.damage(f"the record at byte {offset} is of kind {opcode}, which MCAP does not have")
+            unknown = self._file.damage(f"the record at byte {offset} has opcode {opcode}, which MCAP does not have")
             index.log.note(unknown, offset=offset, bytes_lost=size)
 
     def _message(self, head: bytes, offset: int, following: int) -> None:

@@ -147,7 +147,7 @@ class McapReader(ChunkedReader):
         start = position + RECORD.size
         self._index.declare(opcode, data[start : start + length], chunk.record_offset, self._file)
         if opcode not in DECLARATIONS and opcode < OP_PRIVATE:
-            raise self._file.damage(f"the chunk at byte {chunk.record_offset} has a record of kind {opcode} in it")
+            raise self._file.damage(f"the chunk at byte {chunk.record_offset} has a record with opcode {opcode} in it")
 
     def _times_in(self, segment: Segment) -> list[int]:
         """Read a segment for the log times of its messages."""

@@ -66,7 +66,7 @@ class RecordFile(NearbyFile):
         """Read the content of a record of a known kind."""
         actual, length = RECORD.unpack(self.read(offset, RECORD.size))
         if actual != opcode:
-            raise self.damage(f"a record of kind {opcode} ({opcode.name}) should be at byte {offset}, found {actual}")
+            raise self.damage(f"the record at byte {offset} has opcode {actual}, expected {opcode} ({opcode.name})")
         return self.read(offset + RECORD.size, length)
 
     def crc(self, start: int, stop: int, value: int = 0) -> int:

@@ -292,7 +292,7 @@ def scan_messages(
                     describe(fields, data[start:position])
                     continue
                 if kind != MESSAGE:
-                    raise FormatError(f"a record of kind {kind} is in it, not a message or connection")
+                    raise FormatError(f"a record with op {kind} is in it, not a message or connection")
                 identity = number_field(fields, "conn")
                 stamp = time_field(fields, "time")
             count += 1
